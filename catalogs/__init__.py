@@ -1,0 +1,45 @@
+"""Where stars are: catalogues, epochs, and how stars appear to an observer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from giantlike.catalogs.astrometry import apparent_directions
+from giantlike.catalogs.cache import cache_folder, write_to_cache
+from giantlike.catalogs.catalog import MemoryCatalog, StarCatalog
+from giantlike.catalogs.table import StarTable, et_of_julian_year, julian_year
+
+__all__ = [
+    "MemoryCatalog",
+    "StarCatalog",
+    "StarTable",
+    "apparent_directions",
+    "cache_folder",
+    "et_of_julian_year",
+    "julian_year",
+    "load_catalog",
+    "write_to_cache",
+]
+
+
+def load_catalog(name: str | Path = "default") -> MemoryCatalog:
+    """Load a star catalogue.
+
+    Parameters
+    ----------
+    name : str or path-like
+        ``"default"`` for Gaia to G = 10 merged with Hipparcos (magnitudes in Gaia G), else the path of a
+        CSV file with the columns of :class:`StarTable`.
+
+    Raises
+    ------
+    DataError
+        The file is missing or damaged.
+    """
+    if str(name) == "default":
+        from giantlike.catalogs.default import default_catalog
+
+        return default_catalog()
+    from giantlike.catalogs.csv_catalog import read_csv_catalog
+
+    return read_csv_catalog(Path(name))

@@ -1,0 +1,92 @@
+"""giantlike: a ground workbench for optical navigation.
+
+The names that a session needs are here; everything else is in the subpackages. They are imported when first
+used, so that ``import giantlike`` and the command line start fast.
+
+>>> import giantlike as gl
+>>> gl.Camera.from_fov(20.0, 1024, 1024).columns
+1024
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from giantlike.core.version import VERSION
+
+if TYPE_CHECKING:
+    from giantlike.camera import Camera
+    from giantlike.core.detector import Detector, GaussianPsf
+    from giantlike.core.errors import DataError, EstimationError, FrameMismatchError, InputError, OpNavError
+    from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix, Quality, Reason
+    from giantlike.ephemeris import (
+        ApparentGeometry,
+        DistantLight,
+        FixedEphemeris,
+        SpiceEphemeris,
+        TableEphemeris,
+    )
+    from giantlike.image import Image
+    from giantlike.relative import CrossCorrelation, EllipsoidCRA, LimbMatching, Unresolved
+    from giantlike.scene import Scene, Target
+    from giantlike.stars import StarNavigation, StarOptions
+
+__version__ = VERSION
+
+_HOMES = {
+    "giantlike.camera": ("Camera",),
+    "giantlike.core.detector": ("Detector", "GaussianPsf"),
+    "giantlike.core.errors": ("DataError", "EstimationError", "FrameMismatchError", "InputError", "OpNavError"),
+    "giantlike.core.outcomes": ("AttitudeFix", "CenterFix", "Failure", "PositionFix", "Quality", "Reason"),
+    "giantlike.ephemeris": ("ApparentGeometry", "DistantLight", "FixedEphemeris", "SpiceEphemeris", "TableEphemeris"),
+    "giantlike.image": ("Image",),
+    "giantlike.relative": ("CrossCorrelation", "EllipsoidCRA", "LimbMatching", "Unresolved"),
+    "giantlike.scene": ("Scene", "Target"),
+    "giantlike.stars": ("StarNavigation", "StarOptions"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "ApparentGeometry",
+    "AttitudeFix",
+    "Camera",
+    "CenterFix",
+    "CrossCorrelation",
+    "DataError",
+    "Detector",
+    "DistantLight",
+    "EllipsoidCRA",
+    "EstimationError",
+    "Failure",
+    "FixedEphemeris",
+    "FrameMismatchError",
+    "GaussianPsf",
+    "Image",
+    "InputError",
+    "LimbMatching",
+    "OpNavError",
+    "PositionFix",
+    "Quality",
+    "Reason",
+    "Scene",
+    "SpiceEphemeris",
+    "StarNavigation",
+    "StarOptions",
+    "TableEphemeris",
+    "Target",
+    "Unresolved",
+    "__version__",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'giantlike' has no attribute {name!r}")
+    value = getattr(import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

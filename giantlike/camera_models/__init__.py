@@ -1,0 +1,19 @@
+"""Camera models: how directions in camera axes become pixels and back, with analytic Jacobians.
+
+``CameraModel`` is the interface; a model is a frozen value and its type name is in ``MODELS``.
+"""
+
+from giantlike.camera_models.base import CameraModel, ifov_rad
+from giantlike.camera_models.brown import BrownModel
+from giantlike.camera_models.pinhole import PinholeModel
+from giantlike.camera_models.registry import MODELS, model_from_mapping, model_to_mapping
+
+__all__ = [
+    "MODELS",
+    "BrownModel",
+    "CameraModel",
+    "PinholeModel",
+    "ifov_rad",
+    "model_from_mapping",
+    "model_to_mapping",
+]

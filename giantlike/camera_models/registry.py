@@ -1,0 +1,54 @@
+"""Model names and how a model is written in a camera file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from giantlike.camera_models.base import CameraModel
+from giantlike.camera_models.brown import BrownModel
+from giantlike.camera_models.pinhole import PinholeModel
+from giantlike.core.errors import InputError
+
+MODELS: Mapping[str, type[PinholeModel | BrownModel]] = MappingProxyType(
+    {model.type_name: model for model in (PinholeModel, BrownModel)}
+)
+"""Camera model classes by the ``type`` they have in camera files."""
+
+
+def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
+    """Build a model from the ``[model]`` table of a camera file.
+
+    Parameters
+    ----------
+    table : mapping
+        ``type`` and the parameters of that type; parameters with a default may be absent.
+
+    Raises
+    ------
+    InputError
+        The type or a key is unknown, a required parameter is missing, or a value is no number.
+    """
+    values = dict(table)
+    name = values.pop("type", None)
+    if name not in MODELS:
+        raise InputError(f"[model] type must be one of {', '.join(sorted(MODELS))}, got {name!r}")
+    model = MODELS[name]
+    unknown = sorted(set(values) - set(model.parameter_names))
+    if unknown:
+        raise InputError(
+            f"[model] unknown key {unknown[0]!r} for type {name!r}; keys are {', '.join(model.parameter_names)}"
+        )
+    for key, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"[model] {key} must be a number, got {value!r}")
+    missing = [key for key in ("fx_px", "fy_px", "cx_px", "cy_px") if key not in values]
+    if missing:
+        raise InputError(f"[model] {missing[0]} is missing for type {name!r}")
+    return model(**{key: float(value) for key, value in values.items()})
+
+
+def model_to_mapping(model: CameraModel) -> dict[str, Any]:
+    """The ``[model]`` table of a model: ``type`` and every parameter."""
+    return {"type": model.type_name} | dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))

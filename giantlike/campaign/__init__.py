@@ -1,0 +1,11 @@
+"""Campaigns: one TOML file in, a run folder with tables and a report out.
+
+``run_campaign(Campaign.load("campaign.toml"))`` is what ``giantlike run`` does.
+"""
+
+from giantlike.campaign.config import Campaign
+from giantlike.campaign.report import write_report
+from giantlike.campaign.results import RunResult, load_result
+from giantlike.campaign.runner import run_campaign
+
+__all__ = ["Campaign", "RunResult", "load_result", "run_campaign", "write_report"]

@@ -1,0 +1,358 @@
+"""The demonstration: a made-up approach is photographed, run like any campaign, and compared with truth."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from scipy.stats import chi2
+
+from giantlike.campaign.config import Campaign
+from giantlike.campaign.runner import Progress, run_campaign
+from giantlike.catalogs import load_catalog
+from giantlike.core.arrays import require
+from giantlike.core.errors import DataError
+from giantlike.core.outcomes import Reason
+from giantlike.simulation import ApproachOptions, plan_approach, write_approach
+from giantlike.simulation.compare import (
+    Comparison,
+    ObservationError,
+    Score,
+    compare_run,
+    score_attitudes,
+    score_observations,
+)
+from giantlike.simulation.write import CAMPAIGN_FILE, TRUTH_FILE
+
+_MARKER = ".giantlike-demo"
+"""File by which a demonstration knows a folder as its own; nothing else writes or reads it."""
+_MARKER_TEXT = "giantlike demo made this folder, and clears what it wrote here when it is run again.\n"
+_WRITTEN = ("images", "shapes", "run", "camera.toml", "geometry.csv", CAMPAIGN_FILE, TRUTH_FILE)
+_CONSISTENT = 0.001
+"""Errors count as consistent with their covariances unless chi-square is that unlikely, on either side."""
+_SMALL_PHASE_DEG = 90.0
+_WHY = MappingProxyType(
+    {
+        Reason.NOT_UNRESOLVED: "the body is resolved: ",
+        Reason.NO_LIMB: "too small or too dark a limb: ",
+        Reason.WRONG_SHAPE: "the body is no ellipsoid: ",
+    }
+)
+"""What the reasons mean that belong to an approach and are nobody's mistake."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Goal:
+    """Something the demonstration has to reach.
+
+    Parameters
+    ----------
+    text : str
+    value : float
+        What was reached; NaN where nothing could be measured.
+    low, high : float
+        Limits, inclusive.
+    unit : str
+    """
+
+    text: str
+    value: float
+    high: float
+    low: float = 0.0
+    unit: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the value lies within the limits; NaN does not."""
+        return self.low <= self.value <= self.high
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DemoReport:
+    """What the demonstration found.
+
+    Parameters
+    ----------
+    output : Path
+        Folder with everything that was written.
+    comparison : Comparison
+        Every attitude and every observation against truth.
+    simulate_s, run_s : float, s
+        Time that taking the images and running the campaign took.
+    """
+
+    output: Path
+    comparison: Comparison
+    simulate_s: float
+    run_s: float
+
+    def attitude_scores(self) -> dict[str, Score]:
+        """Scores by where the attitude comes from."""
+        sources = dict.fromkeys(error.source for error in self.comparison.attitudes)
+        return {
+            source or "none": score_attitudes([e for e in self.comparison.attitudes if e.source == source])
+            for source in sources
+        }
+
+    def estimator_scores(self) -> dict[tuple[str, str], Score]:
+        """Scores by target and estimator."""
+        observations = self.comparison.observations
+        pairs = dict.fromkeys((error.target, error.estimator) for error in observations)
+        return {
+            pair: score_observations([e for e in observations if (e.target, e.estimator) == pair]) for pair in pairs
+        }
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """What is asked of the demonstration, and what was reached."""
+        return (*_accuracy_goals(self.comparison), *self._consistency_goals())
+
+    @property
+    def met(self) -> bool:
+        """Whether every goal is met."""
+        return all(goal.met for goal in self.goals)
+
+    def _consistency_goals(self) -> Iterable[Goal]:
+        for source, score in self.attitude_scores().items():
+            if score.dof:
+                yield _consistency(f"attitude ({source}): squared errors over variances", score.chi2, score.dof)
+        for estimator, errors in _by_estimator(self.comparison).items():
+            score = score_observations(errors)
+            if score.dof:
+                yield _consistency(f"{estimator}, centre: squared errors over variances", score.chi2, score.dof)
+            if score.n_ranges:
+                yield _consistency(
+                    f"{estimator}, range: squared errors over variances", score.range_chi2, score.n_ranges
+                )
+
+    def text(self) -> str:
+        """Tables for people: every observation, then each estimator, then the goals."""
+        lines = ["Every fix: error against truth +- the sigma that the estimator stated", ""]
+        lines += _observation_lines(self.comparison.observations)
+        lines += ["", "Attitude: error and stated sigma as a shift of the image", ""]
+        lines += _score_lines("source", self.attitude_scores())
+        lines += ["", "Bodies: root mean square error beside root mean square sigma", ""]
+        lines += _score_lines(
+            "target  estimator", {f"{t:<7} {e}": score for (t, e), score in self.estimator_scores().items()}
+        )
+        lines += ["", *_failure_lines(self.estimator_scores()), "Goals", ""]
+        lines += [_goal_line(goal) for goal in self.goals]
+        lines += [
+            "",
+            f"{self.simulate_s:.1f} s to take the images, {self.run_s:.1f} s for the campaign;"
+            f" report: {self.output / 'run' / 'report.html'}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def to_json(self) -> str:
+        """The same for machines; numbers that do not exist are null."""
+        table = {
+            "output": str(self.output),
+            "met": self.met,
+            "goals": [
+                {"goal": g.text, "value": _plain(g.value), "low": g.low, "high": g.high, "unit": g.unit, "met": g.met}
+                for g in self.goals
+            ],
+            "attitudes": {source: _score_table(score) for source, score in self.attitude_scores().items()},
+            "estimators": [
+                {"target": target, "estimator": estimator, **_score_table(score)}
+                for (target, estimator), score in self.estimator_scores().items()
+            ],
+            "simulate_s": self.simulate_s,
+            "run_s": self.run_s,
+        }
+        return json.dumps(table, indent=2)
+
+
+def run_demo(
+    output: Path,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    options: ApproachOptions | None = None,
+) -> DemoReport:
+    """Make up an approach, photograph it, run the campaign and compare the results with truth.
+
+    Parameters
+    ----------
+    output : Path
+        Folder to write into: empty, new, or that of an earlier demonstration, finished or not, whose files are
+        deleted first. Files of other names stay.
+    workers : int, optional
+        Number of processes; default one per CPU.
+    progress : callable, optional
+        Called with what is being done, how many images are done, and of how many.
+    options : ApproachOptions, optional
+        Another approach than the usual one.
+
+    Returns
+    -------
+    DemoReport
+
+    Raises
+    ------
+    InputError
+        The folder is not empty and no demonstration made it.
+    DataError
+        A file cannot be written.
+    """
+    start = time.perf_counter()
+    _clear(output)
+
+    def taking(done: int, total: int) -> None:
+        if progress is not None:
+            progress("taking images", done, total)
+
+    threads = workers or os.cpu_count() or 1
+    approach = plan_approach(options or ApproachOptions())
+    campaign = write_approach(approach, output, load_catalog("default"), workers=threads, progress=taking)
+    middle = time.perf_counter()
+    result = run_campaign(Campaign.load(campaign), workers=workers, progress=progress)
+    end = time.perf_counter()
+    comparison = compare_run(result.folder, output / TRUTH_FILE, approach.camera)
+    return DemoReport(output=output, comparison=comparison, simulate_s=middle - start, run_s=end - middle)
+
+
+def _clear(output: Path) -> None:
+    """Mark an empty folder, or clear what a demonstration wrote into a marked one; anything else is refused.
+
+    The marker comes before all else, so that an interrupted demonstration does not block the next one.
+    """
+    marker = output / _MARKER
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        if not marker.is_file():
+            found = sorted(path.name for path in output.iterdir())
+            require(
+                not found,
+                f"{output}: holds {', '.join(found[:3])} and no earlier demonstration (no {_MARKER}); "
+                "name an empty folder",
+            )
+            marker.write_text(_MARKER_TEXT, encoding="utf-8")
+        for path in (output / name for name in _WRITTEN):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(output, f"cannot be written: {error.strerror or error}") from error
+
+
+def _accuracy_goals(comparison: Comparison) -> list[Goal]:
+    of = _by_estimator(comparison)
+    attitudes = score_attitudes(comparison.attitudes)
+    correlation = score_observations(of.get("cross_correlation", []))
+    limb = score_observations(of.get("limb_matching", []))
+    small = [error for error in of.get("unresolved", []) if error.phase_deg < _SMALL_PHASE_DEG]
+    unresolved = score_observations(small)
+    return [
+        Goal(text="attitude, rms per axis", value=float(attitudes.rms_px.max()), high=0.1, unit="px"),
+        Goal(text="cross_correlation, rms per axis", value=float(correlation.rms_px.max()), high=0.1, unit="px"),
+        Goal(text="limb_matching, rms per axis", value=float(limb.rms_px.max()), high=0.2, unit="px"),
+        Goal(text="limb_matching, rms of range", value=100.0 * limb.range_rms, high=0.1, unit="%"),
+        Goal(
+            text=f"unresolved below {_SMALL_PHASE_DEG:.0f} deg phase, rms per axis",
+            value=float(unresolved.rms_px.max()),
+            high=0.3,
+            unit="px",
+        ),
+    ]
+
+
+def _by_estimator(comparison: Comparison) -> dict[str, list[ObservationError]]:
+    groups: dict[str, list[ObservationError]] = {}
+    for error in comparison.observations:
+        groups.setdefault(error.estimator, []).append(error)
+    return groups
+
+
+def _consistency(text: str, total: float, dof: int) -> Goal:
+    """Mean squared normalised error, and where it lies if the stated covariances are right."""
+    low, high = (float(chi2.ppf(p, dof)) / dof for p in (_CONSISTENT / 2, 1.0 - _CONSISTENT / 2))
+    return Goal(text=f"{text} ({dof})", value=total / dof, low=low, high=high)
+
+
+def _observation_lines(errors: Sequence[ObservationError]) -> list[str]:
+    header = f"{'image':<20}{'px':>5}{'phase':>7}  {'estimator':<18}{'x (px)':>17}{'y (px)':>17}{'range (%)':>19}"
+    lines = [header]
+    for error in errors:
+        if error.error_px is None or error.sigma_px is None:
+            continue
+        centre = [f"{e:+.3f} +- {s:.3f}" for e, s in zip(error.error_px, error.sigma_px, strict=True)]
+        reach = ""
+        if error.range_error is not None and error.range_sigma is not None:
+            reach = f"{100 * error.range_error:+.3f} +- {100 * error.range_sigma:.3f}"
+        mark = "" if error.status == "ok" else f"  {error.status}"
+        lines.append(
+            f"{error.file:<20}{error.diameter_px:>5.0f}{error.phase_deg:>7.0f}  {error.estimator:<18}"
+            f"{centre[0]:>17}{centre[1]:>17}{reach:>19}{mark}"
+        )
+    return lines
+
+
+def _score_lines(title: str, scores: dict[str, Score]) -> list[str]:
+    width = max([len(title), *(len(key) for key in scores)]) + 2
+    header = (
+        f"{title:<{width}}{'fixes':>6}{'error x':>9}{'y':>7}{'sigma x':>9}{'y':>7} px"
+        f"{'NEES/dof':>10}{'range error':>13}{'sigma':>7} %{'NEES/dof':>10}"
+    )
+    lines = [header]
+    for key, score in scores.items():
+        if not score.n_fixes:
+            lines.append(f"{key:<{width}}{0:>6}")
+            continue
+        (x, y), (sigma_x, sigma_y) = score.rms_px, score.sigma_px
+        nees = f"{score.chi2 / score.dof:.2f}" if score.dof else ""
+        line = f"{key:<{width}}{score.n_fixes:>6}{x:>9.4f}{y:>7.4f}{sigma_x:>9.4f}{sigma_y:>7.4f}   {nees:>10}"
+        if score.n_ranges:
+            nees = f"{score.range_chi2 / score.n_ranges:.2f}"
+            line += f"{100 * score.range_rms:>13.3f}{100 * score.range_sigma:>7.3f}  {nees:>10}"
+        lines.append(line.rstrip())
+    return lines
+
+
+def _failure_lines(scores: dict[tuple[str, str], Score]) -> list[str]:
+    """What gave no fix, and why; nothing where everything did."""
+    lines = []
+    for (target, estimator), score in scores.items():
+        label = f"{target:<7} {estimator:<18}"
+        for reason, count in score.failures.items():
+            lines.append(f"{label}{count:>3} of {score.n_images} images: {_WHY.get(Reason(reason), '')}{reason}")
+        if score.n_suspect:
+            lines.append(f"{label}{score.n_suspect:>3} of {score.n_images} images: suspect, not counted above")
+    return ["Images that an estimator left to the others", "", *lines, ""] if lines else []
+
+
+def _goal_line(goal: Goal) -> str:
+    limit = f"<= {goal.high:g} {goal.unit}" if goal.low == 0.0 else f"in {goal.low:.2f} to {goal.high:.2f}"
+    return (
+        f"{'met   ' if goal.met else 'MISSED'}  {goal.text}: {goal.value:.3g} {goal.unit}".rstrip()
+        + f" ({limit.strip()})"
+    )
+
+
+def _score_table(score: Score) -> dict[str, Any]:
+    return {
+        "images": score.n_images,
+        "fixes": score.n_fixes,
+        "suspect": score.n_suspect,
+        "failures": dict(score.failures),
+        "rms_px": [_plain(v) for v in score.rms_px.tolist()],
+        "sigma_px": [_plain(v) for v in score.sigma_px.tolist()],
+        "nees_per_dof": _plain(score.chi2 / score.dof if score.dof else math.nan),
+        "range_rms": _plain(score.range_rms),
+        "range_sigma": _plain(score.range_sigma),
+        "range_nees": _plain(score.range_chi2 / score.n_ranges if score.n_ranges else math.nan),
+    }
+
+
+def _plain(value: float) -> float | None:
+    return value if math.isfinite(value) else None

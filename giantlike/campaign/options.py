@@ -1,0 +1,58 @@
+"""Tables of a campaign file to option dataclasses: names and types checked, one clear line for what is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from giantlike.core.errors import InputError
+
+Options = TypeVar("Options")
+
+
+def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: str) -> Options:
+    """Build an options dataclass from a table of its fields.
+
+    Parameters
+    ----------
+    kind : type
+        A dataclass whose fields have defaults; a field may itself be such a dataclass.
+    table : mapping
+        Values for some of its fields, as TOML gives them.
+    where : str
+        How errors call the table.
+
+    Raises
+    ------
+    InputError
+        A name is unknown, a value of the wrong type or out of range.
+    """
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: expected a table of options, got {table!r}")
+    hints = get_type_hints(kind)
+    known = [field.name for field in dataclasses.fields(kind) if field.init]  # type: ignore[arg-type]
+    values = {}
+    for name, value in table.items():
+        if name not in known:
+            raise InputError(f"{where}: unknown option {name!r}; options are {', '.join(known) or 'none'}")
+        hint = hints[name]
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            values[name] = options_from_mapping(hint, value, f"{where}.{name}")
+        else:
+            values[name] = _value(hint, value, f"{where}.{name}")
+    try:
+        return kind(**values)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    try:
+        return TypeAdapter(hint).validate_json(json.dumps(value, default=str), strict=True)
+    except ValidationError as error:
+        expected = error.errors()[0]["msg"].removeprefix("Input should be ")
+        raise InputError(f"{where}: expected {expected}, got {value!r}") from error

@@ -1,0 +1,123 @@
+"""The commands of ``giantlike``; what they need is imported when they run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from giantlike.cli.outcome import ExitCode, command
+
+app = typer.Typer(
+    name="giantlike",
+    help="Ground workbench for optical navigation: spacecraft images in, navigation observables out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit codes: 0 done, 1 some images failed, 2 bad input, 130 interrupted.",
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per CPU.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from giantlike.core.version import VERSION
+
+        typer.echo(f"giantlike {VERSION}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command("run")
+@command
+def run(
+    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.")],
+    workers: Workers = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    json: Json = False,
+) -> ExitCode:
+    """Run a campaign: attitudes from stars, then every estimator on every image.
+
+    Writes the run folder that the campaign names: tables, report.html, provenance.json, log.jsonl.
+    """
+    from giantlike.cli.run_command import run_command
+
+    return run_command(campaign, workers=workers, resume=resume, json=json)
+
+
+@app.command("stars")
+@command
+def stars(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of any readable format.")],
+    camera: Annotated[Path | None, typer.Option(help="Camera file.", metavar="CAMERA.toml")] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="Rough field of view along x, instead of a camera file.", metavar="DEG")
+    ] = None,
+    fov_error: Annotated[
+        float, typer.Option(help="How wrong --fov may be, percent (at most 20).", metavar="PERCENT")
+    ] = 20.0,
+    lost_in_space: Annotated[
+        bool, typer.Option("--lost-in-space", help="Search the whole sky where the a priori attitude does not help.")
+    ] = False,
+    max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalogue star.")] = None,
+    catalog: Annotated[str, typer.Option(help="default, or a catalogue in CSV.")] = "default",
+    hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
+    json: Json = False,
+) -> ExitCode:
+    """Solve the attitude of star images, without a campaign file.
+
+    An image whose header has no a priori attitude is always solved lost-in-space.
+    """
+    from giantlike.cli.stars_command import stars_command
+
+    return stars_command(
+        images,
+        camera_file=camera,
+        fov_deg=fov,
+        fov_error=fov_error / 100,
+        lost_in_space=lost_in_space,
+        max_magnitude=max_magnitude,
+        catalog=catalog,
+        hdu=int(hdu) if hdu is not None and hdu.isdecimal() else hdu,
+        json=json,
+    )
+
+
+@app.command("report")
+@command
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    json: Json = False,
+) -> ExitCode:
+    """Write report.html of a finished run again."""
+    from giantlike.cli.run_command import report_command
+
+    return report_command(folder, json=json)
+
+
+@app.command("demo")
+@command
+def demo(
+    output: Annotated[Path, typer.Option(help="Folder for images, campaign and run.", metavar="DIR")] = Path(
+        "demo-output"
+    ),
+    workers: Workers = None,
+    json: Json = False,
+) -> ExitCode:
+    """Simulate an approach to a small body, run it as a campaign, and compare with the truth."""
+    from giantlike.cli.demo_command import demo_command
+
+    return demo_command(output, workers=workers, json=json)

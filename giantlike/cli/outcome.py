@@ -1,0 +1,58 @@
+"""How a command ends: exit codes, and one line for a user's mistake."""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from enum import IntEnum
+from typing import Any, ParamSpec
+
+import typer
+
+from giantlike.core.errors import OpNavError
+
+Arguments = ParamSpec("Arguments")
+
+
+class ExitCode(IntEnum):
+    """What the exit code of a command means."""
+
+    DONE = 0
+    SOME_IMAGES_FAILED = 1
+    BAD_INPUT = 2
+    INTERRUPTED = 130
+
+
+def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None]:
+    """Make a typer command of a function that returns an exit code.
+
+    Errors of the user become one line on stderr; an interrupt as well.
+    """
+
+    @functools.wraps(function)
+    def wrapped(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+        try:
+            code = function(*args, **kwargs)
+        except OpNavError as error:
+            say(f"giantlike: {' '.join(str(error).split())}")
+            code = ExitCode.BAD_INPUT
+        except KeyboardInterrupt:
+            say("giantlike: interrupted; what is finished is kept")
+            code = ExitCode.INTERRUPTED
+        raise typer.Exit(code)
+
+    return wrapped
+
+
+def say(text: str) -> None:
+    """Write one line to stderr."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def print_json(value: Mapping[str, Any] | Sequence[Any]) -> None:
+    """Write JSON to stdout: the only thing there when ``--json`` is given."""
+    sys.stdout.write(json.dumps(value, indent=1, allow_nan=False, default=str) + "\n")
+    sys.stdout.flush()

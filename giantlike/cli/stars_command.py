@@ -1,0 +1,133 @@
+"""``giantlike stars``: attitudes of single images, without a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import typer
+
+from giantlike.camera import Camera
+from giantlike.catalogs import StarCatalog, load_catalog
+from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.progress import progress_bar
+from giantlike.core.arrays import require
+from giantlike.core.errors import OpNavError
+from giantlike.core.frames import pointing_deg
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.image import Image
+from giantlike.stars import StarNavigation, StarOptions
+
+_NUMBERS = MappingProxyType(
+    {
+        "ra_deg": (11, ".5f"),
+        "dec_deg": (11, ".5f"),
+        "roll_deg": (10, ".4f"),
+        "fov_deg": (10, ".4f"),
+        "n_matched": (11, "d"),
+        "rms_px": (8, ".3f"),
+    }
+)
+"""Numbers of a solution, and how a table shows them: width and format."""
+_DEFAULT_FOV_ERROR = 0.2
+"""What the command line hands over when --fov-error is not given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarsRequest:
+    """How images are to be solved: a camera, or a rough field of view along x and how wrong it may be."""
+
+    camera: Camera | None
+    fov_deg: float | None
+    fov_error: float
+    lost_in_space: bool
+    max_magnitude: float | None
+    hdu: int | str | None
+
+    def __post_init__(self) -> None:
+        require((self.camera is None) != (self.fov_deg is None), "give either --camera CAMERA.toml or --fov DEG")
+        percent = 100 * self.fov_error
+        if self.fov_deg is None:
+            alone = self.fov_error == _DEFAULT_FOV_ERROR
+            require(alone, f"--fov-error {percent:g} goes with --fov; a camera file says its field of view itself")
+        else:
+            require(0 < self.fov_deg < 170, f"--fov must be between 0 and 170 degrees, got {self.fov_deg:g}")
+            require(0 < self.fov_error <= 0.2, f"--fov-error must be in (0, 20] percent, got {percent:g}")
+
+    def options(self) -> StarOptions:
+        """Options of the solution; raises InputError where a value is out of range."""
+        return StarOptions(
+            max_magnitude=self.max_magnitude,
+            lost_in_space=self.lost_in_space,
+            estimate_scale=self.camera is None,
+            scale_error=self.fov_error,
+        )
+
+
+def stars_command(
+    images: Sequence[Path], *, camera_file: Path | None, catalog: str, json: bool, **request: Any
+) -> ExitCode:
+    """Solve images and show the result, one row per image; ``request`` are the fields of :class:`StarsRequest`."""
+    wanted = StarsRequest(camera=None if camera_file is None else Camera.load(camera_file), **request)
+    options = wanted.options()
+    stars = load_catalog(catalog)
+    results = []
+    with progress_bar() as progress:
+        for number, path in enumerate(images):
+            progress("solving stars", number, len(images))
+            results.append(_solve(path, stars, wanted, options))
+        progress("solving stars", len(images), len(images))
+    if json:
+        print_json(results)
+    else:
+        _print_table(results)
+    failed = any(result["status"] == "failed" for result in results)
+    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+
+
+def _solve(path: Path, catalog: StarCatalog, wanted: StarsRequest, options: StarOptions) -> dict[str, Any]:
+    """One object of the JSON list; what is not known is None."""
+    values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None} | dict.fromkeys(_NUMBERS)
+    values |= {"detail": "", "flags": []}
+    try:
+        image = Image.open(path, hdu=wanted.hdu)
+        camera = wanted.camera
+        if camera is None:
+            assert wanted.fov_deg is not None
+            camera = Camera.from_fov(wanted.fov_deg, image.columns, image.rows)
+        if image.camera_from_inertial is None:
+            options = replace(options, lost_in_space=True)
+        outcome = StarNavigation(camera, catalog, options).solve(image)
+    except OpNavError as error:
+        return values | {"reason": str(Reason.UNREADABLE_IMAGE), "detail": str(error)}
+    if isinstance(outcome, Failure):
+        return values | {"reason": str(outcome.reason), "detail": outcome.detail}
+    ra, dec, roll = pointing_deg(outcome.camera_from_inertial, camera.model.unproject(camera.center_px))
+    return values | {
+        "status": "suspect" if outcome.flags.suspect else "ok",
+        "ra_deg": ra,
+        "dec_deg": dec,
+        "roll_deg": roll,
+        "fov_deg": outcome.fov_deg,
+        "n_matched": outcome.n_used,
+        "rms_px": outcome.rms_px,
+        "flags": list(outcome.flags.names()),
+    }
+
+
+def _print_table(results: Sequence[dict[str, Any]]) -> None:
+    """One line per image, and under a failed one the reason."""
+    width = max(len(result["file"]) for result in results)
+    heads = "".join(f"{name.removesuffix('_deg'):>{size}}" for name, (size, _) in _NUMBERS.items())
+    typer.echo(f"{'file':<{width}}  status {heads}")
+    for result in results:
+        numbers = "".join(
+            f"{'' if result[name] is None else format(result[name], style):>{size}}"
+            for name, (size, style) in _NUMBERS.items()
+        )
+        typer.echo(f"{result['file']:<{width}}  {result['status']:<7}{numbers}".rstrip())
+        if result["status"] != "ok":
+            typer.echo(f"  {result['reason'] or ', '.join(result['flags'])}: {result['detail']}".rstrip(" :"))

@@ -1,0 +1,1 @@
+"""Errors, outcomes, frames, units and time: what every layer speaks of. Imports nothing of ours."""

@@ -1,0 +1,55 @@
+"""The exceptions of giantlike: one small tree, one class per kind of mistake.
+
+A failed fit is not an exception: see :class:`giantlike.core.outcomes.Failure`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class OpNavError(Exception):
+    """Base of every exception that giantlike raises on purpose."""
+
+
+class InputError(OpNavError, ValueError):
+    """A value handed in has a wrong shape, unit, range or name."""
+
+
+class FrameMismatchError(InputError):
+    """Two quantities that were combined are not in the same frame.
+
+    Parameters
+    ----------
+    have, need : str
+        Names of the frame that came and of the one that was needed.
+    """
+
+    def __init__(self, have: str, need: str) -> None:
+        super().__init__(f"needed a quantity in frame {need!r}, got one in {have!r}")
+        self.have = have
+        self.need = need
+
+
+class DataError(OpNavError):
+    """A file is missing, damaged, or does not hold what it should.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    problem : str
+        What was expected there, what was found and what to do.
+    """
+
+    def __init__(self, path: str | Path, problem: str) -> None:
+        super().__init__(f"{path}: {problem}")
+        self.path = Path(path)
+        self.problem = problem
+
+    def __reduce__(self) -> tuple[type[DataError], tuple[Path, str]]:
+        return type(self), (self.path, self.problem)
+
+
+class EstimationError(OpNavError):
+    """A :class:`~giantlike.core.outcomes.Failure` was unwrapped as if it were a fix."""

@@ -1,0 +1,124 @@
+"""Directions, attitudes and small rotations; everything here is exact geometry, no physics.
+
+Rotations are scipy :class:`~scipy.spatial.transform.Rotation` named ``to_from_from``
+(``camera_from_inertial``), so that neighbours cancel in products.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_finite, as_floats, require, unit
+
+
+def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
+    """Unit vectors (..., 3), inertial, of right ascension and declination in degrees.
+
+    >>> direction_from_radec(90.0, 0.0).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    ra, dec = np.radians(as_floats(ra_deg, (), "ra_deg")), np.radians(as_floats(dec_deg, (), "dec_deg"))
+    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec) * np.ones_like(ra)], axis=-1)
+
+
+def radec_from_direction(direction_inertial: ArrayLike) -> tuple[Float, Float]:
+    """Right ascension in [0, 360) and declination, degrees, of vectors (..., 3) of any length."""
+    x, y, z = np.moveaxis(as_floats(direction_inertial, (3,), "direction_inertial"), -1, 0)
+    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
+def position_angle_deg(direction_inertial: ArrayLike, toward_inertial: ArrayLike) -> float:
+    """Position angle at a point of the sky, north through east, in [0, 360) degrees.
+
+    Parameters
+    ----------
+    direction_inertial : (3,), unitless, inertial
+        The point of the sky.
+    toward_inertial : (3,), unitless, inertial
+        A vector whose component across ``direction_inertial`` is the direction asked for.
+
+    Raises
+    ------
+    InputError
+        At a celestial pole, where north is not defined.
+    """
+    point = unit(as_finite(direction_inertial, (3,), "direction_inertial"))
+    toward = as_finite(toward_inertial, (3,), "toward_inertial")
+    east = np.cross([0.0, 0.0, 1.0], point)
+    require(float(np.linalg.norm(east)) > 1e-12, "position angle is not defined at a celestial pole")
+    east /= np.linalg.norm(east)
+    north = np.cross(point, east)
+    return float(np.degrees(np.arctan2(toward @ east, toward @ north)) % 360.0)
+
+
+def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike) -> tuple[float, float, float]:
+    """RA, Dec and roll in degrees of a line of sight of a camera.
+
+    Parameters
+    ----------
+    camera_from_inertial : Rotation
+    line_of_sight_camera : (3,), unitless, camera
+        Usually that of the image centre ``((columns - 1) / 2, (rows - 1) / 2)``.
+
+    Returns
+    -------
+    ra_deg, dec_deg, roll_deg : float
+        Roll is the position angle of the camera's -y axis (up in the image), north through east.
+    """
+    inertial_from_camera = camera_from_inertial.inv()
+    los = inertial_from_camera.apply(as_finite(line_of_sight_camera, (3,), "line_of_sight_camera"))
+    ra, dec = radec_from_direction(los)
+    up = inertial_from_camera.apply([0.0, -1.0, 0.0])
+    return float(ra), float(dec), position_angle_deg(los, up)
+
+
+def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: float) -> Rotation:
+    """Attitude whose boresight (+z) is at RA, Dec and whose -y axis has position angle ``roll_deg``.
+
+    >>> r = camera_from_inertial_of_pointing(10.0, 20.0, 30.0)
+    >>> [round(v, 9) for v in pointing_deg(r, [0.0, 0.0, 1.0])]
+    [10.0, 20.0, 30.0]
+    """
+    z = direction_from_radec(ra_deg, dec_deg)
+    ra = np.radians(ra_deg)
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.cross(z, east)
+    roll = np.radians(roll_deg)
+    up = np.cos(roll) * north + np.sin(roll) * east
+    return Rotation.from_matrix(np.stack([np.cross(-up, z), -up, z]))
+
+
+def rotation_between(estimate: Rotation, truth: Rotation) -> Float:
+    """Small rotation vector ``e`` (3,), rad, with ``truth = Rotation.from_rotvec(e) * estimate``."""
+    return np.asarray((truth * estimate.inv()).as_rotvec(), dtype=np.float64)
+
+
+def quaternion_xyzw(rotation: Rotation) -> Float:
+    """Quaternion (4,) scalar last with non-negative scalar part, so that equal attitudes print equal."""
+    return np.asarray(rotation.as_quat(canonical=True), dtype=np.float64)
+
+
+def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotation:
+    """Rotation of a scalar-last quaternion (4,) that must be unit to 1e-3.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, not finite, or a norm far from one (a sign that the columns are mixed up).
+    """
+    q = as_finite(quaternion, (4,), name)
+    norm = float(np.linalg.norm(q))
+    require(abs(norm - 1.0) < 1e-3, f"{name} must have norm 1, got {norm:.6g}: scalar-last x, y, z, w is expected")
+    return Rotation.from_quat(q)
+
+
+def skew(vectors: Float) -> Float:
+    """Cross-product matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == cross(a, b)``."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack(
+        [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)],
+        axis=-2,
+    )

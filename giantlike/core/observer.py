@@ -1,0 +1,30 @@
+"""Where the spacecraft is and how it moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from giantlike.core.arrays import Float, as_finite
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObserverState:
+    """Position and velocity of the spacecraft with respect to the solar system barycentre, ICRF axes.
+
+    Parameters
+    ----------
+    position_km : (3,) float64, km
+    velocity_km_s : (3,) float64, km/s
+
+    Raises
+    ------
+    InputError
+        A wrong shape, or a value that is not finite.
+    """
+
+    position_km: Float
+    velocity_km_s: Float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_km", as_finite(self.position_km, (3,), "observer position_km"))
+        object.__setattr__(self, "velocity_km_s", as_finite(self.velocity_km_s, (3,), "observer velocity_km_s"))

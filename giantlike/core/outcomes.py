@@ -1,0 +1,256 @@
+"""What an estimate can end in: a fix with an honest covariance, or a failure with a reason."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import EstimationError
+
+
+class Reason(StrEnum):
+    """Why an estimate failed; the values are what the tables and JSON hold."""
+
+    UNREADABLE_IMAGE = "unreadable_image"
+    NO_SIGNAL = "no_signal"
+    SATURATED = "saturated"
+    TOO_FEW_DETECTIONS = "too_few_detections"
+    NO_CATALOG_STARS = "no_catalog_stars"
+    TOO_FEW_MATCHES = "too_few_matches"
+    NO_PATTERN_MATCH = "no_pattern_match"
+    AMBIGUOUS = "ambiguous"
+    FOV_MISMATCH = "fov_mismatch"
+    MIRRORED_IMAGE = "mirrored_image"
+    DEGENERATE_GEOMETRY = "degenerate_geometry"
+    NO_ATTITUDE = "no_attitude"
+    NO_EPOCH = "no_epoch"
+    NO_GEOMETRY = "no_geometry"
+    OUT_OF_FRAME = "out_of_frame"
+    NOT_LIT = "not_lit"
+    NO_LIMB = "no_limb"
+    LOW_CORRELATION = "low_correlation"
+    PEAK_AT_EDGE = "peak_at_edge"
+    NOT_CONVERGED = "not_converged"
+    LARGE_RESIDUALS = "large_residuals"
+    WRONG_SHAPE = "wrong_shape"
+    NOT_UNRESOLVED = "not_unresolved"
+    INTERNAL_ERROR = "internal_error"
+
+
+class Quality(enum.Flag):
+    """Flags on a fix. ``SUSPECT`` says which of them make the status ``suspect``."""
+
+    NONE = 0
+    SATURATED = enum.auto()
+    """Saturated pixels lie on what was measured."""
+    MASKED = enum.auto()
+    """Bad pixels lie on what was measured."""
+    CUT_BY_FRAME = enum.auto()
+    """The body reaches over the edge of the image."""
+    APRIORI_ATTITUDE = enum.auto()
+    """No star solution: the attitude is the one that came with the image."""
+    INTERPOLATED_ATTITUDE = enum.auto()
+    """The attitude comes from neighbouring star images."""
+    SHAPE_APPROXIMATED = enum.auto()
+    """The estimator replaced the shape by a simpler one (a mesh by its ellipsoid)."""
+    SHORT_ARC = enum.auto()
+    """Less than a quarter of the limb was used."""
+    LOW_SCORE = enum.auto()
+    """The match is weak."""
+    MANY_REJECTED = enum.auto()
+    """More than half of the observations were rejected."""
+    FAR_FROM_PREDICTION = enum.auto()
+    """The estimate lies at the border of the search region."""
+    LARGE_RESIDUALS = enum.auto()
+    """Residuals are several times what noise explains."""
+    AMBIGUOUS = enum.auto()
+    """Another source as good lies in the search region."""
+    OBSERVER_UNKNOWN = enum.auto()
+    """The motion of the spacecraft is not known: the attitude holds stellar aberration, some 20 arcsec at 1 au."""
+    EPOCH_UNKNOWN = enum.auto()
+    """No epoch: stars were taken where the catalogue has them, at J2016.0."""
+    SUSPECT = LOW_SCORE | MANY_REJECTED | FAR_FROM_PREDICTION | LARGE_RESIDUALS | AMBIGUOUS
+
+    @property
+    def suspect(self) -> bool:
+        """Whether a named check objects to the fix."""
+        return bool(self & Quality.SUSPECT)
+
+    def names(self) -> tuple[str, ...]:
+        """Lower-case names of the single flags that are set, in order of definition."""
+        return tuple(str(flag.name).lower() for flag in Quality if flag in self and flag.value.bit_count() == 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """No fix, and why. False in a condition, so ``if fix:`` reads as it should.
+
+    Parameters
+    ----------
+    reason : Reason
+    detail : str
+        What was needed, what came and what to do; one line.
+    """
+
+    reason: Reason
+    detail: str
+
+    def __bool__(self) -> bool:
+        return False
+
+    def unwrap(self) -> NoReturn:
+        """Raise :class:`~giantlike.core.errors.EstimationError` with this failure's text."""
+        raise EstimationError(f"{self.reason}: {self.detail}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AttitudeFix:
+    """Camera attitude from stars.
+
+    Parameters
+    ----------
+    camera_from_inertial : scipy Rotation
+        Takes ICRF vectors to camera axes.
+    covariance_rad2 : (3, 3) float64, rad^2
+        Of the small rotation ``e`` about the camera axes with
+        ``camera_from_inertial_true = Rotation.from_rotvec(e) * camera_from_inertial``.
+    star_ids : (n,) int64
+        Catalogue identifiers of the stars used.
+    detection_indices : (n,) int64
+        Which detections they are.
+    observed_px, predicted_px : (n, 2) float64, px
+        Measured centroids; catalogue stars projected with the fixed attitude and the camera model.
+    sigma_px : (n,) float64, px
+        Standard deviation per axis used to weight each star.
+    magnitudes : (n,) float64
+        Catalogue magnitudes.
+    n_detected, n_rejected : int
+        Detections offered to identification; tentative matches thrown out as outliers.
+    false_match_probability : float
+        Bound on the probability that the whole identification is chance.
+    focal_length_px : float, px
+        Focal length along x of the camera model used (the refined one, where the scale was estimated too).
+    fov_deg : float, deg
+        Field of view along x of the camera model used: ``2 atan(columns / (2 fx))``.
+    flags : Quality
+    provenance : mapping of str to str
+        Versions and hashes of what the fix was made from.
+    """
+
+    camera_from_inertial: Rotation
+    covariance_rad2: Float
+    star_ids: NDArray[np.int64]
+    detection_indices: NDArray[np.int64]
+    observed_px: Float
+    predicted_px: Float
+    sigma_px: Float
+    magnitudes: Float
+    n_detected: int
+    n_rejected: int
+    false_match_probability: float
+    focal_length_px: float
+    fov_deg: float
+    flags: Quality = Quality.NONE
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def residuals_px(self) -> Float:
+        """Observed minus predicted, (n, 2), px."""
+        return self.observed_px - self.predicted_px
+
+    @property
+    def n_used(self) -> int:
+        """Number of matched stars."""
+        return int(self.star_ids.size)
+
+    @property
+    def rms_px(self) -> float:
+        """Radial residual ``sqrt(mean(dx^2 + dy^2))``, px."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
+
+    def unwrap(self) -> AttitudeFix:
+        """Return the fix itself (a :class:`Failure` raises instead)."""
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CenterFix:
+    """Where the centre of a body (the origin of its shape model) appears in an image.
+
+    Parameters
+    ----------
+    estimator, target : str
+        Names as in the tables.
+    center_px : (2,) float64, px
+        In the distorted image.
+    covariance_px2 : (2, 2) float64, px^2
+        Of the image measurement alone, attitude uncertainty not included.
+    predicted_px : (2,) float64, px
+        Where the a priori geometry puts the centre.
+    residuals : (n,) float64
+        Post-fit residuals in the estimator's own unit (px for limbs, relative brightness for templates).
+    n_used, n_rejected : int
+        Observations (pixels, limb points, detections) kept and thrown out.
+    score : float
+        The estimator's measure of fit; its docstring says which.
+    flags : Quality
+    provenance : mapping of str to str
+    """
+
+    estimator: str
+    target: str
+    center_px: Float
+    covariance_px2: Float
+    predicted_px: Float
+    residuals: Float
+    n_used: int
+    n_rejected: int
+    score: float
+    flags: Quality = Quality.NONE
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def unwrap(self) -> CenterFix:
+        """Return the fix itself (a :class:`Failure` raises instead)."""
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PositionFix(CenterFix):
+    """A :class:`CenterFix` that also knows the range: the full relative position of a body.
+
+    Parameters
+    ----------
+    position_camera_km : (3,) float64, km, camera axes
+        From the camera to the origin of the shape model, apparent (light time and aberration still in).
+    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
+        Of the image measurement alone.
+    limb_px : (n, 2) float64, px
+        The image points used, for overlays.
+    """
+
+    position_camera_km: Float
+    covariance_camera_km2: Float
+    limb_px: Float
+
+    @property
+    def range_km(self) -> float:
+        """Distance from camera to body centre, km."""
+        return float(np.linalg.norm(self.position_camera_km))
+
+    @property
+    def sigma_range_km(self) -> float:
+        """Standard deviation of :attr:`range_km`, km."""
+        direction = self.position_camera_km / self.range_km
+        return float(np.sqrt(direction @ self.covariance_camera_km2 @ direction))
+
+    def unwrap(self) -> PositionFix:
+        """Return the fix itself (a :class:`Failure` raises instead)."""
+        return self

@@ -1,0 +1,57 @@
+"""Epochs: astropy ``Time`` at the border, ``et`` (TDB seconds past J2000) inside."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+from giantlike.core.errors import InputError
+from giantlike.core.units import SECONDS_PER_DAY
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+_J2000_JD = 2451545.0
+
+
+def time_from_utc(text: str) -> Time:
+    """Parse an ISO 8601 UTC epoch such as ``2018-12-01T10:07:11.123``; a trailing ``Z`` is allowed.
+
+    Raises
+    ------
+    InputError
+        The text is not an ISO 8601 epoch.
+    """
+    from astropy.time import Time
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # astropy warns of years for which leap seconds are not yet decided
+        try:
+            return Time(text.strip().removesuffix("Z").replace(" ", "T"), format="isot", scale="utc")
+        except ValueError as error:
+            raise InputError(f"epoch {text!r} is not ISO 8601 UTC, such as 2018-12-01T10:07:11.123") from error
+
+
+def utc_text(epoch: Time) -> str:
+    """ISO 8601 UTC text of an epoch, to the microsecond."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        utc = epoch.utc
+        utc.precision = 6
+        return str(utc.isot)
+
+
+def et_from_time(epoch: Time) -> float:
+    """TDB seconds past J2000, the ``et`` of SPICE (agreeing to the 30 us of SPICE's own TDB model)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        tdb = epoch.tdb
+    return float(((tdb.jd1 - _J2000_JD) + tdb.jd2) * SECONDS_PER_DAY)
+
+
+def time_from_et(et: float) -> Time:
+    """Epoch of TDB seconds past J2000."""
+    from astropy.time import Time
+
+    days, rest = divmod(et, SECONDS_PER_DAY)
+    return Time(_J2000_JD + days, rest / SECONDS_PER_DAY, format="jd", scale="tdb")

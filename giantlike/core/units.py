@@ -1,0 +1,19 @@
+"""Physical constants and unit factors, each with its source."""
+
+from __future__ import annotations
+
+import math
+
+SPEED_OF_LIGHT_KM_S = 299792.458
+"""Exact by the definition of the metre."""
+
+AU_KM = 149597870.7
+"""IAU 2012 resolution B2, exact."""
+
+SECONDS_PER_DAY = 86400.0
+SECONDS_PER_JULIAN_YEAR = 365.25 * SECONDS_PER_DAY
+
+RAD_PER_DEG = math.pi / 180.0
+RAD_PER_ARCSEC = RAD_PER_DEG / 3600.0
+ARCSEC_PER_RAD = 1.0 / RAD_PER_ARCSEC
+RAD_PER_MAS = RAD_PER_ARCSEC / 1000.0

@@ -1,0 +1,196 @@
+"""Where bodies and the spacecraft are: ephemerides from SPICE, from a table, or fixed.
+
+Two kinds are kept apart so that nothing is corrected twice. An :class:`Ephemeris` is geometric: true
+positions with respect to an origin, to which :class:`~giantlike.scene.Scene` applies light time and
+stellar aberration. An :class:`ApparentGeometry` already holds what the camera sees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.errors import InputError
+from giantlike.io.ephemeris_table import EphemerisSamples, read_ephemeris_table
+from giantlike.io.spice import orientation, spk_state
+
+BARYCENTER = "SOLAR SYSTEM BARYCENTER"
+
+
+@runtime_checkable
+class Ephemeris(Protocol):
+    """Geometric state and orientation of a body, ICRF axes."""
+
+    @property
+    def origin(self) -> str:
+        """Name of the point that positions count from; ephemerides of one scene must share it."""
+        ...
+
+    def state(self, et: float) -> tuple[Float, Float]:
+        """Position (3,), km, and velocity (3,), km/s, at ``et``, with respect to :attr:`origin`."""
+        ...
+
+    def inertial_from_body(self, et: float) -> Rotation:
+        """Orientation of the body-fixed axes at ``et``."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SpiceEphemeris:
+    """A body of the loaded SPICE kernels.
+
+    Parameters
+    ----------
+    body : str
+        NAIF name or number as text.
+    frame : str, optional
+        Body-fixed frame; default that of the body. Only needed where the orientation is asked for.
+    origin : str
+        NAIF name that positions count from.
+    """
+
+    body: str
+    frame: str = ""
+    origin: str = BARYCENTER
+
+    def state(self, et: float) -> tuple[Float, Float]:
+        """Position (3,), km, and velocity (3,), km/s; raises ``DataError`` where kernels do not cover ``et``."""
+        return spk_state(self.body, et, observer=self.origin)
+
+    def inertial_from_body(self, et: float) -> Rotation:
+        """Orientation at ``et`` from PCK or CK; raises ``DataError`` where kernels lack it."""
+        return orientation(self.frame or self.body, et)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedEphemeris:
+    """A body that stays where it is.
+
+    Parameters
+    ----------
+    position_km : (3,), km, ICRF
+    orientation : Rotation
+        ``inertial_from_body``.
+    origin : str
+    """
+
+    position_km: Float = field(default_factory=lambda: np.zeros(3))
+    orientation: Rotation = field(default_factory=Rotation.identity)
+    origin: str = BARYCENTER
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_km", as_finite(self.position_km, (3,), "position_km"))
+
+    def state(self, et: float) -> tuple[Float, Float]:
+        """Return the fixed position, km, and no velocity, at any ``et``."""
+        return self.position_km.copy(), np.zeros(3)
+
+    def inertial_from_body(self, et: float) -> Rotation:
+        """Return the fixed orientation, at any ``et``."""
+        return self.orientation
+
+
+class TableEphemeris:
+    """A body given by samples, interpolated: cubic Hermite with velocities, cubic spline without, slerp.
+
+    Parameters
+    ----------
+    samples : EphemerisSamples
+        At least two epochs, increasing.
+    origin : str
+
+    Raises
+    ------
+    InputError
+        Fewer than two samples.
+    """
+
+    def __init__(self, samples: EphemerisSamples, *, origin: str = BARYCENTER) -> None:
+        require(samples.et.size >= 2, f"a table ephemeris needs at least 2 epochs, got {samples.et.size}")
+        self.origin = origin
+        self._et = samples.et
+        if samples.velocity_km_s is not None:
+            self._position = CubicHermiteSpline(samples.et, samples.position_km, samples.velocity_km_s)
+        else:
+            self._position = CubicSpline(samples.et, samples.position_km)
+        self._velocity = self._position.derivative()
+        rotation = samples.inertial_from_body
+        self._orientation = None if rotation is None else Slerp(samples.et, rotation)
+
+    @classmethod
+    def load(cls, path: str | Path, *, origin: str = BARYCENTER) -> TableEphemeris:
+        """Read a CSV ephemeris; see :func:`giantlike.io.ephemeris_table.read_ephemeris_table`."""
+        return cls(read_ephemeris_table(path), origin=origin)
+
+    def state(self, et: float) -> tuple[Float, Float]:
+        """Position (3,), km, and velocity (3,), km/s; raises ``InputError`` outside the table."""
+        self._check(et)
+        return np.asarray(self._position(et)), np.asarray(self._velocity(et))
+
+    def inertial_from_body(self, et: float) -> Rotation:
+        """Orientation at ``et``; raises ``InputError`` outside the table or when it has no quaternions."""
+        self._check(et)
+        if self._orientation is None:
+            raise InputError("the table ephemeris has no quaternion columns, so no orientation")
+        return self._orientation(et)
+
+    def _check(self, et: float) -> None:
+        first, last = float(self._et[0]), float(self._et[-1])
+        require(first <= et <= last, f"et {et:.3f} s lies outside the ephemeris table ({first:.3f} to {last:.3f} s)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ApparentGeometry:
+    """What the camera sees of a body at one image: light time and stellar aberration are already in.
+
+    Parameters
+    ----------
+    position_inertial_km : (3,), km, ICRF
+        From camera to body centre.
+    inertial_from_body : Rotation
+        At the time the light left the body.
+    sun_direction_inertial : (3,), unitless, ICRF, optional
+        Unit vector from body to Sun; where absent the light of the scene gives it.
+    """
+
+    position_inertial_km: Float
+    inertial_from_body: Rotation = field(default_factory=Rotation.identity)
+    sun_direction_inertial: Float | None = None
+
+    def __post_init__(self) -> None:
+        position = as_finite(self.position_inertial_km, (3,), "position_inertial_km")
+        require(float(np.linalg.norm(position)) > 0, "position_inertial_km must not be zero: the camera is in the body")
+        object.__setattr__(self, "position_inertial_km", position)
+        if self.sun_direction_inertial is not None:
+            object.__setattr__(self, "sun_direction_inertial", _unit3(self.sun_direction_inertial))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DistantLight:
+    """A light infinitely far away.
+
+    Parameters
+    ----------
+    direction_inertial : (3,), ICRF
+        From the bodies to the light; normalised.
+    """
+
+    direction_inertial: Float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "direction_inertial", _unit3(self.direction_inertial))
+
+
+def _unit3(value: ArrayLike) -> Float:
+    vector = as_finite(value, (3,), "direction")
+    length = float(np.linalg.norm(vector))
+    require(length > 0, "a direction must not be the zero vector")
+    result: Float = vector / length
+    return result

@@ -1,0 +1,177 @@
+"""An image and what is known of it: pixels, time, pose."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_finite, frozen, require
+from giantlike.core.observer import ObserverState
+from giantlike.core.outcomes import AttitudeFix
+from giantlike.core.time import et_from_time
+from giantlike.io.image_files import read_image_file
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+__all__ = ["AttitudeSource", "Image", "ObserverState"]
+
+
+class AttitudeSource(StrEnum):
+    """Where the attitude on an image comes from; the values are those of ``attitudes.csv``."""
+
+    NONE = "none"
+    A_PRIORI = "a_priori"
+    STARS = "stars"
+    INTERPOLATED = "interpolated"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Image:
+    """One image as a value: a better attitude gives a new image.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real numbers, DN
+        As stored: rows are never reordered. Made read-only.
+    mask : (rows, columns) bool, optional
+        True where a pixel is bad. Default: nowhere.
+    epoch : astropy Time, optional
+        Mid-exposure.
+    exposure_s : float, s, optional
+    camera_from_inertial : scipy Rotation, optional
+        Attitude, a priori or improved.
+    attitude_source : AttitudeSource, optional
+        Default: ``a_priori`` when there is an attitude, else ``none``.
+    attitude_covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
+    observer : ObserverState, optional
+        Spacecraft state, for parallax and aberration.
+    metadata : mapping
+        Header values as read.
+    name : str
+        How tables and messages call the image.
+    path : Path, optional
+    sha256 : str
+        Of the file, for provenance.
+
+    Raises
+    ------
+    InputError
+        Pixels are not a two-dimensional array of real numbers, or the mask has another shape.
+    """
+
+    pixels: NDArray[Any]
+    mask: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    epoch: Time | None = None
+    exposure_s: float | None = None
+    camera_from_inertial: Rotation | None = None
+    attitude_source: AttitudeSource = AttitudeSource.NONE
+    attitude_covariance_rad2: Float | None = None
+    observer: ObserverState | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    name: str = "image"
+    path: Path | None = None
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        pixels = np.asarray(self.pixels)
+        require(
+            pixels.ndim == 2 and pixels.size > 0 and pixels.dtype.kind in "iuf",
+            f"{self.name}: pixels must be a 2-D array of real numbers, got {pixels.dtype} of shape {pixels.shape}",
+        )
+        mask = np.asarray(self.mask, dtype=bool)
+        bad = np.zeros(pixels.shape, dtype=bool) if mask.size == 0 else mask.copy()
+        require(bad.shape == pixels.shape, f"{self.name}: mask shape {bad.shape} differs from pixels {pixels.shape}")
+        if pixels.dtype.kind == "f" and not np.isfinite(pixels).all():
+            bad |= ~np.isfinite(pixels)
+            pixels = np.where(bad, 0, pixels).astype(pixels.dtype)
+        if self.exposure_s is not None:
+            require(self.exposure_s >= 0, f"{self.name}: exposure_s must be >= 0, got {self.exposure_s}")
+        if self.camera_from_inertial is not None and self.attitude_source is AttitudeSource.NONE:
+            object.__setattr__(self, "attitude_source", AttitudeSource.A_PRIORI)
+        object.__setattr__(self, "pixels", frozen(pixels.view()))
+        object.__setattr__(self, "mask", frozen(bad))
+        object.__setattr__(self, "metadata", dict(self.metadata))
+
+    @classmethod
+    def open(cls, path: str | Path, *, hdu: int | str | None = None) -> Image:
+        """Read a FITS, PNG, TIFF, JPEG or VICAR file.
+
+        Parameters
+        ----------
+        path : path-like
+        hdu : int or str, optional
+            Number or name of the FITS extension; the first with an image by default.
+
+        Raises
+        ------
+        DataError
+            The file is missing, damaged or of a format that is not supported.
+        """
+        file = read_image_file(path, hdu=hdu)
+        return cls(
+            pixels=file.pixels,
+            mask=file.mask,
+            epoch=file.epoch,
+            exposure_s=file.exposure_s,
+            camera_from_inertial=file.camera_from_inertial,
+            observer=file.observer,
+            metadata=file.header,
+            name=Path(path).name,
+            path=Path(path),
+            sha256=file.sha256,
+        )
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.pixels.shape[0])
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return int(self.pixels.shape[1])
+
+    @property
+    def et(self) -> float | None:
+        """Mid-exposure in TDB seconds past J2000, where the epoch is known."""
+        return None if self.epoch is None else et_from_time(self.epoch)
+
+    def with_attitude(
+        self,
+        attitude: AttitudeFix | Rotation,
+        *,
+        source: AttitudeSource | None = None,
+        covariance_rad2: ArrayLike | None = None,
+    ) -> Image:
+        """Return a new image with another attitude.
+
+        Parameters
+        ----------
+        attitude : AttitudeFix or Rotation
+            A star solution (its covariance comes along), or ``camera_from_inertial``.
+        source : AttitudeSource, optional
+            Default: ``stars`` for a fix, ``a_priori`` for a rotation.
+        covariance_rad2 : (3, 3), rad^2, camera axes, optional
+            For a rotation.
+        """
+        if isinstance(attitude, AttitudeFix):
+            rotation, default = attitude.camera_from_inertial, AttitudeSource.STARS
+            covariance: Float | None = attitude.covariance_rad2
+        else:
+            rotation, default = attitude, AttitudeSource.A_PRIORI
+            covariance = None if covariance_rad2 is None else as_finite(covariance_rad2, (3, 3), "covariance_rad2")
+        return dataclasses.replace(
+            self,
+            camera_from_inertial=rotation,
+            attitude_source=source or default,
+            attitude_covariance_rad2=covariance,
+        )

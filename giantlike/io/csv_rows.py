@@ -1,0 +1,155 @@
+"""Rows of a CSV file with named columns, and errors that say where in the file the trouble is."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import rotation_from_xyzw
+from giantlike.core.time import time_from_utc
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+
+@dataclass(frozen=True, slots=True)
+class CsvRow:
+    """One row: its file, its line in that file (the header is line 1) and the text of its cells, stripped."""
+
+    path: Path
+    line: int
+    cells: dict[str, str]
+
+    def error(self, column: str, problem: str) -> DataError:
+        """A :class:`DataError` that names file, line, column and value."""
+        return DataError(self.path, f"line {self.line}, column {column}: {problem}, got {self.cells.get(column, '')!r}")
+
+    def text(self, column: str) -> str | None:
+        """The cell's text, None when it is empty or there is no such column."""
+        return self.cells.get(column) or None
+
+    def number(self, column: str) -> float | None:
+        """The cell as a finite number, None when it is empty or there is no such column."""
+        text = self.text(column)
+        if text is None:
+            return None
+        try:
+            value = float(text)
+        except ValueError:
+            raise self.error(column, "a number is needed") from None
+        if not math.isfinite(value):
+            raise self.error(column, "a finite number is needed")
+        return value
+
+    def vector(self, columns: Sequence[str]) -> Float | None:
+        """Numbers (n,) of columns that are filled together; None when all are empty."""
+        numbers = [self.number(column) for column in columns]
+        filled = [number for number in numbers if number is not None]
+        if not filled:
+            return None
+        if len(filled) < len(numbers):
+            empty = columns[numbers.index(None)]
+            raise self.error(empty, f"{', '.join(columns)} must be filled together")
+        return np.array(filled)
+
+    def rotation(self, columns: Sequence[str]) -> Rotation | None:
+        """Rotation of four quaternion columns, scalar last; None when all are empty."""
+        values = self.vector(columns)
+        if values is None:
+            return None
+        try:
+            return rotation_from_xyzw(values, "the quaternion")
+        except InputError as error:
+            raise self.error(columns[0], f"{', '.join(columns)}: {error}") from error
+
+    def direction(self, columns: Sequence[str]) -> Float | None:
+        """Unit vector (3,) of three columns that must be unit to 1e-3, normalised; None when all are empty."""
+        values = self.vector(columns)
+        if values is None:
+            return None
+        norm = float(np.linalg.norm(values))
+        if not abs(norm - 1.0) < 1e-3:
+            raise self.error(columns[0], f"{', '.join(columns)} must make a unit vector, the norm is {norm:.6g}")
+        return values / norm
+
+    def utc(self, column: str) -> Time | None:
+        """Epoch of an ISO 8601 UTC cell, None when it is empty or there is no such column."""
+        text = self.text(column)
+        if text is None:
+            return None
+        try:
+            return time_from_utc(text)
+        except InputError:
+            raise self.error(column, "an ISO 8601 UTC epoch such as 2018-12-01T10:07:11.123 is needed") from None
+
+
+def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[str]) -> list[CsvRow]:
+    """Read a CSV file whose first line names the columns; empty lines are skipped.
+
+    Parameters
+    ----------
+    path : path-like
+        UTF-8, with or without a byte order mark.
+    columns : sequence of str
+        Columns that may occur, in any order.
+    required : sequence of str
+        Those that must.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, a column is unknown, repeated or missing, or a row has too few or too many
+        cells.
+    """
+    source = Path(path)
+    try:
+        text = source.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise DataError(source, "there is no such file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(source, f"cannot be read as UTF-8 text: {error}") from error
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows: list[CsvRow] = []
+    names: list[str] = []
+    try:
+        for cells in reader:
+            stripped = [cell.strip() for cell in cells]
+            if not any(stripped):
+                continue
+            if not names:
+                names = stripped
+                _check_names(source, names, columns, required)
+            elif len(stripped) != len(names):
+                raise DataError(
+                    source,
+                    f"line {reader.line_num}: {len(names)} cells are needed as in the header, got {len(stripped)}",
+                )
+            else:
+                rows.append(CsvRow(source, reader.line_num, dict(zip(names, stripped, strict=True))))
+    except csv.Error as error:
+        raise DataError(source, f"line {reader.line_num}: not valid CSV: {error}") from error
+    if not names:
+        raise DataError(source, f"the table is empty: a header with {', '.join(required)} is needed")
+    return rows
+
+
+def _check_names(path: Path, names: list[str], columns: Sequence[str], required: Sequence[str]) -> None:
+    unknown = [name for name in names if name not in columns]
+    if unknown:
+        raise DataError(path, f"line 1: unknown column {unknown[0]!r}; columns are {', '.join(columns)}")
+    repeated = [name for name in names if names.count(name) > 1]
+    if repeated:
+        raise DataError(path, f"line 1: column {repeated[0]!r} occurs more than once")
+    missing = [name for name in required if name not in names]
+    if missing:
+        raise DataError(path, f"line 1: column {missing[0]!r} is missing")

@@ -1,0 +1,104 @@
+"""An ephemeris sampled in a table.
+
+Columns: the epoch, as ``epoch_utc`` (ISO 8601) or ``et`` (TDB seconds past J2000); the position ``x_km``,
+``y_km``, ``z_km``; optionally the velocity ``vx_km_s``, ``vy_km_s``, ``vz_km_s`` and the orientation
+``body_qx``, ``body_qy``, ``body_qz``, ``body_qw``, which is body_from_inertial, scalar last, as in
+``geometry.csv``. Inertial axes (ICRF). A column is filled in every row or absent.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError
+from giantlike.core.time import et_from_time
+from giantlike.io.csv_rows import CsvRow, read_csv_rows
+
+_POSITION = ("x_km", "y_km", "z_km")
+_VELOCITY = ("vx_km_s", "vy_km_s", "vz_km_s")
+_BODY = ("body_qx", "body_qy", "body_qz", "body_qw")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EphemerisSamples:
+    """Samples of an ephemeris, in order of time.
+
+    Parameters
+    ----------
+    et : (n,) float64, TDB seconds past J2000
+        Strictly increasing, n >= 1.
+    position_km : (n, 3) float64, km, inertial axes
+    velocity_km_s : (n, 3) float64 or None, km/s, inertial axes
+    inertial_from_body : Rotation of length n, or None
+    """
+
+    et: Float
+    position_km: Float
+    velocity_km_s: Float | None
+    inertial_from_body: Rotation | None
+
+
+def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
+    """Read a sampled ephemeris; rows may be in any order.
+
+    Raises
+    ------
+    DataError
+        Names file, line, column and value: unknown, repeated or missing columns; none or both of ``epoch_utc``
+        and ``et``; empty cells; cells that are no number or epoch; a quaternion that is not unit to 1e-3; two
+        rows with the same epoch; a table without rows.
+    """
+    rows = read_csv_rows(path, ("epoch_utc", "et", *_POSITION, *_VELOCITY, *_BODY), _POSITION)
+    if not rows:
+        raise DataError(path, "the table has no rows")
+    names = set(rows[0].cells)
+    if len(names & {"epoch_utc", "et"}) != 1:
+        raise DataError(path, "line 1: one of the columns epoch_utc and et is needed, not both")
+    et = np.array([_et(row) for row in rows])
+    order = np.argsort(et, kind="stable")
+    for before, after in itertools.pairwise(order):
+        if et[before] == et[after]:
+            raise rows[after].error(
+                "et" if "et" in names else "epoch_utc",
+                f"an epoch other than that of line {rows[before].line} is needed",
+            )
+    has_velocity, has_body = bool(names & set(_VELOCITY)), bool(names & set(_BODY))
+    quaternions = np.array([_body_quaternion(row) for row in rows])[order] if has_body else None
+    return EphemerisSamples(
+        et=et[order],
+        position_km=np.array([_filled(row, _POSITION) for row in rows])[order],
+        velocity_km_s=np.array([_filled(row, _VELOCITY) for row in rows])[order] if has_velocity else None,
+        inertial_from_body=None if quaternions is None else Rotation.from_quat(quaternions).inv(),
+    )
+
+
+def _et(row: CsvRow) -> float:
+    if "et" in row.cells:
+        number = row.number("et")
+        if number is None:
+            raise row.error("et", "an epoch is needed")
+        return number
+    epoch = row.utc("epoch_utc")
+    if epoch is None:
+        raise row.error("epoch_utc", "an epoch is needed")
+    return et_from_time(epoch)
+
+
+def _filled(row: CsvRow, columns: tuple[str, ...]) -> Float:
+    values = row.vector(columns)
+    if values is None:
+        raise row.error(columns[0], f"{', '.join(columns)} must be filled in every row")
+    return values
+
+
+def _body_quaternion(row: CsvRow) -> Float:
+    rotation = row.rotation(_BODY)
+    if rotation is None:
+        raise row.error(_BODY[0], f"{', '.join(_BODY)} must be filled in every row")
+    return np.asarray(rotation.as_quat(), dtype=np.float64)

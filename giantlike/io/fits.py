@@ -1,0 +1,280 @@
+"""FITS images in and out."""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import as_finite, require
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.time import utc_text
+from giantlike.io.atomic import write_bytes_atomic
+from giantlike.io.decoded import DecodedImage, HeaderValue
+from giantlike.io.fits_keywords import (
+    OBSERVER_KEYS,
+    QUATERNION_KEYS,
+    Card,
+    fits_attitude,
+    fits_epoch,
+    fits_exposure_s,
+    fits_observer,
+)
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+_BLOCK = 2880
+_STRUCTURAL = re.compile(
+    r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|BSCALE|BZERO|BLANK|EXTNAME|EXTVER|EXTLEVEL|INHERIT"
+    r"|CHECKSUM|DATASUM|TFIELDS|THEAP|T(TYPE|FORM|UNIT|DIM|SCAL|ZERO|NULL)\d+|Z(IMAGE|CMPTYPE|BITPIX|NAXIS\d*|TILE\d+)"
+)
+_KEYWORD = re.compile(r"[A-Z0-9_-]{1,8}")
+_COMMENTS = {
+    "TIMESYS": "time scale of the dates",
+    "DATE-AVG": "middle of the exposure",
+    "EXPTIME": "[s] exposure time",
+    **dict.fromkeys(QUATERNION_KEYS, "camera_from_inertial, scalar last, ICRF"),
+    **dict.fromkeys(OBSERVER_KEYS[:3], "[km] spacecraft from SSB, ICRF"),
+    **dict.fromkeys(OBSERVER_KEYS[3:], "[km/s] spacecraft from SSB, ICRF"),
+}
+
+
+def decode_fits(path: Path, data: bytes, hdu: int | str | None) -> DecodedImage:
+    """Decode one image of a FITS file.
+
+    ``BSCALE``, ``BZERO`` and ``BLANK`` are applied (blank pixels become NaN); compressed images are
+    expanded; leading axes of length one are dropped. The header is that of the image's own HDU, completed by
+    the keywords of the primary HDU that it does not have itself. Cards that break the FITS rules, comments
+    and undefined values are left out. Epoch, exposure, attitude and observer: see
+    :mod:`giantlike.io.fits_keywords`.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    data : bytes
+        The whole file.
+    hdu : int, str or None
+        Index (0 is the primary HDU) or EXTNAME; None takes the first that holds a 2-D image.
+
+    Raises
+    ------
+    DataError
+        The file is truncated or damaged, or the HDU does not exist or holds no 2-D image.
+    """
+    _require_whole(path, data)
+    cards, pixels = _open(path, data, hdu)
+    exposure_s = fits_exposure_s(cards)
+    epoch = fits_epoch(cards, exposure_s)
+    return DecodedImage(
+        pixels=pixels,
+        format="fits",
+        epoch=epoch,
+        exposure_s=exposure_s,
+        camera_from_inertial=fits_attitude(path, cards),
+        observer=fits_observer(path, cards, epoch),
+        header={key: card.value for key, card in cards.items()},
+    )
+
+
+def navigation_header(
+    *,
+    epoch: Time | None = None,
+    exposure_s: float | None = None,
+    camera_from_inertial: Rotation | None = None,
+    observer_position_km: ArrayLike | None = None,
+    observer_velocity_km_s: ArrayLike | None = None,
+) -> dict[str, HeaderValue]:
+    """Header keywords for :func:`write_fits` that :func:`~giantlike.io.image_files.read_image_file` understands.
+
+    Parameters
+    ----------
+    epoch : Time, optional
+        Mid-exposure: ``DATE-AVG``, to the microsecond, with ``TIMESYS = 'UTC'``.
+    exposure_s : float, s, optional
+        ``EXPTIME``.
+    camera_from_inertial : Rotation, optional
+        A priori attitude: ``GL_QX, GL_QY, GL_QZ, GL_QW``, scalar last.
+    observer_position_km, observer_velocity_km_s : (3,), km and km/s, ICRF, optional
+        Spacecraft with respect to the solar system barycentre: ``GL_OBSX ... GL_OBSVZ``; both or none.
+
+    Raises
+    ------
+    InputError
+        A value is not finite, or only one of the two observer vectors is given.
+    """
+    header: dict[str, HeaderValue] = {}
+    if epoch is not None:
+        header |= {"TIMESYS": "UTC", "DATE-AVG": utc_text(epoch)}
+    if exposure_s is not None:
+        header["EXPTIME"] = float(as_finite(exposure_s, (1,), "exposure_s")[0])
+    if camera_from_inertial is not None:
+        header |= dict(zip(QUATERNION_KEYS, quaternion_xyzw(camera_from_inertial).tolist(), strict=True))
+    require(
+        (observer_position_km is None) == (observer_velocity_km_s is None),
+        "observer_position_km and observer_velocity_km_s are needed together",
+    )
+    if observer_position_km is not None and observer_velocity_km_s is not None:
+        position = as_finite(observer_position_km, (3,), "observer_position_km")
+        velocity = as_finite(observer_velocity_km_s, (3,), "observer_velocity_km_s")
+        header |= dict(zip(OBSERVER_KEYS, [*position.tolist(), *velocity.tolist()], strict=True))
+    return header
+
+
+def write_fits(path: str | Path, pixels: NDArray[Any], *, header: Mapping[str, HeaderValue] | None = None) -> None:
+    """Write an image as the primary HDU of a FITS file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced when it exists.
+    pixels : (rows, columns) integer or floating
+        Written in their own type; half precision is widened to float32.
+    header : mapping, optional
+        Keywords (at most eight of A-Z, 0-9, ``_``, ``-``) and plain values; :func:`navigation_header` makes
+        those that are read back. Keywords that describe the structure of the file are refused.
+
+    Raises
+    ------
+    InputError
+        The pixels are not a 2-D numeric array, or a keyword or value is not allowed in FITS.
+    DataError
+        The file cannot be written.
+    """
+    from astropy.io import fits
+
+    array = np.asarray(pixels)
+    require(
+        array.ndim == 2 and array.size > 0 and array.dtype.kind in "iuf",
+        f"pixels must be a 2-D array of numbers, got shape {array.shape} of {array.dtype}",
+    )
+    if array.dtype == np.float16:
+        array = array.astype(np.float32)
+    unit = fits.PrimaryHDU(array)
+    for key, value in (header or {}).items():
+        if _KEYWORD.fullmatch(key) is None or _STRUCTURAL.fullmatch(key):
+            raise InputError(f"FITS keyword {key!r} is not allowed: at most eight of A-Z, 0-9, _ and -, not structural")
+        plain = value.item() if isinstance(value, np.generic) else value
+        try:
+            unit.header[key] = (plain, _COMMENTS.get(key, ""))
+        except ValueError as error:
+            raise InputError(f"FITS keyword {key} cannot hold {plain!r}: {error}") from error
+    buffer = io.BytesIO()
+    unit.writeto(buffer)
+    write_bytes_atomic(path, buffer.getvalue())
+
+
+def _require_whole(path: Path, data: bytes) -> None:
+    """Walk over the HDUs and refuse a file that ends inside one of them."""
+    offset, index = 0, 0
+    while offset < len(data) and (index == 0 or data[offset : offset + 8] == b"XTENSION"):
+        sizes: dict[str, int] = {}
+        ended = False
+        while not ended:
+            if offset + _BLOCK > len(data):
+                raise DataError(path, f"the FITS file is truncated: it ends in the header of HDU {index}")
+            block = data[offset : offset + _BLOCK].decode("latin-1")
+            offset += _BLOCK
+            for card in (block[k : k + 80] for k in range(0, _BLOCK, 80)):
+                ended = ended or card.rstrip() == "END"
+                key = card[:8].rstrip()
+                if not ended and re.fullmatch(r"BITPIX|NAXIS\d*|PCOUNT|GCOUNT", key):
+                    sizes[key] = _card_integer(path, card)
+        axes = [sizes.get(f"NAXIS{k}", 0) for k in range(1, sizes.get("NAXIS", 0) + 1)]
+        if axes and axes[0] == 0:
+            axes = axes[1:]  # random groups
+        elements = int(np.prod(axes, dtype=object)) if axes else 0
+        size = abs(sizes.get("BITPIX", 8)) // 8 * sizes.get("GCOUNT", 1) * (sizes.get("PCOUNT", 0) + elements)
+        if min([size, *axes]) < 0:
+            raise DataError(path, f"the FITS header of HDU {index} is damaged: it has a negative size")
+        offset += -(-size // _BLOCK) * _BLOCK
+        if offset > len(data):
+            raise DataError(
+                path, f"the FITS file is truncated: HDU {index} reaches to byte {offset}, the file has {len(data)}"
+            )
+        index += 1
+
+
+def _card_integer(path: Path, card: str) -> int:
+    try:
+        return int(card[10:].split("/")[0])
+    except ValueError:
+        raise DataError(path, f"the FITS header is damaged: {card.strip()!r} needs a whole number") from None
+
+
+def _open(path: Path, data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[Any]]:
+    from astropy.io import fits
+
+    try:
+        with fits.open(io.BytesIO(data), memmap=False, lazy_load_hdus=False) as units:
+            unit = units[_choose(path, units, hdu)]
+            cards = _cards(unit.header)
+            if unit is not units[0] and unit.header.get("INHERIT", True) is not False:
+                inherited = _cards(units[0].header).items()
+                cards |= {key: card for key, card in inherited if key not in cards and not _STRUCTURAL.fullmatch(key)}
+            pixels = np.array(unit.data)
+    except _damage_errors() as error:
+        raise DataError(path, f"the FITS file is damaged: {' '.join(str(error).split())}") from error
+    if pixels.ndim < 2 or pixels.dtype.kind not in "iuf":
+        raise DataError(path, "the FITS file is damaged: its image has no pixels")
+    return cards, pixels.reshape(pixels.shape[-2:])
+
+
+def _damage_errors() -> tuple[type[Exception], ...]:
+    """What astropy raises on files that break the FITS rules."""
+    from astropy.io.fits import VerifyError
+    from astropy.io.fits.hdu.compressed._compression import CfitsioException  # it has no public name
+
+    return (
+        OSError, ValueError, TypeError, KeyError, IndexError, RuntimeError,
+        zlib.error, VerifyError, CfitsioException,
+    )  # fmt: skip
+
+
+def _choose(path: Path, units: Any, hdu: int | str | None) -> int:
+    """Index of the HDU to read."""
+    names = ", ".join(f"{k} {unit.name}".rstrip() for k, unit in enumerate(units))
+    images = [k for k, unit in enumerate(units) if unit.is_image and _is_plane(getattr(unit, "shape", ()))]
+    if hdu is None:
+        if not images:
+            raise DataError(path, f"no HDU holds a 2-D image; HDUs are {names}")
+        return images[0]
+    if isinstance(hdu, str):
+        chosen = next((k for k, unit in enumerate(units) if unit.name.upper() == hdu.strip().upper()), -1)
+    else:
+        chosen = hdu
+    if not 0 <= chosen < len(units):
+        raise DataError(path, f"there is no HDU {hdu!r}; HDUs are {names}")
+    if chosen not in images:
+        raise DataError(path, f"HDU {hdu!r} holds no 2-D image; HDUs are {names}")
+    return chosen
+
+
+def _is_plane(shape: tuple[int, ...]) -> bool:
+    return len(shape) >= 2 and all(n == 1 for n in shape[:-2]) and min(shape[-2:]) > 0
+
+
+def _cards(header: Any) -> dict[str, Card]:
+    """Keywords with plain values; the first of repeated ones."""
+    from astropy.io.fits import VerifyError
+
+    cards: dict[str, Card] = {}
+    for card in header.cards:
+        try:
+            keyword, value, comment = str(card.keyword), card.value, str(card.comment)
+        except (VerifyError, ValueError):
+            continue
+        if isinstance(value, complex):
+            value = str(value)
+        if keyword not in {"", "COMMENT", "HISTORY"} and isinstance(value, str | bool | int | float):
+            cards.setdefault(keyword, Card(value, comment))
+    return cards

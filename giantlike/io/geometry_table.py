@@ -1,0 +1,295 @@
+"""A priori geometry of images in a table: ``geometry.csv``.
+
+One row per image and target. Every column but ``file`` may be absent or empty:
+
+=============================================  ==========================================================
+``file``                                       image file: its base name, or its path relative to the
+                                               campaign file where two images share one base name
+``epoch_utc``, ``exposure_s``                  mid-exposure, ISO 8601; seconds
+``qx``, ``qy``, ``qz``, ``qw``                 a priori camera_from_inertial, scalar last
+``target``                                     target name
+``target_x_km``, ``target_y_km``,              camera to target centre, inertial axes, apparent (light time
+``target_z_km``                                and aberration already in)
+``body_qx``, ``body_qy``, ``body_qz``,         body_from_inertial at the time the light left, scalar last
+``body_qw``
+``sun_x``, ``sun_y``, ``sun_z``                unit vector target to Sun, inertial
+=============================================  ==========================================================
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError
+from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.time import utc_text
+from giantlike.io.atomic import write_text_atomic
+from giantlike.io.csv_rows import CsvRow, read_csv_rows
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+_ATTITUDE = ("qx", "qy", "qz", "qw")
+_TARGET = ("target_x_km", "target_y_km", "target_z_km")
+_BODY = ("body_qx", "body_qy", "body_qz", "body_qw")
+_SUN = ("sun_x", "sun_y", "sun_z")
+COLUMNS = ("file", "epoch_utc", "exposure_s", *_ATTITUDE, "target", *_TARGET, *_BODY, *_SUN)
+"""Columns of ``geometry.csv``, in the order in which they are written."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GeometryRow:
+    """What one row says; None for what it leaves empty.
+
+    Parameters
+    ----------
+    file : str
+        As written in the table.
+    epoch : Time or None
+        Mid-exposure.
+    exposure_s : float or None, s
+    camera_from_inertial : Rotation or None
+        A priori attitude.
+    target : str or None
+    target_position_inertial_km : (3,) float64 or None, km, inertial axes
+        Apparent vector from camera to target centre.
+    body_from_inertial : Rotation or None
+        Of the target when the light left it.
+    sun_direction_inertial : (3,) float64 or None, unitless, inertial
+        Unit vector from target to Sun.
+    line : int
+        Line in the file, 0 for a row that was not read from one.
+    """
+
+    file: str
+    epoch: Time | None = None
+    exposure_s: float | None = None
+    camera_from_inertial: Rotation | None = None
+    target: str | None = None
+    target_position_inertial_km: Float | None = None
+    body_from_inertial: Rotation | None = None
+    sun_direction_inertial: Float | None = None
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageGeometry:
+    """All that a table says about one image.
+
+    Parameters
+    ----------
+    epoch : Time or None
+    exposure_s : float or None, s
+    camera_from_inertial : Rotation or None
+    targets : mapping of str to GeometryRow
+        The rows with a target, by its name.
+    """
+
+    epoch: Time | None
+    exposure_s: float | None
+    camera_from_inertial: Rotation | None
+    targets: Mapping[str, GeometryRow]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GeometryTable:
+    """A geometry table.
+
+    Parameters
+    ----------
+    path : Path
+    rows : tuple of GeometryRow
+        In file order; no two have the same ``file`` and ``target``, and all rows of a file agree on epoch,
+        exposure and attitude where they give them.
+    """
+
+    path: Path
+    rows: tuple[GeometryRow, ...]
+
+    def image(self, file: str) -> ImageGeometry | None:
+        """All about the image written as ``file`` in the table, None when it is not there."""
+        rows = [row for row in self.rows if row.file == file]
+        return _merged(rows) if rows else None
+
+    def match(self, images: Sequence[str | Path], base: str | Path) -> dict[Path, ImageGeometry]:
+        """Geometry of each of a campaign's images; images that the table does not name are left out.
+
+        Parameters
+        ----------
+        images : sequence of path-like
+            All images of the campaign (base names are ambiguous only among them).
+        base : path-like
+            Folder of the campaign file: what the paths in the table are relative to.
+
+        Returns
+        -------
+        dict of Path to ImageGeometry
+            Keys are the paths as given. An entry that is an image's path wins over one that is its base name.
+
+        Raises
+        ------
+        DataError
+            An entry is the base name of several images.
+        """
+        groups: dict[str, list[GeometryRow]] = {}
+        for row in self.rows:
+            groups.setdefault(row.file, []).append(row)
+        by_path = {_absolute(Path(base) / file): file for file in groups}
+        chosen: dict[Path, str] = {}
+        by_name: dict[str, list[Path]] = {}
+        for image in map(Path, images):
+            if _absolute(image) in by_path:
+                chosen[image] = by_path[_absolute(image)]
+            elif image.name in groups:
+                by_name.setdefault(image.name, []).append(image)
+        for name, sharing in by_name.items():
+            if len(sharing) > 1:
+                raise DataError(
+                    self.path,
+                    f"line {groups[name][0].line}, column file: {name!r} is the base name of {len(sharing)} images "
+                    f"({sharing[0]}, {sharing[1]}): write their paths relative to the campaign file",
+                )
+            chosen[sharing[0]] = name
+        return {image: _merged(groups[file]) for image, file in chosen.items()}
+
+
+def read_geometry(path: str | Path, *, default_target: str | None = None) -> GeometryTable:
+    """Read a geometry table.
+
+    Parameters
+    ----------
+    path : path-like
+    default_target : str, optional
+        Name for rows that leave ``target`` empty; pass it where a campaign has one target only.
+
+    Raises
+    ------
+    DataError
+        Names file, line, column and value: unknown, repeated or missing columns; cells that are no number or
+        epoch; groups that are half filled; a quaternion or Sun vector that is not unit to 1e-3; target
+        geometry without a target name; two rows for one file and target, or rows of one file that disagree.
+    """
+    rows = [_row(row, default_target) for row in read_csv_rows(path, COLUMNS, ("file",))]
+    table = GeometryTable(Path(path), tuple(rows))
+    _check_consistency(table)
+    return table
+
+
+def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
+    """Write a geometry table, whole or not at all; numbers keep all their digits, epochs microseconds.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        writer.writerow(
+            [
+                row.file,
+                "" if row.epoch is None else utc_text(row.epoch),
+                "" if row.exposure_s is None else repr(float(row.exposure_s)),
+                *_quaternion_cells(row.camera_from_inertial),
+                row.target or "",
+                *_vector_cells(row.target_position_inertial_km),
+                *_quaternion_cells(row.body_from_inertial),
+                *_vector_cells(row.sun_direction_inertial),
+            ]
+        )
+    write_text_atomic(path, buffer.getvalue())
+
+
+def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
+    file = row.text("file")
+    if file is None:
+        raise row.error("file", "an image file is needed")
+    exposure_s = row.number("exposure_s")
+    if exposure_s is not None and exposure_s < 0:
+        raise row.error("exposure_s", "an exposure time >= 0 is needed")
+    position = row.vector(_TARGET)
+    if position is not None and not np.any(position):
+        raise row.error(_TARGET[0], "a vector from camera to target is needed, not zero")
+    body_from_inertial, sun = row.rotation(_BODY), row.direction(_SUN)
+    described = position is not None or body_from_inertial is not None or sun is not None
+    target = row.text("target") or (default_target if described else None)
+    if described and target is None:
+        raise row.error("target", "a target name is needed where its geometry is given")
+    return GeometryRow(
+        file=file,
+        epoch=row.utc("epoch_utc"),
+        exposure_s=exposure_s,
+        camera_from_inertial=row.rotation(_ATTITUDE),
+        target=target,
+        target_position_inertial_km=position,
+        body_from_inertial=body_from_inertial,
+        sun_direction_inertial=sun,
+        line=row.line,
+    )
+
+
+def _check_consistency(table: GeometryTable) -> None:
+    uses = Counter(row.file for row in table.rows)
+    seen: dict[tuple[str, str | None], int] = {}
+    first: dict[tuple[str, str], tuple[str, int]] = {}
+    for row in table.rows:
+        earlier = seen.setdefault((row.file, row.target), row.line)
+        if earlier != row.line:
+            raise DataError(
+                table.path,
+                f"line {row.line}, column target: {row.file!r} with target {row.target or ''!r} is already in "
+                f"line {earlier}",
+            )
+        if uses[row.file] == 1:
+            continue
+        attitude = row.camera_from_inertial
+        shared = {
+            "epoch_utc": "" if row.epoch is None else utc_text(row.epoch),
+            "exposure_s": "" if row.exposure_s is None else repr(row.exposure_s),
+            "qx": "" if attitude is None else str(quaternion_xyzw(attitude).round(12).tolist()),
+        }
+        for column, value in shared.items():
+            if not value:
+                continue
+            known, line = first.setdefault((row.file, column), (value, row.line))
+            if known != value:
+                raise DataError(
+                    table.path,
+                    f"line {row.line}, column {column}: {row.file!r} has {known} in line {line}, got {value}",
+                )
+
+
+def _merged(rows: list[GeometryRow]) -> ImageGeometry:
+    return ImageGeometry(
+        epoch=next((row.epoch for row in rows if row.epoch is not None), None),
+        exposure_s=next((row.exposure_s for row in rows if row.exposure_s is not None), None),
+        camera_from_inertial=next(
+            (row.camera_from_inertial for row in rows if row.camera_from_inertial is not None), None
+        ),
+        targets={row.target: row for row in rows if row.target is not None},
+    )
+
+
+def _absolute(path: Path) -> str:
+    return os.path.abspath(path)
+
+
+def _quaternion_cells(rotation: Rotation | None) -> list[str]:
+    return [""] * 4 if rotation is None else [repr(value) for value in quaternion_xyzw(rotation).tolist()]
+
+
+def _vector_cells(vector: Float | None) -> list[str]:
+    return [""] * 3 if vector is None else [repr(value) for value in np.asarray(vector, dtype=np.float64).tolist()]

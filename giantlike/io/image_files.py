@@ -1,0 +1,235 @@
+"""Image files of any supported format: one call, one value."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import warnings
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import frozen
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.observer import ObserverState
+from giantlike.io.decoded import DecodedImage, HeaderValue
+from giantlike.io.fits import decode_fits
+from giantlike.io.label_times import label_epoch, label_exposure_s
+from giantlike.io.pds3 import LABEL_START, decode_pds3, image_pointer, parse_pds3
+from giantlike.io.raster import decode_raster
+from giantlike.io.vicar import decode_vicar
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+FORMATS = ("fits", "png", "tiff", "jpeg", "vicar", "pds3")
+"""Values of :attr:`ImageFile.format`."""
+
+_MAGIC = {
+    "fits": re.compile(rb"SIMPLE  ="),
+    "png": re.compile(rb"\x89PNG\r\n\x1a\n"),
+    "jpeg": re.compile(rb"\xff\xd8\xff"),
+    "tiff": re.compile(rb"II[*+]\0|MM\0[*+]"),
+    "vicar": re.compile(rb"LBLSIZE\s*="),
+    "pds3": LABEL_START,
+    "gzip": re.compile(rb"\x1f\x8b\x08"),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageFile:
+    """An image as its file holds it.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) float32 or integer, DN
+        As stored, native byte order, read-only. Floating pixels are float32 and finite: bad ones are 0.
+    mask : (rows, columns) bool
+        True where a pixel is bad: NaN, infinite or blank in the file, or in a line that was never received.
+    epoch : Time or None
+        Mid-exposure, where the file settles it.
+    exposure_s : float or None, s
+    camera_from_inertial : Rotation or None
+        A priori attitude, only from headers that this package wrote.
+    observer : ObserverState or None
+        Spacecraft state with respect to the solar system barycentre.
+    header : dict of str to str, int, float or bool
+        Header or label items. Empty for PNG, TIFF and JPEG.
+    format : {'fits', 'png', 'tiff', 'jpeg', 'vicar', 'pds3'}
+    sha256 : str
+        Of the file that holds the pixels.
+    path : Path
+        As it was given.
+    """
+
+    pixels: NDArray[Any]
+    mask: NDArray[np.bool_]
+    epoch: Time | None
+    exposure_s: float | None
+    camera_from_inertial: Rotation | None
+    observer: ObserverState | None
+    header: dict[str, HeaderValue]
+    format: str
+    sha256: str
+    path: Path
+
+
+def read_image_file(path: str | Path, *, hdu: int | str | None = None) -> ImageFile:
+    """Read an image file; its content, not its name, decides the format.
+
+    Parameters
+    ----------
+    path : path-like
+        A FITS, PNG, TIFF, JPEG or VICAR file, an image with a PDS3 label attached, a PDS3 label that points to
+        its image, or a raw image with such a label beside it (same name, ``.LBL``). Files may be gzipped.
+    hdu : int or str, optional
+        For FITS: index or EXTNAME of the HDU; the first with a 2-D image by default.
+
+    Returns
+    -------
+    ImageFile
+
+    Raises
+    ------
+    DataError
+        The file is missing, empty, truncated, damaged, of no supported format, or the HDU holds no image.
+    InputError
+        ``hdu`` is given for a file that is not FITS.
+
+    Notes
+    -----
+    Which items give epoch and exposure: :mod:`giantlike.io.fits_keywords` for FITS,
+    :mod:`giantlike.io.label_times` for VICAR and PDS3. The other formats carry none. Warnings of the libraries
+    underneath never come through.
+    """
+    given = Path(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # astropy and erfa: what harms the pixels is checked for; odd cards and years do not
+        return _read_image(given, hdu)
+
+
+def _read_image(path: Path, hdu: int | str | None) -> ImageFile:
+    data = _read(path)
+    digest = hashlib.sha256(data).hexdigest()
+    data = _unzipped(path, data)
+    kind = _sniff(data)
+    if hdu is not None and kind != "fits":
+        raise InputError(f"hdu={hdu!r} is for FITS files, but {path} is {kind or 'of no known format'}")
+    if kind == "pds3":
+        decoded, digest = _decode_labelled(path, data, digest)
+    elif kind is not None:
+        decoded = _decode(path, data, kind, hdu)
+    else:
+        label = _label_beside(path)
+        if label is None:
+            raise DataError(path, "is of no supported format; supported are FITS, PNG, TIFF, JPEG, VICAR and PDS3")
+        decoded, digest = _decode_labelled(label, _read(label), digest)
+    return _finish(path, decoded, digest)
+
+
+def _decode(path: Path, data: bytes, kind: str, hdu: int | str | None) -> DecodedImage:
+    if kind == "fits":
+        return decode_fits(path, data, hdu)
+    return decode_vicar(path, data) if kind == "vicar" else decode_raster(path, data, kind)
+
+
+def _decode_labelled(path: Path, data: bytes, digest: str) -> tuple[DecodedImage, str]:
+    """Decode what a PDS3 label at the start of ``data`` describes; the hash is of the file with the pixels.
+
+    An image file that describes itself (FITS, VICAR) is read as such; the label gives the epoch and exposure
+    that it lacks.
+    """
+    label = parse_pds3(path, data)
+    pointer = image_pointer(path, label)
+    if pointer.file is None:
+        return decode_pds3(path, data, label, pointer.offset_bytes), digest
+    target = _find_beside(path, pointer.file)
+    if target is None:
+        raise DataError(path, f"the image file {pointer.file!r} that this label points to is not beside it")
+    pixels = _read(target)
+    kind, digest = _sniff(pixels), hashlib.sha256(pixels).hexdigest()
+    if kind not in {"fits", "vicar"}:
+        return decode_pds3(target, pixels, label, pointer.offset_bytes), digest
+    decoded = _decode(target, pixels, kind, None)
+    exposure_s = label_exposure_s(label.values, label.units) if decoded.exposure_s is None else decoded.exposure_s
+    epoch = label_epoch(label.values, exposure_s) if decoded.epoch is None else decoded.epoch
+    return replace(decoded, epoch=epoch, exposure_s=exposure_s), digest
+
+
+def _finish(path: Path, decoded: DecodedImage, digest: str) -> ImageFile:
+    """Native byte order, float32 for all floating pixels, bad pixels masked and zero, arrays read-only."""
+    pixels = decoded.pixels
+    mask = np.zeros(pixels.shape, dtype=bool) if decoded.mask is None else decoded.mask.copy()
+    if pixels.dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            pixels = pixels.astype(np.float32)
+        bad = ~np.isfinite(pixels)
+        pixels[bad] = 0.0
+        mask |= bad
+    else:
+        pixels = np.array(pixels, dtype=pixels.dtype.newbyteorder("="))
+    return ImageFile(
+        pixels=frozen(pixels),
+        mask=frozen(mask),
+        epoch=decoded.epoch,
+        exposure_s=decoded.exposure_s,
+        camera_from_inertial=decoded.camera_from_inertial,
+        observer=decoded.observer,
+        header=decoded.header,
+        format=decoded.format,
+        sha256=digest,
+        path=path,
+    )
+
+
+def _read(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(path, "there is no such file") from error
+    except OSError as error:
+        raise DataError(path, f"cannot be read: {error.strerror or error}") from error
+    if not data:
+        raise DataError(path, "the file is empty")
+    return data
+
+
+def _unzipped(path: Path, data: bytes) -> bytes:
+    if _MAGIC["gzip"].match(data) is None:
+        return data
+    import gzip
+
+    try:
+        return gzip.decompress(data)
+    except (EOFError, OSError, zlib.error) as error:
+        raise DataError(path, f"the gzip file is truncated or damaged: {error}") from error
+
+
+def _sniff(data: bytes) -> str | None:
+    return next((kind for kind, magic in _MAGIC.items() if kind != "gzip" and magic.match(data)), None)
+
+
+def _label_beside(path: Path) -> Path | None:
+    """A PDS3 label of the same name whose image is this file."""
+    for suffix in (".LBL", ".lbl"):
+        label = path.with_suffix(suffix)
+        if label != path and label.is_file():
+            pointer = image_pointer(label, parse_pds3(label, _read(label)))
+            if pointer.file is not None and pointer.file.lower() == path.name.lower():
+                return label
+    return None
+
+
+def _find_beside(label: Path, name: str) -> Path | None:
+    """The file ``name`` in the folder of ``label``, whatever the case of its letters."""
+    exact = label.parent / name
+    if exact.is_file():
+        return exact
+    return next((p for p in sorted(label.parent.iterdir()) if p.name.lower() == name.lower()), None)

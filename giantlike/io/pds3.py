@@ -1,0 +1,186 @@
+"""PDS3 labels, attached to an image or in a file of their own, and the raw images they describe.
+
+References
+----------
+.. [1] Planetary Data System Standards Reference, version 3.8, JPL D-7669 (label syntax, pointers, IMAGE objects).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from giantlike.core.errors import DataError
+from giantlike.io.decoded import DecodedImage, HeaderValue
+from giantlike.io.label_times import label_epoch, label_exposure_s
+from giantlike.io.raw_image import RawLayout, read_raw
+
+LABEL_START = re.compile(rb"\s*(PDS_VERSION_ID|CCSD3ZF|NJPL1I|ODL_VERSION_ID)\b")
+"""How a PDS3 label (or its SFDU wrapper) begins."""
+
+_END = re.compile(r"^\s*END\s*$", re.MULTILINE)
+_STATEMENT = re.compile(
+    r"/\*.*?\*/"
+    r"|(?P<key>\^?[A-Za-z][A-Za-z0-9_:]*)\s*=\s*"
+    r"(?P<value>\"[^\"]*\"|'[^']*'|\([^()]*(?:\([^()]*\)[^()]*)*\)|\{[^{}]*\}|[^\s<]+)"
+    r"(?:\s*<(?P<unit>[^>]*)>)?",
+    re.DOTALL,
+)
+_POINTER = re.compile(
+    r"\(?\s*(?:[\"'](?P<file>[^\"']+)[\"'])?\s*,?\s*(?P<start>\d+)?\s*(?P<bytes><\s*BYTES\s*>)?\s*\)?"
+)
+_INTEGER = re.compile(r"[+-]?\d+")
+_REAL = re.compile(r"[+-]?(\d+\.\d*|\.\d+|\d+)([eE][+-]?\d+)?")
+_BIG, _LITTLE = ("MSB_", "SUN_", "MAC_"), ("LSB_", "PC_", "VAX_")
+
+
+@dataclass(frozen=True, slots=True)
+class Pds3Label:
+    """A parsed PDS3 label.
+
+    Parameters
+    ----------
+    values : dict of str to plain values
+        Items by name; those inside an object or group as ``OBJECT.NAME``.
+    raw : dict of str to str
+        The values as written, pointers (``^IMAGE``) among them.
+    units : dict of str to str
+        The unit of an item, where the label states one.
+    """
+
+    values: dict[str, HeaderValue]
+    raw: dict[str, str]
+    units: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePointer:
+    """Where a label says its image is: a file (None: the label's own) and a first byte, from 0."""
+
+    file: str | None
+    offset_bytes: int
+
+
+def parse_pds3(path: Path, data: bytes) -> Pds3Label:
+    """Parse the PDS3 label that ``data`` begins with.
+
+    Raises
+    ------
+    DataError
+        There is no ``END`` statement: the label is cut off.
+    """
+    text = data.decode("latin-1")
+    end = _END.search(text)
+    if end is None:
+        raise DataError(path, "the PDS3 label has no END statement: it is truncated or no label")
+    label = Pds3Label({}, {}, {})
+    nesting: list[str] = []
+    for match in _STATEMENT.finditer(text, 0, end.start()):
+        key, value = match["key"], match["value"]
+        if key is None or key in {"END_OBJECT", "END_GROUP"}:
+            if key is not None and nesting:
+                nesting.pop()
+            continue
+        if key in {"OBJECT", "GROUP"}:
+            nesting.append(value)
+            continue
+        name = ".".join([*nesting, key])
+        label.raw.setdefault(name, value if match["unit"] is None else f"{value} <{match['unit']}>")
+        if not key.startswith("^"):
+            label.values.setdefault(name, _plain(value))
+            if match["unit"] is not None:
+                label.units.setdefault(name, match["unit"])
+    return label
+
+
+def image_pointer(path: Path, label: Pds3Label) -> ImagePointer:
+    """Where the image of a label is.
+
+    Raises
+    ------
+    DataError
+        There is no ``^IMAGE`` pointer, or it points to a record and the label does not say how long one is.
+    """
+    text = label.raw.get("^IMAGE")
+    if text is None:
+        raise DataError(path, "the PDS3 label has no ^IMAGE pointer")
+    match = _POINTER.fullmatch(text.strip())
+    if match is None:
+        raise DataError(path, f"the PDS3 pointer ^IMAGE = {text!r} is not understood")
+    start = int(match["start"] or 1)
+    if match["bytes"] is not None or start == 1:
+        return ImagePointer(match["file"], start - 1)
+    record = label.values.get("RECORD_BYTES")
+    if type(record) is not int or start < 1:
+        raise DataError(path, f"the PDS3 pointer ^IMAGE = {text!r} counts records, but RECORD_BYTES is {record!r}")
+    return ImagePointer(match["file"], (start - 1) * record)
+
+
+def decode_pds3(path: Path, data: bytes, label: Pds3Label, offset_bytes: int) -> DecodedImage:
+    """Decode the raw image that a PDS3 label describes.
+
+    Parameters
+    ----------
+    path : Path
+        The file with the pixels, for messages.
+    data : bytes
+        Its content.
+    label : Pds3Label
+    offset_bytes : int
+        First byte of the image in ``data``.
+
+    Raises
+    ------
+    DataError
+        The image object is incomplete, compressed, has several bands or a sample type that is not read, or
+        the file is truncated.
+    """
+
+    def count(name: str, default: int) -> int:
+        value = label.values.get(f"IMAGE.{name}", default)
+        if type(value) is not int:
+            raise DataError(path, f"the PDS3 label has IMAGE {name} = {value!r}: a whole number is needed")
+        return value
+
+    encoding = str(label.values.get("IMAGE.ENCODING_TYPE", "N/A"))
+    if count("BANDS", 1) != 1 or encoding not in {"N/A", "NONE"}:
+        raise DataError(path, f"only uncompressed PDS3 images of one band are read, got ENCODING_TYPE {encoding!r}")
+    layout = RawLayout(
+        offset_bytes=offset_bytes,
+        rows=count("LINES", 0),
+        columns=count("LINE_SAMPLES", 0),
+        prefix_bytes=count("LINE_PREFIX_BYTES", 0),
+        suffix_bytes=count("LINE_SUFFIX_BYTES", 0),
+        sample=_sample(path, str(label.values.get("IMAGE.SAMPLE_TYPE")), count("SAMPLE_BITS", 8)),
+    )
+    exposure_s = label_exposure_s(label.values, label.units)
+    return DecodedImage(
+        pixels=read_raw(path, data, layout),
+        format="pds3",
+        epoch=label_epoch(label.values, exposure_s),
+        exposure_s=exposure_s,
+        header=dict(label.values),
+    )
+
+
+def _plain(text: str) -> HeaderValue:
+    if text[0] in "\"'":
+        return " ".join(text[1:-1].split())
+    if text[0] in "({":
+        return ",".join(entry.strip().strip("\"'") for entry in text[1:-1].split(","))
+    if _INTEGER.fullmatch(text):
+        return int(text)
+    return float(text) if _REAL.fullmatch(text) else text
+
+
+def _sample(path: Path, sample_type: str, bits: int) -> str:
+    """Sample type as :class:`RawLayout` has it; names without a byte order are most significant byte first."""
+    prefix = next((p for p in (*_BIG, *_LITTLE, "IEEE_") if sample_type.startswith(p)), "")
+    kinds = {"UNSIGNED_INTEGER": "u", "INTEGER": "i", "REAL": "f", "FLOAT": "f"}
+    kind, size = kinds.get(sample_type.removeprefix(prefix)), bits // 8
+    if kind is None or bits not in {8, 16, 32, 64} or (kind == "f" and size < 4):
+        raise DataError(path, f"PDS3 samples of type {sample_type!r} with {bits} bits are not read")
+    if kind == "f" and prefix == "VAX_":
+        return f"vax{size}"
+    return f"{'<' if prefix in _LITTLE else '>'}{kind}{size}"

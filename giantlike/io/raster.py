@@ -1,0 +1,179 @@
+"""PNG, TIFF and JPEG images through OpenCV, at their full depth, and checks that they are whole.
+
+OpenCV fills what is missing of a cut-off file with zeros or grey and says nothing, so each format is
+checked here first: PNG by its chunks and their checksums, JPEG by its markers, TIFF by its strip table.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.errors import DataError
+from giantlike.io.decoded import DecodedImage
+
+LUMINANCE_BGR = (0.114, 0.587, 0.299)
+"""Weights of blue, green and red in the luminance of a colour image (ITU-R BT.601, the luma that JPEG stores)."""
+
+_JPEG_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
+_ORIENTATION, _PHOTOMETRIC = 274, 262
+_OFFSETS, _COUNTS = (273, 324), (279, 325)  # of strips, of tiles
+_TIFF_UNSIGNED = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
+
+
+@dataclass(frozen=True, slots=True)
+class _TiffTag:
+    """Unsigned integers of a TIFF tag and the byte at which they stand."""
+
+    values: tuple[int, ...]
+    place: int
+
+
+def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
+    """Decode a PNG, TIFF or JPEG file.
+
+    Grey images keep their type; so do colour images whose channels are equal. Other colour images become
+    luminance, float32, with :data:`LUMINANCE_BGR`. An alpha channel is dropped, a palette resolved, a scale
+    in which white is zero turned over. Rows and columns are as stored: orientation tags are ignored. Of a
+    TIFF with several pages the first is read.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    data : bytes
+        The whole file.
+    kind : {'png', 'tiff', 'jpeg'}
+
+    Raises
+    ------
+    DataError
+        The file is truncated or damaged, or OpenCV does not decode this variant.
+    """
+    if kind == "tiff":
+        return DecodedImage(pixels=_decode_tiff(path, data), format=kind)
+    (_require_whole_png if kind == "png" else _require_whole_jpeg)(path, data)
+    return DecodedImage(pixels=luminance(_decode(path, data, kind)), format=kind)
+
+
+def _decode(path: Path, data: bytes, kind: str) -> NDArray[Any]:
+    import cv2
+
+    log_level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise DataError(path, f"the {kind.upper()} image cannot be decoded: {error.err}") from error
+    finally:
+        cv2.utils.logging.setLogLevel(log_level)
+    if pixels is None:
+        raise DataError(path, f"the {kind.upper()} image is damaged or of a variant that is not supported")
+    return pixels
+
+
+def luminance(pixels: NDArray[Any]) -> NDArray[Any]:
+    """One channel (rows, columns) of an image in OpenCV's order (grey, grey-alpha, BGR or BGRA)."""
+    if pixels.ndim == 2:
+        return pixels
+    if pixels.shape[2] < 3:
+        return pixels[:, :, 0]
+    blue, green, red = (pixels[:, :, k] for k in range(3))
+    if np.array_equal(blue, green, equal_nan=pixels.dtype.kind == "f") and np.array_equal(
+        green, red, equal_nan=pixels.dtype.kind == "f"
+    ):
+        return blue
+    return (pixels[:, :, :3].astype(np.float32) @ np.array(LUMINANCE_BGR, dtype=np.float32)).astype(np.float32)
+
+
+def _require_whole_png(path: Path, data: bytes) -> None:
+    position = 8
+    while position + 12 <= len(data):
+        length = int.from_bytes(data[position : position + 4], "big")
+        end = position + 12 + length
+        if end > len(data):
+            break
+        name = data[position + 4 : position + 8]
+        if zlib.crc32(data[position + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            raise DataError(
+                path, f"the PNG file is damaged: checksum of its chunk {name!r} at byte {position} is wrong"
+            )
+        if name == b"IEND":
+            return
+        position = end
+    raise DataError(path, f"the PNG file is truncated: it ends at byte {len(data)} without its end mark")
+
+
+def _require_whole_jpeg(path: Path, data: bytes) -> None:
+    position = 2
+    while position + 4 <= len(data):
+        if data[position] != 0xFF:
+            raise DataError(path, f"the JPEG file is damaged: no marker at byte {position}")
+        marker = data[position + 1]
+        if marker == 0xFF:
+            position += 1
+            continue
+        if marker == 0xD9:
+            return
+        position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+        if marker == 0xDA:
+            found = _JPEG_MARKER_IN_SCAN.search(data, position)
+            position = len(data) if found is None else found.end() - 2
+            if data[position + 1 : position + 2] == b"\xd9":
+                return
+    raise DataError(path, f"the JPEG file is truncated: it ends at byte {len(data)} without its end mark")
+
+
+def _decode_tiff(path: Path, data: bytes) -> NDArray[Any]:
+    """Decode a TIFF; OpenCV obeys its orientation tag, which is therefore made neutral first."""
+    tags = _whole_tiff_tags(path, data)
+    orientation = tags.get(_ORIENTATION)
+    if orientation is not None and orientation.values != (1,):
+        neutral = (1).to_bytes(2, "little" if data[:2] == b"II" else "big")
+        data = data[: orientation.place] + neutral + data[orientation.place + 2 :]
+    pixels = luminance(_decode(path, data, "tiff"))
+    white_is_zero = _PHOTOMETRIC in tags and tags[_PHOTOMETRIC].values == (0,)
+    if white_is_zero and pixels.dtype.kind == "u" and pixels.dtype.itemsize > 1:  # OpenCV turns over 8 bits itself
+        pixels = np.iinfo(pixels.dtype).max - pixels
+    return pixels
+
+
+def _whole_tiff_tags(path: Path, data: bytes) -> dict[int, _TiffTag]:
+    """Tags of the first page, after a check that all its pixels are in the file."""
+    try:
+        tags = _first_tiff_directory(data)
+    except struct.error as error:
+        raise DataError(path, "the TIFF file is truncated: its directory of tags lies outside the file") from error
+    offsets, counts = ([tags[tag].values for tag in pair if tag in tags] for pair in (_OFFSETS, _COUNTS))
+    if len(offsets) != 1 or len(counts) != 1 or len(offsets[0]) != len(counts[0]):
+        raise DataError(path, "the TIFF file is damaged: its first page has no table of strips or tiles")
+    end = max(offset + count for offset, count in zip(offsets[0], counts[0], strict=True))
+    if end > len(data):
+        raise DataError(path, f"the TIFF file is truncated: its pixels reach to byte {end}, got {len(data)}")
+    return tags
+
+
+def _first_tiff_directory(data: bytes) -> dict[int, _TiffTag]:
+    """Unsigned integer tags of the first page of a classic or big TIFF."""
+    order = "<" if data[:2] == b"II" else ">"
+    big = struct.unpack_from(order + "H", data, 2)[0] == 43
+    word, word_bytes, entry_count = ("Q", 8, "Q") if big else ("I", 4, "H")
+    directory = struct.unpack_from(order + word, data, 8 if big else 4)[0]
+    entries = struct.unpack_from(order + entry_count, data, directory)[0]
+    first, entry_bytes = directory + struct.calcsize(order + entry_count), 4 + 2 * word_bytes
+    tags: dict[int, _TiffTag] = {}
+    for k in range(entries):
+        tag, kind, count = struct.unpack_from(order + "HH" + word, data, first + k * entry_bytes)
+        if kind not in _TIFF_UNSIGNED:
+            continue
+        place = first + k * entry_bytes + 4 + word_bytes
+        if count * struct.calcsize("=" + _TIFF_UNSIGNED[kind]) > word_bytes:
+            place = struct.unpack_from(order + word, data, place)[0]
+        tags[tag] = _TiffTag(struct.unpack_from(f"{order}{count}{_TIFF_UNSIGNED[kind]}", data, place), place)
+    return tags

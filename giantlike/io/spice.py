@@ -1,0 +1,387 @@
+"""SPICE kernels in, states and orientations out.
+
+SPICE keeps one pool of kernels per process. The functions here read that pool: they are not thread-safe, and a
+worker process loads its kernels again (:func:`load_kernels` with the same arguments). Distances are km, velocities
+km/s, epochs ``et`` (TDB seconds past J2000), inertial axes J2000; everything is geometric, light time and
+aberration are the caller's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.errors import DataError
+from giantlike.core.time import time_from_et, utc_text
+
+Answer = TypeVar("Answer")
+
+_TRANSFER = (b"DAFETF", b"DASETF")
+_DATA_SECTION = re.compile(
+    r"^[ \t]*\\begindata[ \t]*\r?$(.*?)(?:^[ \t]*\\begintext[ \t]*\r?$|\Z)", re.MULTILINE | re.DOTALL
+)
+_ASSIGNMENT = re.compile(r"([A-Za-z]\w*)\s*\+?=\s*(\((?:'(?:[^']|'')*'|[^)'])*\)|'(?:[^']|'')*'|\S+)")
+_QUOTED = re.compile(r"'((?:[^']|'')*)'")
+_UNKNOWN_NAME = ("IDCODENOTFOUND", "NOTRANSLATION", "UNKNOWNFRAME", "bods2c")
+
+
+class CoverageError(DataError):
+    """The loaded kernels cannot answer: a body, a frame or a time is not covered.
+
+    Parameters
+    ----------
+    problem : str
+        What was asked for and which kernel is needed.
+    """
+
+    def __init__(self, problem: str) -> None:
+        super().__init__("SPICE kernels", problem)
+
+    def __reduce__(self) -> tuple[type[CoverageError], tuple[str]]:  # type: ignore[override]
+        return type(self), (self.problem,)
+
+
+@dataclass(frozen=True, slots=True)
+class SpiceKernels:
+    """Kernels that were loaded together; a context manager that unloads them.
+
+    Parameters
+    ----------
+    paths : tuple of Path
+        In loading order: where two overlap, SPICE prefers the later one.
+    """
+
+    paths: tuple[Path, ...]
+
+    def sha256(self) -> dict[str, str]:
+        """Hash of each file by its path, for provenance; reads them all."""
+        return {str(path): _sha256(path) for path in self.paths}
+
+    def unload(self) -> None:
+        """Take the kernels out of the process's pool."""
+        import spiceypy
+
+        for path in reversed(self.paths):
+            spiceypy.unload(str(path))
+
+    def __enter__(self) -> SpiceKernels:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.unload()
+
+
+def find_kernels(patterns: Sequence[str | Path], base: str | Path) -> tuple[Path, ...]:
+    """Kernel files of patterns, in loading order, without loading them.
+
+    Parameters
+    ----------
+    patterns : sequence of path-like
+        Paths or glob patterns (``kernels/*.bsp``, ``**`` allowed), absolute or relative to ``base``. The files
+        of one pattern come in alphabetical order; a file that several patterns name stands where the last does.
+    base : path-like
+        Folder of the file that names them.
+
+    Raises
+    ------
+    DataError
+        A path does not exist or a pattern matches no file.
+    """
+    found: list[Path] = []
+    for pattern in map(str, patterns):
+        full = Path(base).absolute() / pattern
+        if any(character in pattern for character in "*?["):
+            anchor = Path(full.anchor)
+            matches = sorted(path for path in anchor.glob(str(full.relative_to(anchor))) if path.is_file())
+        else:
+            matches = [full] if full.is_file() else []
+        if not matches:
+            raise DataError(full, "SPICE kernel not found: no file of this name or pattern")
+        found = [path for path in found if path not in matches] + matches
+    return tuple(found)
+
+
+def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKernels:
+    """Load SPICE kernels into this process.
+
+    All files are looked for and checked before the first is loaded. SPICE itself reads files that are cut off
+    or no kernels at all without complaint; they are refused here. A meta-kernel is replaced by the kernels it
+    lists, whose paths are relative to the meta-kernel's own folder (SPICE alone takes them from the
+    working directory).
+
+    Parameters
+    ----------
+    patterns, base
+        As for :func:`find_kernels`.
+
+    Raises
+    ------
+    DataError
+        A kernel is missing, cut off, no kernel, or refused by SPICE; none of them is left loaded.
+    """
+    import spiceypy
+    from spiceypy.utils.exceptions import SpiceyError
+
+    paths: list[Path] = []
+    for path in find_kernels(patterns, base):
+        expanded = _expanded(path)
+        paths = [known for known in paths if known not in expanded] + expanded
+    loaded: list[Path] = []
+    for path in paths:
+        try:
+            spiceypy.furnsh(str(path))
+        except SpiceyError as error:
+            SpiceKernels(tuple(loaded)).unload()
+            raise DataError(path, f"SPICE cannot load this kernel: {_spice_message(error)}") from error
+        loaded.append(path)
+    return SpiceKernels(tuple(loaded))
+
+
+def spk_state(target: str | int, et: float, *, observer: str | int, frame: str = "J2000") -> tuple[Float, Float]:
+    """Geometric state of ``target`` relative to ``observer``.
+
+    Parameters
+    ----------
+    target, observer : str or int
+        NAIF names or ids (``"BENNU"``, ``"-64"``, ``-64``).
+    et : float, TDB seconds past J2000
+    frame : str
+        Axes of the result.
+
+    Returns
+    -------
+    position_km : (3,) float64, km
+    velocity_km_s : (3,) float64, km/s
+
+    Raises
+    ------
+    CoverageError
+        No loaded SPK covers it, or a name or frame is unknown.
+    InputError
+        ``et`` is not finite.
+    """
+    import spiceypy
+
+    state, _ = _ask(
+        lambda: spiceypy.spkezr(str(target), et, frame, "NONE", str(observer)),
+        et,
+        f"no state of {target} relative to {observer} in {frame}",
+        "load SPK kernels that link the two at this time",
+    )
+    values = np.asarray(state, dtype=np.float64)
+    return values[:3], values[3:]
+
+
+def orientation(frame_or_body: str | int, et: float) -> Rotation:
+    """Orientation ``inertial_from_body`` of a frame or of a body's own fixed frame.
+
+    Parameters
+    ----------
+    frame_or_body : str or int
+        A frame name (``IAU_BENNU``), or a body name or id (``BENNU``, ``2101955``), which stands for the body's
+        default fixed frame, or for its PCK orientation when SPICE knows no frame of it.
+    et : float, TDB seconds past J2000
+
+    Raises
+    ------
+    CoverageError
+        The name is unknown, or no loaded PCK or CK gives its orientation at ``et``.
+    InputError
+        ``et`` is not finite.
+    """
+    import spiceypy
+
+    def body_from_inertial() -> Float:
+        name = str(frame_or_body)
+        if spiceypy.namfrm(name) != 0:
+            return np.asarray(spiceypy.pxform("J2000", name, et))
+        body = spiceypy.bods2c(name)
+        try:
+            _, frame = spiceypy.cidfrm(body)
+        except spiceypy.NotFoundError:
+            return np.asarray(spiceypy.tipbod("J2000", body, et))
+        return np.asarray(spiceypy.pxform("J2000", frame, et))
+
+    matrix = _ask(
+        body_from_inertial,
+        et,
+        f"no orientation of {frame_or_body}",
+        "load the PCK, or the CK with its SCLK and frame kernels, that covers this time",
+    )
+    return Rotation.from_matrix(matrix).inv()
+
+
+def attitude(frame: str, et: float) -> Rotation:
+    """Attitude ``camera_from_inertial`` of an instrument frame.
+
+    The axes are those of the SPICE frame; where they are not +x along columns, +y along rows, +z boresight, the
+    caller turns them.
+
+    Parameters
+    ----------
+    frame : str
+        Frame name, such as ``CASSINI_ISS_NAC``.
+    et : float, TDB seconds past J2000
+
+    Raises
+    ------
+    CoverageError
+        The frame is unknown, or no loaded CK covers ``et``.
+    InputError
+        ``et`` is not finite.
+    """
+    import spiceypy
+
+    matrix = _ask(
+        lambda: spiceypy.pxform("J2000", frame, et),
+        et,
+        f"no attitude of frame {frame}",
+        "load the frame kernel that defines it, and a CK with its SCLK kernel that covers this time",
+    )
+    return Rotation.from_matrix(np.asarray(matrix))
+
+
+def body_radii_km(body: str | int) -> Float:
+    """Radii (3,), km, of a body's reference ellipsoid along its own axes.
+
+    Raises
+    ------
+    CoverageError
+        The body is unknown, or no loaded PCK has its radii.
+    """
+    import spiceypy
+
+    _, radii = _ask(
+        lambda: spiceypy.bodvrd(str(body), "RADII", 3), None, f"no radii of {body}", "load a PCK that has them"
+    )
+    return np.asarray(radii, dtype=np.float64)
+
+
+def _ask(question: Callable[[], Answer], et: float | None, subject: str, advice: str) -> Answer:
+    """Put a question to SPICE and turn what it complains of into one line."""
+    import spiceypy
+    from spiceypy.utils.exceptions import SpiceyError
+
+    require(et is None or math.isfinite(et), f"{subject}: et must be finite, got {et}")
+    try:
+        return question()
+    except (SpiceyError, spiceypy.NotFoundError) as error:
+        message = _spice_message(error)
+        if any(name in message for name in _UNKNOWN_NAME):
+            advice = "a name is not known: use the NAIF id, or load the kernel that defines it"
+        when = "" if et is None else f" at {utc_text(time_from_et(et))} UTC"
+        raise CoverageError(f"{subject}{when}: {advice} ({message})") from error
+
+
+def _spice_message(error: Exception) -> str:
+    """SPICE's short message and the first sentence of its long one, on one line."""
+    short, long = str(getattr(error, "short", "")), " ".join(str(getattr(error, "long", "") or error).split())
+    first = long.split(". ")[0].rstrip(".")
+    return f"{short}: {first}" if short else first
+
+
+def _expanded(path: Path, depth: int = 0) -> list[Path]:
+    """The kernel itself, checked, or what a meta-kernel lists."""
+    text = _kernel_text(path)
+    listed = [] if text is None else _meta_kernel_paths(path, text)
+    if not listed:
+        return [path]
+    if depth > 8:
+        raise DataError(path, "meta-kernels list each other in a circle")
+    paths: list[Path] = []
+    for name in listed:
+        full = path.parent / name
+        if not full.is_file():
+            raise DataError(path, f"the meta-kernel lists {name!r}, but {full} does not exist")
+        paths += _expanded(full, depth + 1)
+    return paths
+
+
+def _kernel_text(path: Path) -> str | None:
+    """Content of a text kernel, None for a binary one; refuses what is no whole kernel."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(1024)
+            size = file.seek(0, 2)
+        if head.startswith(_TRANSFER):
+            raise DataError(path, "is a SPICE transfer file: convert it to a binary kernel with NAIF's tobin")
+        if head.startswith((b"DAF/", b"NAIF/DAF")):
+            _require_whole_daf(path, head, size)
+            return None
+        if head.startswith((b"DAS/", b"NAIF/DAS")):
+            return None
+        text = path.read_bytes().decode("latin-1")
+    except OSError as error:
+        raise DataError(path, f"cannot be read: {error.strerror or error}") from error
+    if _DATA_SECTION.search(text) is None:
+        raise DataError(path, "is no SPICE kernel: neither a DAF or DAS file nor text with a \\begindata section")
+    return text
+
+
+def _require_whole_daf(path: Path, head: bytes, size: int) -> None:
+    """Refuse a DAF file that ends before its first free address (file record, NAIF's DAF Required Reading)."""
+    if len(head) < 1024:
+        raise DataError(path, f"the SPICE kernel is truncated: its first record has 1024 bytes, got {len(head)}")
+    order = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}.get(head[88:96])
+    if order is None:
+        return
+    (free,) = struct.unpack_from(order + "i", head, 84)
+    if size < 8 * (free - 1):
+        raise DataError(path, f"the SPICE kernel is truncated: {8 * (free - 1)} bytes are needed, got {size}")
+
+
+def _meta_kernel_paths(path: Path, text: str) -> list[str]:
+    """Files that a meta-kernel lists, its path symbols replaced; none for any other text kernel.
+
+    Raises
+    ------
+    DataError
+        Symbols and values differ in number, or the meta-kernel also sets variables of its own.
+    """
+    data = "\n".join(section[1] for section in _DATA_SECTION.finditer(text))
+    variables: dict[str, list[str]] = {}
+    for name, value in _ASSIGNMENT.findall(data):
+        strings = [quoted.replace("''", "'") for quoted in _QUOTED.findall(value)]
+        variables.setdefault(name.upper(), []).extend(strings)
+    names = _joined(variables.get("KERNELS_TO_LOAD", []))
+    if not names:
+        return []
+    symbols, values = variables.get("PATH_SYMBOLS", []), _joined(variables.get("PATH_VALUES", []))
+    if len(symbols) != len(values):
+        raise DataError(path, f"the meta-kernel has {len(symbols)} PATH_SYMBOLS, but {len(values)} PATH_VALUES")
+    others = sorted(set(variables) - {"KERNELS_TO_LOAD", "PATH_SYMBOLS", "PATH_VALUES"})
+    if others:
+        raise DataError(path, f"the meta-kernel also sets {others[0]}: move that to a kernel of its own")
+    for symbol, value in zip(symbols, values, strict=True):
+        names = [name.replace(f"${symbol}", value) for name in names]
+    return names
+
+
+def _joined(strings: list[str]) -> list[str]:
+    """Strings of which one that ends in ``+`` is continued by the next."""
+    joined: list[str] = []
+    continues = False
+    for string in strings:
+        part = string.rstrip()
+        whole = joined.pop() + part if continues else part
+        continues = part.endswith("+")
+        joined.append(whole.removesuffix("+") if continues else whole)
+    return joined
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

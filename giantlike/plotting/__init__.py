@@ -1,0 +1,20 @@
+"""Figures for people: functions that take values and return a matplotlib ``Figure``."""
+
+from giantlike.plotting.overlays import CENTERS, MARKS, BodyMarks, CenterMark, StarMarks, overlay_figure, stretched
+from giantlike.plotting.residuals import Series, series_figure, star_residual_figure
+from giantlike.plotting.style import jpeg_data_uri, svg_text
+
+__all__ = [
+    "CENTERS",
+    "MARKS",
+    "BodyMarks",
+    "CenterMark",
+    "Series",
+    "StarMarks",
+    "jpeg_data_uri",
+    "overlay_figure",
+    "series_figure",
+    "star_residual_figure",
+    "stretched",
+    "svg_text",
+]

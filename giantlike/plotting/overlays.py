@@ -1,0 +1,232 @@
+"""What was found, drawn on the image it was found in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.plotting.style import drawing
+
+MARKS = MappingProxyType(
+    {
+        "matched star": "#3ddc97",
+        "detected, not used": "#ffb347",
+        "where the solution puts catalogue stars": "#6ec6ff",
+        "a priori outline and centre": "#b9a7ff",
+        "limb points used": "#ffe066",
+    }
+)
+"""Colours of what is drawn, for a legend beside the figures."""
+
+CENTERS = ("#ff5c7a", "#37c8ff", "#8dff6a", "#ff9de2", "#ffffff", "#ffa042")
+"""Colours for the centres that estimators found."""
+
+_OUTLINE, _LIMB = MARKS["a priori outline and centre"], MARKS["limb points used"]
+_PANEL_IN = 4.6
+_MAX_ELONGATION = 2.0
+_MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25
+_SOFTENING = 8.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarMarks:
+    """Stars of an image, px.
+
+    Parameters
+    ----------
+    detected_px : (n, 2)
+        Everything that was detected.
+    matched_px, predicted_px : (m, 2)
+        Identified stars as measured, and where the solution puts them.
+    """
+
+    detected_px: Float
+    matched_px: Float
+    predicted_px: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CenterMark:
+    """What one estimator found: the centre (2,) with its covariance (2, 2), and the limb points (n, 2) it used, px."""
+
+    color: str
+    center_px: Float
+    covariance_px2: Float
+    limb_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BodyMarks:
+    """A body in an image, px.
+
+    Parameters
+    ----------
+    name : str
+    predicted_px : (2,)
+        A priori centre.
+    radius_px : float
+        Apparent radius of the sphere around it.
+    outline_px : (n, 2)
+        A priori outline; empty for a body too small to have one.
+    lit : (n,) bool
+        Which outline points the Sun reaches.
+    centers : sequence of CenterMark
+    """
+
+    name: str
+    predicted_px: Float
+    radius_px: float
+    outline_px: Float
+    lit: NDArray[np.bool_]
+    centers: Sequence[CenterMark] = ()
+
+
+def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[np.uint8]:
+    """Return an image for the eye: noise dark gray, faint stars visible, the shading of bodies kept.
+
+    Parameters
+    ----------
+    pixels : (rows, columns), DN
+    longest_px : int
+        Larger images are reduced to about this many pixels along the longer side; single bright pixels survive.
+
+    Returns
+    -------
+    (rows, columns) uint8
+    """
+    image = np.ascontiguousarray(pixels, dtype=np.float32)
+    factor = int(np.ceil(max(image.shape) / longest_px))
+    if factor > 1:
+        image = np.asarray(cv2.dilate(image, np.ones((factor, factor), np.uint8)), dtype=np.float32)[::factor, ::factor]
+    steps = np.abs(np.diff(image, axis=1)) if image.shape[1] > 1 else np.zeros((1, 1), np.float32)
+    noise = 1.05 * float(np.median(steps))  # of neighbours, so that a body that fills the view does not count
+    dark, bright, top = (float(value) for value in np.percentile(image, [10.0, 90.0, 100.0]))
+    unit = max(_SOFTENING * noise, 0.5 * (bright - dark), 1e-3 * (top - dark), 1e-9)
+    low, high = np.arcsinh(-2 * noise / unit), np.arcsinh(max((top - dark) / unit, 1e-6))
+    levels = (np.arcsinh((image - dark) / unit) - low) / (high - low)
+    result: NDArray[np.uint8] = np.rint(255.0 * np.clip(levels, 0.0, 1.0)).astype(np.uint8)
+    return result
+
+
+def overlay_figure(
+    pixels: NDArray[np.generic], title: str, *, stars: StarMarks | None = None, bodies: Sequence[BodyMarks] = ()
+) -> Figure:
+    """An image with its stars and bodies, and a close-up of every body that the image shows.
+
+    Parameters
+    ----------
+    pixels : (rows, columns), DN
+    title : str
+    stars : StarMarks, optional
+    bodies : sequence of BodyMarks
+    """
+    rows, columns = pixels.shape
+    views = [_zoom(body, columns, rows) for body in bodies]
+    close = [(body, view) for body, view in zip(bodies, views, strict=True) if view is not None]
+    aspect = float(np.clip(rows / columns, 1 / _MAX_ELONGATION, _MAX_ELONGATION))
+    with drawing():
+        figure, panels = _panels(1 + len(close), _PANEL_IN, _PANEL_IN * aspect)
+        frame = panels[0]
+        frame.imshow(
+            stretched(pixels), cmap="gray", vmin=0, vmax=255, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5),
+            aspect="auto",
+        )  # fmt: skip
+        frame.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), title=title)
+        if stars is not None:
+            _draw_stars(frame, stars)
+        for body in bodies:
+            _draw_outline(frame, body)
+        for axis, (body, view) in zip(panels[1:], close, strict=True):
+            _draw_close_up(axis, pixels, body, view)
+    return figure
+
+
+def _panels(count: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
+    """Panels of equal size side by side; laid out by hand, which is many times faster than by matplotlib."""
+    left, bottom, top = 0.42, 0.25, 0.28
+    total_width, total_height = count * (left + width_in) + 0.08, bottom + height_in + top
+    figure = Figure(figsize=(total_width, total_height), facecolor="white")
+    panels = []
+    for number in range(count):
+        start = left + number * (left + width_in)
+        box = (start / total_width, bottom / total_height, width_in / total_width, height_in / total_height)
+        axis = figure.add_axes(box)
+        axis.grid(visible=False)
+        axis.tick_params(labelsize=7)
+        axis.xaxis.set_major_locator(MaxNLocator(5))
+        axis.yaxis.set_major_locator(MaxNLocator(5))
+        panels.append(axis)
+    return figure, panels
+
+
+def _draw_stars(axis: Axes, stars: StarMarks) -> None:
+    matched_color, other_color, predicted_color = list(MARKS.values())[:3]
+    used = set(map(tuple, stars.matched_px.tolist()))
+    other = stars.detected_px[[tuple(point) not in used for point in stars.detected_px.tolist()]]
+    size = float(np.clip(80.0 / np.sqrt(max(len(used), 1)), 3.5, 9.0))
+    ring: Any = {"linestyle": "none", "marker": "o", "markerfacecolor": "none", "markeredgewidth": 0.7}
+    axis.plot(*other.T, **ring, color=other_color, markersize=0.6 * size)
+    axis.plot(*stars.matched_px.T, **ring, color=matched_color, markersize=size)
+    axis.plot(*stars.predicted_px.T, "+", color=predicted_color, markersize=0.5 * size, markeredgewidth=0.6)
+
+
+def _draw_outline(axis: Axes, body: BodyMarks) -> None:
+    if len(body.outline_px):
+        closed = np.concatenate([body.outline_px, body.outline_px[:1]])
+        axis.plot(*closed.T, "--", color=_OUTLINE, linewidth=0.9)
+    axis.plot(*body.predicted_px, "+", color=_OUTLINE, markersize=9, markeredgewidth=1.2)
+
+
+def _zoom(body: BodyMarks, columns: int, rows: int) -> tuple[Float, float] | None:
+    """Middle (2,) and half width of a close-up, px; None where the image shows nothing of the body."""
+    points = [body.predicted_px[None, :], *(mark.center_px[None, :] for mark in body.centers), body.outline_px]
+    together = np.concatenate(points)
+    low, high = together.min(axis=0), together.max(axis=0)
+    low, high = np.maximum(low, -0.5), np.minimum(high, [columns - 0.5, rows - 0.5])
+    if bool(np.any(high < low)):
+        return None
+    half = max(_ZOOM_MARGIN * float(np.max(high - low)) / 2, _ZOOM_MARGIN * body.radius_px, _MIN_ZOOM_PX)
+    return (low + high) / 2, min(half, max(columns, rows) / 2)
+
+
+def _draw_close_up(axis: Axes, pixels: NDArray[np.generic], body: BodyMarks, view: tuple[Float, float]) -> None:
+    (x, y), half = view
+    rows, columns = pixels.shape
+    left, right = int(max(x - half, 0)), int(min(x + half, columns - 1)) + 1
+    top, bottom = int(max(y - half, 0)), int(min(y + half, rows - 1)) + 1
+    cut = pixels[top:bottom, left:right]
+    if cut.size:
+        axis.imshow(
+            stretched(cut), cmap="gray", vmin=0, vmax=255, extent=(left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
+        )
+    axis.set(xlim=(x - half, x + half), ylim=(y + half, y - half), title=body.name, facecolor="#101418")
+    _draw_outline(axis, body)
+    for mark in body.centers:
+        color = mark.color
+        if len(mark.limb_px):
+            axis.plot(*mark.limb_px.T, ".", color=_LIMB, markersize=2.2)
+        elif len(body.outline_px):
+            found = body.outline_px + (mark.center_px - body.predicted_px)
+            axis.plot(*np.concatenate([found, found[:1]]).T, "-", color=color, linewidth=0.7, alpha=0.8)
+        axis.plot(*mark.center_px, "x", color=color, markersize=8, markeredgewidth=1.6)
+        if np.isfinite(mark.covariance_px2).all():
+            axis.add_patch(_three_sigma(mark, color))
+
+
+def _three_sigma(mark: CenterMark, color: str) -> Ellipse:
+    values, vectors = np.linalg.eigh(mark.covariance_px2)
+    width, height = 6 * np.sqrt(np.maximum(values, 0.0))
+    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    x, y = mark.center_px.tolist()
+    return Ellipse((x, y), float(width), float(height), angle=angle, fill=False, edgecolor=color, linewidth=1.0)

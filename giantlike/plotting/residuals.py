@@ -1,0 +1,160 @@
+"""Residuals: of stars over the field, of bodies and attitudes over a campaign."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.plotting.style import BLUE, GRAY, INK, MANY_POINTS, MARKERS, RED, SERIES, drawing, new_figure
+
+_MAX_ARROWS = 400
+_SMALLEST_PX = 1e-6  # a logarithmic axis has no zero
+_MAGNITUDE_BINS = 24
+_MAD_TO_SIGMA = 1.4826
+_RAYLEIGH_MEDIAN = 1.1774  # of the length of a vector with two independent unit Gaussian components
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Series:
+    """One quantity of one source over a campaign.
+
+    Parameters
+    ----------
+    label : str
+    at : (n,) float64
+        Time or number of the image.
+    values : (n, k) float64
+        k quantities that get one panel each; NaN where there is none.
+    sigma : (n, k) float64
+        Their standard deviations; NaN where unknown.
+    suspect : (n,) bool
+        Drawn hollow.
+    """
+
+    label: str
+    at: Float
+    values: Float
+    sigma: Float
+    suspect: NDArray[np.bool_]
+
+
+def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str, title: str) -> Figure:
+    """Values with one-sigma bars, one panel per quantity, one colour per series.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    panels : sequence of str
+        Labels of the k quantities, with units; a quantity that no series has gets no panel.
+    at_label, title : str
+    """
+    shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)]
+    with drawing():
+        figure = new_figure(8.4, 0.9 + 1.75 * max(len(shown), 1))
+        axes: list[Axes] = list(np.atleast_1d(figure.subplots(max(len(shown), 1), 1, sharex=True)))
+        for axis, quantity in zip(axes, shown, strict=False):
+            axis.axhline(0.0, color=GRAY, linewidth=0.9)
+            for number, part in enumerate(series):
+                _draw_series(axis, part, quantity, SERIES[number % len(SERIES)], MARKERS[number % len(MARKERS)])
+            axis.set_ylabel(panels[quantity])
+        axes[0].set_title(title)
+        axes[-1].set_xlabel(at_label)
+        if len(series) > 1:
+            figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(series), 5))
+    return figure
+
+
+def _draw_series(axis: Axes, part: Series, quantity: int, color: str, marker: str) -> None:
+    known = np.isfinite(part.values[:, quantity])
+    many = int(known.sum()) > MANY_POINTS
+    for which, fill, label in ((known & ~part.suspect, color, part.label), (known & part.suspect, "white", None)):
+        sigma = part.sigma[which, quantity]
+        axis.errorbar(
+            part.at[which],
+            part.values[which, quantity],
+            yerr=np.where(np.isfinite(sigma), sigma, 0.0),
+            fmt=marker,
+            color=color,
+            markerfacecolor=fill,
+            markersize=4.5,
+            elinewidth=1.0,
+            capsize=2.0,
+            label=label,
+            rasterized=many,
+        )
+
+
+def star_residual_figure(
+    points_px: Float, residuals_px: Float, magnitudes: Float, sigma_px: Float, columns: int, rows: int
+) -> Figure:
+    """Residuals of matched stars: arrows over the field, histogram per axis, size against magnitude.
+
+    Parameters
+    ----------
+    points_px : (n, 2), px
+        Where the stars are.
+    residuals_px : (n, 2), px
+        Observed minus predicted.
+    magnitudes, sigma_px : (n,)
+        Catalogue magnitudes; standard deviation per axis that weighted each star, px.
+    columns, rows : int
+        Size of the detector.
+    """
+    with drawing():
+        figure = new_figure(11.0, 3.6)
+        field, histogram, brightness = figure.subplots(1, 3, width_ratios=(1.25, 1.0, 1.0))
+        _draw_arrows(field, points_px, residuals_px, columns, rows)
+        _draw_histogram(histogram, residuals_px)
+        size = np.maximum(np.linalg.norm(residuals_px, axis=1), _SMALLEST_PX)
+        many = size.size > MANY_POINTS
+        brightness.plot(magnitudes, size, ".", color=BLUE, markersize=3.5, alpha=0.4, rasterized=many)
+        brightness.plot(*_binned(magnitudes, _RAYLEIGH_MEDIAN * sigma_px), "-", color=RED, label="expected, median")
+        brightness.plot(*_binned(magnitudes, size), "-", color=INK, linewidth=1.0, label="residual, median")
+        brightness.set_yscale("log")
+        brightness.set(xlabel="magnitude", ylabel="radial residual, px", title="Against magnitude")
+        brightness.legend(loc="lower right", frameon=True, framealpha=0.85, edgecolor="none")
+    return figure
+
+
+def _binned(magnitudes: Float, values: Float) -> tuple[Float, Float]:
+    """Medians of values in bins of magnitude that hold at least three."""
+    edges = np.linspace(magnitudes.min(), magnitudes.max() + 1e-9, _MAGNITUDE_BINS + 1)
+    number = np.digitize(magnitudes, edges)
+    groups = [number == k for k in range(1, _MAGNITUDE_BINS + 1) if np.count_nonzero(number == k) >= 3]
+    middles = np.array([np.median(magnitudes[group]) for group in groups])
+    return middles, np.array([np.median(values[group]) for group in groups])
+
+
+def _draw_arrows(axis: Axes, points_px: Float, residuals_px: Float, columns: int, rows: int) -> None:
+    step = max(1, math.ceil(len(points_px) / _MAX_ARROWS))
+    points, arrows = points_px[::step], residuals_px[::step]
+    typical = max(float(np.median(np.linalg.norm(residuals_px, axis=1))), _SMALLEST_PX)
+    quiver = axis.quiver(
+        points[:, 0], points[:, 1], arrows[:, 0], arrows[:, 1],
+        angles="xy", color=BLUE, width=0.0028, scale=typical * 22, rasterized=len(points) > MANY_POINTS,
+    )  # fmt: skip
+    key = float(f"{2 * typical:.1g}")
+    axis.quiverkey(quiver, 0.88, 1.05, key, f"{key:g} px", labelpos="W", color=INK)
+    axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal", xlabel="x, px", ylabel="y, px")
+    axis.set_title("Over the field")
+
+
+def _draw_histogram(axis: Axes, residuals_px: Float) -> None:
+    spread = _MAD_TO_SIGMA * float(np.median(np.abs(residuals_px - np.median(residuals_px, axis=0))))
+    half = max(6 * spread, 1e-6)
+    bins = np.linspace(-half, half, 49).tolist()
+    clipped = np.clip(residuals_px, -half, half)
+    for k, (name, color) in enumerate(zip("xy", SERIES, strict=False)):
+        sigma = float(np.std(residuals_px[:, k]))
+        axis.hist(
+            clipped[:, k], bins=bins, histtype="step", linewidth=1.4, color=color, label=f"{name}: {sigma:.3f} px"
+        )
+    axis.set(xlabel="observed - predicted, px", ylabel="stars", title="Distribution (standard deviation)")
+    axis.legend(loc="upper right")

@@ -1,0 +1,81 @@
+"""How figures look, and how they become part of a web page."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+from collections.abc import Iterator
+from types import MappingProxyType
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY, INK, GRAY = (
+    "#2166ac", "#d9822b", "#1a936f", "#c0392b", "#8e5ea2", "#4aa8d8", "#1f2933", "#8794a1",
+)  # fmt: skip
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+MARKERS = ("o", "s", "^", "D", "v", "P")
+MANY_POINTS = 3000
+"""Scatter plots of more points than this are drawn as pixels, to keep a page small."""
+
+_STYLE: Any = MappingProxyType(  # matplotlib's own type for this lists every setting by name
+    {
+        "font.family": "sans-serif",
+        "font.size": 9.0,
+        "axes.edgecolor": GRAY,
+        "axes.labelcolor": INK,
+        "axes.titlesize": 9.5,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.titlecolor": INK,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "grid.color": "#e4e8ec",
+        "grid.linewidth": 0.8,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "legend.frameon": False,
+        "legend.fontsize": 8.5,
+        "svg.fonttype": "none",
+    }
+)
+
+
+@contextlib.contextmanager
+def drawing() -> Iterator[None]:
+    """Draw in the style of all figures: ``with drawing(): ...``, for making and for saving them."""
+    with matplotlib.rc_context(dict(_STYLE)):
+        yield
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure, its parts arranged without overlap."""
+    return Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+
+
+def svg_text(figure: Figure, name: str) -> str:
+    """Return a figure as SVG to put inside a page.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        Differs for every figure of a page, so that their internal names do not clash.
+    """
+    buffer = io.StringIO()
+    with drawing(), matplotlib.rc_context({"svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def jpeg_data_uri(figure: Figure, *, dpi: int = 110, quality: int = 82) -> str:
+    """Return a figure as a JPEG ``data:`` address; right for figures that show images."""
+    buffer = io.BytesIO()
+    with drawing():
+        figure.savefig(buffer, format="jpeg", dpi=dpi, pil_kwargs={"quality": quality})
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

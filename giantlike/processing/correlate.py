@@ -1,0 +1,257 @@
+"""Normalised cross-correlation of a template with an image, with bad and missing pixels, and its sub-pixel peak."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.outcomes import Failure, Reason
+
+Mask = NDArray[np.bool_]
+
+_CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums cannot tell less from a constant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrelationOptions:
+    """Where to look for a template and what to accept.
+
+    Parameters
+    ----------
+    search_px : int, px
+        How far from the predicted place, along each axis.
+    min_score : float
+        Smallest correlation that counts as found.
+    min_overlap : float
+        Smallest number of pixels that image and template share, over the largest such number in the search region.
+    """
+
+    search_px: int = 40
+    min_score: float = 0.5
+    min_overlap: float = 0.3
+
+    def __post_init__(self) -> None:
+        require(1 <= self.search_px <= 4096, f"search_px must be in [1, 4096], got {self.search_px}")
+        require(0.0 < self.min_score < 1.0, f"min_score must be in (0, 1), got {self.min_score}")
+        require(0.0 < self.min_overlap <= 1.0, f"min_overlap must be in (0, 1], got {self.min_overlap}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CorrelationPeak:
+    """The highest point of a correlation surface.
+
+    Parameters
+    ----------
+    offset_px : (2,) float64, px
+        Column and row of the peak in the surface, to a fraction of a pixel.
+    score : float
+        Correlation at the pixel of the peak, -1 to 1.
+    at_edge : bool
+        Whether the peak lies on the border of the surface or of the part of it that is defined.
+    """
+
+    offset_px: Float
+    score: float
+    at_edge: bool
+
+
+def normalized_correlation(
+    image: Float,
+    template: Float,
+    *,
+    image_usable: Mask | None = None,
+    template_usable: Mask | None = None,
+    min_overlap: float = 0.3,
+) -> Float:
+    """Correlation coefficient of a template with every part of an image that has its size.
+
+    Parameters
+    ----------
+    image : (H, W) float64
+    template : (h, w) float64
+        Not larger than the image.
+    image_usable, template_usable : (H, W), (h, w) bool, optional
+        Where a pixel counts; everywhere by default. Only pixels that count in both enter a coefficient.
+    min_overlap : float
+        Coefficients from fewer than this fraction of the largest number of shared pixels are undefined.
+
+    Returns
+    -------
+    (H - h + 1, W - w + 1) float64
+        Element [j, i] belongs to the template's corner at image row j, column i. NaN where it is undefined: too few
+        shared pixels, or no contrast in one of the two.
+
+    Raises
+    ------
+    InputError
+        The template is larger than the image, or a mask has another shape than its array.
+    """
+    require(
+        template.shape[0] <= image.shape[0] and template.shape[1] <= image.shape[1],
+        f"template {template.shape} must not be larger than the image {image.shape}",
+    )
+    for name, array, mask in (("image", image, image_usable), ("template", template, template_usable)):
+        require(mask is None or mask.shape == array.shape, f"{name}_usable must have the shape of the {name}")
+    whole_image = image_usable is None or bool(image_usable.all())
+    whole_template = template_usable is None or bool(template_usable.all())
+    if whole_image and whole_template:
+        return _whole(image, template)
+    image_ok = np.ones(image.shape, bool) if image_usable is None else image_usable
+    template_ok = np.ones(template.shape, bool) if template_usable is None else template_usable
+    return _masked(image, image_ok, template, template_ok, min_overlap)
+
+
+def find_peak(surface: Float) -> CorrelationPeak | None:
+    """Highest point of a correlation surface (rows, columns), refined by a paraboloid.
+
+    Returns None where the surface is nowhere defined. On an edge the peak stays on its pixel.
+
+    Notes
+    -----
+    The paraboloid ``c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2`` is the least-squares fit to the 3 x 3 pixels around
+    the peak; a fit without a maximum within a pixel leaves the peak on its pixel.
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Template Matching".
+    """
+    if np.isnan(surface).all():
+        return None
+    row, column = (int(v) for v in np.unravel_index(int(np.nanargmax(surface)), surface.shape))
+    score = float(surface[row, column])
+    pixel = np.array([column, row], dtype=np.float64)
+    patch = surface[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    if patch.shape != (3, 3) or np.isnan(patch).any():
+        return CorrelationPeak(offset_px=pixel, score=score, at_edge=True)
+    return CorrelationPeak(offset_px=pixel + _paraboloid_peak(patch), score=score, at_edge=False)
+
+
+def locate_template(
+    pixels: Float,
+    usable: Mask,
+    template: Float,
+    corner_px: tuple[int, int],
+    *,
+    options: CorrelationOptions = CorrelationOptions(),
+) -> CorrelationPeak | Failure:
+    """Find a template near its predicted place; either may reach over the frame.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) float64
+    usable : (rows, columns) bool
+        False where a pixel is bad or saturated.
+    template : (h, w) float64
+    corner_px : (int, int), px
+        Predicted column and row of the template's element [0, 0].
+    options : CorrelationOptions
+
+    Returns
+    -------
+    CorrelationPeak or Failure
+        ``offset_px`` is measured minus predicted. Failures: ``OUT_OF_FRAME`` when the search region has no usable
+        pixels, ``NO_SIGNAL`` when it has no contrast, ``LOW_CORRELATION``, and ``PEAK_AT_EDGE`` when the best match may
+        lie outside the search region.
+    """
+    window, window_usable = _window(pixels, usable, template.shape, corner_px, options.search_px)
+    if not window_usable.any():
+        return Failure(Reason.OUT_OF_FRAME, f"no usable pixel within {options.search_px} px of the predicted place")
+    surface = normalized_correlation(window, template, image_usable=window_usable, min_overlap=options.min_overlap)
+    peak = find_peak(surface)
+    if peak is None:
+        return Failure(Reason.NO_SIGNAL, f"no contrast within {options.search_px} px of the predicted place")
+    if peak.score < options.min_score:
+        detail = f"best correlation {peak.score:.2f} within {options.search_px} px, needed {options.min_score:g}"
+        return Failure(Reason.LOW_CORRELATION, detail)
+    shift = peak.offset_px - options.search_px
+    if peak.at_edge:
+        detail = (
+            f"best match at the edge of the search region, {shift[0]:.0f} and {shift[1]:.0f} px from the prediction"
+        )
+        return Failure(Reason.PEAK_AT_EDGE, f"{detail}; widen search_px")
+    return CorrelationPeak(offset_px=shift, score=peak.score, at_edge=False)
+
+
+def _whole(image: Float, template: Float) -> Float:
+    """Correlation without masks, by OpenCV; levels are taken off first, for the sake of its float32 sums."""
+    level = float(image.mean())
+    flat = (image - level).astype(np.float32)
+    pattern = (template - template.mean()).astype(np.float32)
+    surface: Float = cv2.matchTemplate(flat, pattern, cv2.TM_CCOEFF_NORMED).astype(np.float64)
+    size = (template.shape[1], template.shape[0])
+    mean = cv2.boxFilter(image - level, cv2.CV_64F, size, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+    square = cv2.sqrBoxFilter(image - level, cv2.CV_64F, size, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+    deviation = np.sqrt(np.maximum(square - mean**2, 0.0))[: surface.shape[0], : surface.shape[1]]
+    surface[deviation <= _CONTRAST_LIMIT * float(np.abs(image).max())] = np.nan
+    if float(template.std()) <= _CONTRAST_LIMIT * float(np.abs(template).max()):
+        surface[:] = np.nan
+    return surface
+
+
+def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, min_overlap: float) -> Float:
+    """Correlation over the pixels that count in both, every sum by FFT."""
+    from scipy import fft
+
+    rows, columns = image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1
+    if not (image_ok.any() and template_ok.any()):
+        return np.full((rows, columns), np.nan)
+    size = [fft.next_fast_len(n, real=True) for n in image.shape]
+    flat = np.where(image_ok, image - image[image_ok].mean(), 0.0)
+    pattern = np.where(template_ok, template - template[template_ok].mean(), 0.0)
+    scales = float(np.abs(flat).max()) or 1.0, float(np.abs(pattern).max()) or 1.0
+    flat, pattern = flat / scales[0], pattern / scales[1]
+    ones_i, flat_i, square_i = (fft.rfft2(a, size) for a in (image_ok.astype(np.float64), flat, flat**2))
+    ones_t, pattern_t, square_t = (
+        np.conj(fft.rfft2(a, size)) for a in (template_ok.astype(np.float64), pattern, pattern**2)
+    )
+
+    def summed(spectrum: NDArray[np.complex128]) -> Float:
+        result: Float = fft.irfft2(spectrum, size)[:rows, :columns]
+        return result
+
+    count = np.rint(summed(ones_i * ones_t))
+    enough = count >= max(min_overlap * float(count.max()), 3.0)
+    n = np.where(enough, count, 1.0)
+    sum_i, sum_t = summed(flat_i * ones_t), summed(ones_i * pattern_t)
+    variance_i = summed(square_i * ones_t) / n - (sum_i / n) ** 2
+    variance_t = summed(ones_i * square_t) / n - (sum_t / n) ** 2
+    covariance = summed(flat_i * pattern_t) / n - sum_i * sum_t / n**2
+    defined = enough & (variance_i > _CONTRAST_LIMIT**2) & (variance_t > _CONTRAST_LIMIT**2)
+    surface = np.full((rows, columns), np.nan)
+    surface[defined] = covariance[defined] / np.sqrt(variance_i[defined] * variance_t[defined])
+    return np.clip(surface, -1.0, 1.0)
+
+
+def _window(
+    pixels: Float, usable: Mask, shape: tuple[int, ...], corner_px: tuple[int, int], search_px: int
+) -> tuple[Float, Mask]:
+    """The part of the image that a template of ``shape`` can touch; what lies outside the frame is not usable."""
+    height, width = shape[0] + 2 * search_px, shape[1] + 2 * search_px
+    x, y = corner_px[0] - search_px, corner_px[1] - search_px
+    window, window_usable = np.zeros((height, width)), np.zeros((height, width), bool)
+    y0, y1 = max(y, 0), min(y + height, pixels.shape[0])
+    x0, x1 = max(x, 0), min(x + width, pixels.shape[1])
+    if x0 < x1 and y0 < y1:
+        inside = (slice(y0 - y, y1 - y), slice(x0 - x, x1 - x))
+        window[inside] = pixels[y0:y1, x0:x1]
+        window_usable[inside] = usable[y0:y1, x0:x1]
+    return window, window_usable
+
+
+def _paraboloid_peak(patch: Float) -> Float:
+    """Column and row of the maximum of the paraboloid through 3 x 3 values, from their middle; zero if it has none."""
+    y, x = np.mgrid[-1:2, -1:2]
+    c1, c2 = float((x * patch).sum()) / 6.0, float((y * patch).sum()) / 6.0
+    c4 = float((x * y * patch).sum()) / 4.0
+    c3 = float(((3 * x**2 - 2) * patch).sum()) / 6.0
+    c5 = float(((3 * y**2 - 2) * patch).sum()) / 6.0
+    determinant = 4.0 * c3 * c5 - c4**2
+    if not (c3 < 0.0 and determinant > 0.0):
+        return np.zeros(2)
+    peak = np.array([c4 * c2 - 2.0 * c5 * c1, c4 * c1 - 2.0 * c3 * c2]) / determinant
+    return peak if math.hypot(*peak) <= math.sqrt(2.0) else np.zeros(2)

@@ -1,0 +1,204 @@
+"""Linear least squares for residuals whose neighbours err together: robust weights, and a covariance that knows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, require
+
+_ITERATIONS = 20
+_MAD_TO_SIGMA = 1.4826
+_TUKEY_LIMIT = 1.5
+"""Where a weight reaches zero, over the limit for outliers."""
+_RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e6, 22)])
+"""Variance of the correlated part over the mean variance of the noise."""
+_LENGTH_STEP = 3.0
+_LEAST_SCALE = 1e-12
+"""Least variance over that predicted: residuals that are exactly zero have a likelihood too."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CorrelatedFit:
+    """Parameters of a linear model and their covariance.
+
+    Parameters
+    ----------
+    solution : (k,) float64
+    covariance : (k, k) float64
+    noise_scale : float
+        Scatter of the independent part over the sigmas that were given: 1 when noise explains it.
+    correlated_sigma : float
+        Standard deviation of the part that neighbours share, unit of the residuals.
+    correlation_length : float
+        Distance over which it falls to 1/e, unit of the points; most likely value.
+    """
+
+    solution: Float
+    covariance: Float
+    noise_scale: float
+    correlated_sigma: float
+    correlation_length: float
+
+    def residual_covariance(self, sigma: Float, points: Float) -> Float:
+        """Covariance (n, n) of residuals with noise ``sigma`` (n,) taken at ``points`` (n, d)."""
+        distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+        shared = self.correlated_sigma**2 * np.exp(-distances / self.correlation_length)
+        result: Float = shared + np.diag((self.noise_scale * sigma) ** 2)
+        return result
+
+
+def robust_solution(
+    residuals: Float, design: Float, sigma: Float, *, outlier_mad: float
+) -> tuple[Float, NDArray[np.bool_]]:
+    """Solve ``design @ solution = residuals`` and tell which residuals belong.
+
+    Parameters
+    ----------
+    residuals : (n,) float64
+    design : (n, k) float64, n > k
+    sigma : (n,) float64
+        Noise of each residual; the scatter that is found is added to it, so that no residual rules because its
+        noise is small against what the model leaves out.
+    outlier_mad : float
+        Residuals beyond so many robust sigmas (from the median absolute deviation) are left out.
+
+    Returns
+    -------
+    solution : (k,) float64
+    keep : (n,) bool
+
+    Notes
+    -----
+    Starts from reweighting towards least absolute residuals, which half of the data being outliers on one side
+    still pulls, but a quarter does not; goes on with Tukey's biweight, whose weights fall to zero smoothly, so that
+    residuals near the limit do not make the solution jump.
+    """
+    require(residuals.size > design.shape[1], f"needed more than {design.shape[1]} residuals, got {residuals.size}")
+    floor = 1e-6 + 0.1 * float(np.median(sigma))
+    weights = np.ones_like(residuals)
+    left = residuals
+    for _ in range(_ITERATIONS):
+        solution = _weighted(residuals, design, weights)
+        left = residuals - design @ solution
+        weights = 1.0 / np.maximum(np.abs(left), floor + _robust_sigma(left))
+    for _ in range(_ITERATIONS):
+        total = np.sqrt(sigma**2 + _robust_sigma(left) ** 2)
+        biweight = np.maximum(1.0 - (left / (_TUKEY_LIMIT * outlier_mad * total)) ** 2, 0.0) ** 2
+        if np.count_nonzero(biweight) <= design.shape[1]:
+            break
+        solution = _weighted(residuals, design, biweight / total**2)
+        left = residuals - design @ solution
+    keep: NDArray[np.bool_] = np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + _robust_sigma(left) ** 2)
+    return solution, keep
+
+
+def generalised_solution(
+    residuals: Float, design: Float, residual_covariance: Float, *, weights: Float | None = None
+) -> tuple[Float, Float]:
+    """Solve ``design @ solution = residuals`` for residuals of known covariance.
+
+    Parameters
+    ----------
+    residuals : (n,) float64
+    design : (n, k) float64
+    residual_covariance : (n, n) float64
+    weights : (n,) float64, optional
+        Weights of an ordinary weighted solution; by default the inverse covariance, which is the best.
+
+    Returns
+    -------
+    solution : (k,) float64
+    covariance : (k, k) float64
+        Of the solution as it was weighted.
+    """
+    scale = np.linalg.norm(design, axis=0)
+    x = design / scale
+    weighted = np.linalg.solve(residual_covariance, x) if weights is None else x * weights[:, None]
+    gain = np.linalg.solve(weighted.T @ x, weighted.T) / scale[:, None]
+    covariance: Float = gain @ residual_covariance @ gain.T
+    return gain @ residuals, covariance
+
+
+def correlated_solution(
+    residuals: Float, design: Float, sigma: Float, points: Float, *, min_length: float = 1.0
+) -> CorrelatedFit:
+    r"""Generalised least squares with a covariance of the residuals estimated from the residuals themselves.
+
+    Parameters
+    ----------
+    residuals : (n,) float64
+        Without outliers.
+    design : (n, k) float64, n > k + 1
+    sigma : (n,) float64
+        Independent noise as predicted; its scale is estimated.
+    points : (n, d) float64
+        Where the residuals were taken: those close together err together.
+    min_length : float
+        Shortest correlation length considered, unit of ``points``.
+
+    Notes
+    -----
+    The residuals' covariance is modelled as ``s^2 (diag(sigma^2) + q m exp(-distance / length))``, m the mean of
+    ``sigma^2``. For a grid of ratios q and lengths, s^2 is found by restricted maximum likelihood, which knows that
+    the solution has absorbed part of the long waves; the solutions are averaged with the likelihoods as weights,
+    their disagreement added to the covariance.
+    """
+    n, k = design.shape
+    require(n > k + 1, f"needed more than {k + 1} residuals, got {n}")
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    scale = np.linalg.norm(design / sigma[:, None], axis=0)
+    y, x = residuals / sigma, design / sigma[:, None] / scale
+    mean_variance = float(np.mean(sigma**2))
+    longest = max(float(distances.max()), 2.0 * min_length)
+    lengths = np.exp(np.arange(np.log(min_length), np.log(longest), np.log(_LENGTH_STEP)))
+    parts = []
+    for length in lengths:
+        kernel = mean_variance * np.exp(-distances / length) / np.outer(sigma, sigma)
+        values, vectors = np.linalg.eigh(kernel)
+        parts.append(_restricted_likelihoods(vectors.T @ y, vectors.T @ x, np.maximum(values, 0.0)))
+    likelihood, solutions, covariances, variances = (np.concatenate(part) for part in zip(*parts, strict=True))
+    chance = np.exp(likelihood - likelihood.max())
+    chance /= chance.sum()
+    mean = chance @ solutions
+    spread = solutions - mean
+    covariance = np.einsum("g,gij->ij", chance, covariances) + np.einsum("g,gi,gj->ij", chance, spread, spread)
+    by_length = chance.reshape(lengths.size, -1).sum(axis=1)
+    return CorrelatedFit(
+        solution=mean / scale,
+        covariance=covariance / np.outer(scale, scale),
+        noise_scale=float(np.sqrt(chance @ variances[:, 0])),
+        correlated_sigma=float(np.sqrt(chance @ variances[:, 1] * mean_variance)),
+        correlation_length=float(lengths[np.argmax(by_length)]),
+    )
+
+
+def _restricted_likelihoods(y: Float, x: Float, values: Float) -> tuple[Float, Float, Float, Float]:
+    """For every ratio: log likelihood (g,), solution (g, k), covariance (g, k, k), the two variances (g, 2).
+
+    Everything is in the basis where the kernel is diagonal with ``values``; variances in units of the mean variance.
+    """
+    freedom = y.size - x.shape[1]
+    variance = 1.0 + _RATIOS[:, None] * values  # (g, n)
+    weighted = x / variance[:, :, None]
+    normal = np.einsum("gni,nj->gij", weighted, x)
+    solution = np.linalg.solve(normal, np.einsum("gni,n->gi", weighted, y)[..., None])[..., 0]
+    left = y - solution @ x.T
+    noise = np.maximum(np.sum(left**2 / variance, axis=1) / freedom, _LEAST_SCALE)
+    likelihood = -0.5 * (freedom * np.log(noise) + np.log(variance).sum(axis=1) + np.linalg.slogdet(normal)[1])
+    covariance = np.linalg.inv(normal) * noise[:, None, None]
+    return likelihood, solution, covariance, np.stack([noise, _RATIOS * noise], axis=-1)
+
+
+def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
+    root = np.sqrt(weights)
+    scale = np.linalg.norm(design, axis=0)
+    solution = np.linalg.lstsq(design / scale * root[:, None], residuals * root, rcond=None)[0]
+    result: Float = solution / scale
+    return result
+
+
+def _robust_sigma(residuals: Float) -> float:
+    return float(_MAD_TO_SIGMA * np.median(np.abs(residuals - np.median(residuals))))

@@ -1,0 +1,134 @@
+"""Point sources found in an image: what was measured of each, and what speaks against it."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+
+
+class DetectionFlag(enum.IntFlag):
+    """What speaks against a detection; several may be set."""
+
+    NONE = 0
+    SATURATED = 1
+    """Saturated pixels lie within the core; the fit takes them as lower bounds only."""
+    MASKED = 2
+    """Bad pixels lie within the core; they were left out of the fit."""
+    CUT_BY_FRAME = 4
+    """The core reaches over the edge of the image."""
+    EXTENDED = 8
+    """Wider or longer than a star: a resolved body, an edge, a trail, a galaxy."""
+    SHARP = 16
+    """Narrower than the PSF: a hot pixel or a cosmic ray."""
+    BLENDED = 32
+    """Another detection lies so close that the two fits share pixels."""
+    FIT_FAILED = 64
+    """The fit ran away; the position is that of the peak, with a wide covariance."""
+
+
+NOT_A_STAR = DetectionFlag.EXTENDED | DetectionFlag.SHARP | DetectionFlag.FIT_FAILED
+"""Flags of detections that are of no use as stars; see :attr:`Detections.clean`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Detections:
+    """Point sources of one image, brightest first.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+        Centroids (x, y).
+    covariance_px2 : (n, 2, 2) float64, px^2
+        Of each centroid.
+    flux_dn : (n,) float64, DN
+        Integral of the fitted Gaussian.
+    snr : (n,) float64
+        What a matched filter gets from that flux: ``flux / (noise * 2 sqrt(pi) sigma)`` with the noise at the
+        source and the width of a star as recorded, ``sigma^2 = psf_sigma_px^2 + 1/12``.
+    peak_dn : (n,) float64, DN
+        Brightest pixel of the core above background.
+    area_px : (n,) int64, px
+        Pixels above the detection threshold that hang together with the source.
+    background_dn : (n,) float64, DN
+        Level under the source, from the fit.
+    width_px : (n,) float64, px
+        Fitted standard deviation of the source before the pixels integrate it; that of a star is ``psf_sigma_px``.
+    flags : (n,) uint16
+        Combinations of :class:`DetectionFlag`.
+    psf_sigma_px : float, px
+        Point spread function used, given or estimated from the image.
+    noise_dn : float, DN
+        Background noise of a pixel, median over the image.
+    """
+
+    points_px: Float
+    covariance_px2: Float
+    flux_dn: Float
+    snr: Float
+    peak_dn: Float
+    area_px: NDArray[np.int64]
+    background_dn: Float
+    width_px: Float
+    flags: NDArray[np.uint16]
+    psf_sigma_px: float
+    noise_dn: float
+
+    def __len__(self) -> int:
+        return int(self.flags.size)
+
+    @property
+    def sigma_px(self) -> Float:
+        """Standard deviation per axis (n,), px: the root of the mean of the two variances."""
+        result: Float = np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2) / 2.0)
+        return result
+
+    @property
+    def clean(self) -> NDArray[np.bool_]:
+        """True (n,) for what looks like a star and was measured: none of the flags of ``NOT_A_STAR``.
+
+        Saturated, blended, masked and cut stars stay: their covariance says what they are worth.
+
+        >>> Detections.empty(psf_sigma_px=0.8, noise_dn=3.0).clean.tolist()
+        []
+        """
+        result: NDArray[np.bool_] = (self.flags & np.uint16(NOT_A_STAR)) == 0
+        return result
+
+    def select(self, which: NDArray[np.bool_] | NDArray[np.integer]) -> Detections:
+        """Return the detections of a mask (n,) or of indices, in that order."""
+        return Detections(
+            points_px=self.points_px[which],
+            covariance_px2=self.covariance_px2[which],
+            flux_dn=self.flux_dn[which],
+            snr=self.snr[which],
+            peak_dn=self.peak_dn[which],
+            area_px=self.area_px[which],
+            background_dn=self.background_dn[which],
+            width_px=self.width_px[which],
+            flags=self.flags[which],
+            psf_sigma_px=self.psf_sigma_px,
+            noise_dn=self.noise_dn,
+        )
+
+    @classmethod
+    def empty(cls, *, psf_sigma_px: float, noise_dn: float) -> Detections:
+        """Return no detections at all: what a dark sky gives."""
+        none = np.zeros(0)
+        return cls(
+            points_px=np.zeros((0, 2)),
+            covariance_px2=np.zeros((0, 2, 2)),
+            flux_dn=none,
+            snr=none,
+            peak_dn=none,
+            area_px=np.zeros(0, dtype=np.int64),
+            background_dn=none,
+            width_px=none,
+            flags=np.zeros(0, dtype=np.uint16),
+            psf_sigma_px=psf_sigma_px,
+            noise_dn=noise_dn,
+        )

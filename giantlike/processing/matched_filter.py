@@ -1,0 +1,210 @@
+"""Images filtered for stars, and the noise they leave: what detection thresholds are set on.
+
+The kernel is the Gaussian of a star minus a box of the same sum. It adds up to zero, so that levels and
+gradients of the background drop out without a model of it, and it is mirror symmetric, so that nothing moves.
+The noise is measured on the filtered image, box by box: at the scale of a star, where correlated noise (JPEG,
+interpolation) is as large as detection and centroiding really find it, and where texture (trees, terrain)
+counts as noise too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Scalar
+
+NOISE_BOX_PX = 48
+_IQR_PER_SIGMA = 1.3489795  # interquartile range of a unit normal distribution
+_BOX_HALF_WIDTHS = 6.0  # half side of the background box in star widths: loses 3 % of the signal to noise
+_KERNEL_HALF_WIDTHS = 3.0
+_MIN_NOISE_SAMPLES = 100  # per box
+_MAX_EXCLUDED = 0.8  # share of the samples of a box
+
+Image32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FilteredImage:
+    """What a zero-sum matched filter makes of an image.
+
+    Parameters
+    ----------
+    response : (rows, columns) float32
+        Filtered image; times ``flux_per_response`` it is the flux of a star at that pixel.
+    noise_dn : (rows, columns) float32, DN
+        Local noise of a pixel, as white noise of the same effect on the filtered image.
+    response_noise : float
+        Standard deviation of the response to white noise of 1 DN per pixel.
+    flux_per_response : float, DN
+    width_px : float, px
+        Gaussian width of a recorded star that the filter is made for.
+    """
+
+    response: Image32
+    noise_dn: Image32
+    response_noise: float
+    flux_per_response: float
+    width_px: float
+
+
+def recorded_width_px(psf_sigma_px: float) -> float:
+    """Gaussian width of a star as recorded: point spread function and pixel, ``sqrt(sigma^2 + 1/12)``."""
+    return math.sqrt(psf_sigma_px**2 + 1.0 / 12.0)
+
+
+def matched_filter(
+    image: Image32, bad: NDArray[np.bool_] | None, *, psf_sigma_px: float, noise_floor_dn: float
+) -> FilteredImage:
+    """Filter an image for stars and measure the noise of the result.
+
+    Parameters
+    ----------
+    image : (rows, columns) float32, DN
+        Best near zero on average (subtract a constant), for the sake of single precision. Values at bad pixels
+        do not matter but must be finite.
+    bad : (rows, columns) bool or None
+        Pixels to ignore: they are replaced by the mean of the good ones around, and respond with zero.
+    psf_sigma_px : float, px
+    noise_floor_dn : float, DN
+        Pixel noise is never taken to be smaller than this.
+    """
+    width = recorded_width_px(psf_sigma_px)
+    half, box_half = math.ceil(_KERNEL_HALF_WIDTHS * width), _box_half_px(width)
+    box = (2 * box_half + 1, 2 * box_half + 1)
+    if bad is not None:
+        image = _filled(image, bad, box)
+    taps = np.exp(-0.5 * (np.arange(-half, half + 1) / width) ** 2)
+    taps /= taps.sum()
+    star = cv2.sepFilter2D(image, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_REFLECT_101)
+    response = np.asarray(cv2.subtract(star, cv2.blur(image, box, borderType=cv2.BORDER_REFLECT_101)), np.float32)
+    pedestal = 1.0 / (box[0] * box[1])
+    response_noise = math.sqrt(float(np.sum(np.outer(taps, taps) ** 2)) - pedestal)
+    grid = NoiseGrid.of(response.shape, width)
+    sigma = grid.robust_sigma(response, bad, np.zeros((0, 2), dtype=np.int64), 0)
+    if bad is not None:
+        response[bad] = 0.0
+    return FilteredImage(
+        response=response,
+        noise_dn=grid.spread(np.maximum(sigma / response_noise, noise_floor_dn)),
+        response_noise=response_noise,
+        # A star as wide as the kernel, anywhere in its pixel: 1 / (4 pi width^2), less the box.
+        flux_per_response=1.0 / (1.0 / (4.0 * math.pi * width**2) - pedestal),
+        width_px=width,
+    )
+
+
+def noise_between(
+    filtered: FilteredImage, bad: NDArray[np.bool_] | None, sources_px: NDArray[np.integer], noise_floor_dn: float
+) -> Image32:
+    """Noise of a pixel again, (rows, columns), DN, without the pixels whose response has a source in it.
+
+    Stars, and the dip that the box makes around them, look like noise to the first estimate. That is welcome in
+    a threshold, and not in a covariance.
+
+    Parameters
+    ----------
+    filtered : FilteredImage
+    bad : (rows, columns) bool or None
+    sources_px : (n, 2) int, px
+        Detected sources, (x, y).
+    noise_floor_dn : float, DN
+    """
+    grid = NoiseGrid.of(filtered.response.shape, filtered.width_px)
+    sigma = grid.robust_sigma(filtered.response, bad, sources_px, _box_half_px(filtered.width_px))
+    return grid.spread(np.maximum(sigma / filtered.response_noise, noise_floor_dn))
+
+
+def _box_half_px(width_px: float) -> int:
+    return math.ceil(_BOX_HALF_WIDTHS * width_px)
+
+
+def _filled(image: Image32, bad: NDArray[np.bool_], box: tuple[int, int]) -> Image32:
+    """Return ``image`` with bad pixels replaced by the mean of the good ones in the box, or of all good ones."""
+    good = (~bad).astype(np.float32)
+    total = cv2.blur(np.where(bad, np.float32(0.0), image), box)
+    share = cv2.blur(good, box)
+    overall = float(image[~bad].mean())
+    near = np.where(share > 0.5 * good.mean() / (box[0] * box[1]), total / np.maximum(share, 1e-6), overall)
+    return np.where(bad, near.astype(np.float32), image)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseGrid:
+    """Coarse grid of boxes, and the pixels of each that are looked at.
+
+    Only every ``step``-th pixel is: the filter has made neighbours alike, they would add time and no knowledge.
+    """
+
+    shape: tuple[int, int]
+    step: int
+    rows: int
+    columns: int
+    height: int
+    breadth: int
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], width_px: float) -> NoiseGrid:
+        """Lay the grid for an image of ``shape`` (rows, columns) filtered for stars of ``width_px``."""
+        rows, columns = (max(1, round(n / NOISE_BOX_PX)) for n in shape)
+        finest = math.isqrt(max(1, shape[0] * shape[1] // (rows * columns * _MIN_NOISE_SAMPLES)))
+        step = max(1, min(round(3.0 * width_px), finest))
+        n_rows, n_columns = -(-shape[0] // step), -(-shape[1] // step)
+        height, breadth = max(1, n_rows // rows), max(1, n_columns // columns)
+        return cls((shape[0], shape[1]), step, n_rows // height, n_columns // breadth, height, breadth)
+
+    def boxes(self, sampled: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Sampled pixels (rows, columns, pixels per box) of each box; a rest on the far sides is left out."""
+        cut = sampled[: self.rows * self.height, : self.columns * self.breadth]
+        cut = cut.reshape(self.rows, self.height, self.columns, self.breadth)
+        return cut.swapaxes(1, 2).reshape(self.rows, self.columns, self.height * self.breadth)
+
+    def robust_sigma(
+        self,
+        response: Image32,
+        bad: NDArray[np.bool_] | None,
+        sources_px: NDArray[np.integer],
+        reach_px: int,
+    ) -> Image32:
+        """Interquartile range of each box over that of a unit normal, smoothed by a 3 x 3 median.
+
+        Bad pixels and those within ``reach_px`` of a source do not count, unless they leave too few.
+        """
+        values = self.boxes(response[:: self.step, :: self.step])
+        sigma = _quartile_sigma(np.sort(values, axis=-1), np.int64(values.shape[-1]))
+        if bad is not None or len(sources_px):
+            excluded = self._excluded(bad, sources_px, reach_px)
+            some = excluded.any(axis=-1) & (excluded.mean(axis=-1) < _MAX_EXCLUDED)
+            kept = np.sort(np.where(excluded[some], np.float32(np.inf), values[some]), axis=-1)
+            sigma[some] = _quartile_sigma(kept, np.count_nonzero(~excluded[some], axis=-1))
+        if min(sigma.shape) >= 3:
+            return np.asarray(cv2.medianBlur(sigma, 3), dtype=np.float32)
+        return sigma
+
+    def _excluded(
+        self, bad: NDArray[np.bool_] | None, sources_px: NDArray[np.integer], reach_px: int
+    ) -> NDArray[np.bool_]:
+        step = self.step
+        taken = np.zeros((-(-self.shape[0] // step), -(-self.shape[1] // step)), dtype=np.uint8)
+        taken[sources_px[:, 1] // step, sources_px[:, 0] // step] = 1
+        side = 2 * math.ceil(reach_px / step) + 1
+        taken = np.asarray(cv2.dilate(taken, np.ones((side, side), dtype=np.uint8)), dtype=np.uint8)
+        if bad is not None:
+            taken |= bad[::step, ::step]
+        return self.boxes(taken.astype(bool))
+
+    def spread(self, values: Image32) -> Image32:
+        """Values of the boxes (rows, columns) interpolated to every pixel."""
+        size = (self.shape[1], self.shape[0])
+        return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _quartile_sigma(ordered: Image32, count: NDArray[np.int64] | np.int64) -> Image32:
+    """Interquartile range over that of a unit normal of the first ``count`` of sorted values (..., k)."""
+    low, high = (np.broadcast_to(count * k // 4, ordered.shape[:-1])[..., None] for k in (1, 3))
+    spread = np.take_along_axis(ordered, high, axis=-1) - np.take_along_axis(ordered, low, axis=-1)
+    return np.asarray(spread[..., 0] / np.float32(_IQR_PER_SIGMA), dtype=np.float32)

@@ -1,0 +1,35 @@
+"""Estimators of a body's centre and position relative to the camera; ``ESTIMATORS`` has them by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from giantlike.relative.cross_correlation import CrossCorrelation, CrossCorrelationOptions
+from giantlike.relative.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
+from giantlike.relative.estimator import Estimator
+from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
+from giantlike.relative.unresolved import Unresolved, UnresolvedOptions
+
+ESTIMATORS: Mapping[str, Callable[..., Estimator]] = MappingProxyType(
+    {
+        Unresolved.name: Unresolved,
+        CrossCorrelation.name: CrossCorrelation,
+        LimbMatching.name: LimbMatching,
+        EllipsoidCRA.name: EllipsoidCRA,
+    }
+)
+"""Estimator classes by the name that they have in campaign files and tables; each takes its options or nothing."""
+
+__all__ = [
+    "ESTIMATORS",
+    "CrossCorrelation",
+    "CrossCorrelationOptions",
+    "EllipsoidCRA",
+    "EllipsoidCRAOptions",
+    "Estimator",
+    "LimbMatching",
+    "LimbMatchingOptions",
+    "Unresolved",
+    "UnresolvedOptions",
+]

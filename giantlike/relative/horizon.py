@@ -1,0 +1,319 @@
+"""The horizon of an ellipsoid in the image: position from horizon points, and what noise does to it.
+
+Pure algebra on image points; where the points come from is the business of ``limb_observation``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.outcomes import Failure, Reason
+
+MIN_POINTS = 4
+_FOOT_STEPS = 4
+_MAX_STEPS = 25
+_STEP_PX = 1e-7
+_COLLINEAR_PX = 1e-6  # rounding of pixel coordinates
+
+
+class CraMethod(StrEnum):
+    """How the position is found from horizon points."""
+
+    LEAST_SQUARES = "least_squares"
+    TOTAL_LEAST_SQUARES = "total_least_squares"
+    MAXIMUM_LIKELIHOOD = "maximum_likelihood"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Figure:
+    """An ellipsoid as the camera sees it turned.
+
+    Parameters
+    ----------
+    radii_km : (3,) float64, km
+        Semi-axes.
+    camera_from_axes : Rotation
+        Takes vectors along the principal axes to camera axes.
+    """
+
+    radii_km: Float
+    camera_from_axes: Rotation
+
+    def __post_init__(self) -> None:
+        radii = as_finite(self.radii_km, (3,), "radii_km")
+        require(bool(np.all(radii > 0)), f"radii_km must be > 0, got {radii.tolist()}")
+        object.__setattr__(self, "radii_km", radii)
+
+    @property
+    def to_sphere(self) -> Float:
+        """The matrix B (3, 3), 1/km, that takes camera vectors to where the body is the unit sphere."""
+        result: Float = self.camera_from_axes.as_matrix().T / self.radii_km[:, None]
+        return result
+
+    @property
+    def shape_matrix(self) -> Float:
+        """The matrix A (3, 3), 1/km^2, camera axes: points of the surface about its centre have ``x.A.x == 1``."""
+        result: Float = self.to_sphere.T @ self.to_sphere
+        return result
+
+
+def christian_robinson(
+    points_px: ArrayLike,
+    model: CameraModel,
+    figure: Figure,
+    *,
+    method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD,
+    sigma_px: ArrayLike = 1.0,
+) -> Float | Failure:
+    r"""Position of an ellipsoid from points on its horizon; no start value is needed.
+
+    Parameters
+    ----------
+    points_px : (n, 2), px
+        In the distorted image, n >= 4.
+    model : CameraModel
+    figure : Figure
+    method : CraMethod
+    sigma_px : (n,) or float, px
+        Standard deviations of the points along the normal of the horizon; weights of the maximum likelihood only.
+
+    Returns
+    -------
+    (3,) float64, km, camera axes, or Failure
+        From the camera to the centre. ``TOO_FEW_DETECTIONS`` or ``DEGENERATE_GEOMETRY``.
+
+    Raises
+    ------
+    InputError
+        Shapes disagree, or a point lies where the model has no direction.
+
+    Notes
+    -----
+    With ``B`` that turns the body into a unit sphere, horizon directions ``w_i = B x_i / |B x_i|`` lie on a cone,
+    ``w_i . n = 1``, and the position is ``(n.n - 1)^(-1/2) B^-1 n``.
+
+    ``least_squares`` solves this for n as it stands. The noise of the points is then in the matrix, and short arcs
+    at long range come out too far away. ``total_least_squares`` lets the ``w_i`` be noisy as they really are:
+    across the line of sight and not along it. (With the same noise in every component, as total least squares
+    usually has it, the bias stays.) ``maximum_likelihood`` goes on from there to the position with the least
+    distances between points and horizon in the image, in units of ``sigma_px``.
+
+    References
+    ----------
+    .. [1] Inman et al., Artemis I optical navigation system performance, section III.A (the matrix B, least and
+       total least squares).
+    .. [2] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, eqs. 8-13; its eq. 10
+       needs the rotation from camera to principal axes, as here.
+    """
+    points = _points(points_px)
+    if len(points) < MIN_POINTS:
+        return Failure(
+            Reason.TOO_FEW_DETECTIONS, f"needed at least {MIN_POINTS} points on the horizon, got {len(points)}"
+        )
+    if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] < _COLLINEAR_PX:
+        return Failure(
+            Reason.DEGENERATE_GEOMETRY, f"the {len(points)} points lie on a line: no ellipse goes through them"
+        )
+    directions = model.unproject(points)
+    require(bool(np.isfinite(directions).all()), "points_px must lie where the camera model has directions")
+    mapped = directions @ figure.to_sphere.T
+    length = np.linalg.norm(mapped, axis=1)
+    cone = mapped / length[:, None]
+    if method is CraMethod.LEAST_SQUARES:
+        normal = np.linalg.lstsq(cone, np.ones(len(cone)), rcond=None)[0]
+    else:
+        normal = _total_least_squares(cone, _noise_metric(cone, length, points, model, figure))
+    excess = float(normal @ normal) - 1.0
+    if not excess > 0.0:
+        return Failure(
+            Reason.DEGENERATE_GEOMETRY,
+            f"the {len(points)} points lie on no cone around an ellipsoid: too short an arc, or no limb",
+        )
+    position: Float = np.linalg.solve(figure.to_sphere, normal) / np.sqrt(excess)
+    if method is not CraMethod.MAXIMUM_LIKELIHOOD:
+        return position
+    return _refined(points, model, figure, position, np.broadcast_to(as_floats(sigma_px, (), "sigma_px"), len(points)))
+
+
+def horizon_residuals(
+    points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike
+) -> tuple[Float, Float, Float]:
+    """Distances of image points from the horizon, and how the horizon moves with the body.
+
+    Parameters
+    ----------
+    points_px : (n, 2), px
+    model : CameraModel
+    figure : Figure
+    position_camera_km : (3,), km, camera axes
+        Of the centre.
+
+    Returns
+    -------
+    residuals_px : (n,) float64, px
+        Distance from the nearest point of the horizon, positive outside; NaN where there is none.
+    jacobian : (n, 3) float64, px/km
+        Outward motion of the horizon at that point with the position, so that a step solves
+        ``jacobian @ step = residuals``.
+    normals_px : (n, 2) float64, unitless
+        Outward unit normals of the horizon there.
+
+    Notes
+    -----
+    The horizon is where ``x.M.x = 0`` for the direction x of a pixel, with ``M = A s s.A - (s.A.s - 1) A``. The
+    foot of the perpendicular is found by Newton steps along the gradient in the distorted image, whose rays are
+    taken as linear about each point: exact for points near the horizon, to 0.01 px for those 5 px away.
+
+    References
+    ----------
+    .. [1] Thrasher et al., eqs. 14, 15 and 18; eq. 18 has the sign opposite to the derivative taken here.
+    """
+    position = as_finite(position_camera_km, (3,), "position_camera_km")
+    return _residuals(_Rays.through(_points(points_px), model), figure, position)
+
+
+def horizon_covariance(
+    points_px: ArrayLike,
+    model: CameraModel,
+    figure: Figure,
+    position_camera_km: ArrayLike,
+    *,
+    sigma_px: ArrayLike,
+    method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD,
+) -> Float:
+    """Covariance (3, 3), km^2, camera axes, of a position from horizon points with independent errors.
+
+    Parameters
+    ----------
+    points_px : (n, 2), px
+    model : CameraModel
+    figure : Figure
+    position_camera_km : (3,), km, camera axes
+    sigma_px : (n,) or float, px
+        Standard deviations of the points, per axis (equally: along the normal of the horizon).
+    method : CraMethod
+        Least squares and total least squares do not weight by ``sigma_px``; their covariance knows that.
+
+    References
+    ----------
+    .. [1] Thrasher et al., eqs. 14-20; here with the pixel covariance carried through the distorted model
+       instead of eq. 16, which holds for a pinhole camera with square pixels.
+    """
+    points = _points(points_px)
+    sigma = np.broadcast_to(as_floats(sigma_px, (), "sigma_px"), len(points))
+    _, jacobian, _ = horizon_residuals(points, model, figure, position_camera_km)
+    if method is CraMethod.MAXIMUM_LIKELIHOOD:
+        weights = 1.0 / sigma**2
+    else:
+        weights = cone_weights(points, model, figure, position_camera_km)
+    gain = np.linalg.solve(jacobian.T @ (jacobian * weights[:, None]), (jacobian * weights[:, None]).T)
+    result: Float = (gain * sigma**2) @ gain.T
+    return result
+
+
+def cone_weights(points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike) -> Float:
+    """How much each point (n,) counts in the unweighted equations of the cone, 1/px^2."""
+    points = _points(points_px)
+    position = as_finite(position_camera_km, (3,), "position_camera_km")
+    normal = figure.to_sphere @ position
+    normal = normal / np.sqrt(normal @ normal - 1.0)
+    mapped = model.unproject(points) @ figure.to_sphere.T
+    length = np.linalg.norm(mapped, axis=1)
+    cone = mapped / length[:, None]
+    across = (normal - (cone @ normal)[:, None] * cone) / length[:, None]
+    gradient = np.einsum("ni,ij,njk->nk", across, figure.to_sphere, model.unproject_jacobian(points))
+    result: Float = np.sum(gradient**2, axis=1)
+    return result
+
+
+def _points(points_px: ArrayLike) -> Float:
+    points = as_floats(points_px, (2,), "points_px")
+    require(points.ndim == 2, f"points_px must have shape (n, 2), got {points.shape}")
+    return points
+
+
+def _noise_metric(cone: Float, length: Float, points_px: Float, model: CameraModel, figure: Figure) -> Float:
+    """Mean covariance (3, 3) of the unit vectors of the cone for unit noise in the image."""
+    by_pixel = figure.to_sphere @ model.unproject_jacobian(points_px)  # (n, 3, 2)
+    across = (by_pixel - cone[:, :, None] * (cone[:, None, :] @ by_pixel)) / length[:, None, None]
+    metric: Float = np.einsum("nik,njk->ij", across, across) / len(cone)
+    return metric
+
+
+def _total_least_squares(cone: Float, metric: Float) -> Float:
+    """The n of ``w.n = 1`` for w with noise of covariance ``metric`` (3, 3): a plane through the w."""
+    middle = cone.mean(axis=0)
+    offsets = cone - middle
+    _, vectors = eigh(offsets.T @ offsets, metric)
+    result: Float = vectors[:, 0] / (vectors[:, 0] @ middle)
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rays:
+    """Directions (n, 3) of pixels and their derivative (n, 3, 2) with the pixel."""
+
+    directions: Float
+    by_pixel: Float
+
+    @classmethod
+    def through(cls, points_px: Float, model: CameraModel) -> _Rays:
+        return cls(model.unproject(points_px), model.unproject_jacobian(points_px))
+
+    def moved(self, offsets_px: Float) -> Float:
+        """Directions (n, 3), not unit, of the pixels moved by offsets (n, 2)."""
+        result: Float = self.directions + (self.by_pixel @ offsets_px[..., None])[..., 0]
+        return result
+
+
+def _residuals(rays: _Rays, figure: Figure, position_km: Float) -> tuple[Float, Float, Float]:
+    """What :func:`horizon_residuals` returns."""
+    shape = figure.shape_matrix
+    pull = shape @ position_km
+    strength = float(position_km @ pull)
+    require(strength > 1.0, f"the camera must be outside the ellipsoid, got a centre at {position_km.tolist()} km")
+    conic = np.outer(pull, pull) - (strength - 1.0) * shape
+    foot = np.zeros((len(rays.directions), 2))
+    for _ in range(_FOOT_STEPS):
+        directions = rays.moved(foot)
+        half = directions @ conic
+        gradient = 2.0 * np.einsum("ni,nij->nj", half, rays.by_pixel)
+        value = np.einsum("ni,ni->n", half, directions)
+        foot = foot - (value / np.sum(gradient**2, axis=1))[:, None] * gradient
+    slope = np.linalg.norm(gradient, axis=1)
+    normals = -gradient / slope[:, None]  # the form is positive inside
+    along, across = directions @ pull, np.einsum("ij,ij->i", directions @ shape, directions)
+    by_position = 2.0 * (along[:, None] * (directions @ shape) - across[:, None] * pull)
+    return np.einsum("ij,ij->i", -foot, normals), by_position / slope[:, None], normals
+
+
+def _refined(points_px: Float, model: CameraModel, figure: Figure, start_km: Float, sigma_px: Float) -> Float | Failure:
+    """Gauss-Newton on the distances in the image."""
+    position = start_km
+    rays = _Rays.through(points_px, model)
+    for _ in range(_MAX_STEPS):
+        residuals, jacobian, _ = _residuals(rays, figure, position)
+        known = np.isfinite(residuals)
+        if known.sum() < MIN_POINTS:
+            break
+        weighted = jacobian[known] / sigma_px[known, None]
+        step = np.linalg.lstsq(weighted, residuals[known] / sigma_px[known], rcond=None)[0]
+        scale = float(np.linalg.norm(position))
+        step *= min(1.0, 0.2 * scale / max(float(np.linalg.norm(step)), 1e-300))
+        position = position + step
+        if float(position @ figure.shape_matrix @ position) <= 1.0:
+            break
+        if float(np.max(np.abs(jacobian[known] @ step))) < _STEP_PX:
+            return position
+    return Failure(
+        Reason.NOT_CONVERGED,
+        f"the fit of the horizon to {len(points_px)} points did not settle: too short an arc for its noise",
+    )

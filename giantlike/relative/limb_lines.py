@@ -1,0 +1,178 @@
+"""Where lines are laid across the outline of a body: on the lit limb, in the frame, in even steps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
+from giantlike.relative.estimator import EstimatorInputs
+
+Mask = NDArray[np.bool_]
+
+_OVERVIEW_ANGLES = 360
+_MIN_COS_INCIDENCE = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbLines:
+    """Lines across an outline, by the directions from the body's centre in which they meet it.
+
+    Parameters
+    ----------
+    angles_rad : (k,) float64, rad
+        From +x towards +y.
+    spacing_px : float, px
+        Between neighbours, along the limb.
+    perimeter_px : float, px
+        Length of the whole outline.
+    cut_by_frame : bool
+        Part of the outline lies outside the frame.
+    """
+
+    angles_rad: Float
+    spacing_px: float
+    perimeter_px: float
+    cut_by_frame: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedLimb:
+    """Points of the limb that are lit and in the frame.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+    points_camera_km : (n, 3) float64, km, camera axes
+        The same points in space.
+    normals_px : (n, 2) float64, unitless
+        Outward normals in the image.
+    cos_incidence : (n,) float64
+        Cosine of the angle from surface normal to Sun.
+    """
+
+    points_px: Float
+    points_camera_km: Float
+    normals_px: Float
+    cos_incidence: Float
+
+
+def plan_lines(
+    inputs: EstimatorInputs, body: Body, *, max_lines: int, spacing_px: float, reach_px: float
+) -> LimbLines | Failure:
+    """Lay lines across the lit limb.
+
+    Parameters
+    ----------
+    inputs : EstimatorInputs
+    body : Body
+    max_lines : int
+    spacing_px : float, px
+        Along the limb; longer where ``max_lines`` would not do.
+    reach_px : float, px
+        How far outside the frame the limb still counts; negative: how far inside it must be.
+
+    Returns
+    -------
+    LimbLines or Failure
+        ``NO_LIMB`` or ``NOT_LIT``, with numbers.
+    """
+    angles = np.arange(_OVERVIEW_ANGLES) * (2.0 * np.pi / _OVERVIEW_ANGLES)
+    sun = inputs.geometry.sun_direction_camera
+    overview = trace_silhouette(body, inputs.camera.model, angles, sun_direction_camera=sun)
+    chord = np.linalg.norm(np.roll(overview.points_px, -1, axis=0) - overview.points_px, axis=1)
+    inside = overview.valid & inputs.camera.contains(overview.points_px, margin_px=-reach_px)
+    lit = _lit(overview)
+    wanted = inside & lit
+    if not wanted.any():
+        return _nothing_seen(inputs, overview, inside, lit)
+    wanted |= np.roll(wanted, 1) | np.roll(wanted, -1)
+    length = np.where(wanted, np.nan_to_num(chord), 0.0)
+    total_px = float(length.sum())
+    count = int(np.clip(total_px / spacing_px, 8, max_lines))
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    places = (np.arange(count) + 0.5) * total_px / count
+    return LimbLines(
+        angles_rad=np.interp(places, along, np.append(angles, 2.0 * np.pi)),
+        spacing_px=total_px / count,
+        perimeter_px=float(np.nansum(chord)),
+        cut_by_frame=not bool(inputs.camera.contains(overview.points_px).all()),
+    )
+
+
+def trace_lines(inputs: EstimatorInputs, body: Body, lines: LimbLines, *, reach_px: float) -> PredictedLimb | Failure:
+    """Trace the limb where the lines meet it.
+
+    Parameters
+    ----------
+    inputs : EstimatorInputs
+    body : Body
+    lines : LimbLines
+    reach_px : float, px
+        As of :func:`plan_lines`.
+
+    Returns
+    -------
+    PredictedLimb or Failure
+        ``NO_LIMB`` or ``NOT_LIT`` when none of the lines meets lit limb in the frame.
+    """
+    silhouette = trace_silhouette(
+        body, inputs.camera.model, lines.angles_rad, sun_direction_camera=inputs.geometry.sun_direction_camera
+    )
+    inside = silhouette.valid & inputs.camera.contains(silhouette.points_px, margin_px=-reach_px)
+    lit = _lit(silhouette)
+    seen = inside & lit & np.isfinite(silhouette.normals_px).all(axis=1)
+    if not seen.any():
+        return _nothing_seen(inputs, silhouette, inside, lit)
+    return PredictedLimb(
+        points_px=silhouette.points_px[seen],
+        points_camera_km=silhouette.points_camera_km[seen],
+        normals_px=silhouette.normals_px[seen],
+        cos_incidence=silhouette.cos_incidence[seen],
+    )
+
+
+def _lit(silhouette: Silhouette) -> Mask:
+    with np.errstate(invalid="ignore"):
+        result: Mask = silhouette.lit & (silhouette.cos_incidence > _MIN_COS_INCIDENCE)
+    return result
+
+
+def _nothing_seen(inputs: EstimatorInputs, overview: Silhouette, inside: Mask, lit: Mask) -> Failure:
+    """Why there is no lit limb in the frame."""
+    total = overview.valid.size
+    if not inside.any():
+        camera = inputs.camera
+        corners = np.array(
+            [[0, 0], [camera.columns - 1, 0], [0, camera.rows - 1], [camera.columns - 1, camera.rows - 1]]
+        )
+        size = np.ptp(overview.points_px[overview.valid], axis=0) if overview.valid.any() else np.full(2, np.nan)
+        covered = _encloses(overview.points_px[overview.valid], corners)
+        where = "the surface fills the frame" if covered else "the outline passes beside the frame"
+        return inputs.fail(
+            Reason.NO_LIMB,
+            f"none of {total} points of the predicted outline ({size[0]:.0f} x {size[1]:.0f} px) lies in the frame of "
+            f"{camera.columns} x {camera.rows}: {where}",
+        )
+    phase_deg = math.degrees(inputs.geometry.phase_angle_rad)
+    reason = Reason.NO_LIMB if lit.any() else Reason.NOT_LIT
+    return inputs.fail(
+        reason,
+        f"{int(inside.sum())} of {total} points of the predicted outline lie in the frame, but none of them is lit "
+        f"(phase angle {phase_deg:.0f} deg)",
+    )
+
+
+def _encloses(polygon_px: Float, points_px: NDArray[np.int64]) -> bool:
+    """Whether the polygon (k, 2) winds around every one of the points (n, 2)."""
+    if len(polygon_px) < 3:
+        return False
+    arms = polygon_px[None] - points_px[:, None]
+    angles = np.arctan2(arms[..., 1], arms[..., 0])
+    turns = np.diff(np.unwrap(np.concatenate([angles, angles[:, :1]], axis=1), axis=1), axis=1).sum(axis=1)
+    return bool(np.all(np.abs(turns) > np.pi))

@@ -1,0 +1,245 @@
+"""What stands before the camera: targets, a light, and the steps from true to apparent geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, require, unit
+from giantlike.core.errors import FrameMismatchError, InputError
+from giantlike.core.light import aberrate
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris
+from giantlike.image import Image
+from giantlike.ray_tracing import Body, McEwen, Reflectance
+from giantlike.shapes import Shape
+
+_LIGHT_TIME_STEPS = 5  # each gains a factor v/c: three suffice for the solar system
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Target:
+    """A body that may be in the image.
+
+    Parameters
+    ----------
+    name : str
+    shape : Shape
+        In body axes; its origin is the centre that estimators report.
+    ephemeris : Ephemeris or ApparentGeometry
+    reflectance : Reflectance
+    """
+
+    name: str
+    shape: Shape
+    ephemeris: Ephemeris | ApparentGeometry
+    reflectance: Reflectance = field(default_factory=McEwen)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TargetGeometry:
+    """A target as seen by one image, a priori.
+
+    Parameters
+    ----------
+    target : Target
+    position_camera_km : (3,), km, camera axes
+        From camera to the origin of the shape, apparent.
+    camera_from_body : Rotation
+        At the time the light left the body.
+    sun_direction_camera : (3,), unitless, camera axes
+        Unit vector from body to Sun.
+    """
+
+    target: Target
+    position_camera_km: Float
+    camera_from_body: Rotation
+    sun_direction_camera: Float
+
+    @property
+    def range_km(self) -> float:
+        """Distance from camera to body centre, km."""
+        return float(np.linalg.norm(self.position_camera_km))
+
+    @property
+    def phase_angle_rad(self) -> float:
+        """Angle at the body between Sun and camera, rad."""
+        cosine = -float(self.sun_direction_camera @ self.position_camera_km) / self.range_km
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    def body(self, position_camera_km: Float | None = None) -> Body:
+        """What the ray tracer needs, at the predicted or at another position (3,), km, camera axes."""
+        position = self.position_camera_km if position_camera_km is None else position_camera_km
+        return Body(
+            shape=self.target.shape,
+            reflectance=self.target.reflectance,
+            camera_from_body=self.camera_from_body,
+            position_camera_km=position,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """Targets, the light on them, and where the camera is.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    observer : Ephemeris, optional
+        The spacecraft; where absent the state on the image is used.
+    light : Ephemeris or DistantLight, optional
+        The Sun; may be absent where every target's geometry brings its own Sun direction.
+    light_time : bool
+        Show geometric targets where and how they were when the light left them.
+    stellar_aberration : bool
+        Shift geometric targets by the motion of the observer (with respect to the common origin).
+
+    Raises
+    ------
+    InputError
+        Two targets have one name, or there is none.
+    FrameMismatchError
+        Ephemerides do not count from the same origin.
+    """
+
+    targets: tuple[Target, ...]
+    observer: Ephemeris | None = None
+    light: Ephemeris | DistantLight | None = None
+    light_time: bool = True
+    stellar_aberration: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "targets", tuple(self.targets))
+        names = [target.name for target in self.targets]
+        require(len(names) > 0, "a scene needs at least one target")
+        require(len(set(names)) == len(names), f"target names must differ, got {', '.join(names)}")
+        origin = self._origin()
+        for part in [self.observer, self.light, *(target.ephemeris for target in self.targets)]:
+            if isinstance(part, Ephemeris) and part.origin != origin:
+                raise FrameMismatchError(f"origin {part.origin}", f"origin {origin}")
+
+    def target(self, name: str | None = None) -> Target:
+        """Return a target by name; without a name the only one.
+
+        Raises
+        ------
+        InputError
+            There is no such target, or several and no name.
+        """
+        if name is None:
+            if len(self.targets) > 1:
+                raise InputError(f"the scene has several targets, name one: {self._names()}")
+            return self.targets[0]
+        for target in self.targets:
+            if target.name == name:
+                return target
+        raise InputError(f"no target {name!r} in the scene; there is {self._names()}")
+
+    def geometry(self, image: Image, target: str | None = None) -> TargetGeometry | Failure:
+        """Where a target should appear in an image.
+
+        Parameters
+        ----------
+        image : Image
+            Needs an attitude; for geometric ephemerides also an epoch.
+        target : str, optional
+            May be left out when there is only one.
+
+        Raises
+        ------
+        InputError
+            No such target, or an ephemeris table does not cover the epoch.
+        DataError
+            SPICE kernels do not cover the epoch.
+        """
+        found = self.target(target)
+        if image.camera_from_inertial is None:
+            return Failure(
+                Reason.NO_ATTITUDE,
+                f"{image.name}: no attitude, a priori or from stars; give one in the geometry table or solve the stars",
+            )
+        apparent = self.apparent(image, found)
+        if isinstance(apparent, Failure):
+            return apparent
+        sun = apparent.sun_direction_inertial
+        if sun is None and isinstance(self.light, DistantLight):
+            sun = self.light.direction_inertial
+        if sun is None:
+            return Failure(Reason.NO_GEOMETRY, f"{image.name}: no direction from {found.name} to the Sun")
+        turn = image.camera_from_inertial
+        return TargetGeometry(
+            target=found,
+            position_camera_km=turn.apply(apparent.position_inertial_km),
+            camera_from_body=turn * apparent.inertial_from_body,
+            sun_direction_camera=turn.apply(sun),
+        )
+
+    def apparent(self, image: Image, target: Target) -> ApparentGeometry | Failure:
+        """Apparent geometry of a target in inertial axes: the explicit steps from true to seen.
+
+        1. observer at mid-exposure; 2. target when the light left it; 3. its orientation then; 4. the Sun as
+        seen from the target then; 5. stellar aberration by the observer's velocity.
+        """
+        ephemeris = target.ephemeris
+        if isinstance(ephemeris, ApparentGeometry):
+            return ephemeris
+        et = image.et
+        if et is None:
+            return Failure(Reason.NO_EPOCH, f"{image.name}: no epoch, so the ephemeris of {target.name} cannot be used")
+        observer = self._observer_state(image, et)
+        if observer is None:
+            return Failure(Reason.NO_GEOMETRY, f"{image.name}: position of the spacecraft is not known")
+        observer_km, observer_km_s = observer
+        vector, emission = (
+            light_path(ephemeris, et, observer_km) if self.light_time else _straight(ephemeris, et, observer_km)
+        )
+        sun = None
+        if isinstance(self.light, Ephemeris):
+            at_target = observer_km + vector
+            to_sun = (
+                light_path(self.light, emission, at_target)
+                if self.light_time
+                else _straight(self.light, emission, at_target)
+            )
+            sun = unit(to_sun[0])
+        if self.stellar_aberration:
+            vector = aberrate(vector, observer_km_s)
+        return ApparentGeometry(
+            position_inertial_km=vector,
+            inertial_from_body=ephemeris.inertial_from_body(emission),
+            sun_direction_inertial=sun,
+        )
+
+    def _observer_state(self, image: Image, et: float) -> tuple[Float, Float] | None:
+        if self.observer is not None:
+            return self.observer.state(et)
+        if image.observer is not None and self._origin() == BARYCENTER:
+            return image.observer.position_km, image.observer.velocity_km_s
+        return None
+
+    def _origin(self) -> str:
+        parts = [self.observer, *(target.ephemeris for target in self.targets), self.light]
+        return next((part.origin for part in parts if isinstance(part, Ephemeris)), BARYCENTER)
+
+    def _names(self) -> str:
+        return ", ".join(target.name for target in self.targets)
+
+
+def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:
+    """Vector (3,), km, from an observer at reception ``et`` to a source at emission, and the emission ``et``.
+
+    Solves ``|source(et - t) - observer| = c t`` by fixed-point iteration, as SPICE does for ``CN``.
+    """
+    emission = et
+    vector = source.state(et)[0] - observer_km
+    for _ in range(_LIGHT_TIME_STEPS):
+        emission = et - float(np.linalg.norm(vector)) / SPEED_OF_LIGHT_KM_S
+        vector = source.state(emission)[0] - observer_km
+    return vector, emission
+
+
+def _straight(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:
+    return source.state(et)[0] - observer_km, et

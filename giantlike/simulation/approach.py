@@ -1,0 +1,418 @@
+"""A made-up approach to a small irregular body, and a flyby of a round moon before it, with truth.
+
+What happens (truth) and what navigation believes beforehand (a priori) are kept apart: a :class:`Frame`
+holds both, and only the second one is ever written where a campaign reads it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import BrownModel
+from giantlike.catalogs import StarCatalog
+from giantlike.core.arrays import Float, require, unit
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.frames import camera_from_inertial_of_pointing, radec_from_direction
+from giantlike.core.light import aberrate
+from giantlike.core.time import et_from_time, time_from_et, time_from_utc
+from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
+from giantlike.ephemeris import ApparentGeometry, FixedEphemeris
+from giantlike.image import ObserverState
+from giantlike.scene import Scene, Target, light_path
+from giantlike.shapes import Ellipsoid, Shape, irregular_body
+from giantlike.simulation.detector import HotPixels
+from giantlike.simulation.images import (
+    Photometry,
+    Shot,
+    SimulatedImage,
+    SimulationOptions,
+    simulate_image,
+    unexposed,
+    visible_peak,
+)
+from giantlike.simulation.orbits import CircularOrbit, Rendezvous
+
+_FIRST_DAY_UTC = "2024-03-02T06:00:00"
+_PEAK_OF_FULL_SCALE = 0.7
+_LONGEST_SHORT_S = 0.5
+_FRAME_MARGIN_PX = 40.0
+_RAYS, _STAR_IMAGE_RAYS = 5, 2  # along a pixel's side; in a star image the body is saturated
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Visit:
+    """One time at which the body is imaged.
+
+    Parameters
+    ----------
+    day : float
+        Since the first visit.
+    diameter_px : float, px
+        Apparent diameter of the sphere of the body's volume.
+    phase_deg : float, deg
+        Angle Sun - body - camera.
+    lost : bool
+        Whether the spacecraft does not know its attitude.
+    """
+
+    day: float
+    diameter_px: float
+    phase_deg: float
+    lost: bool = False
+
+
+APPROACH = (
+    Visit(day=0.0, diameter_px=1.0, phase_deg=20.0),
+    Visit(day=1.0, diameter_px=1.4, phase_deg=50.0),
+    Visit(day=2.0, diameter_px=2.0, phase_deg=80.0),
+    Visit(day=4.0, diameter_px=12.0, phase_deg=110.0),
+    Visit(day=5.0, diameter_px=30.0, phase_deg=120.0),
+    Visit(day=6.0, diameter_px=60.0, phase_deg=100.0),
+    Visit(day=7.0, diameter_px=100.0, phase_deg=75.0, lost=True),
+    Visit(day=8.0, diameter_px=150.0, phase_deg=45.0),
+    Visit(day=9.0, diameter_px=200.0, phase_deg=25.0),
+    Visit(day=10.0, diameter_px=250.0, phase_deg=60.0),
+    Visit(day=11.0, diameter_px=300.0, phase_deg=95.0),
+)
+MOON_FLYBY = (
+    Visit(day=0.0, diameter_px=220.0, phase_deg=35.0),
+    Visit(day=0.2, diameter_px=280.0, phase_deg=85.0),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApproachOptions:
+    """What the approach is like.
+
+    Parameters
+    ----------
+    seed : int
+        Of everything random: equal options give equal images.
+    approach, moon : tuple of Visit
+        When the irregular body ``ROCK`` and the ellipsoid ``MOON`` are imaged; at least two visits of the
+        first, and none or at least two of the second.
+    facets : int
+        Of the irregular body.
+    long_exposure_s : float, s
+        Of the star images.
+    pair_gap_s : float, s
+        Between the middle of a star image and that of the image of the body next to it.
+    attitude_error_deg : (float, float), deg
+        Smallest and largest error of the a priori attitude.
+    drift_arcsec_s : float, arcsec/s
+        Steady turn of the camera during a visit.
+    jitter_arcsec_per_sqrt_s : float, arcsec/s^0.5
+        Random walk on top of it, per axis.
+    position_error_px : float, px
+        Error of the a priori position across the line of sight.
+    range_error : float
+        Largest relative error of the a priori range.
+    """
+
+    seed: int = 7
+    approach: tuple[Visit, ...] = APPROACH
+    moon: tuple[Visit, ...] = MOON_FLYBY
+    facets: int = 50_000
+    long_exposure_s: float = 5.0
+    pair_gap_s: float = 30.0
+    attitude_error_deg: tuple[float, float] = (0.1, 0.3)
+    drift_arcsec_s: float = 0.5
+    jitter_arcsec_per_sqrt_s: float = 0.03
+    position_error_px: float = 10.0
+    range_error: float = 0.015
+
+    def __post_init__(self) -> None:
+        require(len(self.approach) >= 2, f"an approach needs at least 2 visits, got {len(self.approach)}")
+        require(len(self.moon) != 1, "a flyby of the moon needs no visit or at least 2, got 1")
+        for visits in (self.approach, self.moon):
+            days = [visit.day for visit in visits]
+            require(days == sorted(set(days)), f"visits must follow one another in time, got days {days}")
+        require(self.long_exposure_s >= 1.0, f"long_exposure_s must be >= 1, got {self.long_exposure_s}")
+        low, high = self.attitude_error_deg
+        require(0.0 <= low <= high, f"attitude_error_deg must be (smallest, largest), got {self.attitude_error_deg}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """An image to be taken: what happens, and what is known of it beforehand.
+
+    Parameters
+    ----------
+    shot : Shot
+        The truth.
+    scene : Scene
+        The truth.
+    target : str
+        Which body is in view.
+    star_image : bool
+        Long exposure, in which the body is saturated.
+    seed : (int, int)
+        Of the noise of this image.
+    apriori_camera_from_inertial : Rotation or None
+    apriori_observer : ObserverState
+    apriori_geometry : ApparentGeometry
+        Of the target, with the error of the predicted position; orientation and Sun are right.
+    """
+
+    shot: Shot
+    scene: Scene
+    target: str
+    star_image: bool
+    seed: tuple[int, int]
+    apriori_camera_from_inertial: Rotation | None
+    apriori_observer: ObserverState
+    apriori_geometry: ApparentGeometry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Approach:
+    """A whole made-up campaign, not yet photographed.
+
+    Parameters
+    ----------
+    camera : Camera
+    photometry : Photometry
+    hot_pixels : HotPixels
+    targets : tuple of Target
+    frames : tuple of Frame
+        In order of time.
+    options : ApproachOptions
+    """
+
+    camera: Camera
+    photometry: Photometry
+    hot_pixels: HotPixels
+    targets: tuple[Target, ...]
+    frames: tuple[Frame, ...]
+    options: ApproachOptions
+
+    def take(self, frame: Frame, catalog: StarCatalog) -> SimulatedImage:
+        """Photograph one of the frames against the sky of a catalogue; the same frame gives the same image."""
+        return simulate_image(
+            frame.shot,
+            self.camera,
+            frame.scene,
+            np.random.default_rng(frame.seed),
+            catalog=catalog,
+            photometry=self.photometry,
+            hot_pixels=self.hot_pixels,
+            options=SimulationOptions(rays_per_pixel_side=_STAR_IMAGE_RAYS if frame.star_image else _RAYS),
+        )
+
+
+def demo_camera() -> Camera:
+    """Return a navigation camera of 1024 x 1024 pixels with the optics of the wide-angle cameras of OSIRIS-REx.
+
+    Focal length and distortion are those of NavCam 1; the detector is the middle of its frame.
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Table 1.
+    """
+    return Camera(
+        name="NAVCAM",
+        columns=1024,
+        rows=1024,
+        model=BrownModel(
+            fx_px=3473.3, fy_px=3473.4, cx_px=508.7, cy_px=515.2,
+            k1=-0.539, k2=0.388, k3=-0.214, p1=2.55e-4, p2=8.64e-4,
+        ),
+        psf=GaussianPsf(sigma_px=0.8),
+        detector=Detector(gain_e_per_dn=8.0, read_noise_e=12.0, saturation_dn=4095.0, bias_dn=100.0),
+    )  # fmt: skip
+
+
+def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
+    """Lay out the whole campaign: bodies, paths, attitudes, exposures and a priori errors.
+
+    Parameters
+    ----------
+    options : ApproachOptions
+
+    Returns
+    -------
+    Approach
+        At each visit a long exposure, a short one and another long one: the camera turns meanwhile, so the
+        attitude of the short one comes from both.
+    """
+    camera = demo_camera()
+    orbit = CircularOrbit(epoch_et=et_from_time(time_from_utc(_FIRST_DAY_UTC)))
+    photometry = Photometry(sun_distance_au=orbit.radius_au)
+    rock = irregular_body(options.seed, facets=options.facets, name="ROCK")
+    moon = Ellipsoid(radii_km=np.array([208.0, 197.0, 190.0]), name="MOON")
+    moon_orbit = replace(
+        orbit, longitude_rad=-0.8, spin_period_s=81_000.0, epoch_et=orbit.epoch_et - 30 * SECONDS_PER_DAY
+    )
+    rng = np.random.default_rng([options.seed, 0])
+    hot = HotPixels.scattered(40, camera.columns, camera.rows, rng, median_e_s=400.0)
+    planner = _Planner(camera=camera, photometry=photometry, options=options, rng=rng)
+    frames: list[Frame] = []
+    targets: list[Target] = []
+    for name, shape, path, visits in (
+        ("MOON", moon, moon_orbit, options.moon),
+        ("ROCK", rock, orbit, options.approach),
+    ):
+        if visits:
+            encounter = _Encounter.plan(name, shape, path, visits, camera)
+            targets.append(encounter.target)
+            frames += planner.frames(encounter, visits)
+    return Approach(
+        camera=camera,
+        photometry=photometry,
+        hot_pixels=hot,
+        targets=tuple(targets),
+        frames=tuple(frames),
+        options=options,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Encounter:
+    """A body and a spacecraft that visits it."""
+
+    target: Target
+    orbit: CircularOrbit
+    spacecraft: Rendezvous
+    scene: Scene = field(repr=False)
+
+    @classmethod
+    def plan(cls, name: str, shape: Shape, orbit: CircularOrbit, visits: Sequence[Visit], camera: Camera) -> _Encounter:
+        times = [orbit.epoch_et + visit.day * SECONDS_PER_DAY for visit in visits]
+        offsets = []
+        for number, (et, visit) in enumerate(zip(times, visits, strict=True)):
+            range_km = 2.0 * shape.mean_radius_km * camera.model.focal_length_px / visit.diameter_px
+            offsets.append(range_km * _toward_camera(-orbit.state(et)[0], visit.phase_deg, 25.0 * number))
+        spacecraft = Rendezvous(orbit, times, np.array(offsets))
+        target = Target(name=name, shape=shape, ephemeris=orbit)
+        scene = Scene(targets=(target,), observer=spacecraft, light=FixedEphemeris())
+        return cls(target=target, orbit=orbit, spacecraft=spacecraft, scene=scene)
+
+    def observer(self, et: float) -> ObserverState:
+        position, velocity = self.spacecraft.state(et)
+        return ObserverState(position_km=position, velocity_km_s=velocity)
+
+    def apparent_km(self, et: float) -> Float:
+        """From camera to body (3,), km, inertial axes, light time and aberration in."""
+        position, velocity = self.spacecraft.state(et)
+        return aberrate(light_path(self.orbit, et, position)[0], velocity)
+
+
+def _toward_camera(to_sun_km: Float, phase_deg: float, turn_deg: float) -> Float:
+    """Unit vector (3,) from a body to a camera that sees it at a phase angle, turned about the Sun's direction."""
+    sun = unit(to_sun_km)
+    first = unit(np.cross(sun, [0.0, 0.0, 1.0]))
+    second = np.cross(sun, first)
+    phase, turn = phase_deg * RAD_PER_DEG, turn_deg * RAD_PER_DEG
+    return math.cos(phase) * sun + math.sin(phase) * (math.cos(turn) * first + math.sin(turn) * second)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Planner:
+    """Turns visits into frames; draws everything random from one generator, in order."""
+
+    camera: Camera
+    photometry: Photometry
+    options: ApproachOptions
+    rng: np.random.Generator
+
+    def frames(self, encounter: _Encounter, visits: Sequence[Visit]) -> Iterator[Frame]:
+        """Long, short, long at each visit."""
+        gap = self.options.pair_gap_s
+        for number, visit in enumerate(visits):
+            middle = encounter.orbit.epoch_et + visit.day * SECONDS_PER_DAY
+            apparent_km = encounter.apparent_km(middle)
+            attitudes = self._attitudes(apparent_km, encounter.target.shape)
+            misalignment = None if visit.lost else self._misalignment()
+            error_km = self._position_error_km(apparent_km)
+            for label, et, attitude in zip(
+                ("long1", "short", "long2"), (middle - gap, middle, middle + gap), attitudes, strict=True
+            ):
+                name = f"{encounter.target.name.lower()}_{number + 1:02d}_{label}.fits"
+                yield self._frame(encounter, name, et, attitude, misalignment, error_km)
+
+    def _frame(
+        self,
+        encounter: _Encounter,
+        name: str,
+        et: float,
+        attitude: Rotation,
+        misalignment: Rotation | None,
+        error_km: Float,
+    ) -> Frame:
+        star_image = "long" in name
+        observer = encounter.observer(et)
+        shot = Shot(
+            name=name,
+            epoch=time_from_et(et),
+            exposure_s=self.options.long_exposure_s,
+            camera_from_inertial=attitude,
+            observer=observer,
+        )
+        if not star_image:
+            shot = replace(shot, exposure_s=self._short_exposure_s(shot, encounter))
+        apparent = encounter.scene.apparent(unexposed(shot, self.camera), encounter.target)
+        assert isinstance(apparent, ApparentGeometry)
+        return Frame(
+            shot=shot,
+            scene=encounter.scene,
+            target=encounter.target.name,
+            star_image=star_image,
+            seed=(self.options.seed, int(self.rng.integers(2**31))),
+            apriori_camera_from_inertial=None if misalignment is None else misalignment * attitude,
+            apriori_observer=replace(observer, position_km=observer.position_km - error_km),
+            apriori_geometry=replace(apparent, position_inertial_km=apparent.position_inertial_km + error_km),
+        )
+
+    def _attitudes(self, apparent_km: Float, shape: Shape) -> tuple[Rotation, ...]:
+        """True attitudes of the three images of a visit: the body somewhere in the middle part of the frame."""
+        camera, options = self.camera, self.options
+        reach_px = camera.model.focal_length_px * shape.circumscribing_radius_km / float(np.linalg.norm(apparent_km))
+        free_px = max(min(camera.columns, camera.rows) / 2 - reach_px - _FRAME_MARGIN_PX, 0.0)
+        place_px = camera.center_px + self.rng.uniform(-0.7, 0.7, 2) * free_px
+        ra_deg, dec_deg = radec_from_direction(apparent_km)
+        at_boresight = camera_from_inertial_of_pointing(float(ra_deg), float(dec_deg), self.rng.uniform(0.0, 360.0))
+        middle = _turn_onto(camera.model.unproject(place_px)) * at_boresight
+        steps = options.pair_gap_s * options.drift_arcsec_s * _random_direction(self.rng) + (
+            options.jitter_arcsec_per_sqrt_s * math.sqrt(options.pair_gap_s) * self.rng.normal(size=(2, 3))
+        )
+        before, after = (Rotation.from_rotvec(step * RAD_PER_ARCSEC) for step in steps)
+        return before.inv() * middle, middle, after * middle
+
+    def _misalignment(self) -> Rotation:
+        angle_deg = self.rng.uniform(*self.options.attitude_error_deg)
+        return Rotation.from_rotvec(_random_direction(self.rng) * angle_deg * RAD_PER_DEG)
+
+    def _position_error_km(self, apparent_km: Float) -> Float:
+        """Error (3,) of the predicted vector from camera to body, inertial axes."""
+        across = unit(np.cross(apparent_km, _random_direction(self.rng)))
+        across_rad = self.options.position_error_px / self.camera.model.focal_length_px
+        range_km = float(np.linalg.norm(apparent_km))
+        along = self.rng.uniform(-self.options.range_error, self.options.range_error)
+        error: Float = range_km * across_rad * across + along * apparent_km
+        return error
+
+    def _short_exposure_s(self, shot: Shot, encounter: _Encounter) -> float:
+        """Exposure that brings the brightest pixel of the body to a fixed part of full scale."""
+        peak = visible_peak(shot, self.camera, encounter.scene, encounter.target.name)
+        require(peak > 0, f"{shot.name}: nothing of {encounter.target.name} is seen")
+        detector = self.camera.detector
+        wanted_e = _PEAK_OF_FULL_SCALE * (detector.saturation_dn - detector.bias_dn) * detector.gain_e_per_dn
+        exposure_s = wanted_e / (peak * self.photometry.surface_rate_e_s(self.camera))
+        return float(f"{min(exposure_s, _LONGEST_SHORT_S):.3g}")
+
+
+def _turn_onto(direction: Float) -> Rotation:
+    """The smallest rotation that takes +z to a unit vector (3,)."""
+    axis = np.cross([0.0, 0.0, 1.0], direction)
+    sine = float(np.linalg.norm(axis))
+    return Rotation.from_rotvec(axis * (math.atan2(sine, direction[2]) / sine if sine > 0 else 0.0))
+
+
+def _random_direction(rng: np.random.Generator) -> Float:
+    return unit(rng.normal(size=3))

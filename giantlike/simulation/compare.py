@@ -1,0 +1,280 @@
+"""What a run found against what was true: errors beside the sigmas that the run stated."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, unit
+from giantlike.core.errors import DataError
+from giantlike.core.frames import rotation_between, rotation_from_xyzw
+from giantlike.core.units import RAD_PER_ARCSEC
+
+_GRID = 5  # points along each side of the frame at which an attitude error is turned into pixels
+
+Row = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AttitudeError:
+    """Attitude of one image against truth.
+
+    Parameters
+    ----------
+    file, source, status, reason : str
+        As in ``attitudes.csv``.
+    error_px : (2,) float64, px, or None
+        Root mean square over the frame of how far the error moves the image, per axis. None without an attitude.
+    sigma_px : (2,) float64, px, or None
+        The same for the stated covariance (the three sigmas about the camera axes).
+    normalised : (3,) float64 or None
+        Errors about the camera axes over their stated sigmas.
+    """
+
+    file: str
+    source: str
+    status: str
+    reason: str
+    error_px: Float | None = None
+    sigma_px: Float | None = None
+    normalised: Float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObservationError:
+    """One estimator on one image against truth.
+
+    Parameters
+    ----------
+    file, target, estimator, status, reason : str
+        As in ``observations.csv``.
+    diameter_px, phase_deg : float
+        True apparent diameter and phase angle.
+    error_px, sigma_px : (2,) float64, px, or None
+        Found minus true centre; stated sigmas. None without a fix.
+    nees : float or None
+        Squared error over the stated covariance (2 x 2): 2 on average where that is right.
+    range_error, range_sigma : float or None
+        Found minus true range, and its stated sigma, over the true range.
+    """
+
+    file: str
+    target: str
+    estimator: str
+    status: str
+    reason: str
+    diameter_px: float
+    phase_deg: float
+    error_px: Float | None = None
+    sigma_px: Float | None = None
+    nees: float | None = None
+    range_error: float | None = None
+    range_sigma: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
+    """A whole run against truth: one entry per row of its tables."""
+
+    attitudes: tuple[AttitudeError, ...]
+    observations: tuple[ObservationError, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Score:
+    """Errors of many fixes, beside what was stated for them.
+
+    Parameters
+    ----------
+    n_images : int
+        Rows in the table.
+    n_fixes : int
+        With status ``ok``; only these count below.
+    n_suspect : int
+    failures : mapping of str to int
+        Number of failed rows by reason.
+    rms_px, sigma_px : (2,) float64, px
+        Root mean square of errors and of stated sigmas, per axis; NaN without fixes.
+    chi2, dof : float, int
+        Sum of squared normalised errors and number of them, without the range.
+    range_rms, range_sigma, range_chi2 : float
+        Relative errors of the range, relative stated sigmas, sum of squared normalised errors; NaN without.
+    n_ranges : int
+    """
+
+    n_images: int
+    n_fixes: int
+    n_suspect: int
+    failures: Mapping[str, int]
+    rms_px: Float
+    sigma_px: Float
+    chi2: float
+    dof: int
+    range_rms: float
+    range_sigma: float
+    range_chi2: float
+    n_ranges: int
+
+
+def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
+    """Read the tables of a run folder and compare them with a truth table.
+
+    Parameters
+    ----------
+    run : Path
+        Folder with ``attitudes.csv`` and ``observations.csv``.
+    truth : Path
+        ``truth.csv`` as :func:`~giantlike.simulation.write.write_approach` writes it.
+    camera : Camera
+        Turns attitude errors into pixels.
+
+    Raises
+    ------
+    DataError
+        A table is missing or damaged, or holds a file that the truth does not.
+    """
+    true_rows = {row["file"]: row for row in _read(truth)}
+    attitudes = []
+    for row in _read(run / "attitudes.csv"):
+        attitudes.append(_attitude_error(row, _true_row(true_rows, row, truth), camera))
+    observations = []
+    for row in _read(run / "observations.csv"):
+        observations.append(_observation_error(row, _true_row(true_rows, row, truth)))
+    return Comparison(attitudes=tuple(attitudes), observations=tuple(observations))
+
+
+def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
+    """Summary of attitudes; normalised errors count one by one, about three axes."""
+    good = [error for error in errors if error.status == "ok" and error.error_px is not None]
+    normalised = np.array([error.normalised for error in good if error.normalised is not None])
+    return _score(
+        errors,
+        np.array([error.error_px for error in good]).reshape(-1, 2),
+        np.array([error.sigma_px for error in good if error.sigma_px is not None]).reshape(-1, 2),
+        chi2=float(np.sum(normalised**2)),
+        dof=int(normalised.size),
+        ranges=np.zeros((0, 2)),
+    )
+
+
+def score_observations(errors: Sequence[ObservationError]) -> Score:
+    """Summary of centres and ranges."""
+    good = [error for error in errors if error.status == "ok" and error.error_px is not None]
+    ranges = [[error.range_error, error.range_sigma] for error in good if error.range_error is not None]
+    return _score(
+        errors,
+        np.array([error.error_px for error in good]).reshape(-1, 2),
+        np.array([error.sigma_px for error in good]).reshape(-1, 2),
+        chi2=float(sum(error.nees for error in good if error.nees is not None)),
+        dof=2 * len(good),
+        ranges=np.array(ranges, dtype=np.float64).reshape(-1, 2),
+    )
+
+
+def _score(
+    errors: Sequence[AttitudeError] | Sequence[ObservationError],
+    error_px: Float,
+    sigma_px: Float,
+    *,
+    chi2: float,
+    dof: int,
+    ranges: Float,
+) -> Score:
+    failures = Counter(error.reason for error in errors if error.status == "failed")
+    return Score(
+        n_images=len(errors),
+        n_fixes=len(error_px),
+        n_suspect=sum(error.status == "suspect" for error in errors),
+        failures=MappingProxyType(dict(sorted(failures.items()))),
+        rms_px=_rms(error_px),
+        sigma_px=_rms(sigma_px),
+        chi2=chi2,
+        dof=dof,
+        range_rms=float(_rms(ranges)[0]),
+        range_sigma=float(_rms(ranges)[1]),
+        range_chi2=float(np.sum((ranges[:, 0] / ranges[:, 1]) ** 2)) if len(ranges) else np.nan,
+        n_ranges=len(ranges),
+    )
+
+
+def _rms(values: Float) -> Float:
+    """Root mean square (2,) of values (n, 2); NaN where there are none."""
+    return np.sqrt(np.mean(values**2, axis=0)) if len(values) else np.full(2, np.nan)
+
+
+def _attitude_error(row: Row, true_row: Row, camera: Camera) -> AttitudeError:
+    entry = AttitudeError(file=row["file"], source=row["source"], status=row["status"], reason=row["reason"])
+    if row["status"] == "failed" or not row["qx"]:
+        return entry
+    error_rad = rotation_between(_attitude(row), _attitude(true_row))
+    entry = replace(entry, error_px=_shift_px(camera, error_rad))
+    if not row["sigma_x_arcsec"]:
+        return entry
+    sigma_rad = _numbers(row, "sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec") * RAD_PER_ARCSEC
+    by_axis = [_shift_px(camera, axis) for axis in np.diag(sigma_rad)]
+    return replace(entry, sigma_px=np.sqrt(np.sum(np.square(by_axis), axis=0)), normalised=error_rad / sigma_rad)
+
+
+def _shift_px(camera: Camera, rotvec_rad: Float) -> Float:
+    """How far a small rotation about the camera axes (3,) moves the image: root mean square over it (2,), px."""
+    x = np.linspace(0.0, camera.columns - 1.0, _GRID)
+    y = np.linspace(0.0, camera.rows - 1.0, _GRID)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    directions = camera.model.unproject(points)
+    moved = camera.model.project(unit(Rotation.from_rotvec(rotvec_rad).apply(directions)))
+    return _rms(moved - points)
+
+
+def _observation_error(row: Row, true_row: Row) -> ObservationError:
+    entry = ObservationError(
+        file=row["file"],
+        target=row["target"],
+        estimator=row["estimator"],
+        status=row["status"],
+        reason=row["reason"],
+        diameter_px=float(true_row["diameter_px"]),
+        phase_deg=float(true_row["phase_deg"]),
+    )
+    if row["status"] == "failed":
+        return entry
+    error = _numbers(row, "x_px", "y_px") - _numbers(true_row, "x_px", "y_px")
+    sigma = _numbers(row, "sigma_x_px", "sigma_y_px")
+    cross = float(row["rho_xy"] or 0.0) * sigma[0] * sigma[1]
+    covariance = np.array([[sigma[0] ** 2, cross], [cross, sigma[1] ** 2]])
+    nees = float(error @ np.linalg.solve(covariance, error))
+    entry = replace(entry, error_px=error, sigma_px=sigma, nees=nees)
+    if not row["range_km"]:
+        return entry
+    true_km = float(true_row["range_km"])
+    range_error = float(row["range_km"]) / true_km - 1.0
+    return replace(entry, range_error=range_error, range_sigma=float(row["sigma_range_km"]) / true_km)
+
+
+def _read(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            return list(csv.DictReader(stream))
+    except OSError as error:
+        raise DataError(path, f"cannot be read: {error.strerror}") from error
+
+
+def _true_row(true_rows: Mapping[str, Row], row: Row, truth: Path) -> Row:
+    if row["file"] not in true_rows:
+        raise DataError(truth, f"holds no truth for {row['file']!r}")
+    return true_rows[row["file"]]
+
+
+def _attitude(row: Row) -> Rotation:
+    return rotation_from_xyzw(_numbers(row, "qx", "qy", "qz", "qw"))
+
+
+def _numbers(row: Row, *names: str) -> Float:
+    return np.array([float(row[name]) for name in names])

@@ -1,0 +1,214 @@
+"""Star identification with an a priori attitude: nearest neighbours and RANSAC."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.wahba import davenport_quaternions
+from giantlike.stars.matching import (
+    Matches,
+    attitudes_within,
+    chance_of_match,
+    false_match_probability,
+    match_nearest,
+)
+from giantlike.stars.options import StarOptions
+
+_SAMPLE = 4
+_VOTING_STARS, _VOTING_POINTS = 150, 100  # the brightest have enough to say
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Identification:
+    """Stars found in an image.
+
+    Parameters
+    ----------
+    camera_from_inertial : Rotation
+        Attitude good enough to match with; not yet weighted.
+    matches : Matches
+        Indices into the stars and detections that were given.
+    false_match_probability : float
+        Bound on the probability that chance made the matches.
+    """
+
+    camera_from_inertial: Rotation
+    matches: Matches
+    false_match_probability: float
+
+
+def identify_apriori(
+    directions_inertial: Float,
+    points_px: Float,
+    camera: Camera,
+    camera_from_inertial: Rotation,
+    *,
+    options: StarOptions,
+) -> Identification | Failure:
+    """Identify stars near where an a priori attitude predicts them.
+
+    Steps 1-10 of the matching in [1]_: predict, pair nearest neighbours, drop distant and ambiguous pairs, solve
+    for the attitude of random samples of four and keep the one with most inliers (on a tie: the smaller sum of
+    squares). Where that does not succeed, it is tried again after the shift that most star-detection pairs within
+    ``max_pixel_distance`` have in common is taken out: then the attitude may be wrong by more than the distance
+    between stars, which nearest neighbours alone cannot stand. The vote counts pairs closely alike first, which crowded
+    fields need, then as different as an error of roll makes them.
+
+    Parameters
+    ----------
+    directions_inertial : (n, 3) float64, unitless, inertial
+        Apparent unit vectors of catalogue stars, a few more than the field holds, brightest first.
+    points_px : (m, 2) float64, px
+        Detections, brightest first.
+    camera : Camera
+    camera_from_inertial : Rotation
+        A priori.
+    options : StarOptions
+
+    Returns
+    -------
+    Identification or Failure
+        Reasons: no_catalog_stars, too_few_detections, too_few_matches, ambiguous (chance would do as well).
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Matching Potential
+       Stars with Known Stars From a Star Catalogue, steps 1-10.
+    """
+    predicted = camera.model.project(camera_from_inertial.apply(directions_inertial))
+    predicted[~camera.contains(predicted, margin_px=-options.max_pixel_distance)] = np.nan
+    near = np.flatnonzero(np.isfinite(predicted[:, 0]))
+    if near.size < options.min_matches:
+        return Failure(
+            Reason.NO_CATALOG_STARS, f"{near.size} catalogue stars in the field, {options.min_matches} are needed"
+        )
+    if len(points_px) < options.min_matches:
+        return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {options.min_matches} are needed")
+    spread = _spread_px(camera, options)
+    voters, points = predicted[near[:_VOTING_STARS]], points_px[:_VOTING_POINTS]
+    outcome = _identify_shifted(directions_inertial, points_px, camera, predicted, spread, options)
+    for radius in (min(options.inlier_px, spread), spread):
+        if isinstance(outcome, Failure):
+            shift = common_shift_px(voters, points, options.max_pixel_distance, radius)
+            outcome = _identify_shifted(directions_inertial, points_px, camera, predicted + shift, spread, options)
+    return outcome
+
+
+def _identify_shifted(
+    directions_inertial: Float,
+    points_px: Float,
+    camera: Camera,
+    predicted_px: Float,
+    spread_px: float,
+    options: StarOptions,
+) -> Identification | Failure:
+    """Steps 3-10 from predicted places (n, 2), px, NaN for stars far outside the image."""
+    radius = options.inlier_px + spread_px
+    pairs = match_nearest(predicted_px, points_px, radius, ambiguous_px=options.inlier_px)
+    if len(pairs) < options.min_matches:
+        return Failure(
+            Reason.TOO_FEW_MATCHES,
+            f"{len(pairs)} of {len(points_px)} detections pair with a star within {options.max_pixel_distance:g} px of "
+            f"the a priori attitude, {options.min_matches} are needed",
+        )
+    rotation, n_inliers = ransac_attitude(
+        directions_inertial[pairs.star_indices], points_px[pairs.detection_indices], camera, options
+    )
+    if n_inliers < options.min_matches:
+        return Failure(
+            Reason.TOO_FEW_MATCHES,
+            f"the best of {options.ransac_iterations} samples agrees with {n_inliers} of {len(pairs)} pairs to "
+            f"{options.inlier_px:g} px, {options.min_matches} are needed",
+        )
+    return _verified(directions_inertial, points_px, camera, rotation, options)
+
+
+def common_shift_px(predicted_px: Float, points_px: Float, max_distance_px: float, spread_px: float) -> Float:
+    """Displacement (2,), px, shared by most pairs of a star and a detection within ``max_distance_px``.
+
+    Parameters
+    ----------
+    predicted_px, points_px : (n, 2), (m, 2) float64, px
+    max_distance_px : float, px
+    spread_px : float, px
+        Displacements that differ by less are the same: what roll and distortion add to a common shift.
+    """
+    tree, other = cKDTree(points_px), cKDTree(predicted_px)
+    pairs = tree.sparse_distance_matrix(other, max_distance_px, output_type="ndarray")
+    if pairs.size == 0:
+        return np.zeros(2)
+    displacements = points_px[pairs["i"]] - predicted_px[pairs["j"]]
+    tree = cKDTree(displacements)
+    votes = tree.query_ball_point(displacements, spread_px, return_length=True)
+    most = np.flatnonzero(votes == votes.max())
+    center = displacements[most[np.argmin(np.sum(displacements[most] ** 2, axis=1))]]
+    shift: Float = displacements[tree.query_ball_point(center, spread_px)].mean(axis=0)
+    return shift
+
+
+def ransac_attitude(
+    directions_inertial: Float, points_px: Float, camera: Camera, options: StarOptions
+) -> tuple[Rotation, int]:
+    """Attitude of the four-star sample that agrees with most pairs, re-estimated from those, and their number.
+
+    Parameters
+    ----------
+    directions_inertial, points_px : (k, 3), (k, 2) float64
+        Tentative pairs; with fewer than four every sample holds them all.
+    camera : Camera
+    options : StarOptions
+    """
+    vectors_camera = camera.model.unproject(points_px)
+    seen = np.isfinite(vectors_camera).all(axis=1)
+    directions, vectors, points = directions_inertial[seen], vectors_camera[seen], points_px[seen]
+    size = min(_SAMPLE, len(points))
+    if size < 2:
+        return Rotation.identity(), 0
+    rng = np.random.default_rng(options.seed)
+    samples = np.argsort(rng.random((options.ransac_iterations, len(points))), axis=1)[:, :size]
+    rotations = Rotation.from_quat(davenport_quaternions(directions[samples], vectors[samples], np.ones(samples.shape)))
+    predicted = camera.model.project(np.einsum("sij,kj->ski", rotations.as_matrix(), directions))
+    squares = np.sum((predicted - points) ** 2, axis=-1)
+    inside = squares <= options.inlier_px**2  # NaN compares false
+    counts = inside.sum(axis=1)
+    costs = np.where(inside, squares, 0.0).sum(axis=1)
+    best = int(np.lexsort((costs, -counts))[0])
+    chosen = inside[best]
+    if chosen.sum() < 2:
+        return rotations[best], int(chosen.sum())
+    weights = np.ones((1, int(chosen.sum())))
+    quaternion = davenport_quaternions(directions[chosen][None], vectors[chosen][None], weights)[0]
+    return Rotation.from_quat(quaternion), int(chosen.sum())
+
+
+def _verified(
+    directions_inertial: Float, points_px: Float, camera: Camera, rotation: Rotation, options: StarOptions
+) -> Identification | Failure:
+    """Match all stars with the attitude found, and ask whether chance would do as well."""
+    predicted = camera.model.project(rotation.apply(directions_inertial))
+    predicted[~camera.contains(predicted, margin_px=-options.inlier_px)] = np.nan
+    matches = match_nearest(predicted, points_px, options.inlier_px)
+    area = float(camera.columns * camera.rows)
+    chance = chance_of_match(predicted, points_px, options.inlier_px, area)
+    trials = attitudes_within(options.inlier_px, options.max_pixel_distance)
+    probability = false_match_probability(len(matches), len(points_px), chance, trials)
+    if len(matches) < options.min_matches or probability > options.max_false_match_probability:
+        return Failure(
+            Reason.AMBIGUOUS,
+            f"{len(matches)} of {len(points_px)} detections match one of {int(np.isfinite(predicted[:, 0]).sum())} "
+            f"stars to {options.inlier_px:g} px; chance does that with probability up to {probability:.1e}",
+        )
+    return Identification(camera_from_inertial=rotation, matches=matches, false_match_probability=probability)
+
+
+def _spread_px(camera: Camera, options: StarOptions) -> float:
+    """How much displacements differ over the image when the attitude is off by ``max_pixel_distance``."""
+    half_diagonal = float(np.hypot(camera.columns, camera.rows)) / 2.0
+    return options.inlier_px + options.max_pixel_distance * half_diagonal / camera.model.focal_length_px

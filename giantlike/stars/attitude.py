@@ -1,0 +1,274 @@
+"""Attitude (and scale) from identified stars: weighted least squares in pixel space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from scipy.special import gammainc
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float
+from giantlike.core.frames import skew
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.wahba import solve_wahba
+
+_MAX_STEPS = 20
+_STEP_RAD = 1e-11
+_MAX_ROUNDS = 10
+_NOISE_EXPLAINS = 0.977
+"""Chi-square quantile up to which residuals count as explained by the noise."""
+_MEDIAN_CHI2 = 2.0 * np.log(2.0)  # two degrees of freedom
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AttitudeSolution:
+    """Weighted attitude of one image.
+
+    Parameters
+    ----------
+    camera_from_inertial : Rotation
+    covariance_rad2 : (3, 3) float64, rad^2
+        As in :class:`~giantlike.core.outcomes.AttitudeFix`; the estimated scale is marginalised.
+    model : CameraModel
+        The one given, or with the estimated scale.
+    used : (n,) bool
+        Which stars were kept.
+    predicted_px : (n, 2) float64, px
+    sigma_px : (n,) float64, px
+        Standard deviation per axis behind each weight.
+    error_floor_px : float, px
+        Standard deviation per axis that had to be added to every star's own so that the residuals are explained:
+        0 where they are without it.
+    reduced_chi2 : float
+        Chi-square over degrees of freedom without the floor.
+    """
+
+    camera_from_inertial: Rotation
+    covariance_rad2: Float
+    model: CameraModel
+    used: NDArray[np.bool_]
+    predicted_px: Float
+    sigma_px: Float
+    error_floor_px: float
+    reduced_chi2: float
+
+
+class Scale(IntEnum):
+    """How much of the camera model is estimated with the attitude; the value counts the parameters."""
+
+    FIXED = 0
+    FOCAL_LENGTH = 1
+    """One factor on fx and fy."""
+    RADIAL = 2
+    """The same and k1."""
+
+
+def fit_attitude(
+    directions_inertial: Float,
+    points_px: Float,
+    covariance_px2: Float,
+    model: CameraModel,
+    *,
+    scale: Scale = Scale.FIXED,
+    outlier_sigma: float = 4.0,
+) -> AttitudeSolution | Failure:
+    """Attitude that puts stars where they were measured: q-method, then Gauss-Newton on the pixels.
+
+    Every star is weighted with its full 2x2 covariance. Stars further off than ``outlier_sigma`` are left out, in
+    turns, with the scatter judged by its median. When the residuals of the rest are larger than their covariances
+    explain, an error floor common to all stars is added in quadrature until they do, so that the covariance of
+    the attitude stays honest and no bright star rules the fit.
+
+    Parameters
+    ----------
+    directions_inertial : (n, 3) float64, unitless, inertial
+        Apparent unit vectors of the stars.
+    points_px : (n, 2) float64, px
+        Where they were measured.
+    covariance_px2 : (n, 2, 2) float64, px^2
+        Of measurement and catalogue together, positive definite.
+    model : CameraModel
+    scale : Scale
+        What of the model to estimate too; needs a :class:`~giantlike.camera_models.BrownModel` unless ``FIXED``.
+    outlier_sigma : float
+
+    Returns
+    -------
+    AttitudeSolution or Failure
+        Reasons: degenerate_geometry, not_converged.
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Attitude Estimation.
+    """
+    vectors = model.unproject(points_px)
+    seen: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=1)
+    sigma = np.sqrt(np.trace(covariance_px2[seen], axis1=1, axis2=2) / 2.0)
+    start = solve_wahba(
+        directions_inertial[seen],
+        vectors[seen],
+        np.hypot(sigma, np.median(sigma) if sigma.size else 0.0) / model.focal_length_px,
+    )
+    if isinstance(start, Failure):
+        return start
+    kept = _without_outliers(
+        _State(start[0], model), directions_inertial, points_px, covariance_px2, seen, scale, outlier_sigma
+    )
+    if isinstance(kept, Failure):
+        return kept
+    state, used = kept
+    return _solution(state, directions_inertial, points_px, covariance_px2, used, scale)
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    rotation: Rotation
+    model: CameraModel
+
+    def predict(self, directions_inertial: Float) -> Float:
+        return self.model.project(self.rotation.apply(directions_inertial))
+
+    def jacobian(self, directions_inertial: Float, scale: Scale) -> Float:
+        """(n, 2, 3 + scale) derivative of the pixels by the small rotation, the log of the focal length, and k1."""
+        vectors = self.rotation.apply(directions_inertial)
+        columns = [-self.model.project_jacobian(vectors) @ skew(vectors)]
+        if scale:
+            names = self.model.parameter_names
+            by_parameter = self.model.parameter_jacobian(vectors)
+            fx, fy, k1 = (names.index(name) for name in ("fx_px", "fy_px", "k1"))
+            values = self.model.parameters
+            columns.append((by_parameter[..., fx] * values[fx] + by_parameter[..., fy] * values[fy])[..., None])
+            if scale == Scale.RADIAL:
+                columns.append(by_parameter[..., k1, None])
+        return np.concatenate(columns, axis=-1)
+
+    def moved(self, step: Float) -> _State:
+        model = self.model
+        if step.size > 3:
+            values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
+            factor = float(np.exp(step[3]))
+            values["fx_px"] *= factor
+            values["fy_px"] *= factor
+            values["k1"] += float(step[4]) if step.size > 4 else 0.0
+            model = model.with_parameters(list(values.values()))
+        return _State(Rotation.from_rotvec(step[:3]) * self.rotation, model)
+
+
+def _gauss_newton(
+    state: _State, directions: Float, points_px: Float, covariance_px2: Float, scale: Scale
+) -> tuple[_State, Float] | Failure:
+    """Weighted least squares; the state and the covariance of its parameters (3 + scale,) squared."""
+    weights = np.linalg.inv(covariance_px2)
+    for _ in range(_MAX_STEPS):
+        jacobian = state.jacobian(directions, scale)
+        residuals = points_px - state.predict(directions)
+        if not np.isfinite(residuals).all():
+            return Failure(Reason.NOT_CONVERGED, "a star left the region that the camera model can image")
+        weighted = np.swapaxes(jacobian, 1, 2) @ weights
+        normal = np.sum(weighted @ jacobian, axis=0)
+        gradient = np.sum(weighted @ residuals[..., None], axis=0)[:, 0]
+        units = 1.0 / np.sqrt(np.diag(normal))
+        scaled = normal * np.outer(units, units)
+        if not np.linalg.cond(scaled) < 1e12:
+            return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(directions)} stars leave a parameter of the fit free")
+        step = np.linalg.solve(scaled, gradient * units) * units
+        state = state.moved(step)
+        if np.abs(step).max() < _STEP_RAD:
+            return state, np.linalg.inv(scaled) * np.outer(units, units)
+    return Failure(
+        Reason.NOT_CONVERGED, f"attitude fit of {len(directions)} stars still moves after {_MAX_STEPS} steps"
+    )
+
+
+def _without_outliers(
+    state: _State,
+    directions: Float,
+    points_px: Float,
+    covariance_px2: Float,
+    used: NDArray[np.bool_],
+    scale: Scale,
+    outlier_sigma: float,
+) -> tuple[_State, NDArray[np.bool_]] | Failure:
+    """Fit and leave out what lies further off than the median allows, until that changes nothing."""
+    for _ in range(_MAX_ROUNDS):
+        floor = _median_floor(points_px[used] - state.predict(directions[used]), covariance_px2[used])
+        inflated = _inflated(covariance_px2[used], floor)
+        fitted = _gauss_newton(state, directions[used], points_px[used], inflated, scale)
+        if isinstance(fitted, Failure):
+            return fitted
+        state, _ = fitted
+        residuals = points_px - state.predict(directions)
+        floor = _median_floor(residuals[used], covariance_px2[used])
+        keep = np.asarray(_squares(residuals, _inflated(covariance_px2, floor)) <= outlier_sigma**2)
+        if 2 * int(keep.sum()) < 4 + scale:
+            return Failure(Reason.NOT_CONVERGED, f"{int(keep.sum())} of {len(points_px)} stars agree with one attitude")
+        if np.array_equal(keep, used):
+            break
+        used = keep
+    return state, used
+
+
+def _solution(
+    state: _State, directions: Float, points_px: Float, covariance_px2: Float, used: NDArray[np.bool_], scale: Scale
+) -> AttitudeSolution | Failure:
+    """Last fit, on the stars that are left: as they are weighted if chi-square allows, else with an error floor."""
+    freedom = 2 * int(used.sum()) - 3 - scale
+    fitted = _gauss_newton(state, directions[used], points_px[used], covariance_px2[used], scale)
+    if isinstance(fitted, Failure):
+        return fitted
+    residuals = points_px[used] - fitted[0].predict(directions[used])
+    plain = float(_squares(residuals, covariance_px2[used]).sum())
+    floor, inflated = 0.0, covariance_px2
+    if freedom > 0 and float(gammainc(freedom / 2.0, plain / 2.0)) > _NOISE_EXPLAINS:
+        residuals = points_px[used] - state.predict(directions[used])
+        floor = _floor(residuals, covariance_px2[used], lambda squares: float(squares.sum()) / freedom)
+        inflated = _inflated(covariance_px2, floor)
+        fitted = _gauss_newton(state, directions[used], points_px[used], inflated[used], scale)
+        if isinstance(fitted, Failure):
+            return fitted
+    state, covariance = fitted
+    return AttitudeSolution(
+        camera_from_inertial=state.rotation,
+        covariance_rad2=covariance[:3, :3],
+        model=state.model,
+        used=used,
+        predicted_px=state.predict(directions),
+        sigma_px=np.sqrt(np.trace(inflated, axis1=1, axis2=2) / 2.0),
+        error_floor_px=floor,
+        reduced_chi2=plain / max(freedom, 1),
+    )
+
+
+def _inflated(covariance_px2: Float, floor_px: float) -> Float:
+    return covariance_px2 + floor_px**2 * np.eye(2)
+
+
+def _squares(residuals: Float, covariance_px2: Float) -> Float:
+    """Squared residuals (n,) in units of their covariance; infinite where there is no prediction."""
+    squares = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance_px2), residuals)
+    return np.where(np.isfinite(squares), squares, np.inf)
+
+
+def _median_floor(residuals: Float, covariance_px2: Float) -> float:
+    """Error floor, px, that brings the median of the squares to that of chi-square with two degrees of freedom."""
+    return _floor(residuals, covariance_px2, lambda squares: float(np.median(squares)) / _MEDIAN_CHI2)
+
+
+def _floor(residuals: Float, covariance_px2: Float, measure: Callable[[Float], float]) -> float:
+    """Error floor, px, at which ``measure`` of the squares falls to one; 0 where it is below without."""
+    variances, axes = np.linalg.eigh(covariance_px2)
+    along = np.einsum("nji,nj->ni", axes, residuals) ** 2
+
+    def excess(floor_px: float) -> float:
+        return measure(np.sum(along / (variances + floor_px**2), axis=1)) - 1.0
+
+    if excess(0.0) <= 0.0:
+        return 0.0
+    top = float(np.sqrt(np.max(np.sum(residuals**2, axis=1)))) * np.sqrt(float(len(residuals)))
+    return float(brentq(excess, 0.0, top, xtol=1e-9))

@@ -1,0 +1,96 @@
+"""The sky of one image: which catalogue stars its camera can see, and where they appear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.catalogs import StarCatalog, StarTable, apparent_directions, et_of_julian_year
+from giantlike.core.arrays import Float
+
+EPOCH_WHEN_UNKNOWN = 2016.0
+"""Julian epoch at which stars are put when an image has none: that of most positions in the default catalogue."""
+_MARGIN = 1.05  # a little more sky than the camera sees: its model may still change
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarField:
+    """Stars in and around the field of view, brightest first.
+
+    Parameters
+    ----------
+    stars : StarTable
+        n stars.
+    directions_inertial : (n, 3) float64, unitless, inertial
+        Apparent.
+    sigma_rad : (n,) float64, rad
+        Catalogue error of the directions, per axis.
+    """
+
+    stars: StarTable
+    directions_inertial: Float
+    sigma_rad: Float
+
+    def __len__(self) -> int:
+        return len(self.stars)
+
+    def brightest(self, count: int) -> StarField:
+        """Return the first ``count`` stars."""
+        return StarField(
+            stars=self.stars.select(np.arange(min(count, len(self)))),
+            directions_inertial=self.directions_inertial[:count],
+            sigma_rad=self.sigma_rad[:count],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sky:
+    """A catalogue as an observer sees it at one time.
+
+    Parameters
+    ----------
+    catalog : StarCatalog
+    et : float, s, optional
+        TDB seconds past J2000; without it stars are at ``EPOCH_WHEN_UNKNOWN``.
+    observer_position_km : (3,) float64, km, inertial, optional
+        With respect to the solar system barycentre; without it no parallax.
+    observer_velocity_km_s : (3,) float64, km/s, inertial, optional
+        Likewise; without it no aberration, which then goes into the attitude.
+    max_magnitude : float, optional
+    """
+
+    catalog: StarCatalog
+    et: float | None = None
+    observer_position_km: Float | None = None
+    observer_velocity_km_s: Float | None = None
+    max_magnitude: float | None = None
+
+    def field(self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0) -> StarField:
+        """Stars within the field of view of a camera, and ``margin_px`` around it."""
+        axis = camera_from_inertial.inv().apply(camera.model.unproject(camera.center_px))
+        radius = _half_diagonal_rad(camera) * _MARGIN + margin_px / camera.model.focal_length_px
+        return self.cone(axis / np.linalg.norm(axis), min(radius, np.pi))
+
+    def cone(self, direction_inertial: ArrayLike, radius_rad: float) -> StarField:
+        """Stars within ``radius_rad`` of a unit vector (3,)."""
+        stars = self.catalog.cone(direction_inertial, radius_rad, max_magnitude=self.max_magnitude)
+        et = et_of_julian_year(EPOCH_WHEN_UNKNOWN) if self.et is None else self.et
+        directions = apparent_directions(
+            stars,
+            et,
+            observer_position_km=self.observer_position_km,
+            observer_velocity_km_s=self.observer_velocity_km_s,
+        )
+        return StarField(stars=stars, directions_inertial=directions, sigma_rad=stars.sigma_rad(et))
+
+
+def _half_diagonal_rad(camera: Camera) -> float:
+    """Angle from the image centre to its corners; that of a pinhole where the model cannot see the corners."""
+    radius = camera.half_diagonal_rad
+    if np.isfinite(radius):
+        return radius
+    return float(np.arctan(np.hypot(camera.columns, camera.rows) / 2.0 / camera.model.focal_length_px))

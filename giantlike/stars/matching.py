@@ -1,0 +1,159 @@
+"""Pairs of catalogue stars and detections in the image plane, and how likely chance makes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import betainc, rel_entr
+
+from giantlike.core.arrays import Float
+
+BLEND_PX = 4.0
+"""Stars closer than this to each other pull each other's centroid."""
+_SHIFTS = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Matches:
+    """Pairs of a star and a detection, each of them at most once.
+
+    Parameters
+    ----------
+    star_indices, detection_indices : (k,) int
+    distance_px : (k,) float64, px
+    """
+
+    star_indices: NDArray[np.intp]
+    detection_indices: NDArray[np.intp]
+    distance_px: Float
+
+    def __len__(self) -> int:
+        return int(self.star_indices.size)
+
+
+def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, ambiguous_px: float = 0.0) -> Matches:
+    """Pair stars and detections that are each other's nearest neighbour.
+
+    Parameters
+    ----------
+    predicted_px : (n, 2) float64, px
+        Projected stars; NaN for those that the camera model cannot image.
+    points_px : (m, 2) float64, px
+        Detections.
+    radius_px : float, px
+        Largest distance of a pair.
+    ambiguous_px : float, px
+        Drop a pair when another star or detection is hardly further away than its partner: by less than this.
+    """
+    visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))
+    none = np.zeros(0, dtype=np.intp)
+    if visible.size == 0 or len(points_px) == 0:
+        return Matches(star_indices=none, detection_indices=none, distance_px=np.zeros(0))
+    stars = predicted_px[visible]
+    to_points, point_of_star = _two_nearest(points_px, stars)
+    to_stars, star_of_point = _two_nearest(stars, points_px)
+    mine = point_of_star[:, 0]
+    distance = to_points[:, 0]
+    good = (star_of_point[mine, 0] == np.arange(visible.size)) & (distance <= radius_px)
+    good &= np.minimum(to_points[:, 1], to_stars[mine, 1]) - distance >= ambiguous_px
+    return Matches(star_indices=visible[good], detection_indices=mine[good], distance_px=distance[good])
+
+
+def _two_nearest(among_px: Float, of_px: Float) -> tuple[Float, NDArray[np.intp]]:
+    """Distances and indices (n, 2) of the two nearest points; infinite where there is only one."""
+    distance, index = cKDTree(among_px).query(of_px, k=2)
+    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.intp)
+
+
+def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> float:
+    """Probability that a detection has a star within ``radius_px`` by chance.
+
+    The larger of two estimates: from the mean density of stars, and counted with the stars moved bodily in
+    ``_SHIFTS`` directions, which knows how stars and detections crowd.
+
+    Parameters
+    ----------
+    predicted_px : (n, 2) float64, px
+        Projected stars.
+    points_px : (m, 2) float64, px
+        Detections.
+    radius_px : float, px
+    area_px2 : float, px^2
+        Of the image.
+    """
+    stars = predicted_px[np.isfinite(predicted_px).all(axis=1)]
+    if len(stars) == 0 or len(points_px) == 0:
+        return 0.0
+    uniform = len(stars) * np.pi * radius_px**2 / area_px2
+    angles = 2.0 * np.pi * np.arange(_SHIFTS) / _SHIFTS
+    steps = radius_px * np.linspace(4.0, 12.0, _SHIFTS)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    moved = (points_px[None] + steps[:, None]).reshape(-1, 2)
+    hits = np.isfinite(cKDTree(stars).query(moved, distance_upper_bound=radius_px)[0]).sum()
+    return float(min(1.0, max(uniform, hits / len(moved))))
+
+
+def false_match_probability(n_matched: int, n_detected: int, chance: float, trials: float) -> float:
+    """Bound on the probability that any of ``trials`` wrong attitudes matches this many detections.
+
+    Parameters
+    ----------
+    n_matched, n_detected : int
+    chance : float
+        Of one detection, from :func:`chance_of_match`.
+    trials : float
+        How many attitudes there are that differ by more than the match radius.
+
+    Returns
+    -------
+    float
+        ``trials`` times the binomial tail, at most 1.
+    """
+    tail = float(betainc(n_matched, n_detected - n_matched + 1, chance)) if n_matched > 0 else 1.0
+    return min(1.0, trials * tail)
+
+
+def log_chance(n_matched: NDArray[np.intp], n_detected: int, chance: Float) -> Float:
+    """Chernoff bound on the logarithm of the binomial tail: finite where the tail itself underflows.
+
+    Parameters
+    ----------
+    n_matched : (k,) int
+    n_detected : int
+    chance : (k,) float64
+        Of one detection.
+    """
+    share = n_matched / n_detected
+    exponent: Float = -n_detected * (rel_entr(share, chance) + rel_entr(1.0 - share, 1.0 - chance))
+    return np.where(share > chance, exponent, 0.0)
+
+
+def attitudes_of_sky(radius_px: float, focal_length_px: float, half_size_px: float, scale_error: float) -> float:
+    """Number of attitudes on the whole sky (times focal lengths) that differ by a match radius."""
+    directions = 4.0 * np.pi * (focal_length_px / radius_px) ** 2
+    rolls = max(2.0 * np.pi * half_size_px / radius_px, 1.0)
+    scales = max(2.0 * scale_error * half_size_px / radius_px, 1.0)
+    return float(directions * rolls * scales)
+
+
+def attitudes_within(radius_px: float, max_pixel_distance: float) -> float:
+    """Number of attitudes that move no star by more than ``max_pixel_distance`` and differ by a match radius."""
+    return max(2.0 * max_pixel_distance / radius_px, 1.0) ** 3
+
+
+def confusion_px(predicted_px: Float, magnitudes: Float) -> Float:
+    """Shift (n,), px, that neighbours within ``BLEND_PX`` may give a star's centroid, at most.
+
+    A neighbour of flux ratio q at distance d pulls a blended centroid by d q / (1 + q).
+    """
+    shift = np.zeros(len(predicted_px))
+    visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))
+    pairs = cKDTree(predicted_px[visible]).query_pairs(BLEND_PX, output_type="ndarray")
+    first, second = visible[pairs[:, 0]], visible[pairs[:, 1]]
+    distance = np.linalg.norm(predicted_px[first] - predicted_px[second], axis=1)
+    share = 1.0 / (1.0 + 10.0 ** (0.4 * (magnitudes[second] - magnitudes[first])))  # of the second in the sum
+    np.add.at(shift, first, distance * share)
+    np.add.at(shift, second, distance * (1.0 - share))
+    return shift

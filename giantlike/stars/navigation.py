@@ -1,0 +1,244 @@
+"""Attitude of an image from its stars."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import model_to_mapping
+from giantlike.catalogs import StarCatalog
+from giantlike.core.arrays import Float, require
+from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
+from giantlike.core.time import utc_text
+from giantlike.core.version import VERSION
+from giantlike.image import Image
+from giantlike.processing.detect import DetectionOptions, detect_sources
+from giantlike.processing.detections import DetectionFlag, Detections
+from giantlike.stars.apriori import identify_apriori
+from giantlike.stars.attitude import AttitudeSolution
+from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky
+from giantlike.stars.lost_in_space import depth_for, identify_lost_in_space
+from giantlike.stars.matching import attitudes_within
+from giantlike.stars.options import StarOptions
+from giantlike.stars.refine import RefinedAttitude, refine_attitude
+
+_DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # with an a priori attitude, fainter ones are noise or unlisted
+_LARGE_CHI = 5.0
+_LARGE_FLOOR_PX = 1.0
+
+
+class StarNavigation:
+    """Detects, identifies and fits stars.
+
+    Parameters
+    ----------
+    camera : Camera
+    catalog : StarCatalog
+    options : StarOptions
+    detection : DetectionOptions
+        Of :func:`~giantlike.processing.detect.detect_sources`.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        catalog: StarCatalog,
+        options: StarOptions | None = None,
+        *,
+        detection: DetectionOptions | None = None,
+    ) -> None:
+        self.camera = camera
+        self.catalog = catalog
+        self.options = StarOptions() if options is None else options
+        self.detection = DetectionOptions() if detection is None else detection
+
+    def solve(self, image: Image) -> AttitudeFix | Failure:
+        """Estimate the attitude of an image.
+
+        The a priori attitude, if there is one, is tried first; the whole sky after that, if the options say so.
+
+        Parameters
+        ----------
+        image : Image
+            Without epoch, stars are taken at J2016.0; without observer, as seen from the solar system barycentre at
+            rest, so that aberration (up to 20 arcsec from Earth) goes into the attitude. Provenance says which.
+
+        Returns
+        -------
+        AttitudeFix or Failure
+
+        Raises
+        ------
+        InputError
+            The image has another size than the camera.
+        """
+        detections = self.detect(image)
+        if isinstance(detections, Failure):
+            return detections
+        return self.solve_detections(image, detections)
+
+    def detect(self, image: Image) -> Detections | Failure:
+        """Sources in an image, of whatever kind.
+
+        Raises
+        ------
+        InputError
+            The image has another size than the camera.
+        """
+        have, need = (image.columns, image.rows), (self.camera.columns, self.camera.rows)
+        require(
+            have == need, f"{image.name}: image is {have[0]}x{have[1]}, camera {self.camera.name!r} {need[0]}x{need[1]}"
+        )
+        return detect_sources(
+            image.pixels,
+            detector=self.camera.detector,
+            psf_sigma_px=None if self.camera.psf is None else self.camera.psf.sigma_px,
+            mask=image.mask,
+            options=self.detection,
+        )
+
+    def solve_detections(self, image: Image, detections: Detections) -> AttitudeFix | Failure:
+        """Estimate the attitude from detections that were made before; the image gives time, pose and name.
+
+        What looks like stars is tried first, then everything that is not extended: an undersampled star may
+        look like a hot pixel.
+
+        Parameters
+        ----------
+        image : Image
+        detections : Detections
+        """
+        measured = np.isfinite(detections.covariance_px2).all(axis=(1, 2))
+        clean = measured & detections.clean
+        outcome = self._solve_usable(image, detections, np.flatnonzero(clean))
+        rest = measured & ((detections.flags & np.uint16(DetectionFlag.EXTENDED)) == 0)
+        if outcome or int(rest.sum()) == int(clean.sum()):
+            return outcome
+        return self._solve_usable(image, detections, np.flatnonzero(rest)) or outcome
+
+    def _solve_usable(self, image: Image, detections: Detections, usable: NDArray[np.intp]) -> AttitudeFix | Failure:
+        """Attitude from the detections of indices ``usable`` (k,)."""
+        needed = self.options.min_matches
+        if usable.size < needed:
+            return Failure(
+                Reason.TOO_FEW_DETECTIONS,
+                f"{usable.size} of {len(detections)} detections look like stars, {needed} are needed",
+            )
+        points, covariance = detections.points_px[usable], detections.covariance_px2[usable]
+        sky = self._sky(image)
+        outcome: RefinedAttitude | Failure = Failure(
+            Reason.NO_ATTITUDE, "the image has no a priori attitude: give one or allow the lost-in-space search"
+        )
+        method = "a_priori"
+        if image.camera_from_inertial is not None:
+            outcome = self._from_apriori(image.camera_from_inertial, points, covariance, sky)
+        if isinstance(outcome, Failure) and self.options.lost_in_space:
+            first, method = outcome, "lost_in_space"
+            outcome = identify_lost_in_space(points, covariance, self.camera, sky, options=self.options)
+            if isinstance(outcome, Failure) and first.reason is not Reason.NO_ATTITUDE:
+                outcome = Failure(outcome.reason, f"{outcome.detail}; with the a priori attitude: {first.detail}")
+        if isinstance(outcome, Failure):
+            return outcome
+        return self._fix(image, detections, usable, outcome, method)
+
+    def _sky(self, image: Image) -> Sky:
+        observer = image.observer
+        return Sky(
+            catalog=self.catalog,
+            et=image.et,
+            observer_position_km=None if observer is None else observer.position_km,
+            observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
+            max_magnitude=self.options.max_magnitude,
+        )
+
+    def _from_apriori(
+        self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky
+    ) -> RefinedAttitude | Failure:
+        options, camera = self.options, self.camera
+        depth = depth_for(len(points_px))
+        wide = sky.field(camera, camera_from_inertial, margin_px=options.max_pixel_distance).brightest(depth)
+        expected = camera.contains(camera.model.project(camera_from_inertial.apply(wide.directions_inertial)))
+        offered = _DETECTIONS_PER_STAR * int(expected.sum()) + _SPARE_DETECTIONS
+        points_px, covariance_px2 = points_px[:offered], covariance_px2[:offered]
+        found = identify_apriori(wide.directions_inertial, points_px, camera, camera_from_inertial, options=options)
+        if isinstance(found, Failure):
+            return found
+        return refine_attitude(
+            sky.field(camera, found.camera_from_inertial).brightest(depth),
+            points_px,
+            covariance_px2,
+            camera,
+            found.camera_from_inertial,
+            radius_px=options.inlier_px,
+            trials=lambda radius_px: attitudes_within(radius_px, options.max_pixel_distance),
+            options=options,
+        )
+
+    def _fix(
+        self, image: Image, detections: Detections, usable: NDArray[np.intp], outcome: RefinedAttitude, method: str
+    ) -> AttitudeFix:
+        solution, used = outcome.solution, outcome.solution.used
+        stars = outcome.field.stars.select(outcome.matches.star_indices[used])
+        indices = usable[outcome.matches.detection_indices[used]]
+        focal = solution.model.focal_length_px
+        return AttitudeFix(
+            camera_from_inertial=solution.camera_from_inertial,
+            covariance_rad2=solution.covariance_rad2,
+            star_ids=stars.ids,
+            detection_indices=indices.astype(np.int64),
+            observed_px=detections.points_px[indices],
+            predicted_px=solution.predicted_px[used],
+            sigma_px=solution.sigma_px[used],
+            magnitudes=stars.magnitude,
+            n_detected=outcome.n_detections,
+            n_rejected=int((~used).sum()),
+            false_match_probability=outcome.false_match_probability,
+            focal_length_px=focal,
+            fov_deg=math.degrees(2.0 * math.atan(self.camera.columns / (2.0 * focal))),
+            flags=_flags(solution, detections.flags[indices]) | _unknowns(image),
+            provenance=self._provenance(image, outcome, method),
+        )
+
+    def _provenance(self, image: Image, outcome: RefinedAttitude, method: str) -> Mapping[str, str]:
+        solution = outcome.solution
+        return {
+            "giantlike": VERSION,
+            "catalog": f"{self.catalog.name}: {self.catalog.version}",
+            "band": self.catalog.band,
+            "image": image.name,
+            "image_sha256": image.sha256,
+            "camera": self.camera.name,
+            "camera_model": json.dumps(model_to_mapping(solution.model)),
+            "identification": method,
+            "epoch": f"J{EPOCH_WHEN_UNKNOWN} assumed" if image.epoch is None else utc_text(image.epoch),
+            "observer": "barycentre at rest assumed" if image.observer is None else "position and velocity",
+            "error_floor_px": f"{solution.error_floor_px:.4g}",
+            "reduced_chi2": f"{solution.reduced_chi2:.4g}",
+        }
+
+
+def _unknowns(image: Image) -> Quality:
+    """What the directions of the stars could not take into account."""
+    flags = Quality.NONE if image.observer is not None else Quality.OBSERVER_UNKNOWN
+    return flags if image.epoch is not None else flags | Quality.EPOCH_UNKNOWN
+
+
+def _flags(solution: AttitudeSolution, detection_flags: NDArray[np.uint16]) -> Quality:
+    """Quality of a solution and of the detections that it used."""
+    flags = Quality.NONE
+    together = DetectionFlag(int(np.bitwise_or.reduce(detection_flags)))
+    if DetectionFlag.SATURATED in together:
+        flags |= Quality.SATURATED
+    if DetectionFlag.MASKED in together:
+        flags |= Quality.MASKED
+    if 2 * int(solution.used.sum()) < solution.used.size:
+        flags |= Quality.MANY_REJECTED
+    if solution.reduced_chi2 > _LARGE_CHI**2 and solution.error_floor_px > _LARGE_FLOOR_PX:
+        flags |= Quality.LARGE_RESIDUALS
+    return flags

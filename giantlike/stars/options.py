@@ -1,0 +1,75 @@
+"""What a user may choose in star processing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from giantlike.core.arrays import require
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarOptions:
+    """Options of star identification and attitude.
+
+    Parameters
+    ----------
+    max_magnitude : float, optional
+        Faintest catalogue star, in the catalogue's band. Default: as deep as the number of detections asks for.
+    lost_in_space : bool
+        Search the whole sky when there is no a priori attitude or it does not lead to stars.
+    estimate_scale : bool
+        Estimate focal length and radial distortion k1 together with the attitude: for cameras of which only
+        a rough field of view is known. Principal point and distortion centre stay at the image centre.
+    scale_error : float
+        Relative error that the rough field of view may have, in (0, 0.2]; used with ``estimate_scale``.
+    max_pixel_distance : float, px
+        How far from its predicted place a star may be found with the a priori attitude.
+    inlier_px : float, px
+        Largest distance of a star from its place under the right attitude.
+    ransac_iterations : int
+        Number of four-star samples.
+    seed : int
+        Of the samples: equal input gives equal output.
+    min_matches : int
+        Fewest stars that make a solution, at least 3.
+    outlier_sigma : float
+        A star further from its place than this many standard deviations is rejected.
+    max_false_match_probability : float
+        An identification more likely than this to be chance is refused.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    max_magnitude: float | None = None
+    lost_in_space: bool = False
+    estimate_scale: bool = False
+    scale_error: float = 0.05
+    max_pixel_distance: float = 100.0
+    inlier_px: float = 3.0
+    ransac_iterations: int = 300
+    seed: int = 20181203
+    min_matches: int = 4
+    outlier_sigma: float = 4.0
+    max_false_match_probability: float = 1e-6
+
+    def __post_init__(self) -> None:
+        limit = self.max_magnitude
+        require(limit is None or math.isfinite(limit), f"max_magnitude must be finite, got {limit}")
+        require(0.0 < self.scale_error <= 0.2, f"scale_error must be in (0, 0.2], got {self.scale_error}")
+        require(
+            math.isfinite(self.max_pixel_distance) and self.max_pixel_distance > 0,
+            f"max_pixel_distance must be > 0 px, got {self.max_pixel_distance}",
+        )
+        require(math.isfinite(self.inlier_px) and self.inlier_px > 0, f"inlier_px must be > 0 px, got {self.inlier_px}")
+        require(self.ransac_iterations >= 1, f"ransac_iterations must be >= 1, got {self.ransac_iterations}")
+        require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
+        require(self.min_matches >= 3, f"min_matches must be >= 3, got {self.min_matches}")
+        require(self.outlier_sigma >= 2.0, f"outlier_sigma must be >= 2, got {self.outlier_sigma}")
+        require(
+            0.0 < self.max_false_match_probability < 1.0,
+            f"max_false_match_probability must be in (0, 1), got {self.max_false_match_probability}",
+        )

@@ -1,0 +1,253 @@
+"""From long exposures to short ones: the attitude of an image from its neighbours in time.
+
+A body bright enough to fill a short exposure leaves no stars in it, so navigation images come in pairs: a
+long exposure gives the attitude, a short one the body. What joins them is an assumption on how the camera
+turned in between, and the choice of that assumption is the method.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.frames import skew
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
+
+
+class TransferMethod(StrEnum):
+    """How the camera is taken to have turned between two images."""
+
+    REPLACE = "replace"
+    """Not at all: the nearest star solution as it is."""
+    PROPAGATE = "propagate"
+    """As the a priori attitudes say: the nearest star solution times their relative rotation."""
+    INTERPOLATE = "interpolate"
+    """At a constant rate between the star solutions before and after; the nearest where one side is missing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransferOptions:
+    """How attitudes are carried from star images to the others.
+
+    Parameters
+    ----------
+    method : TransferMethod
+    max_gap_s : float, s
+        Star images further away in time are not used.
+    drift_arcsec_per_sqrt_s : float, arcsec/s^0.5
+        Random walk per axis of the motion that the method does not model. It is pinned at every star
+        solution that is used, so between two of them it grows and shrinks again. The default is that of a quiet
+        platform, so that nothing claims star accuracy over a gap; set it to the spacecraft's own.
+    max_disagreement_deg : float, deg
+        Where a priori attitudes exist, the largest difference between the turn they tell and the turn that
+        the method assumes. A slew between two images is caught by this. 180 turns the check off.
+    """
+
+    method: TransferMethod = TransferMethod.INTERPOLATE
+    max_gap_s: float = math.inf
+    drift_arcsec_per_sqrt_s: float = 0.1
+    max_disagreement_deg: float = 1.0
+
+    def __post_init__(self) -> None:
+        require(self.max_gap_s >= 0, f"max_gap_s must be >= 0, got {self.max_gap_s}")
+        drift = self.drift_arcsec_per_sqrt_s
+        require(math.isfinite(drift) and drift >= 0, f"drift_arcsec_per_sqrt_s must be >= 0, got {drift}")
+        require(
+            0 < self.max_disagreement_deg <= 180,
+            f"max_disagreement_deg must be in (0, 180], got {self.max_disagreement_deg}",
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarAttitude:
+    """A star solution and when it was made.
+
+    Parameters
+    ----------
+    et : float, TDB seconds past J2000
+    camera_from_inertial : Rotation
+    covariance_rad2 : (3, 3), rad^2
+        Of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
+    apriori : Rotation, optional
+        ``camera_from_inertial`` as it was known before.
+    """
+
+    et: float
+    camera_from_inertial: Rotation
+    covariance_rad2: Float
+    apriori: Rotation | None = None
+
+    def __post_init__(self) -> None:
+        require(math.isfinite(self.et), f"et must be finite, got {self.et}")
+        object.__setattr__(self, "covariance_rad2", as_finite(self.covariance_rad2, (3, 3), "covariance_rad2"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TransferredAttitude:
+    """An attitude that came from neighbours.
+
+    Parameters
+    ----------
+    camera_from_inertial : Rotation
+    covariance_rad2 : (3, 3), rad^2
+        Of the small rotation about the camera axes: the solutions' own errors through the transfer, and the
+        drift of the options.
+    used : tuple of int
+        Which star solutions (indices into what was given), one or two.
+    gap_s : float, s
+        Time to the nearest of them.
+    """
+
+    camera_from_inertial: Rotation
+    covariance_rad2: Float
+    used: tuple[int, ...]
+    gap_s: float
+
+
+def transfer_attitude(
+    et: float,
+    stars: Sequence[StarAttitude],
+    *,
+    apriori: Rotation | None = None,
+    options: TransferOptions = TransferOptions(),
+) -> TransferredAttitude | Failure:
+    """Attitude at a time from star solutions at other times.
+
+    Parameters
+    ----------
+    et : float, TDB seconds past J2000
+        Mid-exposure of the image that needs an attitude.
+    stars : sequence of StarAttitude
+        In any order.
+    apriori : Rotation, optional
+        A priori ``camera_from_inertial`` at ``et``; ``propagate`` needs it, the others check against it.
+
+    Returns
+    -------
+    TransferredAttitude or Failure
+        ``NO_ATTITUDE`` where no star solution is near enough, where ``propagate`` lacks a priori attitudes, or
+        where these tell another turn than the method assumes.
+
+    Notes
+    -----
+    ``replace`` and ``propagate`` use the solution nearest in time (the earlier one of two equally near). With
+    ``D`` the relative rotation that the method assumes, ``C = D C_s`` and ``P = D P_s D^T``.
+
+    ``interpolate`` turns at a constant rate: ``C = Exp(w phi) C_1`` with ``phi = Log(C_2 C_1^-1)``. To first
+    order the errors ``e_1, e_2`` of the two solutions give
+    ``e = (Exp(w phi) - w J(w phi) J(-phi)^-1) e_1 + w J(w phi) J(phi)^-1 e_2``, J the left Jacobian of
+    SO(3); for small turns that is ``(1 - w) e_1 + w e_2``.
+
+    The random walk of the options adds ``q gap``, between two solutions ``q gap_1 gap_2 / (gap_1 + gap_2)``.
+    """
+    propagate = options.method is TransferMethod.PROPAGATE
+    if propagate and apriori is None:
+        return Failure(Reason.NO_ATTITUDE, "transfer 'propagate' needs an a priori attitude of this image")
+    usable = [
+        index
+        for index, star in enumerate(stars)
+        if abs(star.et - et) <= options.max_gap_s and not (propagate and star.apriori is None)
+    ]
+    if not usable:
+        return Failure(Reason.NO_ATTITUDE, _nothing_near(et, stars, options))
+    before = max((i for i in usable if stars[i].et <= et), key=lambda i: stars[i].et, default=None)
+    after = min((i for i in usable if stars[i].et > et), key=lambda i: stars[i].et, default=None)
+    if options.method is TransferMethod.INTERPOLATE and before is not None and after is not None:
+        result = _between(et, stars, before, after, options)
+    else:
+        nearest = min(usable, key=lambda i: (abs(stars[i].et - et), stars[i].et))
+        result = _from_one(et, stars, nearest, apriori if propagate else None, options)
+    refusal = _disagreement(result, stars, apriori, options)
+    return result if refusal is None else refusal
+
+
+def _from_one(
+    et: float, stars: Sequence[StarAttitude], index: int, apriori: Rotation | None, options: TransferOptions
+) -> TransferredAttitude:
+    star = stars[index]
+    relative = Rotation.identity() if apriori is None or star.apriori is None else apriori * star.apriori.inv()
+    turn = relative.as_matrix()
+    gap = abs(star.et - et)
+    return TransferredAttitude(
+        camera_from_inertial=relative * star.camera_from_inertial,
+        covariance_rad2=turn @ star.covariance_rad2 @ turn.T + _walk(gap, options),
+        used=(index,),
+        gap_s=gap,
+    )
+
+
+def _between(
+    et: float, stars: Sequence[StarAttitude], before: int, after: int, options: TransferOptions
+) -> TransferredAttitude:
+    first, second = stars[before], stars[after]
+    span = second.et - first.et
+    weight = (et - first.et) / span
+    turn = (second.camera_from_inertial * first.camera_from_inertial.inv()).as_rotvec()
+    part = Rotation.from_rotvec(weight * turn)
+    rate = weight * _left_jacobian(weight * turn)
+    by_second = rate @ np.linalg.inv(_left_jacobian(turn))
+    by_first = part.as_matrix() - rate @ np.linalg.inv(_left_jacobian(-turn))
+    covariance = by_first @ first.covariance_rad2 @ by_first.T + by_second @ second.covariance_rad2 @ by_second.T
+    return TransferredAttitude(
+        camera_from_inertial=part * first.camera_from_inertial,
+        covariance_rad2=covariance + _walk(weight * (1 - weight) * span, options),
+        used=(before, after),
+        gap_s=min(weight, 1 - weight) * span,
+    )
+
+
+def _walk(duration_s: float, options: TransferOptions) -> Float:
+    sigma = options.drift_arcsec_per_sqrt_s * RAD_PER_ARCSEC
+    return np.eye(3) * (sigma**2 * duration_s)
+
+
+def _left_jacobian(rotvec: Float) -> Float:
+    """Left Jacobian (3, 3) of SO(3): ``Exp(v + d) = Exp(J(v) d) Exp(v)`` to first order."""
+    angle = float(np.linalg.norm(rotvec))
+    cross = skew(rotvec)
+    if angle < 1e-4:  # below, the closed form loses more digits than the series leaves out
+        second, third = 1 / 2, 1 / 6
+    else:
+        second, third = (1 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
+    result: Float = np.eye(3) + second * cross + third * (cross @ cross)
+    return result
+
+
+def _disagreement(
+    result: TransferredAttitude, stars: Sequence[StarAttitude], apriori: Rotation | None, options: TransferOptions
+) -> Failure | None:
+    if apriori is None:
+        return None
+    for index in result.used:
+        star = stars[index]
+        if star.apriori is None:
+            continue
+        told = apriori * star.apriori.inv()
+        assumed = result.camera_from_inertial * star.camera_from_inertial.inv()
+        angle_deg = float((told * assumed.inv()).magnitude()) / RAD_PER_DEG
+        if angle_deg > options.max_disagreement_deg:
+            return Failure(
+                Reason.NO_ATTITUDE,
+                f"the a priori attitudes differ by {angle_deg:.3g} deg from the turn that transfer "
+                f"'{options.method}' assumes (limit {options.max_disagreement_deg:g}): use 'propagate', or raise "
+                "max_disagreement_deg where the a priori attitudes are that poor",
+            )
+    return None
+
+
+def _nothing_near(et: float, stars: Sequence[StarAttitude], options: TransferOptions) -> str:
+    if not stars:
+        return "no star image of this run has a solution to take the attitude from"
+    propagate = options.method is TransferMethod.PROPAGATE
+    gaps = [abs(star.et - et) for star in stars if not (propagate and star.apriori is None)]
+    if not gaps:
+        return "transfer 'propagate' needs a priori attitudes of the star images"
+    nearest = min(gaps)
+    return f"the nearest star solution is {nearest:.6g} s away, further than max_gap_s = {options.max_gap_s:g}"

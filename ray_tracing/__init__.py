@@ -1,0 +1,31 @@
+"""Ray tracing: how light gets from the Sun over a body to the camera, and where the body's outline lies.
+
+``Body`` is what is seen; ``render`` makes a template of it and ``trace_silhouette`` finds its limb.
+"""
+
+from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.reflectance import (
+    REFLECTANCES,
+    Lambert,
+    LommelSeeliger,
+    McEwen,
+    Reflectance,
+    reflectance_from_mapping,
+)
+from giantlike.ray_tracing.render import RenderOptions, Template, render
+from giantlike.ray_tracing.silhouette import Silhouette, trace_silhouette
+
+__all__ = [
+    "REFLECTANCES",
+    "Body",
+    "Lambert",
+    "LommelSeeliger",
+    "McEwen",
+    "Reflectance",
+    "RenderOptions",
+    "Silhouette",
+    "Template",
+    "reflectance_from_mapping",
+    "render",
+    "trace_silhouette",
+]

@@ -1,0 +1,274 @@
+"""Rays against shapes, in body axes and float64 at the border: Embree for meshes, algebra for ellipsoids.
+
+The origin of every ray is first moved up to the sphere around the body, in float64; only then does it become the
+float32 that Embree takes. From a distant camera this is the difference between 1e-5 px and 1e-1 px.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from giantlike.core.arrays import Float, as_floats, require, unit
+from giantlike.core.errors import InputError
+from giantlike.ray_tracing.embree import EmbreeSurface
+from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
+
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+
+_SPHERE_MARGIN = 1.0001
+_HULL_FACETS = 500
+_SHADOW_OFFSET = 1e-5
+"""How far over the surface a shadow ray starts, as a fraction of the body radius; float32 resolves 6e-8."""
+_DISTANCE_TOLERANCE = 1e-5
+"""Largest difference, over the body radius, between float64 and float32 distances; more means a ray along a facet."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """Where rays meet a surface first.
+
+    Parameters
+    ----------
+    hit : (n,) bool
+    points_km : (n, 3) float64, km, body
+        NaN where nothing was hit.
+    facets : (n,) int64
+        Facet numbers, -1 where nothing was hit and 0 on an ellipsoid.
+    normals : (n, 3) float64, unitless, body
+        Outward, NaN where nothing was hit.
+    """
+
+    hit: Mask
+    points_km: Float
+    facets: Indices
+    normals: Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lighting:
+    """What a camera sees along rays, for shading.
+
+    Parameters
+    ----------
+    hit : (n,) bool
+        Rays that meet the body.
+    lit : (k,) int64
+        Numbers of the rays whose hit sees the Sun.
+    cos_incidence, cos_emission : (k,) float64
+        At those hits, towards Sun and camera.
+    """
+
+    hit: Mask
+    lit: Indices
+    cos_incidence: Float
+    cos_emission: Float
+
+
+class Tracer(Protocol):
+    """A shape made ready for rays; body axes, km. Rays that are NaN miss."""
+
+    @property
+    def radius_km(self) -> float:
+        """Radius of a sphere about the origin that holds the body, km."""
+        ...
+
+    @property
+    def hull_points_km(self) -> Float:
+        """Points (k, 3), km, whose convex hull is that of the body, to about 1 % of its extent."""
+        ...
+
+    def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
+        """First hits of rays: origins (3,) or (n, 3), km, and directions (n, 3) of any length."""
+        ...
+
+    def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
+        """Whether rays meet the body at all (n,); origins and directions as in :meth:`intersect`."""
+        ...
+
+    def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
+        """Whether hits lie in the dark (n,): nothing hit, facing away from the Sun, or the body in the way."""
+        ...
+
+    def lighting(self, origin_body_km: Float, directions_body: Float, sun_body: Float, *, shadows: bool) -> Lighting:
+        """Trace and bounce the rays of an image: one origin (3,), unit directions (n, 3), unit Sun direction (3,)."""
+        ...
+
+
+class MeshTracer:
+    """A triangle mesh in Embree; takes the arrays of the mesh and not the mesh, so that a cache can let go of it."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self.radius_km = mesh.circumscribing_radius_km
+        self._vertices_km, self._faces, self._normals = mesh.vertices_km, mesh.faces, mesh.normals
+        self._offsets_km: Float = np.einsum("ij,ij->i", self._normals, self._vertices_km[self._faces[:, 0]])
+        self._surface = EmbreeSurface(self._vertices_km, self._faces)
+        edge_km = float(np.sqrt(np.median(mesh.areas_km2)))
+        self._shadow_offset_km = min(_SHADOW_OFFSET * self.radius_km, 0.01 * edge_km)
+
+    @cached_property
+    def hull_points_km(self) -> Float:
+        """Vertices (k, 3), km, that lie farthest out in a few hundred directions; short of the hull by 1 % at most."""
+        used = self._vertices_km[np.unique(self._faces)]
+        extent = np.ptp(used, axis=0)
+        scaled = used / np.where(
+            extent > 0.0, extent, 1.0
+        )  # so that a long body has its directions where it needs them
+        directions, _ = geodesic_directions(_HULL_FACETS)
+        points: Float = used[np.unique([np.argmax(scaled @ direction) for direction in directions])]
+        return points
+
+    def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
+        """First hits, the facet from Embree and the point on its plane in float64."""
+        starts, directions = self._rays(origins_body_km, directions_body)
+        facets, distances = self._surface.first_hit(starts.astype(np.float32), directions.astype(np.float32))
+        hit = facets >= 0
+        normals = np.full(starts.shape, np.nan)
+        points = np.full(starts.shape, np.nan)
+        normals[hit] = self._normals[facets[hit]]
+        start, direction, normal = starts[hit], directions[hit], normals[hit]
+        slope = np.einsum("ij,ij->i", normal, direction)
+        height = self._offsets_km[facets[hit]] - np.einsum("ij,ij->i", normal, start)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = height / slope
+        rough = distances[hit].astype(np.float64)
+        along_facet = ~(np.abs(distance - rough) < _DISTANCE_TOLERANCE * self.radius_km)
+        points[hit] = start + np.where(along_facet, rough, distance)[:, None] * direction
+        return Hits(hit, points, facets.astype(np.int64), normals)
+
+    def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
+        """Whether rays meet the mesh; start rays that leave the surface a little above it."""
+        starts, directions = self._rays(origins_body_km, directions_body)
+        return self._surface.occluded(starts.astype(np.float32), directions.astype(np.float32))
+
+    def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
+        """Whether hits lie in the dark (n,): facing away from the Sun, or with the body in the way."""
+        dark = ~(hits.normals @ sun_body > 0.0)
+        facing = np.flatnonzero(~dark)
+        starts = hits.points_km[facing] + self._shadow_offset_km * hits.normals[facing]
+        dark[facing] = self.occluded(starts, np.broadcast_to(sun_body, starts.shape))
+        return dark
+
+    def lighting(self, origin_body_km: Float, directions_body: Float, sun_body: Float, *, shadows: bool) -> Lighting:
+        """Trace the rays of an image and bounce them to the Sun; float32 from the bounding sphere on."""
+        reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
+        starts = (origin_body_km + reach * directions_body).astype(np.float32)
+        rays = directions_body.astype(np.float32)
+        facets, distances = self._surface.first_hit(starts, rays)
+        hit = facets >= 0
+        lit = np.flatnonzero(hit)
+        normals = self._normals[facets[lit]]
+        cos_incidence = normals @ sun_body
+        keep = cos_incidence > 0.0
+        if shadows:
+            facing = np.flatnonzero(keep)
+            ray = lit[facing]
+            points = starts[ray] + distances[ray, None] * rays[ray]
+            points += np.float32(self._shadow_offset_km) * normals[facing].astype(np.float32)
+            to_sun = np.empty_like(points)
+            to_sun[:] = sun_body
+            keep[facing] = ~self._surface.occluded(points, to_sun)
+        lit = lit[keep]
+        cos_emission = -np.einsum("ij,ij->i", normals[keep], directions_body[lit])
+        return Lighting(hit, lit, cos_incidence[keep], cos_emission)
+
+    def _rays(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> tuple[Float, Float]:
+        return _approached(origins_body_km, directions_body, self.radius_km)
+
+
+class EllipsoidTracer:
+    """An ellipsoid about the origin, by algebra in float64. Convex: it never shadows itself."""
+
+    def __init__(self, ellipsoid: Ellipsoid) -> None:
+        self.radius_km = ellipsoid.circumscribing_radius_km
+        self._radii_km = ellipsoid.radii_km
+
+    @cached_property
+    def hull_points_km(self) -> Float:
+        """Corners (k, 3) of a polyhedron around the ellipsoid, km."""
+        directions, faces = geodesic_directions(_HULL_FACETS)
+        facet_distance = float(np.linalg.norm(directions[faces].mean(axis=1), axis=1).min())
+        return directions * self._radii_km / facet_distance
+
+    def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
+        """First hits of rays that come from outside."""
+        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
+        near, _ = self._distances(starts, directions)
+        hit = near > 0.0
+        points = np.where(hit[:, None], starts + near[:, None] * directions, np.nan)
+        normals = unit(points / self._radii_km**2)
+        return Hits(hit, points, np.where(hit, 0, -1), normals)
+
+    def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
+        """Whether rays meet the ellipsoid; one that starts on it and leads outward does not."""
+        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
+        _, far = self._distances(starts, directions)
+        blocked: Mask = far > 1e-9 * self.radius_km
+        return blocked
+
+    def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
+        """Whether hits lie in the dark (n,): on an ellipsoid, whether they face away from the Sun."""
+        dark: Mask = ~(hits.normals @ sun_body > 0.0)
+        return dark
+
+    def lighting(self, origin_body_km: Float, directions_body: Float, sun_body: Float, *, shadows: bool) -> Lighting:
+        """Trace the rays of an image; ``shadows`` changes nothing on a convex body."""
+        hits = self.intersect(origin_body_km, directions_body)
+        with np.errstate(invalid="ignore"):
+            cos_incidence = hits.normals @ sun_body
+            lit = np.flatnonzero(cos_incidence > 0.0)
+        cos_emission = -np.einsum("ij,ij->i", hits.normals[lit], directions_body[lit])
+        return Lighting(hits.hit, lit, cos_incidence[lit], cos_emission)
+
+    def _distances(self, starts: Float, directions: Float) -> tuple[Float, Float]:
+        """Distances (n,) along the rays to the near and the far side; NaN for a miss."""
+        origin, step = starts / self._radii_km, directions / self._radii_km
+        square = np.einsum("ij,ij->i", step, step)
+        middle = -np.einsum("ij,ij->i", origin, step) / square
+        closest = origin + middle[:, None] * step
+        with np.errstate(invalid="ignore"):
+            half = np.sqrt((1.0 - np.einsum("ij,ij->i", closest, closest)) / square)
+        return middle - half, middle + half
+
+
+def _approached(origins_body_km: ArrayLike, directions_body: ArrayLike, radius_km: float) -> tuple[Float, Float]:
+    """Rays moved forward to the sphere around the body: starts (n, 3), km, and unit directions (n, 3)."""
+    directions = as_floats(directions_body, (3,), "directions_body")
+    origins = as_floats(origins_body_km, (3,), "origins_body_km")
+    require(
+        directions.ndim == 2 and origins.shape in ((3,), directions.shape),
+        f"needed directions (n, 3) and origins (3,) or (n, 3), got {directions.shape} and {origins.shape}",
+    )
+    directions = unit(directions)
+    reach = np.maximum(np.linalg.norm(origins, axis=-1, keepdims=True) - _SPHERE_MARGIN * radius_km, 0.0)
+    return origins + reach * directions, directions
+
+
+_TRACERS: weakref.WeakKeyDictionary[TriangleMesh, MeshTracer] = weakref.WeakKeyDictionary()
+_TRACERS_LOCK = threading.Lock()
+
+
+def tracer_for(shape: Shape) -> Tracer:
+    """Return the tracer of a shape; that of a mesh is built once and lives as long as the mesh object.
+
+    Raises
+    ------
+    InputError
+        The shape is neither a mesh nor an ellipsoid.
+    """
+    if isinstance(shape, Ellipsoid):
+        return EllipsoidTracer(shape)
+    if not isinstance(shape, TriangleMesh):
+        raise InputError(f"rays can be traced against a TriangleMesh or an Ellipsoid, not {type(shape).__name__}")
+    with _TRACERS_LOCK:
+        tracer = _TRACERS.get(shape)
+        if tracer is None:
+            tracer = _TRACERS[shape] = MeshTracer(shape)
+        return tracer

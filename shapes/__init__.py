@@ -1,0 +1,21 @@
+"""Shapes: what bodies look like. Ellipsoids, triangle meshes, their files, and generated asteroids.
+
+Everything is in body axes and km; the origin of a shape is what estimators call the centre of the body.
+"""
+
+from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid, Shape, sphere
+from giantlike.shapes.generate import geodesic_directions, irregular_body, mesh_from_ellipsoid
+from giantlike.shapes.load import load_shape
+from giantlike.shapes.mesh import TriangleMesh
+
+__all__ = [
+    "Ellipsoid",
+    "PlacedEllipsoid",
+    "Shape",
+    "TriangleMesh",
+    "geodesic_directions",
+    "irregular_body",
+    "load_shape",
+    "mesh_from_ellipsoid",
+    "sphere",
+]

@@ -1,0 +1,119 @@
+"""What every shape answers, and the triaxial ellipsoid.
+
+A shape lives in body axes, km; its origin is what estimators call the centre of the body.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_finite, frozen, require
+
+
+@runtime_checkable
+class Shape(Protocol):
+    """The surface of a body, in body axes; an immutable value."""
+
+    @property
+    def name(self) -> str:
+        """How people call it: the stem of its file, for shapes that came from one."""
+        ...
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the file it came from, or of the numbers that define it; hexadecimal."""
+        ...
+
+    @property
+    def circumscribing_radius_km(self) -> float:
+        """Largest distance of the surface from the origin, km."""
+        ...
+
+    @property
+    def mean_radius_km(self) -> float:
+        """Radius of the sphere of the same volume, km."""
+        ...
+
+    @property
+    def best_fit_ellipsoid(self) -> PlacedEllipsoid:
+        """The ellipsoid that stands for the shape where an estimator needs one."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
+class Ellipsoid:
+    """A triaxial ellipsoid about the origin, its axes along the body axes.
+
+    Parameters
+    ----------
+    radii_km : (3,) float64, km
+        Semi-axes along body x, y and z.
+    name : str
+
+    Raises
+    ------
+    InputError
+        A radius is not positive and finite.
+    """
+
+    radii_km: Float
+    name: str = "ellipsoid"
+    sha256: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        radii = as_finite(self.radii_km, (3,), "radii_km")
+        require(bool(np.all(radii > 0)), f"radii_km must be > 0, got {radii.tolist()}")
+        object.__setattr__(self, "radii_km", frozen(radii))
+        object.__setattr__(self, "sha256", hashlib.sha256(b"ellipsoid" + radii.tobytes()).hexdigest())
+
+    @property
+    def circumscribing_radius_km(self) -> float:
+        """Longest semi-axis, km."""
+        return float(self.radii_km.max())
+
+    @property
+    def mean_radius_km(self) -> float:
+        """Radius of the sphere of the same volume, km."""
+        return float(np.cbrt(np.prod(self.radii_km)))
+
+    @property
+    def volume_km3(self) -> float:
+        """Volume, km^3."""
+        return float(4.0 / 3.0 * np.pi * np.prod(self.radii_km))
+
+    @property
+    def best_fit_ellipsoid(self) -> PlacedEllipsoid:
+        """The ellipsoid itself, at the origin."""
+        return PlacedEllipsoid(ellipsoid=self, center_body_km=np.zeros(3), body_from_axes=Rotation.identity())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedEllipsoid:
+    """An ellipsoid with its own centre and axes in a body.
+
+    Parameters
+    ----------
+    ellipsoid : Ellipsoid
+    center_body_km : (3,) float64, km, body
+        From the origin of the shape to the centre of the ellipsoid.
+    body_from_axes : Rotation
+        Takes vectors along the axes of the ellipsoid to body axes.
+    """
+
+    ellipsoid: Ellipsoid
+    center_body_km: Float
+    body_from_axes: Rotation
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center_body_km", as_finite(self.center_body_km, (3,), "center_body_km"))
+
+
+def sphere(radius_km: ArrayLike, *, name: str = "sphere") -> Ellipsoid:
+    """Return the ellipsoid with three equal semi-axes ``radius_km``."""
+    return Ellipsoid(radii_km=np.full(3, radius_km, dtype=np.float64), name=name)

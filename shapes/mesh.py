@@ -1,0 +1,175 @@
+"""A closed surface made of triangles."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_floats, frozen, require
+from giantlike.core.errors import InputError
+from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
+
+Faces = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A body as a surface of triangles, in body axes.
+
+    Facets without area are dropped, and all facets are turned over when the volume they enclose comes
+    out negative, so that normals point outward. Derived arrays are computed once, when first asked for.
+
+    Parameters
+    ----------
+    vertices_km : (n, 3) float64, km, body
+    faces : (m, 3) int64
+        Indices of the corners of each facet, from 0, counter-clockwise seen from outside.
+    name : str
+    sha256 : str
+        Hash of the file the mesh came from; empty means: hash the arrays.
+
+    Raises
+    ------
+    InputError
+        No facet with area, an index out of range, or a vertex that is not finite.
+    """
+
+    vertices_km: Float
+    faces: Faces
+    name: str = "mesh"
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        vertices, faces = _checked(self.vertices_km, self.faces)
+        vectors = _area_vectors(vertices, faces)
+        if _signed_volume(vertices, faces) < 0.0:
+            faces, vectors = np.ascontiguousarray(faces[:, ::-1]), -vectors
+        areas = np.linalg.norm(vectors, axis=1)
+        extent = float(np.max(np.ptp(vertices, axis=0)))
+        keep = areas > 1e-20 * extent**2
+        require(bool(keep.any()), f"mesh {self.name!r}: no facet has any area")
+        if not keep.all():
+            faces, vectors, areas = faces[keep], vectors[keep], areas[keep]
+        content = hashlib.sha256(vertices.tobytes() + faces.tobytes()).hexdigest() if not self.sha256 else self.sha256
+        for field, value in (("vertices_km", frozen(vertices)), ("faces", frozen(faces)), ("sha256", content)):
+            object.__setattr__(self, field, value)
+        object.__setattr__(self, "_areas_km2", frozen(areas))
+        object.__setattr__(self, "_normals", frozen(vectors / areas[:, None]))
+
+    def __reduce__(self) -> tuple[type[TriangleMesh], tuple[Float, Faces, str, str]]:
+        return type(self), (self.vertices_km, self.faces, self.name, self.sha256)
+
+    def __repr__(self) -> str:
+        return f"TriangleMesh({self.name!r}, {len(self.vertices_km)} vertices, {len(self.faces)} facets)"
+
+    @property
+    def normals(self) -> Float:
+        """Outward unit normals (m, 3) of the facets, body axes."""
+        normals: Float = self.__dict__["_normals"]
+        return normals
+
+    @property
+    def areas_km2(self) -> Float:
+        """Areas (m,) of the facets, km^2."""
+        areas: Float = self.__dict__["_areas_km2"]
+        return areas
+
+    @cached_property
+    def area_km2(self) -> float:
+        """Area of the whole surface, km^2."""
+        return float(self.areas_km2.sum())
+
+    @cached_property
+    def circumscribing_radius_km(self) -> float:
+        """Largest distance of a vertex in use from the origin, km."""
+        used = self.vertices_km[np.unique(self.faces)]
+        return float(np.sqrt(np.einsum("ij,ij->i", used, used).max()))
+
+    @cached_property
+    def volume_km3(self) -> float:
+        """Volume enclosed, km^3."""
+        return _signed_volume(self.vertices_km, self.faces)
+
+    @property
+    def mean_radius_km(self) -> float:
+        """Radius of the sphere of the same volume, km."""
+        return float(np.cbrt(3.0 * self.volume_km3 / (4.0 * np.pi)))
+
+    @property
+    def center_of_figure_km(self) -> Float:
+        """Centroid (3,) of the volume, km, body axes."""
+        return self._moments[0].copy()
+
+    @property
+    def openness(self) -> float:
+        """Length of the sum of all area vectors over the area: 0 for a closed surface, 1 for a flat sheet."""
+        return float(np.linalg.norm(self.areas_km2 @ self.normals) / self.area_km2)
+
+    @cached_property
+    def best_fit_ellipsoid(self) -> PlacedEllipsoid:
+        """The ellipsoid with the same centroid and the same second moments of volume, longest axis first.
+
+        Exact for a mesh of an ellipsoid, to the fineness of its facets.
+        """
+        center, second = self._moments
+        eigenvalues, axes = np.linalg.eigh(second)
+        axes = axes[:, ::-1]
+        axes = axes * np.sign(axes[np.abs(axes).argmax(axis=0), range(3)])  # eigenvectors have no sign of their own
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        radii = np.sqrt(5.0 * eigenvalues[::-1])
+        return PlacedEllipsoid(
+            ellipsoid=Ellipsoid(radii_km=radii, name=f"{self.name} (best-fit ellipsoid)"),
+            center_body_km=center,
+            body_from_axes=Rotation.from_matrix(axes),
+        )
+
+    def translated(self, offset_body_km: ArrayLike) -> TriangleMesh:
+        """Return the mesh moved by ``offset_body_km`` (3,), hashed anew."""
+        offset = as_floats(offset_body_km, (3,), "offset_body_km")
+        return TriangleMesh(self.vertices_km + offset, self.faces, self.name)
+
+    @cached_property
+    def _moments(self) -> tuple[Float, Float]:
+        """Centroid (3,) and covariance (3, 3) of the volume, from tetrahedra with their apex at the origin."""
+        a, b, c = (self.vertices_km[self.faces[:, i]] for i in range(3))
+        weights = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+        total = weights.sum()
+        corners = a + b + c
+        center = weights @ corners / (4.0 * total)
+        second = sum(np.einsum("i,ij,ik->jk", weights, p, p) for p in (a, b, c, corners)) / (20.0 * total)
+        return center, second - np.outer(center, center)
+
+
+def _checked(vertices_km: ArrayLike, faces: ArrayLike) -> tuple[Float, Faces]:
+    """Copies of vertices (n, 3) and faces (m, 3) that are safe to hand to a ray tracer."""
+    vertices = np.array(as_floats(vertices_km, (3,), "vertices_km"), order="C")
+    require(vertices.ndim == 2, f"vertices_km must have shape (n, 3), got {vertices.shape}")
+    indices = np.asarray(faces)
+    require(indices.size > 0, "a mesh needs at least one facet, got none")
+    if indices.ndim != 2 or indices.shape[1] != 3 or not np.issubdtype(indices.dtype, np.integer):
+        raise InputError(f"faces must be integers of shape (m, 3), got {indices.dtype} of shape {indices.shape}")
+    bad = ~np.isfinite(vertices).all(axis=1)
+    require(not bad.any(), f"{int(bad.sum())} vertices are not finite, the first is number {int(bad.argmax())}")
+    low, high = int(indices.min()), int(indices.max())
+    require(
+        low >= 0 and high < len(vertices),
+        f"faces use vertex indices {low} to {high}, but there are {len(vertices)} vertices, numbered from 0",
+    )
+    return vertices, np.array(indices, dtype=np.int64, order="C")
+
+
+def _area_vectors(vertices_km: Float, faces: Faces) -> Float:
+    """Area times outward normal (m, 3), km^2."""
+    a, b, c = (vertices_km[faces[:, i]] for i in range(3))
+    return np.cross(b - a, c - a) / 2.0
+
+
+def _signed_volume(vertices_km: Float, faces: Faces) -> float:
+    """Volume by the divergence theorem, km^3; apex at the mean vertex, so that an offset body loses no digits."""
+    a, b, c = (vertices_km[faces[:, i]] - vertices_km.mean(axis=0) for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
