@@ -3,16 +3,21 @@
 Everything is in body axes and km; the origin of a shape is what estimators call the centre of the body.
 """
 
+from giantlike.shapes.albedo import Albedo, AlbedoMap, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid, Shape, sphere
 from giantlike.shapes.generate import geodesic_directions, irregular_body, mesh_from_ellipsoid
 from giantlike.shapes.load import load_shape
 from giantlike.shapes.mesh import TriangleMesh
 
 __all__ = [
+    "Albedo",
+    "AlbedoMap",
     "Ellipsoid",
+    "FacetAlbedo",
     "PlacedEllipsoid",
     "Shape",
     "TriangleMesh",
+    "VertexAlbedo",
     "geodesic_directions",
     "irregular_body",
     "load_shape",

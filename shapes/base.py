@@ -6,7 +6,7 @@ A shape lives in body axes, km; its origin is what estimators call the centre of
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, frozen, require
+from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo, hash_with_albedo
 
 
 @runtime_checkable
@@ -45,6 +46,11 @@ class Shape(Protocol):
         """The ellipsoid that stands for the shape where an estimator needs one."""
         ...
 
+    @property
+    def albedo(self) -> Albedo | None:
+        """Relative albedo over the surface; None means 1 everywhere."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Ellipsoid:
@@ -55,22 +61,30 @@ class Ellipsoid:
     radii_km : (3,) float64, km
         Semi-axes along body x, y and z.
     name : str
+    albedo : Albedo, optional
+        Relative albedo; it enters the hash.
 
     Raises
     ------
     InputError
-        A radius is not positive and finite.
+        A radius is not positive and finite, or the albedo is one of facets or vertices.
     """
 
     radii_km: Float
     name: str = "ellipsoid"
+    albedo: Albedo | None = None
     sha256: str = field(init=False)
 
     def __post_init__(self) -> None:
         radii = as_finite(self.radii_km, (3,), "radii_km")
         require(bool(np.all(radii > 0)), f"radii_km must be > 0, got {radii.tolist()}")
         object.__setattr__(self, "radii_km", frozen(radii))
-        object.__setattr__(self, "sha256", hashlib.sha256(b"ellipsoid" + radii.tobytes()).hexdigest())
+        require(
+            not isinstance(self.albedo, FacetAlbedo | VertexAlbedo),
+            "an ellipsoid has no facets or vertices: give it an AlbedoMap",
+        )
+        content = hashlib.sha256(b"ellipsoid" + radii.tobytes()).hexdigest()
+        object.__setattr__(self, "sha256", hash_with_albedo(content, self.albedo))
 
     @property
     def circumscribing_radius_km(self) -> float:
@@ -91,6 +105,10 @@ class Ellipsoid:
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
         """The ellipsoid itself, at the origin."""
         return PlacedEllipsoid(ellipsoid=self, center_body_km=np.zeros(3), body_from_axes=Rotation.identity())
+
+    def with_albedo(self, albedo: Albedo | None) -> Ellipsoid:
+        """Return the same ellipsoid with another relative albedo."""
+        return replace(self, albedo=albedo)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,9 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_floats, frozen, require
 from giantlike.core.errors import InputError
+from giantlike.shapes.albedo import Albedo, AlbedoMap, fitted_to_mesh, hash_with_albedo
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 
 Faces = NDArray[np.int64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,18 +33,22 @@ class TriangleMesh:
         Indices of the corners of each facet, from 0, counter-clockwise seen from outside.
     name : str
     sha256 : str
-        Hash of the file the mesh came from; empty means: hash the arrays.
+        Hash of the file the mesh came from; empty means: hash the arrays. The hash of the albedo is mixed in.
+    albedo : Albedo, optional
+        Relative albedo, by facet or vertex in the order given here.
 
     Raises
     ------
     InputError
-        No facet with area, an index out of range, or a vertex that is not finite.
+        No facet with area, an index out of range, a vertex that is not finite, or an albedo with another number
+        of values.
     """
 
     vertices_km: Float
     faces: Faces
     name: str = "mesh"
     sha256: str = ""
+    albedo: Albedo | None = None
 
     def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices_km, self.faces)
@@ -55,14 +61,23 @@ class TriangleMesh:
         require(bool(keep.any()), f"mesh {self.name!r}: no facet has any area")
         if not keep.all():
             faces, vectors, areas = faces[keep], vectors[keep], areas[keep]
-        content = hashlib.sha256(vertices.tobytes() + faces.tobytes()).hexdigest() if not self.sha256 else self.sha256
-        for field, value in (("vertices_km", frozen(vertices)), ("faces", frozen(faces)), ("sha256", content)):
+        surface = self.sha256 or hashlib.sha256(vertices.tobytes() + faces.tobytes()).hexdigest()
+        albedo = self.albedo
+        if albedo is not None:
+            albedo = fitted_to_mesh(albedo, vertices=len(vertices), faces=frozen(faces), kept=keep)
+        for field, value in (
+            ("vertices_km", frozen(vertices)),
+            ("faces", frozen(faces)),
+            ("sha256", hash_with_albedo(surface, albedo)),
+            ("albedo", albedo),
+            ("_surface_sha256", surface),
+            ("_areas_km2", frozen(areas)),
+            ("_normals", frozen(vectors / areas[:, None])),
+        ):
             object.__setattr__(self, field, value)
-        object.__setattr__(self, "_areas_km2", frozen(areas))
-        object.__setattr__(self, "_normals", frozen(vectors / areas[:, None]))
 
-    def __reduce__(self) -> tuple[type[TriangleMesh], tuple[Float, Faces, str, str]]:
-        return type(self), (self.vertices_km, self.faces, self.name, self.sha256)
+    def __reduce__(self) -> tuple[type[TriangleMesh], tuple[Float, Faces, str, str, Albedo | None]]:
+        return type(self), (self.vertices_km, self.faces, self.name, self._surface_hash, self.albedo)
 
     def __repr__(self) -> str:
         return f"TriangleMesh({self.name!r}, {len(self.vertices_km)} vertices, {len(self.faces)} facets)"
@@ -78,6 +93,12 @@ class TriangleMesh:
         """Areas (m,) of the facets, km^2."""
         areas: Float = self.__dict__["_areas_km2"]
         return areas
+
+    @property
+    def _surface_hash(self) -> str:
+        """Hash of the surface without its albedo."""
+        surface: str = self.__dict__["_surface_sha256"]
+        return surface
 
     @cached_property
     def area_km2(self) -> float:
@@ -128,10 +149,31 @@ class TriangleMesh:
             body_from_axes=Rotation.from_matrix(axes),
         )
 
+    def barycentric(self, points_body_km: ArrayLike, facets: Indices) -> Float:
+        """Weights (n, 3) of the corners of facets (n,) at points (n, 3), km, that lie on them; they sum to 1."""
+        points = as_floats(points_body_km, (3,), "points_body_km")
+        a, b, c = (self.vertices_km[self.faces[facets, corner]] for corner in range(3))
+        twice = 2.0 * self.areas_km2[facets]
+        normals = self.normals[facets]
+        at_b = np.einsum("ij,ij->i", np.cross(points - a, c - a), normals) / twice
+        at_c = np.einsum("ij,ij->i", np.cross(b - a, points - a), normals) / twice
+        return np.stack([1.0 - at_b - at_c, at_b, at_c], axis=-1)
+
+    def with_albedo(self, albedo: Albedo | None) -> TriangleMesh:
+        """Return the same surface with another relative albedo, by its own facets or vertices.
+
+        Raises
+        ------
+        InputError
+            The albedo has another number of values.
+        """
+        return TriangleMesh(self.vertices_km, self.faces, self.name, self._surface_hash, albedo)
+
     def translated(self, offset_body_km: ArrayLike) -> TriangleMesh:
-        """Return the mesh moved by ``offset_body_km`` (3,), hashed anew."""
+        """Return the mesh moved by ``offset_body_km`` (3,), hashed anew; its albedo moves with it."""
         offset = as_floats(offset_body_km, (3,), "offset_body_km")
-        return TriangleMesh(self.vertices_km + offset, self.faces, self.name)
+        albedo = self.albedo.translated(offset) if isinstance(self.albedo, AlbedoMap) else self.albedo
+        return TriangleMesh(self.vertices_km + offset, self.faces, self.name, albedo=albedo)
 
     @cached_property
     def _moments(self) -> tuple[Float, Float]:
