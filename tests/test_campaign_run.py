@@ -74,8 +74,8 @@ MOON_POINTING = camera_from_inertial_of_pointing(308.0, -23.6, 20.0)  # a degree
 JACOBIAN = 1e-6  # relative to the largest entry: central differences in float64
 ATTITUDE_COLUMNS = (
     "file,epoch_utc,status,reason,source,n_detected,n_matched,rms_px,qx,qy,qz,qw,ra_deg,dec_deg,roll_deg,fov_deg,"
-    "sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec,time_s"
-)  # as in the contract
+    "sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec,flags,time_s"
+)  # as in the contract, and the flags
 OBSERVATION_COLUMNS = (
     "file,epoch_utc,target,estimator,status,reason,predicted_x_px,predicted_y_px,x_px,y_px,sigma_x_px,sigma_y_px,"
     "rho_xy,x_camera_km,y_camera_km,z_camera_km,range_km,sigma_range_km,score,n_used,n_rejected,flags,time_s"
@@ -324,6 +324,23 @@ def test_a_target_without_direction_to_the_sun_says_what_is_missing(copied: Path
     problems = [record.problem for record in result.observations]
     assert all(problem is not None and problem.reason == "no_geometry" for problem in problems)
     assert all(problem is not None and "sun_x, sun_y, sun_z" in problem.detail for problem in problems)
+
+
+def test_the_geometry_table_tells_where_the_spacecraft_is_and_how_it_moves(tmp_path: Path) -> None:
+    Camera.from_fov(10.0, 64, 64).save(tmp_path / "camera.toml")
+    state = ObserverState(position_km=np.array([1e8, 2e8, 3e7]), velocity_km_s=np.array([10.0, -20.0, 5.0]))
+    for name in ("moving.fits", "unknown.fits"):
+        write_fits(tmp_path / name, np.zeros((64, 64), np.uint16))
+    write_geometry(tmp_path / "geometry.csv", [GeometryRow(file="moving.fits", observer=state)])
+    path = tmp_path / "campaign.toml"
+    base = campaign_table()
+    content = {key: base[key] for key in ("campaign", "camera")}
+    path.write_text(tomli_w.dumps(content | {"images": {"files": ["*.fits"], "geometry": "geometry.csv"}}))
+    campaign = Campaign.load(path)
+    moving, unknown = (open_image(campaign, entry).image.observer for entry in campaign.images)
+    assert moving is not None
+    assert_allclose(moving.velocity_km_s, state.velocity_km_s, rtol=0, atol=0)
+    assert unknown is None
 
 
 def test_an_attitude_at_a_celestial_pole_has_a_direction_but_no_roll(tmp_path: Path) -> None:

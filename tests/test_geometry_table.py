@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.errors import DataError
 from giantlike.core.frames import rotation_between
+from giantlike.core.observer import ObserverState
 from giantlike.core.time import et_from_time, time_from_utc, utc_text
 from giantlike.io import read_ephemeris_table, read_geometry, write_bytes_atomic, write_geometry, write_text_atomic
 from giantlike.io.geometry_table import COLUMNS, GeometryRow
@@ -48,8 +49,9 @@ def refusal(path: Path) -> str:
 # ----------------------------------------------------------------------------------------- geometry
 
 
-def test_the_columns_are_those_of_the_campaign_contract() -> None:
-    assert ",".join(COLUMNS) == CONTRACT
+def test_the_columns_are_those_of_the_campaign_contract_and_the_observer() -> None:
+    assert ",".join(COLUMNS[:18]) == CONTRACT
+    assert COLUMNS[18:] == (*(f"observer_{x}_km" for x in "xyz"), *(f"observer_v{x}_km_s" for x in "xyz"))
 
 
 def test_a_full_row_is_read_as_what_it_says(tmp_path: Path) -> None:
@@ -153,7 +155,8 @@ def test_an_empty_target_means_the_only_one_where_that_is_known(tmp_path: Path) 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     generator = np.random.default_rng(2)
-    rows = [GeometryRow(file="only.fits"), GeometryRow(file="a,b.fits", exposure_s=1e-5, target="X")]
+    state = ObserverState(position_km=generator.normal(size=3) * 1e8, velocity_km_s=generator.normal(size=3) * 20)
+    rows = [GeometryRow(file="only.fits", observer=state), GeometryRow(file="a,b.fits", exposure_s=1e-5, target="X")]
     for k in range(30):
         sun = generator.normal(size=3)
         rows.append(
@@ -171,6 +174,10 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     write_geometry(tmp_path / "g.csv", rows)
     again = read_geometry(tmp_path / "g.csv").rows
     assert [(r.file, r.target, r.exposure_s) for r in again] == [(r.file, r.target, r.exposure_s) for r in rows]
+    read = again[0].observer
+    assert read is not None
+    assert_array_equal([read.position_km, read.velocity_km_s], [state.position_km, state.velocity_km_s])
+    assert again[1].observer is None
     for old, new in zip(rows[2:], again[2:], strict=True):
         assert new.epoch is not None
         assert old.epoch is not None
@@ -181,6 +188,18 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         assert_allclose(new.sun_direction_inertial, old.sun_direction_inertial, rtol=0, atol=ROTATION_RAD)
         for name in ("camera_from_inertial", "body_from_inertial"):
             assert np.linalg.norm(rotation_between(getattr(new, name), getattr(old, name))) < ROTATION_RAD
+
+
+def test_the_observer_of_an_image_is_told_once_and_whole(tmp_path: Path) -> None:
+    header = "file,target,observer_x_km,observer_y_km,observer_z_km,observer_vx_km_s,observer_vy_km_s,observer_vz_km_s"
+    geometry = read_geometry(table(tmp_path / "g.csv", "a.fits,X,1,2,3,4,5,6", "a.fits,Y,,,,,,", header=header))
+    known = geometry.image("a.fits")
+    assert known is not None
+    assert known.observer is not None
+    assert_array_equal(known.observer.velocity_km_s, [4.0, 5.0, 6.0])
+    assert "observer_vz_km_s" in refusal(table(tmp_path / "half.csv", "a.fits,X,1,2,3,4,5,", header=header))
+    rows = ("a.fits,X,1,2,3,4,5,6", "a.fits,Y,1,2,3,4,5,7")
+    assert "line 3, column observer_x_km" in refusal(table(tmp_path / "two.csv", *rows, header=header))
 
 
 def test_images_are_found_by_base_name_with_all_their_targets(tmp_path: Path) -> None:

@@ -57,6 +57,7 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
             image,
             epoch=known.epoch or image.epoch,
             exposure_s=image.exposure_s if known.exposure_s is None else known.exposure_s,
+            observer=known.observer or image.observer,
         )
         if known.camera_from_inertial is not None:
             image = image.with_attitude(known.camera_from_inertial)

@@ -14,6 +14,7 @@ import numpy as np
 from giantlike.campaign.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.report_figures import attitude_figures, body_figures, center_colors, overlay
 from giantlike.campaign.results import RunResult
+from giantlike.core.outcomes import Quality
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
 from giantlike.io.atomic import write_text_atomic
@@ -87,7 +88,12 @@ def _failures(result: RunResult) -> list[_Failure]:
 
 
 def _notes(result: RunResult) -> list[str]:
-    notes = [f"{record.file}: {note}" for record in result.attitudes for note in record.notes]
+    moving = sum(str(Quality.OBSERVER_UNKNOWN.name).lower() in record.flags for record in result.attitudes)
+    notes = [
+        f"{moving} attitude{'s' * (moving > 1)} from stars without the spacecraft's velocity: stellar aberration, some "
+        "20 arcsec at 1 au, is still in (give observer columns in the geometry table, header keywords or [spice])"
+    ] * (moving > 0)
+    notes += [f"{record.file}: {note}" for record in result.attitudes for note in record.notes]
     return notes + [f"{image.file}: {note}" for image in result.bodies for note in image.notes]
 
 

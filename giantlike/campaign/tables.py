@@ -31,9 +31,9 @@ def _ordered(order: str, kinds: Kinds) -> Kinds:
 
 ATTITUDE_COLUMNS = _ordered(
     "file epoch_utc status reason source n_detected n_matched rms_px qx qy qz qw ra_deg dec_deg roll_deg fov_deg "
-    "sigma_x_arcsec sigma_y_arcsec sigma_z_arcsec time_s",
+    "sigma_x_arcsec sigma_y_arcsec sigma_z_arcsec flags time_s",
     _kinds(
-        text="file epoch_utc status reason source",
+        text="file epoch_utc status reason source flags",
         integer="n_detected n_matched",
         number="rms_px qx qy qz qw ra_deg dec_deg roll_deg fov_deg sigma_x_arcsec sigma_y_arcsec sigma_z_arcsec time_s",
     ),
@@ -41,7 +41,7 @@ ATTITUDE_COLUMNS = _ordered(
 """Columns of ``attitudes.csv``, in order, and what they hold."""
 
 ATTITUDE_EXTRAS = _kinds(
-    text="detail flags sha256 provenance",
+    text="detail sha256 provenance",
     number="et exposure_s false_match_probability",
     integer="n_rejected",
     texts="notes",

@@ -13,6 +13,9 @@ One row per image and target. Every column but ``file`` may be absent or empty:
 ``body_qx``, ``body_qy``, ``body_qz``,         body_from_inertial at the time the light left, scalar last
 ``body_qw``
 ``sun_x``, ``sun_y``, ``sun_z``                unit vector target to Sun, inertial
+``observer_x_km``, ``observer_y_km``,          spacecraft with respect to the solar system barycentre, inertial axes:
+``observer_z_km``, ``observer_vx_km_s``,       position and velocity, all six or none; with them stars get parallax
+``observer_vy_km_s``, ``observer_vz_km_s``     and aberration
 =============================================  ==========================================================
 """
 
@@ -25,7 +28,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +36,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.observer import ObserverState
 from giantlike.core.time import utc_text
 from giantlike.io.atomic import write_text_atomic
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
@@ -40,11 +44,16 @@ from giantlike.io.csv_rows import CsvRow, read_csv_rows
 if TYPE_CHECKING:
     from astropy.time import Time
 
+Value = TypeVar("Value")
+
 _ATTITUDE = ("qx", "qy", "qz", "qw")
 _TARGET = ("target_x_km", "target_y_km", "target_z_km")
 _BODY = ("body_qx", "body_qy", "body_qz", "body_qw")
 _SUN = ("sun_x", "sun_y", "sun_z")
-COLUMNS = ("file", "epoch_utc", "exposure_s", *_ATTITUDE, "target", *_TARGET, *_BODY, *_SUN)
+_OBSERVER = (
+    "observer_x_km", "observer_y_km", "observer_z_km", "observer_vx_km_s", "observer_vy_km_s", "observer_vz_km_s",
+)  # fmt: skip
+COLUMNS = ("file", "epoch_utc", "exposure_s", *_ATTITUDE, "target", *_TARGET, *_BODY, *_SUN, *_OBSERVER)
 """Columns of ``geometry.csv``, in the order in which they are written."""
 
 
@@ -68,6 +77,8 @@ class GeometryRow:
         Of the target when the light left it.
     sun_direction_inertial : (3,) float64 or None, unitless, inertial
         Unit vector from target to Sun.
+    observer : ObserverState or None
+        The spacecraft, with respect to the solar system barycentre.
     line : int
         Line in the file, 0 for a row that was not read from one.
     """
@@ -80,6 +91,7 @@ class GeometryRow:
     target_position_inertial_km: Float | None = None
     body_from_inertial: Rotation | None = None
     sun_direction_inertial: Float | None = None
+    observer: ObserverState | None = None
     line: int = 0
 
 
@@ -92,6 +104,7 @@ class ImageGeometry:
     epoch : Time or None
     exposure_s : float or None, s
     camera_from_inertial : Rotation or None
+    observer : ObserverState or None
     targets : mapping of str to GeometryRow
         The rows with a target, by its name.
     """
@@ -99,6 +112,7 @@ class ImageGeometry:
     epoch: Time | None
     exposure_s: float | None
     camera_from_inertial: Rotation | None
+    observer: ObserverState | None
     targets: Mapping[str, GeometryRow]
 
 
@@ -111,7 +125,7 @@ class GeometryTable:
     path : Path
     rows : tuple of GeometryRow
         In file order; no two have the same ``file`` and ``target``, and all rows of a file agree on epoch,
-        exposure and attitude where they give them.
+        exposure, attitude and observer where they give them.
     """
 
     path: Path
@@ -189,6 +203,8 @@ def read_geometry(path: str | Path, *, default_target: str | None = None) -> Geo
 def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
     """Write a geometry table, whole or not at all; numbers keep all their digits, epochs microseconds.
 
+    The observer columns are there only when a row has an observer.
+
     Raises
     ------
     DataError
@@ -196,7 +212,9 @@ def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows = list(rows)
+    count = len(COLUMNS) if any(row.observer is not None for row in rows) else COLUMNS.index(_OBSERVER[0])
+    writer.writerow(COLUMNS[:count])
     for row in rows:
         writer.writerow(
             [
@@ -208,7 +226,9 @@ def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
                 *_vector_cells(row.target_position_inertial_km),
                 *_quaternion_cells(row.body_from_inertial),
                 *_vector_cells(row.sun_direction_inertial),
-            ]
+                *_vector_cells(None if row.observer is None else row.observer.position_km),
+                *_vector_cells(None if row.observer is None else row.observer.velocity_km_s),
+            ][:count]
         )
     write_text_atomic(path, buffer.getvalue())
 
@@ -224,6 +244,7 @@ def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
     if position is not None and not np.any(position):
         raise row.error(_TARGET[0], "a vector from camera to target is needed, not zero")
     body_from_inertial, sun = row.rotation(_BODY), row.direction(_SUN)
+    state = row.vector(_OBSERVER)
     described = position is not None or body_from_inertial is not None or sun is not None
     target = row.text("target") or (default_target if described else None)
     if described and target is None:
@@ -237,6 +258,7 @@ def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
         target_position_inertial_km=position,
         body_from_inertial=body_from_inertial,
         sun_direction_inertial=sun,
+        observer=None if state is None else ObserverState(position_km=state[:3], velocity_km_s=state[3:]),
         line=row.line,
     )
 
@@ -255,11 +277,12 @@ def _check_consistency(table: GeometryTable) -> None:
             )
         if uses[row.file] == 1:
             continue
-        attitude = row.camera_from_inertial
+        attitude, observer = row.camera_from_inertial, row.observer
         shared = {
             "epoch_utc": "" if row.epoch is None else utc_text(row.epoch),
             "exposure_s": "" if row.exposure_s is None else repr(row.exposure_s),
             "qx": "" if attitude is None else str(quaternion_xyzw(attitude).round(12).tolist()),
+            "observer_x_km": "" if observer is None else str([*observer.position_km, *observer.velocity_km_s]),
         }
         for column, value in shared.items():
             if not value:
@@ -274,13 +297,16 @@ def _check_consistency(table: GeometryTable) -> None:
 
 def _merged(rows: list[GeometryRow]) -> ImageGeometry:
     return ImageGeometry(
-        epoch=next((row.epoch for row in rows if row.epoch is not None), None),
-        exposure_s=next((row.exposure_s for row in rows if row.exposure_s is not None), None),
-        camera_from_inertial=next(
-            (row.camera_from_inertial for row in rows if row.camera_from_inertial is not None), None
-        ),
+        epoch=_first(row.epoch for row in rows),
+        exposure_s=_first(row.exposure_s for row in rows),
+        camera_from_inertial=_first(row.camera_from_inertial for row in rows),
+        observer=_first(row.observer for row in rows),
         targets={row.target: row for row in rows if row.target is not None},
     )
+
+
+def _first(values: Iterable[Value | None]) -> Value | None:
+    return next((value for value in values if value is not None), None)
 
 
 def _absolute(path: Path) -> str:
