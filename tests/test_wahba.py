@@ -16,7 +16,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.wahba import davenport_quaternions, solve_wahba
 
 EXACT_RAD = 1e-13  # float64 rounding over a handful of unit vectors
-NARROW_ROLL_RAD = 1e-8  # rounding, 2e-16, over the square of a field of 5e-4 rad is 1e-9; ten of it: 2 milliarcsec of roll
+NARROW_ROLL_RAD = 1e-8  # rounding, 2e-16, over the square of a 5e-4 rad field is 1e-9; ten of it are 2 mas of roll
 TRIALS = 400
 
 
