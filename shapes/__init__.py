@@ -4,8 +4,9 @@ Everything is in body axes and km; the origin of a shape is what estimators call
 """
 
 from giantlike.shapes.albedo import Albedo, AlbedoMap, FacetAlbedo, VertexAlbedo
-from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid, Shape, sphere
+from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid, Point, Shape, sphere
 from giantlike.shapes.generate import geodesic_directions, irregular_body, mesh_from_ellipsoid
+from giantlike.shapes.limbs import Limb, limb
 from giantlike.shapes.load import load_shape
 from giantlike.shapes.mesh import TriangleMesh
 
@@ -14,12 +15,15 @@ __all__ = [
     "AlbedoMap",
     "Ellipsoid",
     "FacetAlbedo",
+    "Limb",
     "PlacedEllipsoid",
+    "Point",
     "Shape",
     "TriangleMesh",
     "VertexAlbedo",
     "geodesic_directions",
     "irregular_body",
+    "limb",
     "load_shape",
     "mesh_from_ellipsoid",
     "sphere",

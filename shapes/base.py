@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, frozen, require
+from giantlike.core.errors import InputError
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo, hash_with_albedo
 
 
@@ -130,6 +131,52 @@ class PlacedEllipsoid:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center_body_km", as_finite(self.center_body_km, (3,), "center_body_km"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, weakref_slot=True)
+class Point:
+    """A body without extent at the origin: what a star-like target is, whose size and shape nobody knows.
+
+    Its light comes from its centre whatever the phase, so that nothing is to be corrected. It has no limb, and no
+    ellipsoid stands for it.
+
+    Parameters
+    ----------
+    name : str
+    """
+
+    name: str = "point"
+
+    @property
+    def sha256(self) -> str:
+        """Hash of what defines it, the same for all points."""
+        return hashlib.sha256(b"point").hexdigest()
+
+    @property
+    def circumscribing_radius_km(self) -> float:
+        """Zero."""
+        return 0.0
+
+    @property
+    def mean_radius_km(self) -> float:
+        """Zero."""
+        return 0.0
+
+    @property
+    def best_fit_ellipsoid(self) -> PlacedEllipsoid:
+        """None stands for a point.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise InputError(f"{self.name!r} is a point, without limb or ellipsoid: only its light can be measured")
+
+    @property
+    def albedo(self) -> None:
+        """A point has no surface."""
+        return
 
 
 def sphere(radius_km: ArrayLike, *, name: str = "sphere") -> Ellipsoid:

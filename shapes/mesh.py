@@ -132,6 +132,26 @@ class TriangleMesh:
         return float(np.linalg.norm(self.areas_km2 @ self.normals) / self.area_km2)
 
     @cached_property
+    def plane_offsets_km(self) -> Float:
+        """Signed distances (m,) of the planes of the facets from the origin, km."""
+        return frozen(np.einsum("ij,ij->i", self.normals, self.vertices_km[self.faces[:, 0]]))
+
+    @cached_property
+    def border_vertices(self) -> Indices:
+        """Vertices (b,) on edges that the facets of the two sides do not share: none on a closed surface.
+
+        Each vertex sums numbers, drawn for its neighbours, over the edges that leave it minus those that arrive; where
+        every edge runs both ways, this is zero.
+        """
+        draws = np.random.default_rng(0).integers(1, 2**40, size=len(self.vertices_km)).astype(np.float64)
+        total = np.zeros(len(draws))
+        for corner in range(3):
+            leave, arrive = self.faces[:, corner], self.faces[:, (corner + 1) % 3]
+            total += np.bincount(leave, weights=draws[arrive], minlength=draws.size)
+            total -= np.bincount(arrive, weights=draws[leave], minlength=draws.size)
+        return np.flatnonzero(total)
+
+    @cached_property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
         """The ellipsoid with the same centroid and the same second moments of volume, longest axis first.
 

@@ -1,0 +1,256 @@
+"""The limb of a shape: where rays from a camera graze it, and how that place moves with the camera.
+
+Pure geometry in body axes and float64. An ellipsoid has its limb in closed form; a mesh has it on silhouette edges,
+those between a facet that faces the camera and one that does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require, unit
+from giantlike.core.errors import InputError
+from giantlike.shapes.base import Ellipsoid, Shape
+from giantlike.shapes.mesh import TriangleMesh
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_ALONG_AXIS = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Limb:
+    """Limb points of a shape and their derivatives with respect to the camera.
+
+    Parameters
+    ----------
+    valid : (k,) bool
+        False where the half-plane of a direction meets no limb; the other arrays hold NaN there.
+    points_body_km : (k, 3) float64, km, body
+    normals : (k, 3) float64, unitless, body
+        Outward, and square to the ray from the camera: of the surface on an ellipsoid; on a mesh, whose facets meet
+        in an edge there, of the plane through the edge and the camera.
+    points_by_camera : (k, 3, 3) float64
+        Derivative of the points with respect to the position of the camera in body axes.
+    normals_by_camera : (k, 3, 3) float64, 1/km
+        The same of the normals.
+    """
+
+    valid: Mask
+    points_body_km: Float
+    normals: Float
+    points_by_camera: Float
+    normals_by_camera: Float
+
+
+def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) -> Limb:
+    """Find the limb of a shape in given directions around the line of sight.
+
+    Parameters
+    ----------
+    shape : Shape
+        An ``Ellipsoid`` or a ``TriangleMesh``.
+    camera_body_km : (3,), km, body
+        Position of the camera, outside the shape.
+    directions_body : (k, 3), any length, body
+        Each picks the half-plane that starts at the line from the camera through the origin of the body and
+        contains the direction.
+
+    Returns
+    -------
+    Limb
+        In each half-plane the point that is seen farthest from the origin of the body.
+
+    Raises
+    ------
+    InputError
+        A value is not finite, the camera is inside the ellipsoid or at the origin, a direction lies along the line of
+        sight, or the shape has no limb that could be found (a point).
+
+    Notes
+    -----
+    Derivatives hold the direction fixed in body axes: the half-plane turns about it as the camera moves.
+
+    The outermost point of a half-plane is always seen: whatever hid it would reach farther out. So the silhouette
+    edges of a mesh need no test of visibility here. The limb of a mesh moves along one edge and jumps to
+    another where the half-plane passes a vertex (the point is continuous there, its derivative is not), where one part
+    of the body comes out behind another, and where a facet turns edge-on (there only the depth jumps: the ray to the
+    point is continuous). Derivatives are those of the edge at hand.
+
+    An ellipsoid x.D.x = 1 has its limb in the polar plane x.D.C = 1 of the camera C. With all lengths divided
+    by the semi-axes it becomes the unit sphere, planes through the origin stay such planes, and the limb is
+    ``c / q + sqrt(1 - 1/q) u`` with q = c.c and u the unit vector of the direction square to c.
+    """
+    camera = as_finite(camera_body_km, (3,), "camera_body_km")
+    directions = as_floats(directions_body, (3,), "directions_body")
+    usable = directions.ndim == 2 and bool(np.isfinite(directions).all())
+    require(usable, f"directions_body must be finite and of shape (k, 3), got {directions.shape}")
+    require(bool(np.any(camera != 0.0)), "camera_body_km must not be the origin of the body")
+    across = np.linalg.norm(np.cross(directions, unit(camera)), axis=1)
+    along = np.flatnonzero(across <= _ALONG_AXIS * np.linalg.norm(directions, axis=1))
+    require(along.size == 0, f"directions {along[:5].tolist()} lie along the line of sight")
+    if isinstance(shape, Ellipsoid):
+        return _ellipsoid_limb(shape, camera, directions)
+    if isinstance(shape, TriangleMesh):
+        return _mesh_limb(shape, camera, directions)
+    raise InputError(f"the limb is known for an Ellipsoid and a TriangleMesh, not for {type(shape).__name__}")
+
+
+def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> Indices:
+    """Edges of a mesh that can be its outline.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    camera_body_km : (3,) float64, km, body
+
+    Returns
+    -------
+    (e, 2) int64
+        Vertices of the edges between a facet that faces the camera and one that does not, and of those on the border
+        of an open surface.
+    """
+    front = mesh.normals @ camera_body_km > mesh.plane_offsets_km
+    seen, unseen = (np.zeros(len(mesh.vertices_km), dtype=bool) for _ in range(2))
+    seen[mesh.faces[front]] = True
+    unseen[mesh.faces[~front]] = True
+    candidate = seen & unseen
+    candidate[mesh.border_vertices] = True
+    near = np.flatnonzero(candidate[mesh.faces].any(axis=1))  # every facet at each edge of two candidate vertices
+    faces = mesh.faces[near]
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    facing = np.tile(front[near], 3)
+    keep = candidate[edges].all(axis=1)
+    edges, facing = edges[keep], facing[keep]
+    _, first, which = np.unique(
+        edges[:, 0] * len(mesh.vertices_km) + edges[:, 1], return_index=True, return_inverse=True
+    )
+    facets = np.bincount(which, minlength=first.size)
+    facing_camera = np.bincount(which, weights=facing, minlength=first.size)
+    inner = (facets > 1) & ((facing_camera == 0) | (facing_camera == facets))
+    outline: Indices = edges[first[~inner]]
+    return outline
+
+
+def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, Indices]:
+    """Which segments in a plane cross which half-lines from its origin.
+
+    Parameters
+    ----------
+    starts, stops : (e, 2) float64
+        Ends of the segments.
+    angles_rad : (k,) float64, rad
+        Directions of the half-lines, from the first coordinate towards the second.
+
+    Returns
+    -------
+    segments, lines : (p,) int64
+        Numbers of the segments and half-lines of every crossing; one at a common end counts for both segments.
+    """
+    turn = 2.0 * np.pi
+    order = np.argsort(angles_rad % turn, kind="stable")
+    angles = (angles_rad % turn)[order]
+    angles = np.concatenate([angles, angles + turn])
+    begin, end = (np.arctan2(points[:, 1], points[:, 0]) % turn for points in (starts, stops))
+    low, high = np.minimum(begin, end), np.maximum(begin, end)
+    around = high - low > np.pi  # the short way leads over zero
+    low, high = np.where(around, high, low), np.where(around, low + turn, high)
+    first, last = np.searchsorted(angles, low, side="left"), np.searchsorted(angles, high, side="right")
+    count = np.maximum(last - first, 0)
+    segments = np.repeat(np.arange(len(starts)), count)
+    within = np.arange(segments.size) - np.repeat(np.cumsum(count) - count, count)
+    lines: Indices = order[(first[segments] + within) % max(order.size, 1)]
+    return segments, lines
+
+
+def _ellipsoid_limb(ellipsoid: Ellipsoid, camera_km: Float, directions: Float) -> Limb:
+    radii = ellipsoid.radii_km
+    camera, toward = camera_km / radii, unit(directions) / radii
+    square = float(camera @ camera)
+    require(square > 1.0, f"the camera must be outside the ellipsoid, got {camera_km.tolist()} km")
+    along = toward @ camera / square
+    sideways = toward - along[:, None] * camera
+    sideways -= (sideways @ camera / square)[:, None] * camera  # once more, against rounding
+    length = np.linalg.norm(sideways, axis=1)
+    outward = sideways / length[:, None]
+    height = np.sqrt(1.0 - 1.0 / square)
+    points = camera / square + height * outward
+    by_camera = np.eye(3) / square - 2.0 * np.outer(camera, camera) / square**2
+    turning = 2.0 * np.einsum("k,i,j->kij", along, camera, camera) / square
+    turning -= along[:, None, None] * np.eye(3) + np.einsum("i,kj->kij", camera, toward) / square
+    across = (np.eye(3) - np.einsum("ki,kj->kij", outward, outward)) / length[:, None, None]
+    by_camera = by_camera + np.einsum("ki,j->kij", outward, camera) / (square**2 * height) + height * across @ turning
+    points_by_camera = by_camera * (radii[:, None] / radii)
+    steepness = points / radii
+    normals = unit(steepness)
+    return Limb(
+        valid=frozen(np.ones(len(points), dtype=bool)),
+        points_body_km=frozen(points * radii),
+        normals=frozen(normals),
+        points_by_camera=frozen(points_by_camera),
+        normals_by_camera=frozen(_unit_derivative(steepness, points_by_camera / radii[:, None] ** 2)),
+    )
+
+
+def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
+    axis = -unit(camera_km)
+    right = unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
+    plane = np.stack([right, np.cross(axis, right)])
+    edges = silhouette_edges(mesh, camera_km)
+    starts, stops = (mesh.vertices_km[edges[:, end]] for end in range(2))
+    across = directions @ plane.T
+    which, line = crossings(starts @ plane.T, stops @ plane.T, np.arctan2(across[:, 1], across[:, 0]))
+    start, edge = starts[which], stops[which] - starts[which]
+    cut = np.cross(unit(camera_km), unit(directions)[line])  # normals of the half-planes
+    slope = np.einsum("ij,ij->i", cut, edge)
+    slanted = np.abs(slope) > _ALONG_AXIS * np.linalg.norm(edge, axis=1)  # edges in the half-plane end at others
+    line, start, edge, slope = line[slanted], start[slanted], edge[slanted], slope[slanted]
+    fraction = np.clip(-np.einsum("ij,ij->i", cut[slanted], start) / slope, 0.0, 1.0)
+    points = start + fraction[:, None] * edge
+    rays = points - camera_km
+    sideways = np.einsum("ij,ij->i", points @ plane.T, unit(across)[line])
+    best = _last_of_each(line, np.arctan2(sideways, rays @ axis), len(directions))
+    valid = best >= 0
+    chosen = best[valid]
+    points, rays, edge, slope = points[chosen], rays[chosen], edge[chosen], slope[chosen]
+    slide = -np.cross(unit(directions)[valid], points) / (slope * np.linalg.norm(camera_km))[:, None]
+    by_camera = np.einsum("ki,kj->kij", edge, slide)
+    normal = np.cross(rays, edge)
+    outward = np.sign(np.einsum("ij,ij->i", normal @ plane.T, across[valid]))[:, None]
+    edge, normal = outward * edge, outward * normal
+    turning = np.cross(np.swapaxes(by_camera - np.eye(3), 1, 2), edge[:, None, :])
+    return Limb(
+        valid=frozen(valid),
+        points_body_km=frozen(_spread(points, valid)),
+        normals=frozen(_spread(unit(normal), valid)),
+        points_by_camera=frozen(_spread(by_camera, valid)),
+        normals_by_camera=frozen(_spread(_unit_derivative(normal, np.swapaxes(turning, 1, 2)), valid)),
+    )
+
+
+def _unit_derivative(vectors: Float, derivative: Float) -> Float:
+    """Derivative (k, 3, 3) of the unit vectors along ``vectors`` (k, 3) that have a ``derivative`` (k, 3, 3)."""
+    length = np.linalg.norm(vectors, axis=1)[:, None, None]
+    directions = unit(vectors)
+    across = np.eye(3) - np.einsum("ki,kj->kij", directions, directions)
+    result: Float = across @ derivative / length
+    return result
+
+
+def _last_of_each(groups: Indices, values: Float, count: int) -> Indices:
+    """Number (count,) of the largest value in each group, -1 for an empty one."""
+    order = np.lexsort([values, groups])
+    best = np.full(count, -1, dtype=np.int64)
+    best[groups[order]] = order  # the last one written stays
+    return best
+
+
+def _spread(rows: Float, valid: Mask) -> Float:
+    """Rows (v, ...) put where ``valid`` (k,) is true, NaN elsewhere."""
+    result = np.full((valid.size, *rows.shape[1:]), np.nan)
+    result[valid] = rows
+    return result
