@@ -78,6 +78,39 @@ def test_parameter_jacobian_agrees_with_numerical_differences(model: CameraModel
         )
 
 
+@MODELS
+def test_a_warm_camera_magnifies_about_the_principal_point(model: CameraModel) -> None:
+    terms = dict(zip(model.parameter_names, model.parameters, strict=True))
+    terms |= {"a1_per_c": 2e-5, "a2_per_c2": -3e-7, "a3_per_c3": 4e-9}
+    cold = model.with_parameters(list(terms.values()))
+    points, centre = model.unproject(pixels_over_the_frame(50)), [terms["cx_px"], terms["cy_px"]]
+    magnification = 1.0 - 20.0 * 2e-5 - 400.0 * 3e-7 - 8000.0 * 4e-9
+    warm = cold.at_temperature(-20.0)
+    expected = centre + magnification * (cold.project(points) - centre)
+    assert_allclose(warm.project(points), expected, rtol=0, atol=ROUND_TRIP_PX)
+    assert_allclose(warm.at_temperature(50.0).project(points), expected, rtol=0, atol=ROUND_TRIP_PX)
+
+
+@MODELS
+def test_parameter_jacobian_holds_at_a_temperature_for_every_parameter(model: CameraModel) -> None:
+    warm_c = 30.0
+    points = model.unproject(pixels_over_the_frame(50))
+    values = model.parameters + np.array([name == "a1_per_c" for name in model.parameter_names]) * 1e-4
+    model = model.with_parameters(values)
+    steps = 1e-5 * np.maximum(1.0, np.abs(values)) / np.where(values == 1e-4, 1e3, 1.0)
+    steps = np.array(
+        [step / warm_c ** int(name[1]) if name.startswith("a") else step
+         for name, step in zip(model.parameter_names, steps, strict=True)]
+    )  # fmt: skip
+    analytic = model.parameter_jacobian(points, temperature_c=warm_c)
+    for k, step in enumerate(np.diag(steps)):
+        ahead = model.with_parameters(values + step).at_temperature(warm_c).project(points)
+        behind = model.with_parameters(values - step).at_temperature(warm_c).project(points)
+        atol = JACOBIAN_RELATIVE * max(1.0, float(np.abs(analytic[..., k]).max()))
+        difference = (ahead - behind) / (2 * steps[k])
+        assert_allclose(analytic[..., k], difference, rtol=0, atol=atol, err_msg=model.parameter_names[k])
+
+
 def test_points_behind_the_camera_or_beyond_the_fold_are_nan() -> None:
     behind, folded = NAVCAM.project([[0.1, 0.0, -1.0], [NAVCAM.max_radius * 1.01, 0.0, 1.0]])
     assert np.isnan(behind).all()

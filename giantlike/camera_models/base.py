@@ -57,8 +57,12 @@ class CameraModel(Protocol):
         """Derivative (..., 3, 2) of :meth:`unproject` with respect to the pixel, 1/px."""
         ...
 
-    def parameter_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative (..., 2, k) of :meth:`project` with respect to :attr:`parameters`."""
+    def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
+        """Derivative (..., 2, k) of the pixels at a temperature with respect to :attr:`parameters`."""
+        ...
+
+    def at_temperature(self, temperature_c: float) -> Self:
+        """Return the model at a temperature in degrees Celsius, its temperature terms applied and cleared."""
         ...
 
 

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from giantlike.camera_models.affine import TEMPERATURE_NAMES, AffineModel
 from giantlike.camera_models.base import CameraModel
 from giantlike.camera_models.brown import BrownModel
 from giantlike.camera_models.pinhole import PinholeModel
 from giantlike.core.errors import InputError
 
-MODELS: Mapping[str, type[PinholeModel | BrownModel]] = MappingProxyType(
+MODELS: Mapping[str, type[AffineModel]] = MappingProxyType(
     {model.type_name: model for model in (PinholeModel, BrownModel)}
 )
 """Camera model classes by the ``type`` they have in camera files."""
@@ -50,5 +51,7 @@ def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
 
 
 def model_to_mapping(model: CameraModel) -> dict[str, Any]:
-    """The ``[model]`` table of a model: ``type`` and every parameter."""
-    return {"type": model.type_name} | dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
+    """The ``[model]`` table of a model: ``type`` and every parameter; temperature terms only where there are any."""
+    values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
+    kept = {name: value for name, value in values.items() if value or name not in TEMPERATURE_NAMES}
+    return {"type": model.type_name} | kept

@@ -66,9 +66,13 @@ class WindowModel:
         """Derivative (..., 3, 2) of ``unproject`` with respect to the pixel, 1/px."""
         return self.model.unproject_jacobian(as_floats(points_px, (2,), "points_px") + self.corner_px)
 
-    def parameter_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative (..., 2, k) of ``project`` with respect to the parameters."""
-        return self.model.parameter_jacobian(points_camera)
+    def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
+        """Derivative (..., 2, k) of the pixels at a temperature with respect to the parameters."""
+        return self.model.parameter_jacobian(points_camera, temperature_c)
+
+    def at_temperature(self, temperature_c: float) -> Self:
+        """Return the same window of the model at a temperature in degrees Celsius."""
+        return type(self)(self.model.at_temperature(temperature_c), self.corner_px)
 
 
 def render_near(

@@ -1,0 +1,240 @@
+"""What every lens has in common: the step from a unit focal plane to pixels, temperature, binning and windows."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.core.arrays import Float, as_finite, as_floats, require
+
+AFFINE_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "skew_px")
+TEMPERATURE_NAMES = ("a1_per_c", "a2_per_c2", "a3_per_c3")
+_BLOCK = 8192  # points at a time: temporaries stay in the processor's cache
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AffineModel(ABC):
+    """A lens that maps directions to a focal plane at unit distance, and affine pixels behind it.
+
+    A subclass supplies the lens (``_lens``, ``_lens_inverse``, ``_lens_jacobian``, ``_lens_by_parameter``), in
+    separate coordinate arrays of one dimension.
+
+    Temperature: the image of the lens is magnified about the principal point by
+    ``1 + a1 T + a2 T^2 + a3 T^3``, T in degrees Celsius, which multiplies ``fx_px``, ``fy_px`` and ``skew_px`` and
+    leaves the principal point and the distortion as they are. :meth:`project` and :meth:`unproject` hold at T = 0;
+    :meth:`at_temperature` is the model at another temperature.
+
+    Parameters
+    ----------
+    fx_px, fy_px : float, px
+        Focal lengths over pixel pitch, positive.
+    cx_px, cy_px : float, px
+        Principal point.
+    skew_px : float, px
+        Shear: x moves by ``skew_px`` per unit of focal-plane y.
+    a1_per_c, a2_per_c2, a3_per_c3 : float
+        Temperature terms, per degree Celsius and its powers.
+
+    Raises
+    ------
+    InputError
+        A focal length is not positive or a value is not finite.
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eqs. 5-8 (linear in T).
+    .. [2] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, eqs. 1-3 (shear).
+    """
+
+    type_name: ClassVar[str]
+    parameter_names: ClassVar[tuple[str, ...]]
+
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    skew_px: float = 0.0
+    a1_per_c: float = 0.0
+    a2_per_c2: float = 0.0
+    a3_per_c3: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in self.parameter_names:
+            value = getattr(self, name)
+            require(math.isfinite(value), f"camera model: {name} must be finite, got {value}")
+        for name in ("fx_px", "fy_px"):
+            require(
+                getattr(self, name) > 0,
+                f"camera model: {name} must be > 0, got {getattr(self, name)}; a mission model with negative focal "
+                "lengths is converted on import, see giantlike.io.camera_files.from_mission_frame",
+            )
+
+    @property
+    def parameters(self) -> Float:
+        """Parameter values (k,) in the order of ``parameter_names``."""
+        return np.array([getattr(self, name) for name in self.parameter_names])
+
+    def with_parameters(self, values: ArrayLike) -> Self:
+        """Return the same model with other parameter values (k,)."""
+        names = self.parameter_names
+        numbers = as_finite(values, (len(names),), "camera model parameters")
+        return dataclasses.replace(self, **dict(zip(names, numbers.tolist(), strict=True)))
+
+    @property
+    def focal_length_px(self) -> float:
+        """Focal length along x, px."""
+        return self.fx_px
+
+    def project(self, points_camera: ArrayLike) -> Float:
+        """Pixels (..., 2) of points (..., 3) in camera axes; NaN where the lens images nothing."""
+        return blockwise(self._project_block, as_floats(points_camera, (3,), "points_camera"), (2,))
+
+    def unproject(self, points_px: ArrayLike) -> Float:
+        """Unit vectors (..., 3) in camera axes of pixels (..., 2); NaN where no direction maps there."""
+        return blockwise(self._unproject_block, as_floats(points_px, (2,), "points_px"), (3,))
+
+    def project_jacobian(self, points_camera: ArrayLike) -> Float:
+        """Derivative (..., 2, 3) of ``project`` with respect to the point, px per its unit."""
+
+        def block(points: Float) -> Float:
+            return self._pixels_of(self._lens_jacobian(*np.ascontiguousarray(points.T)))
+
+        return blockwise(block, as_floats(points_camera, (3,), "points_camera"), (2, 3))
+
+    def unproject_jacobian(self, points_px: ArrayLike) -> Float:
+        """Derivative (..., 3, 2) of ``unproject`` with respect to the pixel, 1/px."""
+        return inverse_on_the_sphere(self.project_jacobian(self.unproject(points_px)))
+
+    def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
+        """Derivative (..., 2, k) of the pixels at a temperature with respect to the parameters, (..., 2, k).
+
+        The pixels are those of ``at_temperature(temperature_c).project``; the columns are all parameters, the
+        temperature terms too (their columns are zero at 0 degrees).
+        """
+        points = as_floats(points_camera, (3,), "points_camera")
+        scale = self._magnification(temperature_c)
+        powers = temperature_c ** np.arange(1, 1 + len(TEMPERATURE_NAMES))
+
+        def block(points: Float) -> Float:
+            xyz = np.ascontiguousarray(points.T)
+            u, v = self._lens(*xyz)
+            zero, one = np.zeros_like(u), np.ones_like(u)
+            affine = np.array([[scale * u, zero, one, zero, scale * v], [zero, scale * v, zero, one, zero]])
+            lens = self._pixels_of(scale * self._lens_by_parameter(*xyz))
+            at_zero = np.array([self.fx_px * u + self.skew_px * v, self.fy_px * v])
+            warm = at_zero.T[:, :, None] * powers
+            return np.concatenate([affine.transpose(2, 0, 1), lens, warm], axis=-1)
+
+        return blockwise(block, points, (2, len(self.parameter_names)))
+
+    def at_temperature(self, temperature_c: float) -> Self:
+        """Return the model at a temperature in degrees Celsius: scaled, without temperature terms.
+
+        Raises
+        ------
+        InputError
+            The terms make the focal length vanish there: they were fitted at other temperatures.
+        """
+        scale = self._magnification(temperature_c)
+        require(
+            scale > 0,
+            f"the temperature terms scale the focal length by {scale:.3g} at {temperature_c} degrees C: "
+            "they are a polynomial in degrees Celsius, valid where it was fitted",
+        )
+        scaled = {name: scale * getattr(self, name) for name in ("fx_px", "fy_px", "skew_px")}
+        return dataclasses.replace(self, **scaled, **dict.fromkeys(TEMPERATURE_NAMES, 0.0))
+
+    def binned(self, factor: int) -> Self:
+        """Return the model of an image whose pixels are ``factor`` by ``factor`` of these, first block first."""
+        require(factor >= 1, f"a binning factor must be >= 1, got {factor}")
+        middle = (factor - 1) / 2  # of the first block
+        return dataclasses.replace(
+            self,
+            fx_px=self.fx_px / factor,
+            fy_px=self.fy_px / factor,
+            skew_px=self.skew_px / factor,
+            cx_px=(self.cx_px - middle) / factor,
+            cy_px=(self.cy_px - middle) / factor,
+        )
+
+    def windowed(self, x0_px: float, y0_px: float) -> Self:
+        """Return the model of a window whose first pixel is (``x0_px``, ``y0_px``) here."""
+        return dataclasses.replace(self, cx_px=self.cx_px - x0_px, cy_px=self.cy_px - y0_px)
+
+    @abstractmethod
+    def _lens(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
+        """Focal-plane coordinates of points; NaN where the lens images nothing."""
+
+    @abstractmethod
+    def _lens_inverse(self, u: Float, v: Float) -> tuple[Float, Float, Float]:
+        """Unit vectors of focal-plane coordinates; NaN where nothing is imaged."""
+
+    @abstractmethod
+    def _lens_jacobian(self, x: Float, y: Float, z: Float) -> Float:
+        """(2, 3, n) derivative of :meth:`_lens`."""
+
+    @abstractmethod
+    def _lens_by_parameter(self, x: Float, y: Float, z: Float) -> Float:
+        """(2, k, n) derivative of :meth:`_lens` with respect to the parameters of the lens itself."""
+
+    def _magnification(self, temperature_c: float) -> float:
+        return 1.0 + temperature_c * (self.a1_per_c + temperature_c * (self.a2_per_c2 + temperature_c * self.a3_per_c3))
+
+    def _project_block(self, points: Float) -> Float:
+        u, v = self._lens(*np.ascontiguousarray(points.T))
+        pixels = np.empty((u.size, 2))
+        pixels[:, 0] = self.fx_px * u + self.skew_px * v + self.cx_px
+        pixels[:, 1] = self.fy_px * v + self.cy_px
+        return pixels
+
+    def _unproject_block(self, pixels: Float) -> Float:
+        v = (pixels[:, 1] - self.cy_px) / self.fy_px
+        u = (pixels[:, 0] - self.cx_px - self.skew_px * v) / self.fx_px
+        return np.stack(self._lens_inverse(u, v), axis=-1)
+
+    def _pixels_of(self, by_something: Float) -> Float:
+        """Focal-plane derivatives (2, m, n) as pixel derivatives (n, 2, m)."""
+        along_x = self.fx_px * by_something[0] + self.skew_px * by_something[1]
+        return np.array([along_x, self.fy_px * by_something[1]]).transpose(2, 0, 1)
+
+
+def blockwise(function: Callable[[Float], Float], values: Float, last: tuple[int, ...]) -> Float:
+    """Apply a function from (n, m) to (n, ...) to values (..., m), some thousands at a time.
+
+    Parameters
+    ----------
+    function : callable
+    values : (..., m) float64
+    last : tuple of int
+        Trailing shape of what the function returns.
+    """
+    flat = values.reshape(-1, values.shape[-1])
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        if len(flat) <= _BLOCK:
+            return function(flat).reshape(values.shape[:-1] + last)
+        result = np.empty((len(flat), *last))
+        for start in range(0, len(flat), _BLOCK):
+            result[start : start + _BLOCK] = function(flat[start : start + _BLOCK])
+    return result.reshape(values.shape[:-1] + last)
+
+
+def inverse_on_the_sphere(project_jacobian: Float) -> Float:
+    """(..., 3, 2) derivative of a unit vector by its pixel, from that (..., 2, 3) of the pixel by the vector.
+
+    Lengthening a vector moves no pixel, so the derivative by the pixel, which keeps the length, is the
+    pseudo-inverse.
+    """
+    transposed = np.swapaxes(project_jacobian, -1, -2)
+    gram = project_jacobian @ transposed
+    a, b, d = gram[..., 0, 0], gram[..., 0, 1], gram[..., 1, 1]
+    adjugate = np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], -2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        result: Float = transposed @ adjugate / (a * d - b * b)[..., None, None]
+    return result
