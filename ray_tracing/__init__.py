@@ -4,6 +4,7 @@
 """
 
 from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import (
     REFLECTANCES,
     Lambert,
@@ -12,7 +13,8 @@ from giantlike.ray_tracing.reflectance import (
     Reflectance,
     reflectance_from_mapping,
 )
-from giantlike.ray_tracing.render import RenderOptions, Template, render
+from giantlike.ray_tracing.render import Template, render
+from giantlike.ray_tracing.scene_render import SceneRender, render_scene
 from giantlike.ray_tracing.silhouette import Silhouette, trace_silhouette
 
 __all__ = [
@@ -23,9 +25,11 @@ __all__ = [
     "McEwen",
     "Reflectance",
     "RenderOptions",
+    "SceneRender",
     "Silhouette",
     "Template",
     "reflectance_from_mapping",
     "render",
+    "render_scene",
     "trace_silhouette",
 ]

@@ -22,6 +22,7 @@ from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
+Real = NDArray[np.float32] | NDArray[np.float64]
 
 _SPHERE_MARGIN = 1.0001
 _HULL_FACETS = 500
@@ -53,23 +54,33 @@ class Hits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lighting:
-    """What a camera sees along rays, for shading.
+class Sight:
+    """What a camera sees along the rays of an image: k of them meet the body.
 
     Parameters
     ----------
-    hit : (n,) bool
-        Rays that meet the body.
-    lit : (k,) int64
-        Numbers of the rays whose hit sees the Sun.
-    cos_incidence, cos_emission : (k,) float64
-        At those hits, towards Sun and camera.
+    rays : (k,) int64
+        Numbers of those rays.
+    facets : (k,) int64
+        Facet numbers, 0 on an ellipsoid.
+    points_km : (k, 3) float32 or float64, km, body
+        Good to 1e-6 of the body's radius on a mesh.
+    normals : (k, 3) float32 or float64, unitless, body
+        Outward.
+    cos_emission : (k,) float32 or float64
+        Cosine of the angle from the normal to the camera.
     """
 
-    hit: Mask
-    lit: Indices
-    cos_incidence: Float
-    cos_emission: Float
+    rays: Indices
+    facets: Indices
+    points_km: Real
+    normals: Real
+    cos_emission: Real
+
+    def only(self, keep: Mask) -> Sight:
+        """The part that ``keep`` (k,) marks."""
+        rays, facets, points, normals = self.rays[keep], self.facets[keep], self.points_km[keep], self.normals[keep]
+        return Sight(rays, facets, points, normals, self.cos_emission[keep])
 
 
 class Tracer(Protocol):
@@ -97,8 +108,15 @@ class Tracer(Protocol):
         """Whether hits lie in the dark (n,): nothing hit, facing away from the Sun, or the body in the way."""
         ...
 
-    def lighting(self, origin_body_km: Float, directions_body: Float, sun_body: Float, *, shadows: bool) -> Lighting:
-        """Trace and bounce the rays of an image: one origin (3,), unit directions (n, 3), unit Sun direction (3,)."""
+    def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
+        """Trace the rays of an image: one origin (3,), km, and unit directions (n, 3)."""
+        ...
+
+    def dark(self, points_km: Real, normals: Real, to_sun: Real) -> Mask:
+        """Whether the body lies between points (k, 3) on it and the Sun (k,).
+
+        ``normals`` (k, 3) are those at the points and ``to_sun`` unit directions (3,) or (k, 3), all over the horizon.
+        """
         ...
 
 
@@ -156,28 +174,24 @@ class MeshTracer:
         dark[facing] = self.occluded(starts, np.broadcast_to(sun_body, starts.shape))
         return dark
 
-    def lighting(self, origin_body_km: Float, directions_body: Float, sun_body: Float, *, shadows: bool) -> Lighting:
-        """Trace the rays of an image and bounce them to the Sun; float32 from the bounding sphere on."""
+    def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
+        """Trace the rays of an image; float32 from the bounding sphere on."""
         reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
         starts = (origin_body_km + reach * directions_body).astype(np.float32)
-        rays = directions_body.astype(np.float32)
-        facets, distances = self._surface.first_hit(starts, rays)
-        hit = facets >= 0
-        lit = np.flatnonzero(hit)
-        normals = self._normals[facets[lit]]
-        cos_incidence = normals @ sun_body
-        keep = cos_incidence > 0.0
-        if shadows:
-            facing = np.flatnonzero(keep)
-            ray = lit[facing]
-            points = starts[ray] + distances[ray, None] * rays[ray]
-            points += np.float32(self._shadow_offset_km) * normals[facing].astype(np.float32)
-            to_sun = np.empty_like(points)
-            to_sun[:] = sun_body
-            keep[facing] = ~self._surface.occluded(points, to_sun)
-        lit = lit[keep]
-        cos_emission = -np.einsum("ij,ij->i", normals[keep], directions_body[lit])
-        return Lighting(hit, lit, cos_incidence[keep], cos_emission)
+        directions = directions_body.astype(np.float32)
+        facets, distances = self._surface.first_hit(starts, directions)
+        rays = np.flatnonzero(facets >= 0)
+        numbers, directions = facets[rays].astype(np.int64), directions[rays]
+        normals = self._normals[numbers]
+        points = starts[rays] + distances[rays, None] * directions
+        return Sight(rays, numbers, points, normals, -np.einsum("ij,ij->i", normals, directions_body[rays]))
+
+    def dark(self, points_km: Real, normals: Real, to_sun: Real) -> Mask:
+        """Whether the mesh lies between points (k, 3) on it and the Sun."""
+        starts = (points_km + self._shadow_offset_km * normals).astype(np.float32)
+        directions = np.empty_like(starts)
+        directions[:] = to_sun
+        return self._surface.occluded(starts, directions)
 
     def _rays(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> tuple[Float, Float]:
         return _approached(origins_body_km, directions_body, self.radius_km)
@@ -218,14 +232,17 @@ class EllipsoidTracer:
         dark: Mask = ~(hits.normals @ sun_body > 0.0)
         return dark
 
-    def lighting(self, origin_body_km: Float, directions_body: Float, sun_body: Float, *, shadows: bool) -> Lighting:
-        """Trace the rays of an image; ``shadows`` changes nothing on a convex body."""
+    def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
+        """Trace the rays of an image."""
         hits = self.intersect(origin_body_km, directions_body)
-        with np.errstate(invalid="ignore"):
-            cos_incidence = hits.normals @ sun_body
-            lit = np.flatnonzero(cos_incidence > 0.0)
-        cos_emission = -np.einsum("ij,ij->i", hits.normals[lit], directions_body[lit])
-        return Lighting(hits.hit, lit, cos_incidence[lit], cos_emission)
+        rays = np.flatnonzero(hits.hit)
+        normals = hits.normals[rays]
+        cos_emission = -np.einsum("ij,ij->i", normals, directions_body[rays])
+        return Sight(rays, hits.facets[rays], hits.points_km[rays], normals, cos_emission)
+
+    def dark(self, points_km: Real, normals: Real, to_sun: Real) -> Mask:
+        """Nowhere: a convex body never stands in its own light."""
+        return np.zeros(len(points_km), dtype=bool)
 
     def _distances(self, starts: Float, directions: Float) -> tuple[Float, Float]:
         """Distances (n,) along the rays to the near and the far side; NaN for a miss."""

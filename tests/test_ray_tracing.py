@@ -1,4 +1,4 @@
-"""Ray tracing: hits, shadows, reflectance, templates and silhouettes against geometry and physics in closed form."""
+"""Ray tracing: hits, shadows, templates and silhouettes against geometry and physics in closed form."""
 
 from __future__ import annotations
 
@@ -22,15 +22,12 @@ from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ray_tracing import (
-    REFLECTANCES,
     Body,
     Lambert,
     LommelSeeliger,
     McEwen,
-    Reflectance,
     RenderOptions,
     Template,
-    reflectance_from_mapping,
     render,
     trace_silhouette,
 )
@@ -135,11 +132,10 @@ def test_a_convex_body_casts_no_shadow_on_itself() -> None:
     tracer, random = tracer_for(mesh), np.random.default_rng(3)
     targets = ELLIPSOID.radii_km * _unit(random.normal(size=(100_000, 3)))
     origin = np.array([3.0, 2.0, -250_000.0])
-    lighting = {
-        shadows: tracer.lighting(origin, _unit(targets - origin), SUN, shadows=shadows) for shadows in (True, False)
-    }
-    assert lighting[False].lit.size > 70_000
-    assert np.array_equal(lighting[True].lit, lighting[False].lit)
+    sight = tracer.sight(origin, _unit(targets - origin))
+    facing = sight.only(sight.normals @ SUN > 0.0)
+    assert facing.rays.size > 70_000
+    assert not tracer.dark(facing.points_km, facing.normals, SUN).any()
 
 
 def test_a_tower_throws_a_shadow_as_long_as_the_sun_is_low() -> None:
@@ -150,8 +146,10 @@ def test_a_tower_throws_a_shadow_as_long_as_the_sun_is_low() -> None:
     x = x[np.abs(x) > 0.11]  # beside the tower, which stands on |x| < 0.1 and is 1 high
     points = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=-1)
     origin = np.array([0.0, 0.0, 1e4])
-    lighting = tracer_for(body).lighting(origin, _unit(points - origin), sun, shadows=True)
-    dark = np.setdiff1d(np.arange(x.size), lighting.lit)
+    tracer = tracer_for(body)
+    sight = tracer.sight(origin, _unit(points - origin))
+    assert sight.rays.size == x.size
+    dark = tracer.dark(sight.points_km, sight.normals, sun)
     length = 1.0 / np.tan(elevation)
     assert_allclose([x[dark].min(), x[dark].max()], [-0.1 - length, -0.11], rtol=0, atol=0.01)
 
@@ -176,40 +174,6 @@ def test_the_tracer_of_a_mesh_is_built_once_and_goes_with_the_mesh() -> None:
     del mesh
     gc.collect()
     assert gone() is None
-
-
-# --- reflectance ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("law", [law() for law in REFLECTANCES.values()], ids=list(REFLECTANCES))
-def test_every_law_is_one_at_normal_incidence_and_dark_below_either_horizon(law: Reflectance) -> None:
-    assert law(1.0, 1.0, 0.0) == pytest.approx(1.0)
-    assert law([-0.1, 0.5, 0.0, np.nan], [0.5, -0.1, 0.0, 0.5], 1.0).tolist() == [0.0] * 4
-
-
-def test_mcewen_follows_the_formula_of_the_campaign_contract() -> None:
-    random = np.random.default_rng(4)
-    mu0, mu, phase = [random.uniform(low, high, 50) for low, high in ((0.01, 1.0), (0.01, 1.0), (0.0, 3.0))]
-    for m0, m, a in zip(mu0, mu, phase, strict=True):
-        share = np.exp(-np.degrees(a) / 60.0)
-        assert McEwen()(m0, m, a) == pytest.approx(share * 2 * m0 / (m0 + m) + (1 - share) * m0, rel=1e-13)
-        assert LommelSeeliger()(m0, m, a) == pytest.approx(2 * m0 / (m0 + m), rel=1e-13)
-        assert Lambert()(m0, m, a) == pytest.approx(m0, rel=1e-13)
-
-
-def test_laws_come_by_name_and_say_what_is_wrong_with_a_table() -> None:
-    assert reflectance_from_mapping({"model": "mcewen"}) == McEwen()
-    assert reflectance_from_mapping({"model": "mcewen", "phase_scale_deg": 50}) == McEwen(phase_scale_deg=50.0)
-    tables: list[tuple[dict[str, object], str]] = [
-        ({"model": "hapke"}, "lambert, lommel_seeliger, mcewen"),
-        ({}, "None"),
-        ({"model": "lambert", "albedo": 1.0}, "unknown key 'albedo'"),
-        ({"model": "mcewen", "phase_scale_deg": "60"}, "must be a number"),
-        ({"model": "mcewen", "phase_scale_deg": 0.0}, "> 0"),
-    ]
-    for table, needle in tables:
-        with pytest.raises(InputError, match=needle):
-            reflectance_from_mapping(table)
 
 
 # --- templates ------------------------------------------------------------------------------------------------------

@@ -1,0 +1,92 @@
+"""Other bodies of a scene, as one of them meets them: in front of it, or between it and the Sun."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.tracer import Mask, Real, Tracer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Neighbour:
+    """Another body, reached from the axes of the body that is rendered.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    neighbour_from_body : (3, 3) float64
+    offset_km : (3,) float64, km, axes of the neighbour
+        From the origin of the neighbour to that of the body.
+    hides, shades : bool
+        Whether it can stand before the body, and between body and Sun.
+    """
+
+    tracer: Tracer
+    neighbour_from_body: Float
+    offset_km: Float
+    hides: bool
+    shades: bool
+
+    def hidden(self, camera_body_km: Float, points_body_km: Real) -> Mask:
+        """Whether the neighbour stands before points (k, 3) that the camera (3,) would see; body axes, km."""
+        camera = self.neighbour_from_body @ camera_body_km + self.offset_km
+        rays = self._points(points_body_km) - camera
+        hits = self.tracer.intersect(camera, rays)
+        before: Mask = np.sum((hits.points_km - camera) ** 2, axis=1) < np.sum(rays**2, axis=1)
+        return before
+
+    def dark(self, points_body_km: Real, to_sun_body: Real) -> Mask:
+        """Whether the neighbour stands between points (k, 3), km, and the Sun, towards (3,) or (k, 3); body axes."""
+        starts = self._points(points_body_km)
+        directions = np.broadcast_to(to_sun_body @ self.neighbour_from_body.T, starts.shape)
+        return self.tracer.occluded(starts, directions)
+
+    def _points(self, points_body_km: Real) -> Float:
+        points: Float = points_body_km.astype(np.float64) @ self.neighbour_from_body.T + self.offset_km
+        return points
+
+
+def neighbours_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbour]:
+    """The other bodies that can hide or shade body ``number``, judged by spheres around them.
+
+    ``sun_camera`` (3,) is the unit vector from that body to the Sun, camera axes.
+    """
+    body = bodies[number]
+    found = []
+    for other in (*bodies[:number], *bodies[number + 1 :]):
+        neighbour = Neighbour(
+            tracer=other.tracer,
+            neighbour_from_body=other.camera_from_body.as_matrix().T @ body.camera_from_body.as_matrix(),
+            offset_km=other.to_body(body.position_camera_km - other.position_camera_km),
+            hides=_hides(other, body),
+            shades=_shades(other, body, sun_camera, sun_radius_rad),
+        )
+        if neighbour.hides or neighbour.shades:
+            found.append(neighbour)
+    return found
+
+
+def _hides(other: Body, body: Body) -> bool:
+    """Whether the sphere around one body may lie before that around another, seen from the camera."""
+    near, far = other.position_camera_km, body.position_camera_km
+    radii_km = other.tracer.radius_km, body.tracer.radius_km
+    ranges_km = float(np.linalg.norm(near)), float(np.linalg.norm(far))
+    apart_rad = math.atan2(float(np.linalg.norm(np.cross(near, far))), float(near @ far))
+    reach_rad = sum(math.asin(min(radius / range_, 1.0)) for radius, range_ in zip(radii_km, ranges_km, strict=True))
+    return ranges_km[0] - ranges_km[1] < sum(radii_km) and apart_rad <= reach_rad
+
+
+def _shades(other: Body, body: Body, sun: Float, sun_radius_rad: float) -> bool:
+    """Whether the sphere around one body may lie between another and some of the Sun."""
+    offset_km = other.position_camera_km - body.position_camera_km
+    reach_km = other.tracer.radius_km + body.tracer.radius_km
+    ahead_km = float(offset_km @ sun)
+    aside_km = float(np.linalg.norm(offset_km - ahead_km * sun))
+    penumbra_km = max(ahead_km + reach_km, 0.0) * math.tan(sun_radius_rad)
+    return ahead_km > -reach_km and aside_km <= reach_km / math.cos(sun_radius_rad) + penumbra_km

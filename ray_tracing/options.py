@@ -1,0 +1,59 @@
+"""How a body is rendered: sampling, shadows and the size of the Sun."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from giantlike.core.arrays import require
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderOptions:
+    """How finely and how far to render.
+
+    Parameters
+    ----------
+    rays_per_pixel_side : int
+        Rays along each side of a pixel: 2 means 4 rays a pixel.
+    min_rays_across : int
+        Rays across the narrow side of the body's outline, at least: a body smaller than a few pixels is
+        sampled more finely than ``rays_per_pixel_side``.
+    shadows : bool
+        Whether bodies cast shadows, on themselves and on each other.
+    margin_px : int, px
+        How far over the edges of the detector the template may reach: the search range of a correlation.
+    jitter_seed : int, optional
+        Send each ray through a random place of its cell instead of the centre, so that a simulated truth and a
+        template do not share their sampling.
+    sun_radius_rad : float, rad
+        Angular radius of the Sun at the body; 0 is a point. An extended Sun gives penumbrae and a soft terminator. Its
+        disc is evenly bright: solar limb darkening is left out.
+    sun_samples : int
+        Points of the solar disc that each ray is bounced to, where the Sun is extended.
+    sun_seed : int
+        Where in their strata those points lie; equal seeds give equal images.
+    """
+
+    rays_per_pixel_side: int = 2
+    min_rays_across: int = 256
+    shadows: bool = True
+    margin_px: int = 0
+    jitter_seed: int | None = None
+    sun_radius_rad: float = 0.0
+    sun_samples: int = 16
+    sun_seed: int = 0
+
+    def __post_init__(self) -> None:
+        require(
+            1 <= self.rays_per_pixel_side <= 32,
+            f"rays_per_pixel_side must be in [1, 32], got {self.rays_per_pixel_side}",
+        )
+        require(1 <= self.min_rays_across <= 1024, f"min_rays_across must be in [1, 1024], got {self.min_rays_across}")
+        require(0 <= self.margin_px <= 4096, f"margin_px must be in [0, 4096], got {self.margin_px}")
+        require(
+            math.isfinite(self.sun_radius_rad) and 0.0 <= self.sun_radius_rad < 0.5,
+            f"sun_radius_rad must be in [0, 0.5), got {self.sun_radius_rad}",
+        )
+        require(1 <= self.sun_samples <= 1024, f"sun_samples must be in [1, 1024], got {self.sun_samples}")
+        require(self.sun_seed >= 0, f"sun_seed must be >= 0, got {self.sun_seed}")

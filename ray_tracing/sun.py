@@ -1,0 +1,49 @@
+"""The Sun as a disc: where on it the light of a shadow ray comes from."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+
+_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
+
+
+def disc_directions(sun: Float, radius_rad: float, samples: int, first: Float, turn: Float) -> list[Float]:
+    """Directions to points of an evenly bright disc, as many for each of n rays.
+
+    Parameters
+    ----------
+    sun : (3,) float64, unitless
+        Unit vector to the centre of the disc.
+    radius_rad : float, rad
+        Angular radius of the disc.
+    samples : int
+        Rings of equal solid angle; each ray gets one point in each, a golden angle apart.
+    first, turn : (n,) float64 in [0, 1)
+        Where in its rings, and how far around, the pattern of each ray lies: random numbers.
+
+    Returns
+    -------
+    list of (n, 3) float64
+        Unit vectors, one array for each ring.
+
+    Notes
+    -----
+    Any axis symmetric density of ``turn`` and ``first`` that is even in [0, 1) makes the mean over the points an
+    unbiased mean over the disc; rings make its variance that of a stratified sample.
+    """
+    smallest = int(np.argmin(np.abs(sun)))
+    across = np.cross(sun, np.eye(3)[smallest])
+    across /= np.linalg.norm(across)
+    along = np.cross(sun, across)
+    directions = []
+    for ring in range(samples):
+        cos_theta = 1.0 - (ring + first) / samples * (2.0 * math.sin(0.5 * radius_rad) ** 2)
+        sin_theta = np.sqrt((1.0 - cos_theta) * (1.0 + cos_theta))
+        angle = 2.0 * math.pi * turn + ring * _GOLDEN_ANGLE_RAD
+        x, y = sin_theta * np.cos(angle), sin_theta * np.sin(angle)
+        directions.append(x[:, None] * across + y[:, None] * along + cos_theta[:, None] * sun)
+    return directions
