@@ -4,13 +4,21 @@
 """
 
 from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.disk import disk_integrated, disk_photocenter
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import (
     REFLECTANCES,
+    Akimov,
+    Hapke,
     Lambert,
     LommelSeeliger,
+    LunarLambert,
     McEwen,
+    Minnaert,
+    OrenNayar,
     Reflectance,
+    TabulatedReflectance,
+    UserReflectance,
     reflectance_from_mapping,
 )
 from giantlike.ray_tracing.render import Template, render
@@ -19,15 +27,24 @@ from giantlike.ray_tracing.silhouette import Silhouette, trace_silhouette
 
 __all__ = [
     "REFLECTANCES",
+    "Akimov",
     "Body",
+    "Hapke",
     "Lambert",
     "LommelSeeliger",
+    "LunarLambert",
     "McEwen",
+    "Minnaert",
+    "OrenNayar",
     "Reflectance",
     "RenderOptions",
     "SceneRender",
     "Silhouette",
+    "TabulatedReflectance",
     "Template",
+    "UserReflectance",
+    "disk_integrated",
+    "disk_photocenter",
     "reflectance_from_mapping",
     "render",
     "render_scene",

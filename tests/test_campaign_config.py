@@ -165,7 +165,7 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
     (lambda t: t["targets"][0].update(shape={"radii_km": [1.0, math.inf, 1.0]}), "must be three positive and finite"),
     (lambda t: t["targets"][0].update(shape={"radii_km": [1.0, math.nan, 1.0]}), "must be three positive and finite"),
     (lambda t: t["targets"][0].update(shape=5), r"targets\[0\].shape: expected a mesh file or"),
-    (lambda t: t["targets"][0].update(reflectance={"model": "hapke"}), r"targets\[0\].reflectance model must be one"),
+    (lambda t: t["targets"][0].update(reflectance={"model": "phong"}), r"targets\[0\].reflectance model must be one"),
     (lambda t: t["targets"].append(dict(t["targets"][0])), "targets: two targets have the name 'PEBBLE'"),
     (lambda t: t.update(camera={"file": "camera.toml", "columns": 5}), r"\[camera\]: give either file or"),
     (lambda t: t.update(camera={"columns": 5, "rows": 5}), r"\[camera\]: key 'model' is missing"),

@@ -1,0 +1,114 @@
+"""What a reflectance law is, and what all laws share: the horizon and the checks of their parameters."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.core.arrays import Float, require
+
+_HORIZON = 1e-200
+"""Smallest cosine that counts as above the horizon, so that no quotient of cosines overflows."""
+
+
+class Reflectance(Protocol):
+    """A reflectance law; an immutable value."""
+
+    type_name: ClassVar[str]
+    """Name in campaign files."""
+
+    def __call__(self, cos_incidence: ArrayLike, cos_emission: ArrayLike, phase_rad: ArrayLike) -> Float:
+        """Brightness relative to normal incidence; 0 where the Sun or the camera is below the horizon.
+
+        Parameters
+        ----------
+        cos_incidence, cos_emission : (...) float64
+            Cosines of the angles from the surface normal to Sun and camera.
+        phase_rad : (...) float64, rad
+            Angle Sun - surface - camera, in [0, pi].
+        """
+        ...
+
+
+class SurfaceLaw(ABC):
+    """A law that is a formula above the horizon and 0 below; the base of all laws here.
+
+    A subclass is a frozen dataclass with a ``type_name`` and a formula ``above_horizon``.
+    """
+
+    __slots__ = ()
+    type_name: ClassVar[str]
+
+    def __call__(self, cos_incidence: ArrayLike, cos_emission: ArrayLike, phase_rad: ArrayLike) -> Float:
+        """Brightness (...) relative to normal incidence and emission at zero phase, 0 below either horizon.
+
+        Parameters
+        ----------
+        cos_incidence, cos_emission : (...) float64
+            Cosines of the angles from the surface normal to Sun and camera; NaN counts as below the horizon.
+        phase_rad : (...) float64, rad
+            Angle Sun - surface - camera, in [0, pi].
+        """
+        mu0, mu = np.asarray(cos_incidence, dtype=np.float64), np.asarray(cos_emission, dtype=np.float64)
+        phase = np.asarray(phase_rad, dtype=np.float64)
+        seen = np.minimum(mu0, mu) > _HORIZON
+        if seen.all():  # as in a render: nothing to select
+            result = self.above_horizon(mu0, mu, phase)
+            shape = np.broadcast_shapes(seen.shape, phase.shape)
+            return result if np.shape(result) == shape else np.array(np.broadcast_to(result, shape))
+        mu0, mu, phase, seen = np.broadcast_arrays(mu0, mu, phase, seen)
+        brightness = np.zeros(seen.shape)
+        brightness[seen] = self.above_horizon(mu0[seen], mu[seen], phase[seen])
+        return brightness
+
+    @abstractmethod
+    def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
+        """The formula for cosines > 0 of incidence and emission, and phase; arrays that broadcast together."""
+
+
+def checked_number(
+    law: str,
+    name: str,
+    value: float,
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
+    open_low: bool = False,
+    open_high: bool = False,
+) -> None:
+    """Refuse a parameter of a law that is not a finite number in its range.
+
+    Raises
+    ------
+    InputError
+        Not a number, not finite, or outside the range; the message names law, parameter, range and value.
+    """
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    require(number and math.isfinite(value), f"reflectance {law}: {name} must be a number, got {value!r}")
+    above = value > low if open_low else value >= low
+    below = value < high if open_high else value <= high
+    if math.isinf(high):
+        allowed = f"{'>' if open_low else '>='} {low:g}"
+    else:
+        allowed = f"in {'(' if open_low else '['}{low:g}, {high:g}{')' if open_high else ']'}"
+    require(above and below, f"reflectance {law}: {name} must be {allowed}, got {value:g}")
+
+
+def checked_numbers(law: str, name: str, values: object) -> tuple[float, ...]:
+    """The numbers of a list, at least one, as a tuple.
+
+    Raises
+    ------
+    InputError
+        Not a list, an empty one, or one that does not hold finite numbers only.
+    """
+    if not isinstance(values, list | tuple):
+        values = ()
+    require(len(values) > 0, f"reflectance {law}: {name} must be a list of numbers")
+    for number, value in enumerate(values):
+        checked_number(law, f"{name}[{number}]", value)
+    return tuple(float(value) for value in values)

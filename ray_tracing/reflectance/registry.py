@@ -1,0 +1,64 @@
+"""Reflectance laws by the names that they have in campaign files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from types import MappingProxyType
+from typing import Any
+
+from giantlike.core.errors import InputError
+from giantlike.ray_tracing.reflectance.custom import TabulatedReflectance
+from giantlike.ray_tracing.reflectance.empirical import Akimov, Lambert, LommelSeeliger, LunarLambert, McEwen, Minnaert
+from giantlike.ray_tracing.reflectance.hapke import Hapke
+from giantlike.ray_tracing.reflectance.law import Reflectance, SurfaceLaw
+from giantlike.ray_tracing.reflectance.oren_nayar import OrenNayar
+
+REFLECTANCES: Mapping[str, type[SurfaceLaw]] = MappingProxyType(
+    {
+        law.type_name: law
+        for law in (
+            McEwen,
+            Lambert,
+            LommelSeeliger,
+            LunarLambert,
+            Minnaert,
+            Akimov,
+            OrenNayar,
+            Hapke,
+            TabulatedReflectance,
+        )
+    }
+)
+"""Reflectance laws by the ``model`` they have in campaign files."""
+
+
+def reflectance_from_mapping(table: Mapping[str, Any]) -> Reflectance:
+    """Build a law from a ``reflectance`` table such as ``{"model": "hapke", "w": 0.1, "theta_bar_deg": 20.0}``.
+
+    Raises
+    ------
+    InputError
+        The model or a key is unknown, a key is missing, or a value is no number or out of range.
+    """
+    values = dict(table)
+    name = values.pop("model", None)
+    if not isinstance(name, str) or name not in REFLECTANCES:
+        raise InputError(f"reflectance model must be one of {', '.join(sorted(REFLECTANCES))}, got {name!r}")
+    law = REFLECTANCES[name]
+    parameters = {field.name: field.default is MISSING for field in fields(law)}  # type: ignore[arg-type]
+    for key in values:
+        if key not in parameters:
+            keys = ", ".join(["model", *parameters])
+            raise InputError(f"reflectance: unknown key {key!r} for model {name!r}; keys are {keys}")
+    missing = [key for key, needed in parameters.items() if needed and key not in values]
+    if missing:
+        raise InputError(f"reflectance: model {name!r} needs {', '.join(missing)}")
+    return law(**{key: _as_value(value) for key, value in values.items()})
+
+
+def _as_value(value: Any) -> Any:
+    """A value of a file as a law takes it: floats, and tuples for lists; the law itself refuses what is neither."""
+    if isinstance(value, list | tuple):
+        return tuple(_as_value(item) for item in value)
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
