@@ -183,18 +183,18 @@ class Campaign:
 def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Campaign:
     folder = path.parent
     images = _images(path, content.images.files)
-    camera, camera_file = _camera(path, content.camera)
+    camera, camera_file = camera_of(path, content.camera)
     geometry_file = None
     geometry: dict[str, ImageGeometry] = {}
     unmatched: list[str] = []
     if content.images.geometry is not None:
-        geometry_file = _existing(path, "images.geometry", content.images.geometry)
+        geometry_file = existing_file(path, "images.geometry", content.images.geometry)
         only = content.targets[0].name if len(content.targets) == 1 else None
         geometry_table = read_geometry(geometry_file, default_target=only)
         by_path = geometry_table.match([image.path for image in images], folder)
         geometry = {image.key: by_path[image.path] for image in images if image.path in by_path}
         unmatched = _unmatched(geometry_table, images, geometry, folder, with_spice=content.spice is not None)
-    spice = None if content.spice is None else _spice(path, content.spice)
+    spice = None if content.spice is None else spice_of(path, content.spice)
     targets = tuple(_target(path, f"targets[{k}]", section) for k, section in enumerate(content.targets))
     repeated = [name for name, count in Counter(target.name for target in targets).items() if count > 1]
     if repeated:
@@ -221,7 +221,8 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     )
 
 
-def _existing(path: Path, key: str, name: str) -> Path:
+def existing_file(path: Path, key: str, name: str) -> Path:
+    """Path of a file that a key of the file ``path`` names; refused (``InputError``) where there is none."""
     file = path.parent / name
     if not file.is_file():
         raise InputError(f"{key}: there is no file {name!r} ({file})")
@@ -252,7 +253,8 @@ def _relative(file: Path, folder: Path) -> str:
     return file.relative_to(folder).as_posix() if file.is_relative_to(folder) else file.as_posix()
 
 
-def _camera(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None]:
+def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None]:
+    """Camera of a ``[camera]`` table, and its file where it has one; ``InputError`` names the wrong key."""
     if "file" not in table:
         try:
             return Camera.from_mapping(table), None
@@ -263,11 +265,12 @@ def _camera(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None]:
         raise InputError(f"[camera]: give either file or the keys of a camera, not both; found {others[0]!r}")
     if not isinstance(table["file"], str):
         raise InputError(f"camera.file: expected the name of a camera file, got {table['file']!r}")
-    file = _existing(path, "camera.file", table["file"])
+    file = existing_file(path, "camera.file", table["file"])
     return Camera.load(file), file
 
 
-def _spice(path: Path, section: SpiceSection) -> SpiceSetup:
+def spice_of(path: Path, section: SpiceSection) -> SpiceSetup:
+    """Kernels, spacecraft and camera frame of a ``[spice]`` section; ``InputError`` where a kernel is missing."""
     try:
         kernels = find_kernels(section.kernels, path.parent)
     except DataError as error:
@@ -279,7 +282,7 @@ def _spice(path: Path, section: SpiceSection) -> SpiceSetup:
 def _stars(path: Path, section: StarsSection) -> StarsSetup:
     catalog = section.catalog
     if catalog != "default":
-        catalog = str(_existing(path, "stars.catalog", catalog))
+        catalog = str(existing_file(path, "stars.catalog", catalog))
     keyed = {"max_magnitude": section.max_magnitude, "lost_in_space": section.lost_in_space}
     for name in section.options:
         if name in keyed:
@@ -306,7 +309,7 @@ def _stars(path: Path, section: StarsSection) -> StarsSetup:
 
 
 def _target(path: Path, where: str, section: TargetSection) -> TargetSetup:
-    shape_file, radii = _shape(path, f"{where}.shape", section.shape)
+    shape_file, radii = shape_of(path, f"{where}.shape", section.shape)
     try:
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
     except InputError as error:
@@ -341,9 +344,10 @@ def _estimator(name: str, table: Mapping[str, Any], where: str) -> Estimator:
     return estimator
 
 
-def _shape(path: Path, key: str, value: Any) -> tuple[Path | None, tuple[float, float, float] | None]:
+def shape_of(path: Path, key: str, value: Any) -> tuple[Path | None, tuple[float, float, float] | None]:
+    """Mesh file, or the radii of an ellipsoid, km, of a ``shape`` key; ``InputError`` for anything else."""
     if isinstance(value, str):
-        return _existing(path, key, value), None
+        return existing_file(path, key, value), None
     expected = f"{key}: expected a mesh file or {{ radii_km = [a, b, c] }}, got {value!r}"
     if not isinstance(value, Mapping) or set(value) != {"radii_km"}:
         raise InputError(expected)
