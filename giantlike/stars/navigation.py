@@ -131,7 +131,7 @@ class StarNavigation:
                 f"{usable.size} of {len(detections)} detections look like stars, {needed} are needed",
             )
         points, covariance = detections.points_px[usable], detections.covariance_px2[usable]
-        sky = self._sky(image)
+        sky = sky_of(image, self.catalog, self.options.max_magnitude)
         outcome: RefinedAttitude | Failure = Failure(
             Reason.NO_ATTITUDE, "the image has no a priori attitude: give one or allow the lost-in-space search"
         )
@@ -146,16 +146,6 @@ class StarNavigation:
         if isinstance(outcome, Failure):
             return outcome
         return self._fix(image, detections, usable, outcome, method)
-
-    def _sky(self, image: Image) -> Sky:
-        observer = image.observer
-        return Sky(
-            catalog=self.catalog,
-            et=image.et,
-            observer_position_km=None if observer is None else observer.position_km,
-            observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
-            max_magnitude=self.options.max_magnitude,
-        )
 
     def _from_apriori(
         self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky
@@ -221,6 +211,18 @@ class StarNavigation:
             "error_floor_px": f"{solution.error_floor_px:.4g}",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
+
+
+def sky_of(image: Image, catalog: StarCatalog, max_magnitude: float | None) -> Sky:
+    """Return a catalogue as the observer of an image sees it."""
+    observer = image.observer
+    return Sky(
+        catalog=catalog,
+        et=image.et,
+        observer_position_km=None if observer is None else observer.position_km,
+        observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
+        max_magnitude=max_magnitude,
+    )
 
 
 def _unknowns(image: Image) -> Quality:

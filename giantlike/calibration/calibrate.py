@@ -1,0 +1,301 @@
+"""Camera model, orientation of every image and temperature terms together, from known directions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import gammainc
+
+from giantlike.calibration.criteria import missed_criteria
+from giantlike.calibration.field_map import FieldSensitivity
+from giantlike.calibration.fix import CalibrationFix, ImageCalibration, RejectedObservation
+from giantlike.calibration.levenberg_marquardt import Minimum, covariance_of, minimise
+from giantlike.calibration.normal import Data, State, at_temperature, predict
+from giantlike.calibration.observability import parameter_support
+from giantlike.calibration.observations import ImageObservations
+from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
+from giantlike.calibration.robust import Loss
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, require
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.version import VERSION
+from giantlike.processing.wahba import solve_wahba
+
+_MEDIAN_CHI2 = 2.0 * math.log(2.0)  # two degrees of freedom
+_NOISE_EXPLAINS = 0.9999
+_MIN_PER_IMAGE = 2
+_MOST_OF_AN_IMAGE = 0.5
+
+
+def calibrate(
+    observations: Sequence[ImageObservations],
+    model: CameraModel,
+    *,
+    estimate: Sequence[str],
+    columns: int,
+    rows: int,
+    options: CalibrationOptions | None = None,
+    criteria: CalibrationCriteria | None = None,
+) -> CalibrationFix | Failure:
+    """Estimate parameters of a camera model together with the orientation of every image.
+
+    Parameters
+    ----------
+    observations : sequence of ImageObservations
+        All of directions, or all of finite targets.
+    model : CameraModel
+        Start: rough focal length, no distortion is enough.
+    estimate : sequence of str
+        Names of the parameters to estimate; the others stay as they are in ``model``. Leaving out ``cx_px, cy_px``
+        fixes the principal point, which a narrow field cannot tell from the orientation.
+    columns, rows : int
+        Size of the detector: where the map and its uncertainty are judged.
+    options : CalibrationOptions, optional
+    criteria : CalibrationCriteria, optional
+
+    Returns
+    -------
+    CalibrationFix or Failure
+        A fix that misses a criterion is returned with the reasons in ``problems``. Failure reasons:
+        degenerate_geometry (parameters that cannot be told apart are named), not_converged, too_few_matches.
+
+    Raises
+    ------
+    InputError
+        A parameter is unknown or named twice, or there are no observations.
+
+    Notes
+    -----
+    Rounds of fit and rejection: residuals are held against their robust spread (median of the squares) by a
+    chi-square test that may be expected to reject ``options.false_rejections`` good observations in all. An image
+    of which less than half agrees is left out whole.
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Camera Calibration.
+    .. [2] Inman and Holt, Artemis I Optical Navigation System Performance, IV.A (outliers, fixed principal point).
+    """
+    options = CalibrationOptions() if options is None else options
+    criteria = CalibrationCriteria() if criteria is None else criteria
+    _check(observations, model, estimate, options)
+    indices = np.array([model.parameter_names.index(name) for name in estimate], dtype=np.intp)
+    start = _start_rotations(observations, model)
+    if isinstance(start, Failure):
+        return start
+    prior_sigma = np.array([options.prior_sigma.get(name, math.inf) for name in estimate])
+    data = Data.of(observations, start, indices, model.parameters[indices], prior_sigma**-2.0)
+    positions = np.array(
+        [np.zeros(3) if image.position_reference is None else image.position_reference for image in observations]
+    )
+    fitted = _fit_without_outliers(State(model, start, positions), data, options)
+    if isinstance(fitted, Failure):
+        return fitted
+    return _result(fitted, data, observations, model, tuple(estimate), prior_sigma, (columns, rows), criteria)
+
+
+def _check(
+    observations: Sequence[ImageObservations], model: CameraModel, estimate: Sequence[str], options: CalibrationOptions
+) -> None:
+    require(len(observations) > 0, "calibrate needs at least one image with observations")
+    require(len({image.finite for image in observations}) == 1, "directions and finite targets cannot be mixed")
+    require(len(set(estimate)) == len(estimate), f"estimate names a parameter twice: {list(estimate)}")
+    for name in (*estimate, *options.prior_sigma):
+        known = ", ".join(model.parameter_names)
+        require(name in model.parameter_names, f"model {model.type_name!r} has no parameter {name!r}; it has {known}")
+
+
+def _start_rotations(observations: Sequence[ImageObservations], model: CameraModel) -> Rotation | Failure:
+    rotations = []
+    for image in observations:
+        found = image.camera_from_reference
+        if found is None:
+            vectors = at_temperature(model, image.temperature_c).unproject(image.points_px)
+            seen = np.isfinite(vectors).all(axis=1)
+            outcome = solve_wahba(image.targets[seen], vectors[seen], 1.0 / model.focal_length_px)
+            if isinstance(outcome, Failure):
+                return Failure(outcome.reason, f"{image.name}: {outcome.detail}")
+            found = outcome[0]
+        rotations.append(found)
+    return Rotation.concatenate(rotations)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    minimum: Minimum
+    used: NDArray[np.bool_]
+    kept_images: NDArray[np.bool_]
+    steps: int
+    rounds: int
+
+
+def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions) -> _Fitted | Failure:
+    """Robust fits and rejection until that changes nothing, then the fit by the loss that was asked for."""
+    used = np.asarray(np.isfinite(predict(state, data)).all(axis=1))
+    guard = Loss.HUBER if options.loss is Loss.LINEAR else options.loss
+    kept_images: NDArray[np.bool_] = np.ones(len(data.offsets) - 1, dtype=bool)
+    steps = rounds = 0
+    for rounds in range(1, options.max_rounds + 1):  # noqa: B007 - told in the result
+        minimum = minimise(state, data, used, guard, max_steps=options.max_steps)
+        if isinstance(minimum, Failure):
+            return minimum
+        state, steps = minimum.state, steps + minimum.steps
+        before = used
+        used, kept_images = _agreeing(state, data, used, options)
+        if int(used.sum()) * 2 <= len(data.estimated) + 3 * int(kept_images.sum()):
+            return Failure(Reason.TOO_FEW_MATCHES, f"{int(used.sum())} of {len(used)} observations agree with a camera")
+        if np.array_equal(used, before):
+            break
+    minimum = minimise(state, data, used, options.loss, max_steps=options.max_steps)
+    if isinstance(minimum, Failure):
+        return minimum
+    return _Fitted(minimum, used, kept_images, steps + minimum.steps, rounds)
+
+
+def _agreeing(
+    state: State, data: Data, used: NDArray[np.bool_], options: CalibrationOptions
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Observations that agree with the fit, and the images that keep any."""
+    residuals = data.points_px - predict(state, data)
+    squares = np.sum(residuals**2, axis=1) / data.sigma_px**2
+    squares = np.where(np.isfinite(squares), squares, np.inf)
+    count, free = int(used.sum()), len(data.estimated) + data.pose * (len(data.offsets) - 1)
+    spread = float(np.median(squares[used])) / _MEDIAN_CHI2 * 2 * count / max(2 * count - free, 1)
+    limit = 2.0 * math.log(max(len(squares) / options.false_rejections, 2.0))  # chi-square with two degrees
+    keep = np.asarray(squares <= limit * spread)
+    index = data.image_index
+    share = np.bincount(index, keep, len(data.offsets) - 1) / np.diff(data.offsets)
+    enough = np.bincount(index, keep, len(data.offsets) - 1) >= np.where(data.attitude_weight > 0, 1, _MIN_PER_IMAGE)
+    kept_images = np.asarray((share >= _MOST_OF_AN_IMAGE) & enough)
+    return keep & kept_images[index], kept_images
+
+
+def _result(
+    fitted: _Fitted,
+    data: Data,
+    observations: Sequence[ImageObservations],
+    start: CameraModel,
+    names: tuple[str, ...],
+    prior_sigma: Float,
+    size: tuple[int, int],
+    criteria: CalibrationCriteria,
+) -> CalibrationFix | Failure:
+    state, normal, used = fitted.minimum.state, fitted.minimum.normal, fitted.used
+    found = covariance_of(normal, names)
+    if isinstance(found, Failure):
+        return found
+    covariance, condition = found
+    predicted = predict(state, data)
+    squares = np.sum((data.points_px - predicted)[used] ** 2, axis=1)
+    freedom = _degrees_of_freedom(fitted, data, covariance)
+    chi2 = float(np.sum(squares / data.sigma_px[used] ** 2))
+    explained = float(gammainc(freedom / 2.0, chi2 / 2.0)) <= _NOISE_EXPLAINS
+    scale = 1.0 if explained else chi2 / freedom
+    mean_temperature = float(np.mean(data.temperatures_c))
+    sensitivity = FieldSensitivity.of(state.model, columns=size[0], rows=size[1], temperature_c=mean_temperature)
+    values = state.model.parameters[data.estimated]
+    fix = CalibrationFix(
+        model=state.model,
+        start=start,
+        columns=size[0],
+        rows=size[1],
+        estimated=names,
+        covariance=covariance * scale,
+        covariance_scale=scale,
+        images=_images(fitted, data, observations, predicted, covariance, scale, sensitivity),
+        image_index=data.image_index,
+        observed_px=data.points_px,
+        predicted_px=predicted,
+        sigma_px=data.sigma_px,
+        magnitudes=np.concatenate([image.magnitudes for image in observations]),
+        labels=np.concatenate([image.labels for image in observations]),
+        used=used,
+        rejected=_rejected(fitted, data, observations, predicted),
+        residual_sigma_px=math.sqrt(float(squares.sum()) / freedom),
+        reduced_chi2=chi2 / freedom,
+        condition_number=condition,
+        support=parameter_support(
+            names, data.estimated, values, data.prior, covariance * scale, prior_sigma, sensitivity
+        ),
+        map_points_px=sensitivity.points_px,
+        map_sigma_px=sensitivity.sigma_px(data.estimated, covariance * scale),
+        problems=(),
+        steps=fitted.steps,
+        rounds=fitted.rounds,
+        provenance={"giantlike": VERSION, "model": state.model.type_name},
+    )
+    return replace(fix, problems=missed_criteria(fix, criteria))
+
+
+def _degrees_of_freedom(fitted: _Fitted, data: Data, covariance: Float) -> float:
+    """Observations minus what they had to determine; where an a priori weighs in, they determine less."""
+    poses = fitted.minimum.normal.pose_covariance(covariance)[:, :3, :3]
+    from_priors = float(data.prior_weight @ np.diag(covariance))
+    from_priors += float(data.attitude_weight @ np.trace(poses, axis1=1, axis2=2))
+    unknowns = len(data.estimated) + data.pose * int(fitted.kept_images.sum())
+    return max(2 * int(fitted.used.sum()) - unknowns + from_priors, 1.0)
+
+
+def _images(
+    fitted: _Fitted,
+    data: Data,
+    observations: Sequence[ImageObservations],
+    predicted_px: Float,
+    covariance: Float,
+    scale: float,
+    sensitivity: FieldSensitivity,
+) -> tuple[ImageCalibration, ...]:
+    state, normal = fitted.minimum.state, fitted.minimum.normal
+    poses = normal.pose_covariance(covariance) * scale
+    shifts = normal.shifts_without_image()
+    weights = normal.information()
+    residuals = data.points_px - predicted_px
+    result = []
+    for number, image in enumerate(observations):
+        mine = (data.image_index == number) & fitted.used
+        shift, kept = shifts[number], bool(mine.any())
+        moved = sensitivity.unrotated[..., data.estimated] @ shift
+        result.append(
+            ImageCalibration(
+                name=image.name,
+                temperature_c=image.temperature_c,
+                camera_from_reference=state.rotation[number],
+                covariance_rad2=poses[number, :3, :3] if kept else np.full((3, 3), math.nan),
+                position_reference=state.position[number],
+                n_used=int(mine.sum()),
+                n_rejected=len(image) - int(mine.sum()),
+                rms_px=float(np.sqrt(np.mean(np.sum(residuals[mine] ** 2, axis=1)))) if kept else math.nan,
+                influence_px=float(np.sqrt(np.mean(np.sum(moved**2, axis=-1)))),
+                influence=float(shift @ weights @ shift) / scale / max(len(shift), 1),
+            )
+        )
+    return tuple(result)
+
+
+def _rejected(
+    fitted: _Fitted, data: Data, observations: Sequence[ImageObservations], predicted_px: Float
+) -> tuple[RejectedObservation, ...]:
+    found = []
+    first = data.offsets
+    for index in np.flatnonzero(~fitted.used):
+        number = int(data.image_index[index])
+        image = observations[number]
+        distance = float(np.linalg.norm(data.points_px[index] - predicted_px[index]))
+        imaged = math.isfinite(distance)
+        cause = "not_imaged" if not imaged else "outlier" if fitted.kept_images[number] else "image"
+        found.append(
+            RejectedObservation(
+                image=image.name,
+                label=int(image.labels[index - first[number]]),
+                observed_px=(float(data.points_px[index, 0]), float(data.points_px[index, 1])),
+                predicted_px=(float(predicted_px[index, 0]), float(predicted_px[index, 1])),
+                distance_px=distance,
+                sigmas=distance / float(data.sigma_px[index]),
+                cause=cause,
+            )
+        )
+    return tuple(sorted(found, key=lambda one: -one.sigmas if math.isfinite(one.sigmas) else -math.inf))

@@ -1,0 +1,123 @@
+"""What a camera model does over its field: differences and uncertainties in pixels, modulo a rotation.
+
+A calibration with free attitudes cannot know a rotation of the whole camera, and nobody who solves attitudes with it
+needs to: two models that differ by one are the same camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.calibration.normal import at_temperature, parameter_jacobian
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float
+from giantlike.core.frames import skew
+
+_ROTATION_STEPS = 5
+_CELLS = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FieldMap:
+    """A vector per point of a grid over the detector.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+    shifts_px : (n, 2) float64, px
+    """
+
+    points_px: Float
+    shifts_px: Float
+
+    @property
+    def rms_px(self) -> float:
+        """Radial rms over the grid."""
+        return float(np.sqrt(np.mean(np.sum(self.shifts_px**2, axis=1))))
+
+    @property
+    def max_px(self) -> float:
+        """Largest shift."""
+        return float(np.sqrt(np.max(np.sum(self.shifts_px**2, axis=1))))
+
+
+def field_grid(columns: int, rows: int) -> Float:
+    """Pixels (n, 2) spread evenly over a detector, its edges included."""
+    x = np.linspace(-0.5, columns - 0.5, _CELLS)
+    y = np.linspace(-0.5, rows - 0.5, _CELLS)
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def map_difference(
+    model: CameraModel, other: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0
+) -> FieldMap:
+    """Where ``other`` puts what ``model`` sees at a grid of pixels, minus that pixel, the best rotation taken out.
+
+    Grid points that one of the models cannot image are left out.
+
+    Parameters
+    ----------
+    model, other : CameraModel
+    columns, rows : int
+    temperature_c : float, Celsius
+    """
+    first, second = at_temperature(model, temperature_c), at_temperature(other, temperature_c)
+    pixels = field_grid(columns, rows)
+    vectors = first.unproject(pixels)
+    seen = np.isfinite(vectors).all(axis=1)
+    pixels, vectors = pixels[seen], vectors[seen]
+    rotation = Rotation.identity()
+    for _ in range(_ROTATION_STEPS):
+        turned = rotation.apply(vectors)
+        shifts = second.project(turned) - pixels
+        good = np.isfinite(shifts).all(axis=1)
+        by_rotation = (-second.project_jacobian(turned[good]) @ skew(turned[good])).reshape(-1, 3)
+        step = np.linalg.lstsq(by_rotation, -shifts[good].reshape(-1), rcond=None)[0]
+        rotation = Rotation.from_rotvec(step) * rotation
+    shifts = second.project(rotation.apply(vectors)) - pixels
+    good = np.isfinite(shifts).all(axis=1)
+    return FieldMap(points_px=pixels[good], shifts_px=shifts[good])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FieldSensitivity:
+    """How pixels over the field move with the parameters of a model.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+    by_parameter : (n, 2, p) float64
+        Plain derivative by every parameter of the model.
+    unrotated : (n, 2, p) float64
+        The same with the part taken out that a rotation of the camera does as well.
+    """
+
+    points_px: Float
+    by_parameter: Float
+    unrotated: Float
+
+    @classmethod
+    def of(cls, model: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0) -> FieldSensitivity:
+        """Sensitivity over a grid of the detector, where the model can image."""
+        there = at_temperature(model, temperature_c)
+        pixels = field_grid(columns, rows)
+        vectors = there.unproject(pixels)
+        seen = np.isfinite(vectors).all(axis=1)
+        pixels, vectors = pixels[seen], vectors[seen]
+        by_parameter = parameter_jacobian(model, vectors, temperature_c)
+        by_rotation = (-there.project_jacobian(vectors) @ skew(vectors)).reshape(-1, 3)
+        basis, _ = np.linalg.qr(by_rotation)
+        flat = by_parameter.reshape(len(basis), -1)
+        unrotated = (flat - basis @ (basis.T @ flat)).reshape(by_parameter.shape)
+        return cls(points_px=pixels, by_parameter=by_parameter, unrotated=unrotated)
+
+    def sigma_px(self, estimated: NDArray[np.intp], covariance: Float) -> Float:
+        """Standard deviation (n,), radial, px, of the map for a covariance (k, k) of the ``estimated`` indices (k,)."""
+        by_estimated = self.unrotated[..., estimated]
+        variance = np.einsum("nik,kl,nil->n", by_estimated, covariance, by_estimated)
+        result: Float = np.sqrt(np.maximum(variance, 0.0))
+        return result

@@ -1,0 +1,172 @@
+"""The result of a calibration, as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.calibration.observability import ParameterSupport
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageCalibration:
+    """One image of a calibration.
+
+    Parameters
+    ----------
+    name : str
+    temperature_c : float, Celsius
+    camera_from_reference : Rotation
+    covariance_rad2 : (3, 3) float64, rad^2
+        Of the small rotation about the camera axes, the uncertainty of the camera included.
+    position_reference : (3,) float64
+        Vector to the board, where targets are finite; else zero.
+    n_used, n_rejected : int
+    rms_px : float, px
+        Radial; NaN where nothing was kept.
+    influence_px : float, px
+        How far the camera map moves (rms over the field, modulo a rotation) when this image is left out.
+    influence : float
+        The same in units of the covariance: squared shift of the parameters over their number. Above 1, one image
+        rules the result.
+    """
+
+    name: str
+    temperature_c: float
+    camera_from_reference: Rotation
+    covariance_rad2: Float
+    position_reference: Float
+    n_used: int
+    n_rejected: int
+    rms_px: float
+    influence_px: float
+    influence: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RejectedObservation:
+    """An observation thrown out: image, label of the target, where it was seen and expected, and how far in sigma.
+
+    ``cause`` is ``outlier``, ``not_imaged`` (the model cannot image the target) or ``image`` (so little of the image
+    agrees that all of it was left out).
+    """
+
+    image: str
+    label: int
+    observed_px: tuple[float, float]
+    predicted_px: tuple[float, float]
+    distance_px: float
+    sigmas: float
+    cause: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibrationFix:
+    """A calibrated camera model with its covariance and everything needed to judge it.
+
+    Parameters
+    ----------
+    model : CameraModel
+    start : CameraModel
+        Where the fit began.
+    columns, rows : int
+    estimated : tuple of str
+        Names of the k parameters estimated; the others have the values of ``start``.
+    covariance : (k, k) float64
+        Of those parameters, their units. Includes ``covariance_scale``.
+    covariance_scale : float
+        Factor put on the covariance because the residuals are larger than the given sigmas explain; 1 if they do.
+    images : tuple of ImageCalibration
+    image_index : (n,) int
+        Which image each observation is of; the arrays below hold all observations, used or not.
+    observed_px, predicted_px : (n, 2) float64, px
+        Prediction: by the result, NaN where it cannot be imaged.
+    sigma_px, magnitudes : (n,) float64
+    labels : (n,) int64
+    used : (n,) bool
+    rejected : tuple of RejectedObservation
+        Worst first.
+    residual_sigma_px : float, px
+        Post-fit residual per axis, corrected for the degrees of freedom.
+    reduced_chi2 : float
+    condition_number : float
+        Of the scaled information of the parameters.
+    support : tuple of ParameterSupport
+        What the observations say of each parameter.
+    map_points_px, map_sigma_px : (g, 2), (g,) float64, px
+        Uncertainty of the camera map over the field, radial, modulo a rotation.
+    problems : tuple of str
+        Criteria that were missed, each with what was needed and what came; empty when accepted.
+    steps, rounds : int
+        Levenberg-Marquardt steps in all, and rounds of rejection.
+    provenance : mapping of str to str
+    """
+
+    model: CameraModel
+    start: CameraModel
+    columns: int
+    rows: int
+    estimated: tuple[str, ...]
+    covariance: Float
+    covariance_scale: float
+    images: tuple[ImageCalibration, ...]
+    image_index: NDArray[np.intp]
+    observed_px: Float
+    predicted_px: Float
+    sigma_px: Float
+    magnitudes: Float
+    labels: NDArray[np.int64]
+    used: NDArray[np.bool_]
+    rejected: tuple[RejectedObservation, ...]
+    residual_sigma_px: float
+    reduced_chi2: float
+    condition_number: float
+    support: tuple[ParameterSupport, ...]
+    map_points_px: Float
+    map_sigma_px: Float
+    problems: tuple[str, ...]
+    steps: int
+    rounds: int
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether every criterion is met."""
+        return not self.problems
+
+    @property
+    def residuals_px(self) -> Float:
+        """Observed minus predicted, (n, 2), px, of all observations."""
+        return self.observed_px - self.predicted_px
+
+    @property
+    def rms_px(self) -> float:
+        """Radial residual rms of the observations used, px."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
+
+    @property
+    def n_used(self) -> int:
+        """Number of observations kept."""
+        return int(self.used.sum())
+
+    @property
+    def n_rejected(self) -> int:
+        """Number of observations thrown out."""
+        return len(self.rejected)
+
+    @property
+    def correlation(self) -> Float:
+        """Correlation matrix (k, k) of the estimated parameters."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        result: Float = self.covariance / np.outer(sigma, sigma)
+        return result
+
+    def unwrap(self) -> CalibrationFix:
+        """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        return self

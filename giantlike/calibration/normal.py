@@ -1,0 +1,268 @@
+"""Weighted normal equations of a calibration, with the pose of every image eliminated.
+
+Each image adds the same few camera parameters and a pose of its own, so the matrix is an arrow: camera block, pose
+blocks on the diagonal, nothing between images. Poses are eliminated block by block (Schur complement), which makes
+the work grow with the number of images and not with its cube.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.calibration.observations import ImageObservations
+from giantlike.calibration.robust import Loss
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float
+from giantlike.core.errors import InputError
+from giantlike.core.frames import skew
+
+MAX_CONDITION = 1e13
+"""Scaled normal matrices worse than this leave a parameter free: nothing of float64 is left."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Data:
+    """Observations of m images end to end (n in all), and what is estimated.
+
+    ``offsets`` (m + 1,) says where each image starts; ``pose`` is 3 (orientation) or 6 (orientation, position).
+    ``estimated`` (k,) are indices into the parameters of the model. Prior weights are inverse variances, 0 for none.
+    """
+
+    targets: Float
+    points_px: Float
+    sigma_px: Float
+    offsets: NDArray[np.intp]
+    temperatures_c: Float
+    pose: int
+    estimated: NDArray[np.intp]
+    prior: Float
+    prior_weight: Float
+    start: Rotation
+    attitude_weight: Float
+
+    @classmethod
+    def of(
+        cls,
+        images: Sequence[ImageObservations],
+        start: Rotation,
+        estimated: NDArray[np.intp],
+        prior: Float,
+        prior_weight: Float,
+    ) -> Data:
+        """Lay images end to end; they are all of directions or all of finite points."""
+        sigmas = [image.attitude_sigma_rad for image in images]
+        return cls(
+            targets=np.concatenate([image.targets for image in images]),
+            points_px=np.concatenate([image.points_px for image in images]),
+            sigma_px=np.concatenate([image.sigma_px for image in images]),
+            offsets=np.concatenate([[0], np.cumsum([len(image) for image in images])]).astype(np.intp),
+            temperatures_c=np.array([image.temperature_c for image in images]),
+            pose=6 if images[0].finite else 3,
+            estimated=estimated,
+            prior=prior,
+            prior_weight=prior_weight,
+            start=start,
+            attitude_weight=np.array([0.0 if sigma is None else sigma**-2 for sigma in sigmas]),
+        )
+
+    @property
+    def image_index(self) -> NDArray[np.intp]:
+        """Which image each observation is of, (n,)."""
+        return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """A camera model and the poses of m images: ``rotation`` (m,) and ``position`` (m, 3), camera axes."""
+
+    model: CameraModel
+    rotation: Rotation
+    position: Float
+
+    def vectors(self, data: Data) -> Float:
+        """Targets (n, 3) in camera axes."""
+        index = data.image_index
+        turned: Float = np.einsum("nij,nj->ni", self.rotation.as_matrix()[index], data.targets)
+        return turned if data.pose == 3 else turned + self.position[index]
+
+    def moved(self, step: Step, data: Data) -> State | None:
+        """State after a step; None where the model refuses its parameters."""
+        values = self.model.parameters
+        values[data.estimated] += step.camera
+        try:
+            model = self.model.with_parameters(values)
+        except InputError:
+            return None
+        rotation = Rotation.from_rotvec(step.poses[:, :3]) * self.rotation
+        position = self.position + step.poses[:, 3:] if data.pose == 6 else self.position
+        return State(model, rotation, position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """Change of the k camera parameters and of the poses (m, 3 or 6), and the decrease it promises."""
+
+    camera: Float
+    poses: Float
+    decrement: float
+
+
+def predict(state: State, data: Data) -> Float:
+    """Pixels (n, 2) of all targets; NaN where the model cannot image one."""
+    vectors = state.vectors(data)
+    result = np.empty((len(vectors), 2))
+    for which, model, _ in _by_temperature(state.model, data):
+        result[which] = model.project(vectors[which])
+    return result
+
+
+def jacobians(state: State, data: Data) -> tuple[Float, Float]:
+    """Derivatives (n, 2, k) by the estimated parameters and (n, 2, pose) by the pose of the image."""
+    vectors = state.vectors(data)
+    camera = np.empty((len(vectors), 2, len(data.estimated)))
+    pose = np.empty((len(vectors), 2, data.pose))
+    arms = vectors if data.pose == 3 else vectors - state.position[data.image_index]
+    for which, model, temperature_c in _by_temperature(state.model, data):
+        by_point = model.project_jacobian(vectors[which])
+        pose[which, :, :3] = -by_point @ skew(arms[which])
+        if data.pose == 6:
+            pose[which, :, 3:] = by_point
+        by_parameter = parameter_jacobian(state.model, vectors[which], temperature_c)
+        camera[which] = by_parameter[..., data.estimated]
+    return camera, pose
+
+
+def at_temperature(model: CameraModel, temperature_c: float) -> CameraModel:
+    """Model as it is at a temperature: itself where it has no temperature terms."""
+    return model.at_temperature(temperature_c) if _has_temperature(model) else model
+
+
+def parameter_jacobian(model: CameraModel, vectors: Float, temperature_c: float) -> Float:
+    """Derivative (..., 2, p) of the pixels by all parameters of the model, at a temperature."""
+    if _has_temperature(model):
+        return model.parameter_jacobian(vectors, temperature_c=temperature_c)
+    return model.parameter_jacobian(vectors)
+
+
+def _has_temperature(model: CameraModel) -> bool:
+    return "a1_per_c" in model.parameter_names
+
+
+def _by_temperature(model: CameraModel, data: Data) -> list[tuple[NDArray[np.bool_] | slice, CameraModel, float]]:
+    """Which observations share a temperature, and the model there."""
+    if not _has_temperature(model):
+        return [(slice(None), model, 0.0)]
+    temperatures, group = np.unique(data.temperatures_c, return_inverse=True)
+    if len(temperatures) == 1:
+        return [(slice(None), at_temperature(model, float(temperatures[0])), float(temperatures[0]))]
+    of_point = group[data.image_index]
+    return [(of_point == k, at_temperature(model, float(t)), float(t)) for k, t in enumerate(temperatures)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """Blocks at a state: camera (k, k), coupling (m, k, p), poses (m, p, p), right-hand sides, and the cost.
+
+    ``image_camera`` (m, k, k) and ``image_gradient`` (m, k) are what each image adds to the camera block.
+    """
+
+    camera: Float
+    coupling: Float
+    poses: Float
+    camera_gradient: Float
+    pose_gradient: Float
+    image_camera: Float
+    image_gradient: Float
+    cost: float
+
+    def solve(self, damping: float) -> Step | None:
+        """Levenberg-Marquardt step; None where a matrix is singular."""
+        k, p = self.camera.shape[0], self.poses.shape[1]
+        poses = self.poses * (1.0 + damping * np.eye(p))
+        camera = self.camera * (1.0 + damping * np.eye(k))
+        try:
+            carried = np.linalg.solve(poses, np.swapaxes(self.coupling, 1, 2))  # (m, p, k)
+            alone = np.linalg.solve(poses, self.pose_gradient[..., None])[..., 0]
+            reduced = camera - np.einsum("mkp,mpl->kl", self.coupling, carried)
+            gradient = self.camera_gradient - np.einsum("mkp,mp->k", self.coupling, alone)
+            units = 1.0 / np.sqrt(np.diag(camera))
+            step = np.linalg.solve(reduced * np.outer(units, units), gradient * units) * units
+        except np.linalg.LinAlgError:
+            return None
+        back = alone - np.einsum("mpk,k->mp", carried, step)
+        decrement = float(self.camera_gradient @ step + np.sum(self.pose_gradient * back))
+        return Step(step, back, decrement) if np.isfinite(decrement) else None
+
+    def reduced(self) -> tuple[Float, Float]:
+        """Information (m, k, k) and gradient (m, k) that each image has on the camera alone."""
+        carried = np.linalg.solve(self.poses, np.swapaxes(self.coupling, 1, 2))
+        alone = np.linalg.solve(self.poses, self.pose_gradient[..., None])[..., 0]
+        information = self.image_camera - self.coupling @ carried
+        return information, self.image_gradient - np.einsum("mkp,mp->mk", self.coupling, alone)
+
+    def shifts_without_image(self) -> Float:
+        """How far the camera parameters (m, k) move when one image is left out, to first order; inf: undetermined."""
+        information, gradient = self.reduced()
+        total = self.information()
+        units = 1.0 / np.sqrt(np.diag(total))
+        shifts = np.full(gradient.shape, np.inf)
+        for number, (mine, pull) in enumerate(zip(information, gradient, strict=True)):
+            rest = (total - mine) * np.outer(units, units)
+            if np.linalg.cond(rest) < MAX_CONDITION:
+                shifts[number] = -np.linalg.solve(rest, pull * units) * units
+        return shifts
+
+    def pose_covariance(self, camera_covariance: Float) -> Float:
+        """Covariance (m, p, p) of the poses, that of the camera included."""
+        carried = np.linalg.solve(self.poses, np.swapaxes(self.coupling, 1, 2))
+        result: Float = np.linalg.inv(self.poses) + carried @ camera_covariance @ np.swapaxes(carried, 1, 2)
+        return result
+
+    def information(self) -> Float:
+        """Inverse covariance (k, k) of the camera parameters, poses eliminated."""
+        carried = np.linalg.solve(self.poses, np.swapaxes(self.coupling, 1, 2))
+        result: Float = self.camera - np.einsum("mkp,mpl->kl", self.coupling, carried)
+        return (result + result.T) / 2.0
+
+
+def normal_equations(state: State, data: Data, used: NDArray[np.bool_], loss: Loss) -> NormalEquations | None:
+    """Assemble the blocks; None where a used target cannot be imaged."""
+    residuals = data.points_px - predict(state, data)
+    if not np.isfinite(residuals[used]).all():
+        return None
+    squares = np.sum(residuals**2, axis=1) / data.sigma_px**2
+    by_camera, by_pose = jacobians(state, data)
+    weight = np.where(used, np.sqrt(loss.weight(np.where(used, squares, 0.0))) / data.sigma_px, 0.0)
+    stacked = np.concatenate([by_camera, by_pose, residuals[..., None]], axis=-1) * weight[:, None, None]
+    stacked[~used] = 0.0
+    grams = np.stack([_gram(stacked[a:b]) for a, b in zip(data.offsets[:-1], data.offsets[1:], strict=True)])
+    k, p = len(data.estimated), data.pose
+    ahead = data.prior - state.model.parameters[data.estimated]
+    turn = (data.start * state.rotation.inv()).as_rotvec()
+    poses, pose_gradient = grams[:, k : k + p, k : k + p].copy(), grams[:, k : k + p, -1].copy()
+    poses[:, :3, :3] += data.attitude_weight[:, None, None] * np.eye(3)
+    poses[np.bincount(data.image_index, used, len(poses)) == 0] += np.eye(p)  # nothing left of it: its pose stays
+    pose_gradient[:, :3] += data.attitude_weight[:, None] * turn
+    cost = float(np.sum(loss.cost(squares[used])))
+    cost += float(data.prior_weight @ ahead**2 + data.attitude_weight @ np.sum(turn**2, axis=1))
+    return NormalEquations(
+        camera=grams[:, :k, :k].sum(axis=0) + np.diag(data.prior_weight),
+        coupling=grams[:, :k, k : k + p],
+        poses=poses,
+        camera_gradient=grams[:, :k, -1].sum(axis=0) + data.prior_weight * ahead,
+        pose_gradient=pose_gradient,
+        image_camera=grams[:, :k, :k],
+        image_gradient=grams[:, :k, -1],
+        cost=cost,
+    )
+
+
+def _gram(rows: Float) -> Float:
+    flat = rows.reshape(-1, rows.shape[-1])
+    result: Float = flat.T @ flat
+    return result

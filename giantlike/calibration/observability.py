@@ -1,0 +1,115 @@
+"""Which parameters the observations can support, and which only seem to be estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.calibration.field_map import FieldSensitivity
+from giantlike.core.arrays import Float
+
+_SIGNIFICANT = 3.0  # sigma from zero
+_MOSTLY_PRIOR = 0.9
+_ENTANGLED = 0.99
+
+
+class Verdict(StrEnum):
+    """What the observations say of a parameter."""
+
+    SUPPORTED = "supported"
+    NOT_SIGNIFICANT = "not_significant"
+    """A distortion or temperature term less than three sigma from zero: the data would do without it."""
+    ENTANGLED = "entangled"
+    """Correlated above 0.99 with others: known in combination only, its own value fluctuates."""
+    PRIOR_ONLY = "prior_only"
+    """Its sigma is that of the a priori: the observations add nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterSupport:
+    """What is known of one estimated parameter.
+
+    Parameters
+    ----------
+    name : str
+    value, start, sigma : float
+        In the unit of the parameter.
+    effect_px : float, px
+        What the value does at the worst place of the field (for focal length and principal point: its change from
+        the start).
+    sigma_effect_px : float, px
+        What one sigma of this parameter alone does there. Far above the uncertainty of the map where other
+        parameters make up for it.
+    partner : str
+        The parameter it is most correlated with; empty when alone.
+    correlation : float
+        With that.
+    verdict : Verdict
+    """
+
+    name: str
+    value: float
+    start: float
+    sigma: float
+    effect_px: float
+    sigma_effect_px: float
+    partner: str
+    correlation: float
+    verdict: Verdict
+
+
+def parameter_support(
+    names: Sequence[str],
+    indices: NDArray[np.intp],
+    values: Float,
+    start: Float,
+    covariance: Float,
+    prior_sigma: Float,
+    sensitivity: FieldSensitivity,
+) -> tuple[ParameterSupport, ...]:
+    """Judge every estimated parameter.
+
+    Parameters
+    ----------
+    names : sequence of str
+        k names; ``indices`` (k,) say where they are among all parameters of the model.
+    values, start, prior_sigma : (k,) float64
+        Prior infinite where there is none.
+    covariance : (k, k) float64
+    sensitivity : FieldSensitivity
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sigma, sigma) - np.eye(len(names))
+    reach = np.linalg.norm(sensitivity.by_parameter[..., indices], axis=1).max(axis=0)
+    found = []
+    for k, name in enumerate(names):
+        partner = int(np.argmax(np.abs(correlation[k]))) if len(names) > 1 else -1
+        shared = float(correlation[k, partner]) if partner >= 0 else 0.0
+        is_scale = name.endswith("_px")
+        change = values[k] - start[k] if is_scale else values[k]
+        if sigma[k] > _MOSTLY_PRIOR * prior_sigma[k]:
+            verdict = Verdict.PRIOR_ONLY
+        elif not is_scale and abs(values[k]) < _SIGNIFICANT * sigma[k]:
+            verdict = Verdict.NOT_SIGNIFICANT
+        elif abs(shared) > _ENTANGLED:
+            verdict = Verdict.ENTANGLED
+        else:
+            verdict = Verdict.SUPPORTED
+        found.append(
+            ParameterSupport(
+                name=name,
+                value=float(values[k]),
+                start=float(start[k]),
+                sigma=float(sigma[k]),
+                effect_px=float(abs(change) * reach[k]),
+                sigma_effect_px=float(sigma[k] * reach[k]),
+                partner=names[partner] if partner >= 0 else "",
+                correlation=shared,
+                verdict=verdict,
+            )
+        )
+    return tuple(found)

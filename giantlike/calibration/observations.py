@@ -1,0 +1,119 @@
+"""What a calibration is made from: known directions, and where the camera saw them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_finite, as_floats, as_unit, require
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageObservations:
+    """Known targets in one image (or in one composite of images taken with one orientation of the camera).
+
+    Parameters
+    ----------
+    name : str
+        How reports call the image.
+    targets : (n, 3) float64
+        Unit vectors in a reference frame (stars: apparent directions, inertial axes), or points of a board in the
+        board's own axes where ``finite``, in any unit of length.
+    points_px : (n, 2) float64, px
+        Where they were seen.
+    sigma_px : (n,) float64, px
+        Standard deviation per axis; a scalar is taken for all.
+    camera_from_reference : Rotation, optional
+        A priori orientation; None: found from the targets and the starting model (directions only).
+    attitude_sigma_rad : float, rad, optional
+        Standard deviation per axis of that a priori orientation; None: it is a start and carries no weight.
+    position_reference : (3,) float64, optional
+        For ``finite`` targets: vector from the camera to the origin of the board, camera axes, a start.
+    finite : bool
+        Targets are points at a distance, not directions.
+    temperature_c : float, Celsius
+        Of the camera.
+    labels : (n,) int64
+        Names of the targets: catalogue identifiers, corner numbers. Default: counted from 0.
+    magnitudes : (n,) float64
+        NaN where there is none.
+
+    Raises
+    ------
+    InputError
+        Shapes disagree, a direction is not unit, a sigma is not positive.
+    """
+
+    name: str
+    targets: Float
+    points_px: Float
+    sigma_px: Float
+    camera_from_reference: Rotation | None = None
+    attitude_sigma_rad: float | None = None
+    position_reference: Float | None = None
+    finite: bool = False
+    temperature_c: float = 0.0
+    labels: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    magnitudes: Float = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        targets = as_floats(self.targets, (3,), f"{self.name}: targets")
+        if not self.finite:
+            targets = as_unit(targets, f"{self.name}: targets")
+        require(targets.ndim == 2 and len(targets) > 0, f"{self.name}: targets must be (n, 3), got {targets.shape}")
+        count = len(targets)
+        sigma = np.broadcast_to(np.asarray(self.sigma_px, dtype=np.float64), (count,))
+        require(bool((np.isfinite(sigma) & (sigma > 0)).all()), f"{self.name}: sigma_px must be > 0")
+        require(np.isfinite(self.temperature_c), f"{self.name}: temperature_c must be finite")
+        weighted = self.attitude_sigma_rad
+        require(weighted is None or weighted > 0, f"{self.name}: attitude_sigma_rad must be > 0, got {weighted}")
+        require(
+            weighted is None or self.camera_from_reference is not None,
+            f"{self.name}: attitude_sigma_rad needs camera_from_reference",
+        )
+        pose = self.camera_from_reference is not None and self.position_reference is not None
+        require(not self.finite or pose, f"{self.name}: finite targets need camera_from_reference, position_reference")
+        object.__setattr__(self, "targets", targets)
+        object.__setattr__(self, "points_px", as_finite(self.points_px, (count, 2), f"{self.name}: points_px"))
+        object.__setattr__(self, "sigma_px", np.array(sigma))
+        labels = np.arange(count) if len(self.labels) == 0 else np.asarray(self.labels)
+        magnitudes = np.full(count, np.nan) if len(self.magnitudes) == 0 else np.asarray(self.magnitudes, dtype=float)
+        require(
+            labels.shape == (count,) and magnitudes.shape == (count,),
+            f"{self.name}: labels and magnitudes must have shape ({count},), got {labels.shape} and {magnitudes.shape}",
+        )
+        object.__setattr__(self, "labels", labels.astype(np.int64))
+        object.__setattr__(self, "magnitudes", magnitudes)
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+
+def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Float:
+    """Directions (n, 3) of a fixed collimator in the axes of the gimbal's stage that carries the camera.
+
+    The stage turns about its vertical axis (azimuth, toward +x) and then about its horizontal axis (elevation,
+    toward -y, up in an image); at zero the collimator is on its +z axis. Seen from the stage the collimator moves
+    the other way. All images of a grid make one composite: one :class:`ImageObservations` whose
+    ``camera_from_reference`` is how the camera sits on the stage.
+
+    Parameters
+    ----------
+    azimuth_rad, elevation_rad : (n,) float64, rad
+        Commanded angles, exact as read from the encoders.
+
+    References
+    ----------
+    .. [1] Holt, D'Souza and Saley, Orion Optical Navigation Progress Toward Exploration Mission 1, III.A: 99 images in
+       steps of 2 degrees, made one composite.
+
+    >>> collimator_directions([0.1], [0.0]).round(3).tolist()
+    [[-0.1, 0.0, 0.995]]
+    """
+    azimuth, elevation = as_floats(azimuth_rad, (), "azimuth_rad"), as_floats(elevation_rad, (), "elevation_rad")
+    flat = np.cos(azimuth)
+    x, z = -np.sin(azimuth), flat * np.cos(elevation)
+    return np.stack([x, flat * np.sin(elevation), z], axis=-1)

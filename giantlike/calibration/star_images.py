@@ -1,0 +1,361 @@
+"""Calibration from star images: identification and camera model by turns, until the matches stop changing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.calibration.calibrate import calibrate
+from giantlike.calibration.fix import CalibrationFix
+from giantlike.calibration.normal import at_temperature
+from giantlike.calibration.observations import ImageObservations
+from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
+from giantlike.camera import Camera
+from giantlike.camera_models import BrownModel, CameraModel, PinholeModel, model_from_mapping, model_to_mapping
+from giantlike.core.arrays import Float, require
+from giantlike.core.errors import InputError
+from giantlike.core.outcomes import AttitudeFix, Failure, Reason
+from giantlike.image import Image
+from giantlike.stars.field import Sky
+from giantlike.stars.lost_in_space import depth_for, scaled_model
+from giantlike.stars.matching import attitudes_of_sky
+from giantlike.stars.navigation import StarNavigation, sky_of
+from giantlike.stars.options import StarOptions
+from giantlike.stars.refine import refine_attitude
+
+DEFAULT_MIN_SNR = 20.0
+"""Stars from which a camera is calibrated: their centroids are known to some 0.05 px."""
+_MAX_ROUNDS = 8
+_BRIGHTEST = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarImage:
+    """What calibration keeps of a star image: its sources, its sky, and a first identification.
+
+    Parameters
+    ----------
+    name : str
+    sky : Sky
+    points_px, covariance_px2, snr : (m, 2), (m, 2, 2), (m,) float64
+        Sources that look like stars, brightest first.
+    camera_from_inertial : Rotation
+        First solution.
+    focal_length_px : float, px
+        Focal length that the first solution found.
+    star_ids, source_indices : (k,) int64
+        Stars of the first solution, and which of the sources they are.
+    sigma_px : (k,) float64, px
+        Standard deviation per axis of these.
+    temperature_c : float, Celsius
+    """
+
+    name: str
+    sky: Sky
+    points_px: Float
+    covariance_px2: Float
+    snr: Float
+    camera_from_inertial: Rotation
+    focal_length_px: float
+    star_ids: NDArray[np.int64]
+    source_indices: NDArray[np.int64]
+    sigma_px: Float
+    temperature_c: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarCalibration:
+    """A calibration from star images.
+
+    Parameters
+    ----------
+    fix : CalibrationFix
+    rounds : int
+        Of identification and calibration.
+    settled : bool
+        Whether the matches stopped changing.
+    failed : tuple of (str, Failure)
+        Images whose stars were lost on the way, and why.
+    """
+
+    fix: CalibrationFix
+    rounds: int
+    settled: bool
+    failed: tuple[tuple[str, Failure], ...]
+
+
+def identify_first(
+    image: Image, camera: Camera, navigation: StarNavigation, *, scale_error: float, temperature_c: float = 0.0
+) -> StarImage | Failure:
+    """Find the stars of an image with a camera that is known roughly.
+
+    The focal length (and, with enough stars, k1) of pinhole and Brown cameras is estimated along; other models are
+    taken as they are. The whole sky is searched where there is no a priori attitude or it does not help.
+
+    Parameters
+    ----------
+    image : Image
+    camera : Camera
+    navigation : StarNavigation
+        Gives catalogue and options; its camera is not used.
+    scale_error : float
+        Relative error that the focal length may have, in (0, 0.2].
+    temperature_c : float, Celsius
+
+    Returns
+    -------
+    StarImage or Failure
+    """
+    rough = isinstance(camera.model, PinholeModel) and camera.model.type_name in ("pinhole", "brown")
+    options = replace(navigation.options, lost_in_space=True, estimate_scale=rough, scale_error=scale_error)
+    if rough:
+        camera = replace(camera, model=scaled_model(camera.model, 1.0))
+    solver = StarNavigation(camera, navigation.catalog, options, detection=navigation.detection)
+    detections = solver.detect(image)
+    if isinstance(detections, Failure):
+        return detections
+    fix = solver.solve_detections(image, detections)
+    if isinstance(fix, Failure):
+        return fix
+    offered = detections.clean & np.isfinite(detections.covariance_px2).all(axis=(1, 2))
+    offered[fix.detection_indices] = True
+    return StarImage(
+        name=image.name,
+        sky=sky_of(image, navigation.catalog, options.max_magnitude),
+        points_px=detections.points_px[offered],
+        covariance_px2=detections.covariance_px2[offered],
+        snr=detections.snr[offered],
+        camera_from_inertial=fix.camera_from_inertial,
+        focal_length_px=fix.focal_length_px,
+        star_ids=fix.star_ids,
+        source_indices=np.cumsum(offered)[fix.detection_indices] - 1,
+        sigma_px=fix.sigma_px,
+        temperature_c=temperature_c,
+    )
+
+
+def observations_of_fix(
+    fix: AttitudeFix, sky: Sky, camera: Camera, *, name: str, temperature_c: float = 0.0
+) -> ImageObservations:
+    """Observations for :func:`~giantlike.calibration.calibrate` from an attitude solution.
+
+    Parameters
+    ----------
+    fix : AttitudeFix
+    sky : Sky
+        The catalogue as the observer saw it: its apparent directions are what the camera is held against.
+    camera : Camera
+        With which the attitude was solved.
+    name : str
+    temperature_c : float, Celsius
+
+    Raises
+    ------
+    InputError
+        A star of the fix is not in the catalogue there.
+    """
+    return _observations(
+        name, fix.camera_from_inertial, fix.star_ids, fix.observed_px, fix.sigma_px, sky, camera, temperature_c
+    )
+
+
+def start_model(model: CameraModel, estimate: Sequence[str], type_name: str | None, focal_ratio: float) -> CameraModel:
+    """Model from which a calibration starts: of a type that has every parameter to estimate, focal lengths scaled.
+
+    Parameters
+    ----------
+    model : CameraModel
+    estimate : sequence of str
+    type_name : str, optional
+        Type wanted; default: that of ``model`` if it has all parameters, else Brown for a pinhole.
+    focal_ratio : float
+        Factor on ``fx_px`` and ``fy_px`` where these are estimated.
+
+    Raises
+    ------
+    InputError
+        The type is unknown or lacks a parameter, or the model cannot be converted to it.
+    """
+    have = set(model.parameter_names)
+    if type_name is None:
+        other = model.type_name == "pinhole" and not set(estimate) <= have
+        type_name = BrownModel.type_name if other else model.type_name
+    if type_name != model.type_name:
+        if model.type_name != "pinhole":
+            raise InputError(
+                f"calibration.model: a camera of type {model.type_name!r} cannot start a {type_name!r} model: "
+                f"give the camera that type, or start from pinhole"
+            )
+        values = {key: value for key, value in model_to_mapping(model).items() if value or key != "skew_px"}
+        model = model_from_mapping(values | {"type": type_name})
+    for name in estimate:
+        known = ", ".join(model.parameter_names)
+        require(
+            name in model.parameter_names,
+            f"calibration.estimate: a {type_name!r} model has no parameter {name!r}; it has {known}",
+        )
+    values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
+    for name in ("fx_px", "fy_px"):
+        if name in estimate:
+            values[name] *= focal_ratio
+    return model.with_parameters(list(values.values()))
+
+
+def calibrate_stars(
+    images: Sequence[StarImage],
+    camera: Camera,
+    *,
+    estimate: Sequence[str],
+    model_type: str | None = None,
+    min_snr: float = DEFAULT_MIN_SNR,
+    stars: StarOptions | None = None,
+    options: CalibrationOptions | None = None,
+    criteria: CalibrationCriteria | None = None,
+) -> StarCalibration | Failure:
+    """Calibrate a camera from identified star images, and identify again with what was found, by turns.
+
+    Parameters
+    ----------
+    images : sequence of StarImage
+    camera : Camera
+        Rough.
+    estimate : sequence of str
+        Parameters, as in :func:`~giantlike.calibration.calibrate`.
+    model_type : str, optional
+        Type of the model to estimate, see :func:`start_model`.
+    min_snr : float
+        Only stars at least so bright count (of each image no fewer than its 20 brightest): fainter ones add noise,
+        and blends that nobody knows of, but hardly information.
+    stars : StarOptions, optional
+    options : CalibrationOptions, optional
+    criteria : CalibrationCriteria, optional
+
+    Returns
+    -------
+    StarCalibration or Failure
+    """
+    if not images:
+        return Failure(Reason.TOO_FEW_MATCHES, "no image with identified stars: nothing to calibrate from")
+    ratio = float(np.median([image.focal_length_px for image in images])) / camera.model.focal_length_px
+    start = start_model(camera.model, estimate, model_type, ratio)
+    stars = replace(stars or StarOptions(), estimate_scale=False)
+    rough = replace(camera, model=start)
+    estimator = partial(
+        calibrate, model=start, estimate=estimate, columns=camera.columns, rows=camera.rows, options=options,
+        criteria=criteria,
+    )  # fmt: skip
+    observations = [_first_observations(image, rough, min_snr) for image in images]
+    fix = estimator(observations)
+    rounds, settled, failed = 1, False, list[tuple[str, Failure]]()
+    while isinstance(fix, CalibrationFix) and not settled and rounds < _MAX_ROUNDS:
+        before = _matches(observations)
+        observations, failed = _identified_with(fix, images, camera, stars, min_snr)
+        if not observations:
+            return Failure(Reason.TOO_FEW_MATCHES, f"no image keeps its stars; {failed[0][0]}: {failed[0][1].detail}")
+        fix = estimator(observations)
+        settled = _matches(observations) == before
+        rounds += 1
+    if isinstance(fix, Failure):
+        return fix
+    return StarCalibration(fix=fix, rounds=rounds, settled=settled, failed=tuple(failed))
+
+
+def _matches(observations: Sequence[ImageObservations]) -> list[tuple[str, bytes, bytes]]:
+    """Which stars were matched with which sources."""
+    return [(one.name, one.labels.tobytes(), one.points_px.tobytes()) for one in observations]
+
+
+def _identified_with(
+    fix: CalibrationFix, images: Sequence[StarImage], camera: Camera, options: StarOptions, min_snr: float
+) -> tuple[list[ImageObservations], list[tuple[str, Failure]]]:
+    """Stars of all images with a better camera, and the images that have none then."""
+    better = replace(camera, model=fix.model)
+    attitudes = {image.name: image.camera_from_reference for image in fix.images}
+    observations, failed = [], []
+    for image in images:
+        found = _identified(image, better, attitudes.get(image.name, image.camera_from_inertial), options, min_snr)
+        if isinstance(found, Failure):
+            failed.append((image.name, found))
+        else:
+            observations.append(found)
+    return observations, failed
+
+
+def _bright(snr: Float, min_snr: float) -> NDArray[np.bool_]:
+    """Which matches (k,) are bright enough to calibrate from."""
+    order = np.argsort(-snr, kind="stable")
+    bright: NDArray[np.bool_] = snr >= min_snr
+    bright[order[:_BRIGHTEST]] = True
+    return bright
+
+
+def _first_observations(image: StarImage, camera: Camera, min_snr: float) -> ImageObservations:
+    bright = _bright(image.snr[image.source_indices], min_snr)
+    return _observations(
+        image.name, image.camera_from_inertial, image.star_ids[bright],
+        image.points_px[image.source_indices[bright]], image.sigma_px[bright], image.sky, camera, image.temperature_c,
+    )  # fmt: skip
+
+
+def _observations(
+    name: str,
+    camera_from_inertial: Rotation,
+    star_ids: NDArray[np.int64],
+    observed_px: Float,
+    sigma_px: Float,
+    sky: Sky,
+    camera: Camera,
+    temperature_c: float,
+) -> ImageObservations:
+    field = sky.field(camera, camera_from_inertial, margin_px=0.2 * max(camera.columns, camera.rows))
+    order = np.argsort(field.stars.ids)
+    place = order[np.minimum(np.searchsorted(field.stars.ids, star_ids, sorter=order), len(order) - 1)]
+    missing = star_ids[field.stars.ids[place] != star_ids]
+    require(missing.size == 0, f"{name}: star {missing[:1].tolist()} is not in the catalogue where the camera points")
+    return ImageObservations(
+        name=name,
+        targets=field.directions_inertial[place],
+        points_px=observed_px,
+        sigma_px=sigma_px,
+        camera_from_reference=camera_from_inertial,
+        temperature_c=temperature_c,
+        labels=star_ids,
+        magnitudes=field.stars.magnitude[place],
+    )
+
+
+def _identified(
+    image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions, min_snr: float
+) -> ImageObservations | Failure:
+    """Bright matches of an image with a camera, those that the attitude fit leaves out included: calibration judges."""
+    camera = replace(camera, model=at_temperature(camera.model, image.temperature_c))
+    focal, half = camera.model.focal_length_px, float(np.hypot(camera.columns, camera.rows)) / 2.0
+    refined = refine_attitude(
+        image.sky.field(camera, camera_from_inertial).brightest(depth_for(len(image.points_px))),
+        image.points_px,
+        image.covariance_px2,
+        camera,
+        camera_from_inertial,
+        radius_px=options.inlier_px,
+        trials=lambda radius_px: attitudes_of_sky(radius_px, focal, half, 0.0),
+        options=options,
+    )
+    if isinstance(refined, Failure):
+        return refined
+    bright = _bright(image.snr[refined.matches.detection_indices], min_snr)
+    chosen = refined.matches.star_indices[bright]
+    return ImageObservations(
+        name=image.name,
+        targets=refined.field.directions_inertial[chosen],
+        points_px=image.points_px[refined.matches.detection_indices[bright]],
+        sigma_px=refined.solution.sigma_px[bright],
+        camera_from_reference=refined.solution.camera_from_inertial,
+        temperature_c=image.temperature_c,
+        labels=refined.field.stars.ids[chosen],
+        magnitudes=refined.field.stars.magnitude[chosen],
+    )
