@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, f
 
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
@@ -28,6 +29,18 @@ CAMERA = Camera(
     detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0, saturation_dn=4095.0, bias_dn=100.0),
 )
 PEAK_DN = 3000.0
+RARE = 1e-6  # chance of a false alarm of one comparison
+INDEPENDENT = 30  # residuals along a limb that do not err together, about: covariances are estimated from those
+NEES_LIMIT = 3.0 * float(f.ppf(1.0 - RARE, 3, INDEPENDENT))
+
+
+def mean_nees_band(count: int) -> tuple[float, float]:
+    """Where the mean of ``count`` squared errors of positions lies, but for one case in a million on either side.
+
+    Half of the lower end of chi-square, because covariances are cautious: long waves along the limb cannot be excluded.
+    """
+    low, high = (float(chi2.ppf(chance, 3 * count)) / count for chance in (RARE, 1.0 - RARE))
+    return 0.5 * low, high
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,8 +90,12 @@ def body_image(
     law: Reflectance | None = None,
     peak_dn: float = PEAK_DN,
     camera: Camera = CAMERA,
+    noise_seed: int | None = None,
 ) -> BodyImage:
-    """Take an image of a body with random attitude and Sun azimuth; the prediction is the truth."""
+    """Take an image of a body with random attitude and Sun azimuth; the prediction is the truth.
+
+    Another ``noise_seed`` is another image of the same scene.
+    """
     rng = np.random.default_rng(seed)
     camera_from_body = Rotation.from_quat(rng.normal(size=4))
     position = camera.model.unproject(np.array(center_px)) * shape.mean_radius_km * FOCAL_PX / radius_px
@@ -97,6 +114,8 @@ def body_image(
     )
     assert isinstance(template, Template)
     light = template.placed(camera.columns, camera.rows) * peak_dn / template.brightness.max()
+    if noise_seed is not None:
+        rng = np.random.default_rng([seed, noise_seed])
     noisy = rng.poisson(light) + rng.normal(0.0, 5.0, light.shape) + camera.detector.bias_dn
     pixels = np.clip(np.rint(noisy), 0.0, camera.detector.saturation_dn).astype(np.uint16)
     geometry = ApparentGeometry(
@@ -108,3 +127,16 @@ def body_image(
         target=Target(name="BODY", shape=shape, ephemeris=geometry, reflectance=reflectance),
         position_camera_km=position,
     )
+
+
+def assert_sound(case: BodyImage, fix: PositionFix, *, sigma_px: float, sigma_range: float) -> None:
+    """The error is what the covariance allows, and the covariance has not grown to allow anything.
+
+    ``sigma_px`` bounds the standard deviation of the centre along its worst axis, ``sigma_range`` that of the range
+    over the range. Stated sigmas vary by half from one noise to another, so these are three times the usual value.
+    """
+    stated_px = float(np.sqrt(np.linalg.eigvalsh(fix.covariance_px2)[-1]))
+    stated_range = fix.sigma_range_km / fix.range_km
+    assert case.nees(fix) < NEES_LIMIT, (case.image.name, case.error_px(fix), stated_px)
+    assert stated_px < sigma_px, (case.image.name, stated_px)
+    assert stated_range < sigma_range, (case.image.name, stated_range)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
@@ -29,15 +28,16 @@ from giantlike.relative.horizon import (
 )
 from giantlike.relative.limb_observation import EdgeModel, LimbScanOptions
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid
-from tests.limb_images import BodyImage, body_image
+from tests.limb_images import BodyImage, assert_sound, body_image, mean_nees_band
 from tests.numerical import numerical_jacobian
 
 RELATIVE = 1e-9  # of the range, noise-free: float64 rounding, magnified by range over radius
 TRIALS = 1500
-COVARIANCE = 0.03  # stated against Monte Carlo: 1,500 trials of three axes leave 1.1 % of sigma
+COVARIANCE = 0.053  # stated against Monte Carlo: five sigma of what 1,500 trials of three axes leave, 1.05 % of sigma
 FOOT_PX = 2e-3  # for points 3 px off the horizon: rays are taken as linear about them
-CENTER_PX = 0.06
-RANGE = 1e-3  # three sigma of the unweighted methods at a radius of 80 px
+SIGMA_PX, SIGMA_RANGE = 0.1, 1e-3  # three times what is usual at a radius of 80 px and up to 100 degrees of phase
+CRESCENT_PX, CRESCENT_RANGE = 0.2, 2.5e-3  # the same at 120 degrees
+STEP_PX, STEP_RANGE = 2.0, 0.02  # three times what a blurred step leaves there: a crescent fades inward
 
 MOON_KM, FAR_KM, ORION_FOCAL_PX = 1737.4, 252_400.0, 7291.7
 ORION = PinholeModel(fx_px=ORION_FOCAL_PX, fy_px=ORION_FOCAL_PX, cx_px=1295.5, cy_px=971.5)
@@ -56,12 +56,6 @@ def horizon_px(model: CameraModel, figure: Figure, position_km: Float, angles_ra
     around = np.cos(angles_rad)[:, None] * first + np.sin(angles_rad)[:, None] * np.cross(axis, first)
     tangent = center - axis / distance + np.sqrt(1.0 - distance**-2) * around
     return model.project(tangent @ np.linalg.inv(figure.to_sphere).T)
-
-
-def expected_mean(count: int) -> tuple[float, float]:
-    """Where the mean of ``count`` squared errors over their covariance lies, but for one case in a thousand."""
-    low, high = (float(chi2.ppf(chance, 3 * count)) / count for chance in (0.0005, 0.9995))
-    return low, high
 
 
 def noisy(points_px: Float, normals_px: Float, sigma_px: Float | float, rng: np.random.Generator) -> Float:
@@ -136,7 +130,7 @@ def test_the_covariance_agrees_with_monte_carlo(method: CraMethod, model: Camera
     stated = horizon_covariance(points, model, TRIAXIAL, POSITION_KM, sigma_px=sigma, method=method)
     errors = np.array(found) @ np.linalg.inv(np.linalg.cholesky(stated)).T  # white where the covariance holds
     assert abs(np.sqrt(np.mean(errors**2)) - 1.0) < COVARIANCE
-    assert_allclose(np.sqrt(np.mean(errors**2, axis=0)), 1.0, rtol=0, atol=2.0 * COVARIANCE)
+    assert_allclose(np.sqrt(np.mean(errors**2, axis=0)), 1.0, rtol=0, atol=np.sqrt(3.0) * COVARIANCE)
 
 
 def test_maximum_likelihood_has_the_smallest_covariance() -> None:
@@ -234,12 +228,12 @@ def cases() -> tuple[BodyImage, ...]:
 def test_an_ellipsoid_is_found_at_all_phase_angles(method: CraMethod) -> None:
     fixes = [fixed(case, EllipsoidCRAOptions(method=method)) for case in cases()]
     for case, fix in zip(cases(), fixes, strict=True):
-        assert np.abs(case.error_px(fix)).max() < CENTER_PX
-        assert abs(case.range_error(fix)) < RANGE
+        assert_sound(case, fix, sigma_px=CRESCENT_PX, sigma_range=CRESCENT_RANGE)
         assert fix.flags is Quality.APRIORI_ATTITUDE
     nees = [case.nees(fix) for case, fix in zip(cases(), fixes, strict=True)]
-    low, high = expected_mean(len(nees))
-    assert 0.5 * low < np.mean(nees) < high, nees
+    low, high = mean_nees_band(len(nees))
+    assert low < np.mean(nees) < high, nees
+    assert np.median([np.linalg.eigvalsh(fix.covariance_px2)[-1] for fix in fixes]) < SIGMA_PX**2
 
 
 def test_a_fix_is_complete_and_its_parts_agree() -> None:
@@ -259,9 +253,9 @@ def test_without_a_photometric_model_the_error_is_larger_and_the_covariance_says
     options = EllipsoidCRAOptions(scan=LimbScanOptions(edges=EdgeModel.STEP))
     fixes = [fixed(case, options) for case in cases()]
     nees = [case.nees(fix) for case, fix in zip(cases(), fixes, strict=True)]
-    assert np.mean(nees) < expected_mean(len(nees))[1]
+    assert np.mean(nees) < mean_nees_band(len(nees))[1]
     for case, fix in zip(cases(), fixes, strict=True):
-        assert np.abs(case.error_px(fix)).max() < 0.2
+        assert_sound(case, fix, sigma_px=STEP_PX, sigma_range=STEP_RANGE)
         assert fix.sigma_range_km > fixed(case).sigma_range_km
 
 
@@ -277,7 +271,7 @@ def test_a_mesh_of_an_ellipsoid_gives_nearly_the_fix_of_the_ellipsoid_and_is_fla
     assert not isinstance(geometry, Failure)
     offset_km = geometry.camera_from_body.apply([0.02, -0.01, 0.03])
     center_px = case.camera.model.project(fix.position_camera_km + offset_km)
-    assert_allclose(center_px, smooth.center_px, rtol=0, atol=CENTER_PX)
+    assert_allclose(center_px, smooth.center_px, rtol=0, atol=SIGMA_PX)
 
 
 def test_relief_is_in_the_covariance() -> None:
@@ -292,8 +286,8 @@ def test_relief_is_in_the_covariance() -> None:
         nees.append(case.nees(result))
         errors.append(np.abs(case.error_px(result)).max())
     assert np.mean(errors) > 0.2  # else there would be nothing to test
-    low, high = expected_mean(len(nees))
-    assert 0.5 * low < np.mean(nees) < 1.3 * high, nees  # the correlation length is that of asteroids on average
+    low, high = mean_nees_band(len(nees))
+    assert low < np.mean(nees) < 1.3 * high, nees  # the correlation length is that of asteroids on average
 
 
 def test_relief_is_the_distance_from_the_ellipsoid_along_its_normals() -> None:
