@@ -1,4 +1,4 @@
-"""Where the outline of a body lies in the image: rays shot beside and on the body until the edge is found."""
+"""Where the outline of a body lies in the image: on its silhouette edges, or by rays beside and on the body."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require
 from giantlike.ray_tracing.body import Body, sun_in_body
+from giantlike.ray_tracing.outline import EdgeOutline, projected_normals
 from giantlike.ray_tracing.sampling import Interval, finite_rows, span
-from giantlike.shapes import Ellipsoid
+from giantlike.ray_tracing.tracer import Hits
+from giantlike.shapes import Ellipsoid, TriangleMesh, limb
 
 Mask = NDArray[np.bool_]
 
@@ -20,6 +22,7 @@ _SCAN_STEP_PX = 0.5
 _SCAN_STEPS = (64, 512)
 _SCAN_BLOCK = 32
 _HALVINGS = 20
+_SAME_EDGE_PX, _SAME_EDGE = 1e-3, 1e-6  # float32 rays and the bisection are nearer to the edge than this
 _TANGENT_PX = 0.5
 _BOUND_MARGIN = 0.02  # of the body's extent: a hull is a hull before distortion
 _SHRINK, _MAX_SHRINKS = 0.7, 12
@@ -43,6 +46,9 @@ class Silhouette:
         The same points on the surface, from the camera.
     normals_px : (k, 2) float64, unitless
         Outward unit normals of the outline in the image, taken over one pixel of it.
+    points_by_position : (k, 2, 3) float64, px/km
+        Derivative of ``points_px`` with respect to the body's position in camera axes, for fixed directions and a
+        fixed ``center_px``. On a mesh that of the edge at hand: it jumps from edge to edge.
     cos_incidence : (k,) float64
         Cosine of the angle from surface normal to Sun.
     lit : (k,) bool
@@ -55,6 +61,7 @@ class Silhouette:
     points_px: Float
     points_camera_km: Float
     normals_px: Float
+    points_by_position: Float
     cos_incidence: Float
     lit: Mask
 
@@ -91,25 +98,24 @@ def trace_silhouette(
 
     Notes
     -----
-    Each direction is scanned from the hull of the body inward, every half pixel or less (at most 512 steps), and the
-    outermost edge bisected to a millionth of a step; float32 leaves some 2e-5 px on a mesh of 300 px. To first order a
-    limb point moves along its normal by ``normal @ model.project_jacobian(point) @ dposition`` when the camera-to-body
-    vector changes by ``dposition``. A gap narrower than a step behind an overhang can go unseen.
+    The outline of a mesh is the outermost of its silhouette edges, cut in float64: exact at any range. That of
+    an ellipsoid, and of a mesh that the camera images in part, is scanned by rays from the hull inward, every half
+    pixel or less (at most 512 steps), bisected, and moved on to the limb in closed form or to the nearest silhouette
+    edge; here a gap narrower than a step behind an overhang can go unseen. To first order a limb point moves along its
+    normal by ``normal @ model.project_jacobian(point) @ dposition`` when the camera-to-body vector changes by
+    ``dposition``.
     """
     angles = as_floats(angles_rad, (), "angles_rad")
     usable = angles.ndim == 1 and bool(np.isfinite(angles).all())
     require(usable, f"angles_rad must be finite and of shape (k,), got {angles.shape}")
     sun_body = sun_in_body(body, sun_direction_camera)
     center = body.center_px(model) if center_px is None else as_finite(center_px, (2,), "center_px")
-    edge_px, directions = _outer_edge(body, model, center, angles)
-    hits = body.tracer.intersect(body.camera_body_km, directions)
-    points_camera_km = body.to_camera(hits.points_km) + body.position_camera_km
+    edge = _edge(body, model, center, angles)
+    points_camera_km = body.to_camera(edge.hits.points_km) + body.position_camera_km
     points_px = model.project(points_camera_km)
     valid = finite_rows(points_px)
-    normals_px = _projected_normals(model, points_camera_km, body.to_camera(hits.normals))
-    if not isinstance(body.shape, Ellipsoid):
-        chords = _chord_normals(body, model, center, angles, edge_px)
-        normals_px = np.where(np.isfinite(chords), chords, normals_px)
+    grazing_px = projected_normals(model, points_camera_km, body.to_camera(edge.normals))
+    normals_px = np.where(np.isfinite(edge.chords_px), edge.chords_px, grazing_px)
     points_camera_km[~valid] = normals_px[~valid] = np.nan
     return Silhouette(
         angles_rad=frozen(angles.copy()),
@@ -118,9 +124,66 @@ def trace_silhouette(
         points_px=frozen(points_px),
         points_camera_km=frozen(points_camera_km),
         normals_px=frozen(normals_px),
-        cos_incidence=frozen(np.where(valid, hits.normals @ sun_body, np.nan)),
-        lit=frozen(valid & ~body.tracer.shadowed(hits, sun_body)),
+        points_by_position=frozen(_by_position(model, points_camera_km, grazing_px, angles)),
+        cos_incidence=frozen(np.where(valid, edge.hits.normals @ sun_body, np.nan)),
+        lit=frozen(valid & ~body.tracer.shadowed(edge.hits, sun_body)),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edge:
+    """Where lines leave a body, NaN where they do not.
+
+    ``hits`` (k,) are the points with the surface that faces the camera there, ``normals`` (k, 3), body axes, those
+    square to the ray, and ``chords_px`` (k, 2) the normals over one pixel of the outline, NaN for those of the surface.
+    """
+
+    hits: Hits
+    normals: Float
+    chords_px: Float
+
+
+def _edge(body: Body, model: CameraModel, center_px: Float, angles_rad: Float) -> _Edge:
+    """The outermost point of a body on each line."""
+    if isinstance(body.shape, TriangleMesh):
+        return _mesh_edge(body, body.shape, model, center_px, angles_rad)
+    _, directions = _outer_edge(body, model, center_px, angles_rad)
+    hits = body.tracer.intersect(body.camera_body_km, directions)
+    found = np.flatnonzero(hits.hit)
+    if isinstance(body.shape, Ellipsoid) and found.size:
+        exact = limb(body.shape, body.camera_body_km, directions[found])
+        hits.points_km[found], hits.normals[found] = exact.points_body_km, exact.normals
+    return _Edge(hits, hits.normals, np.full((angles_rad.size, 2), np.nan))
+
+
+def _mesh_edge(body: Body, mesh: TriangleMesh, model: CameraModel, center_px: Float, angles_rad: Float) -> _Edge:
+    """The same from silhouette edges, and from rays where the camera has no image of all of them."""
+    outline = EdgeOutline.of(body, mesh, model)
+    if outline.complete:
+        exact = outline.outermost(center_px, angles_rad)
+        count = angles_rad.size
+        hits = Hits(np.zeros(count, bool), np.full((count, 3), np.nan), exact.facets, np.full((count, 3), np.nan))
+    else:
+        edge_px, directions = _outer_edge(body, model, center_px, angles_rad)
+        near_px = _SAME_EDGE_PX + _SAME_EDGE * edge_px
+        exact = outline.outermost(center_px, angles_rad, within_px=(edge_px - near_px, edge_px + near_px))
+        hits = body.tracer.intersect(body.camera_body_km, directions)
+    normals = hits.normals.copy()
+    found = exact.facets >= 0
+    hits.hit[found], hits.facets[found] = True, exact.facets[found]
+    hits.points_km[found] = body.to_body(exact.points_camera_km[found] - body.position_camera_km)
+    hits.normals[found] = mesh.normals[exact.facets[found]]
+    normals[found] = body.to_body(exact.normals_camera[found])
+    return _Edge(hits, normals, _chord_normals(outline, center_px, angles_rad, exact.radii_px))
+
+
+def _by_position(model: CameraModel, points_camera_km: Float, normals_px: Float, angles_rad: Float) -> Float:
+    """Derivative (k, 2, 3) of outline points along fixed lines: the outline moves along its normals."""
+    steps = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)
+    outward = np.einsum("ki,kij->kj", normals_px, model.project_jacobian(points_camera_km))
+    slant = np.einsum("ki,ki->k", normals_px, steps)
+    result: Float = steps[:, :, None] * (outward / np.where(slant == 0.0, np.nan, slant)[:, None])[:, None, :]
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,39 +302,20 @@ def _bisected(body: Body, lines: _Lines, inner_px: Float, outer_px: Float) -> Fl
     return inner
 
 
-def _chord_normals(body: Body, model: CameraModel, center_px: Float, angles_rad: Float, edge_px: Float) -> Float:
+def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, edge_px: Float) -> Float:
     """Outward normals (k, 2) of the chords between outline points half a pixel to either side.
 
     NaN where the outline breaks off within that pixel: its edge is then not found near ``edge_px``.
     """
     normals = np.full((edge_px.size, 2), np.nan)
     known = np.flatnonzero(edge_px > 0.0)
-    if known.size == 0:
-        return normals
     radius = np.tile(edge_px[known], 2)
     turn = np.minimum(_TANGENT_PX / radius, 0.05)
     angles = np.tile(angles_rad[known], 2) + np.repeat([-1.0, 1.0], known.size) * turn
-    width = 4.0 * turn * radius
-    inner, outer = np.maximum(radius - width, 0.0), radius + width
-    lines = _Lines.through(body, model, center_px, angles, inner, outer)
-    ends = _meets(body, lines.at_fractions(np.array([0.0, 1.0])))
-    radius = np.where(ends[:, 0] & ~ends[:, 1], _bisected(body, lines, inner, outer), np.nan)
-    points = radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    ends = outline.outermost(center_px, angles).radii_px
+    ends[~(np.abs(ends - radius) < 4.0 * turn * radius)] = np.nan
+    points = ends[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     tangents = points[known.size :] - points[: known.size]
     lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
     normals[known] = np.stack([tangents[:, 1], -tangents[:, 0]], axis=-1) / np.where(lengths > 0.0, lengths, np.nan)
     return normals
-
-
-def _projected_normals(model: CameraModel, points_camera_km: Float, normals_camera: Float) -> Float:
-    """Unit normals (k, 2) in the image of a surface seen edge-on: they take image to surface displacements."""
-    jacobian = model.project_jacobian(points_camera_km)
-    gram = jacobian @ np.swapaxes(jacobian, -1, -2)
-    sideways = (jacobian @ normals_camera[..., None])[..., 0]
-    determinant = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2
-    x = gram[:, 1, 1] * sideways[:, 0] - gram[:, 0, 1] * sideways[:, 1]
-    y = gram[:, 0, 0] * sideways[:, 1] - gram[:, 0, 1] * sideways[:, 0]
-    normal = np.stack([x, y], axis=-1) / determinant[:, None]
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    result: Float = normal / np.where(length > 0.0, length, np.nan)
-    return result

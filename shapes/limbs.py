@@ -100,7 +100,7 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
     raise InputError(f"the limb is known for an Ellipsoid and a TriangleMesh, not for {type(shape).__name__}")
 
 
-def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> Indices:
+def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices, Indices]:
     """Edges of a mesh that can be its outline.
 
     Parameters
@@ -110,9 +110,11 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> Indices:
 
     Returns
     -------
-    (e, 2) int64
+    edges : (e, 2) int64
         Vertices of the edges between a facet that faces the camera and one that does not, and of those on the border
         of an open surface.
+    facets : (e,) int64
+        The facet of each edge that faces the camera; any, on a border that none faces.
     """
     front = mesh.normals @ camera_body_km > mesh.plane_offsets_km
     seen, unseen = (np.zeros(len(mesh.vertices_km), dtype=bool) for _ in range(2))
@@ -121,19 +123,18 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> Indices:
     candidate = seen & unseen
     candidate[mesh.border_vertices] = True
     near = np.flatnonzero(candidate[mesh.faces].any(axis=1))  # every facet at each edge of two candidate vertices
+    near = near[np.argsort(~front[near], kind="stable")]
     faces = mesh.faces[near]
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    facing = np.tile(front[near], 3)
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     keep = candidate[edges].all(axis=1)
-    edges, facing = edges[keep], facing[keep]
+    edges, facets = edges[keep], np.repeat(near, 3)[keep]
     _, first, which = np.unique(
         edges[:, 0] * len(mesh.vertices_km) + edges[:, 1], return_index=True, return_inverse=True
     )
-    facets = np.bincount(which, minlength=first.size)
-    facing_camera = np.bincount(which, weights=facing, minlength=first.size)
-    inner = (facets > 1) & ((facing_camera == 0) | (facing_camera == facets))
-    outline: Indices = edges[first[~inner]]
-    return outline
+    meeting = np.bincount(which, minlength=first.size)
+    facing = np.bincount(which, weights=front[facets], minlength=first.size)
+    outline = first[(meeting == 1) | ((facing > 0) & (facing < meeting))]
+    return edges[outline], facets[outline]
 
 
 def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, Indices]:
@@ -165,6 +166,14 @@ def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, 
     within = np.arange(segments.size) - np.repeat(np.cumsum(count) - count, count)
     lines: Indices = order[(first[segments] + within) % max(order.size, 1)]
     return segments, lines
+
+
+def largest_of_each(groups: Indices, values: Float, count: int) -> Indices:
+    """Number (count,) of the largest of ``values`` (p,) in each of ``groups`` (p,), -1 for an empty one."""
+    order = np.lexsort([values, groups])
+    best = np.full(count, -1, dtype=np.int64)
+    best[groups[order]] = order  # the last one written stays
+    return best
 
 
 def _ellipsoid_limb(ellipsoid: Ellipsoid, camera_km: Float, directions: Float) -> Limb:
@@ -200,7 +209,7 @@ def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
     axis = -unit(camera_km)
     right = unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
     plane = np.stack([right, np.cross(axis, right)])
-    edges = silhouette_edges(mesh, camera_km)
+    edges, _ = silhouette_edges(mesh, camera_km)
     starts, stops = (mesh.vertices_km[edges[:, end]] for end in range(2))
     across = directions @ plane.T
     which, line = crossings(starts @ plane.T, stops @ plane.T, np.arctan2(across[:, 1], across[:, 0]))
@@ -213,7 +222,7 @@ def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
     points = start + fraction[:, None] * edge
     rays = points - camera_km
     sideways = np.einsum("ij,ij->i", points @ plane.T, unit(across)[line])
-    best = _last_of_each(line, np.arctan2(sideways, rays @ axis), len(directions))
+    best = largest_of_each(line, np.arctan2(sideways, rays @ axis), len(directions))
     valid = best >= 0
     chosen = best[valid]
     points, rays, edge, slope = points[chosen], rays[chosen], edge[chosen], slope[chosen]
@@ -239,14 +248,6 @@ def _unit_derivative(vectors: Float, derivative: Float) -> Float:
     across = np.eye(3) - np.einsum("ki,kj->kij", directions, directions)
     result: Float = across @ derivative / length
     return result
-
-
-def _last_of_each(groups: Indices, values: Float, count: int) -> Indices:
-    """Number (count,) of the largest value in each group, -1 for an empty one."""
-    order = np.lexsort([values, groups])
-    best = np.full(count, -1, dtype=np.int64)
-    best[groups[order]] = order  # the last one written stays
-    return best
 
 
 def _spread(rows: Float, valid: Mask) -> Float:

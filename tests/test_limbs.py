@@ -182,8 +182,10 @@ def test_directions_along_edges_and_through_vertices_have_limbs_too() -> None:
     expected = [[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [0.0, -1.0, 1.0], [-1.0, 1.0, 1.0]]
     assert_allclose(found.points_body_km, expected, rtol=0, atol=EQUATION)
     assert np.isfinite(found.points_by_camera).all()
-    assert len(silhouette_edges(cube, camera)) == 4
-    assert len(silhouette_edges(cube, np.array([5.0, 5.0, 10.0]))) == 6
+    assert len(silhouette_edges(cube, camera)[0]) == 4
+    edges, facets = silhouette_edges(cube, np.array([5.0, 5.0, 10.0]))
+    assert len(edges) == 6
+    assert np.all(cube.normals[facets] @ [5.0, 5.0, 10.0] > 1.0)
 
 
 def test_segments_cross_the_half_lines_between_their_ends_also_where_angles_wrap() -> None:
