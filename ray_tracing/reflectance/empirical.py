@@ -34,7 +34,7 @@ class Lambert(SurfaceLaw):
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         """Return mu0."""
-        return +mu0
+        return mu0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

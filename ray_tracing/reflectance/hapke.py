@@ -4,26 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw, checked_number
 
 _TINY = 1e-30
 _SMALL = 1e-12
-
-
-class _Tilt(NamedTuple):
-    """What the slopes do to one of the two directions; index: incidence or emission."""
-
-    cosine: Float
-    sine: Float
-    once: Float  # exp(-2 cot(theta) cot(angle) / pi)
-    twice: Float  # exp(-cot(theta)^2 cot(angle)^2 / pi)
-    alone: Float  # effective cosine at zero azimuth
+_STEEP = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,18 +92,16 @@ class Hapke(SurfaceLaw):
             single *= 1.0 + self.b0 * self.h * along / (self.h * along + across)
         if self.theta_bar_deg == 0.0:
             return mu0 / (mu0 + mu) * (single - 1.0 + self._multiple(mu0) * self._multiple(mu))
-        rough0, rough, shadowed = _roughened(mu0, mu, cos_phase, math.tan(math.radians(self.theta_bar_deg)))
-        scattered = single - 1.0 + self._multiple(rough0) * self._multiple(rough)
-        return rough0 / np.maximum(rough0 + rough, _TINY) * scattered * shadowed
+        slope = math.tan(math.radians(self.theta_bar_deg))
+        low, high, shadowed = _roughened(np.minimum(mu0, mu), np.maximum(mu0, mu), cos_phase, slope)
+        scattered = single - 1.0 + self._multiple(low) * self._multiple(high)
+        result: Float = mu0 * shadowed * low * high / np.maximum(low + high, _TINY) * scattered
+        return result
 
     def _particle(self, cos_phase: Float) -> Float:
         """The phase function p of a single particle."""
-        square, twice = self.hg1**2, 2.0 * self.hg1 * cos_phase
-        first = (1.0 - self.hg2) * (1.0 - square) / (1.0 + square + twice) ** 1.5
-        if self.hg2 == 0.0:
-            return first
-        result: Float = first + self.hg2 * (1.0 - square) / (1.0 + square - twice) ** 1.5
-        return result
+        first = (1.0 - self.hg2) * _lobe(self.hg1, cos_phase)
+        return first if self.hg2 == 0.0 else first + self.hg2 * _lobe(-self.hg1, cos_phase)
 
     def _multiple(self, cosine: Float) -> Float:
         """Hapke's approximation of 1981 to Chandrasekhar's H function."""
@@ -121,37 +109,38 @@ class Hapke(SurfaceLaw):
         return result
 
 
-def _roughened(mu0: Float, mu: Float, cos_phase: Float, tan_slope: float) -> tuple[Float, Float, Float]:
-    """Effective cosines of incidence and emission, and the factor S that slopes and their shadows leave."""
-    mean_cosine = 1.0 / math.sqrt(1.0 + math.pi * tan_slope**2)
-    sun, camera = (_tilted(cosine, tan_slope, mean_cosine) for cosine in (mu0, mu))
-    sines = sun.sine * camera.sine
-    cos_azimuth = np.where(sines > 0.0, (cos_phase - mu0 * mu) / np.where(sines > 0.0, sines, 1.0), 1.0)
-    cos_azimuth = np.clip(cos_azimuth, -1.0, 1.0)
-    half_versine = 0.5 * (1.0 - cos_azimuth)
-    hidden = np.exp(-2.0 * np.sqrt(half_versine / np.maximum(1.0 - half_versine, _TINY)))
-    sun_higher = mu0 >= mu
-    low, high = _sorted(sun, camera, sun_higher)
+def _lobe(asymmetry: float, cos_phase: Float) -> Float:
+    """Henyey and Greenstein's phase function."""
+    base = 1.0 + asymmetry**2 + (2.0 * asymmetry) * cos_phase
+    result: Float = (1.0 - asymmetry**2) / (base * np.sqrt(base))
+    return result
+
+
+def _roughened(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple[Float, Float, Float]:
+    """Effective cosines, and what shadows leave, for Sun and camera sorted by height; slope is tan(theta_bar).
+
+    The law is symmetric in the two but for one mu0: brightness is ``mu0`` times the third value, times the product over
+    the sum of the effective cosines, times what a smooth surface scatters.
+    """
+    mean_cosine = 1.0 / math.sqrt(1.0 + math.pi * slope**2)
+    low_sine, low_once, low_twice, low_alone = _tilted(low, slope)
+    high_sine, high_once, high_twice, high_alone = _tilted(high, slope)
+    sines = np.maximum(low_sine * high_sine, _TINY)
+    cos_azimuth = np.clip((cos_phase - low * high) / sines, -1.0, 1.0)
+    versine = 0.5 * (1.0 - cos_azimuth)
+    hidden = np.exp(-2.0 * np.sqrt(versine / np.maximum(1.0 - versine, _TINY)))
     # The divisor goes to 0 where Sun and camera both graze from opposite sides, slower than what it divides.
-    weight = tan_slope / np.maximum(2.0 - low.once - np.arccos(cos_azimuth) / math.pi * high.once, _SMALL)
-    low_cosine = low.cosine + low.sine * weight * (low.twice - half_versine * high.twice)
-    high_cosine = high.cosine + high.sine * weight * (cos_azimuth * low.twice + half_versine * high.twice)
-    low_cosine, high_cosine = (mean_cosine * np.maximum(cosine, 0.0) for cosine in (low_cosine, high_cosine))
-    rough0, rough = (np.where(sun_higher, *pair) for pair in ((high_cosine, low_cosine), (low_cosine, high_cosine)))
-    unshadowed = 1.0 - hidden + hidden * mean_cosine * high.cosine / high.alone
-    return rough0, rough, rough / camera.alone * (mu0 / sun.alone) * mean_cosine / unshadowed
+    divisor = np.maximum(2.0 - low_once - np.arccos(cos_azimuth) / math.pi * high_once, _SMALL)
+    low_rough = low + low_sine * slope * (low_twice - versine * high_twice) / divisor
+    high_rough = high + high_sine * slope * (cos_azimuth * low_twice + versine * high_twice) / divisor
+    unshadowed = 1.0 - hidden + hidden * high / high_alone
+    factor = 1.0 / (mean_cosine * low_alone * high_alone * unshadowed)
+    return mean_cosine * np.maximum(low_rough, 0.0), mean_cosine * np.maximum(high_rough, 0.0), factor
 
 
-def _tilted(cosine: Float, tan_slope: float, mean_cosine: float) -> _Tilt:
+def _tilted(cosine: Float, slope: float) -> tuple[Float, Float, Float, Float]:
+    """Sine of an angle, the two exponentials of its cotangent, and its effective cosine at azimuth 0 over the mean."""
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
-    steepness = cosine / np.maximum(tan_slope * sine, _TINY)  # cot(theta) cot(angle)
-    once, twice = np.exp(steepness * (-2.0 / math.pi)), np.exp(np.minimum(steepness, 1e3) ** 2 * (-1.0 / math.pi))
-    alone = mean_cosine * (cosine + sine * tan_slope * twice / (2.0 - once))
-    return _Tilt(cosine, sine, once, twice, alone)
-
-
-def _sorted(sun: _Tilt, camera: _Tilt, sun_higher: NDArray[np.bool_]) -> tuple[_Tilt, _Tilt]:
-    """The lower and the higher of Sun and camera."""
-    low = _Tilt(*(np.where(sun_higher, c, s) for s, c in zip(sun, camera, strict=True)))
-    high = _Tilt(*(np.where(sun_higher, s, c) for s, c in zip(sun, camera, strict=True)))
-    return low, high
+    steepness = np.minimum(cosine / np.maximum(slope * sine, _TINY), _STEEP)  # cot(theta_bar) cot(angle)
+    once, twice = np.exp(steepness * (-2.0 / math.pi)), np.exp(steepness**2 * (-1.0 / math.pi))
+    return sine, once, twice, cosine + sine * slope * twice / (2.0 - once)

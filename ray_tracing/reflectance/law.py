@@ -13,6 +13,8 @@ from giantlike.core.arrays import Float, require
 
 _HORIZON = 1e-200
 """Smallest cosine that counts as above the horizon, so that no quotient of cosines overflows."""
+_BLOCK = 8192
+"""Rays at a time: temporary arrays that stay in the cache, several times faster than fresh memory."""
 
 
 class Reflectance(Protocol):
@@ -53,21 +55,27 @@ class SurfaceLaw(ABC):
         phase_rad : (...) float64, rad
             Angle Sun - surface - camera, in [0, pi].
         """
-        mu0, mu = np.asarray(cos_incidence, dtype=np.float64), np.asarray(cos_emission, dtype=np.float64)
-        phase = np.asarray(phase_rad, dtype=np.float64)
+        angles = (np.asarray(angle, dtype=np.float64) for angle in (cos_incidence, cos_emission, phase_rad))
+        mu0, mu, phase = np.broadcast_arrays(*angles)
+        shape = mu0.shape
+        mu0, mu, phase = mu0.reshape(-1), mu.reshape(-1), phase.reshape(-1)
+        brightness = np.empty(mu0.size)
+        for start in range(0, mu0.size, _BLOCK):
+            part = slice(start, start + _BLOCK)
+            brightness[part] = self._block(mu0[part], mu[part], phase[part])
+        return brightness.reshape(shape)
+
+    def _block(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         seen = np.minimum(mu0, mu) > _HORIZON
         if seen.all():  # as in a render: nothing to select
-            result = self.above_horizon(mu0, mu, phase)
-            shape = np.broadcast_shapes(seen.shape, phase.shape)
-            return result if np.shape(result) == shape else np.array(np.broadcast_to(result, shape))
-        mu0, mu, phase, seen = np.broadcast_arrays(mu0, mu, phase, seen)
-        brightness = np.zeros(seen.shape)
-        brightness[seen] = self.above_horizon(mu0[seen], mu[seen], phase[seen])
+            return self.above_horizon(mu0, mu, phase_rad)
+        brightness = np.zeros(mu0.size)
+        brightness[seen] = self.above_horizon(mu0[seen], mu[seen], phase_rad[seen])
         return brightness
 
     @abstractmethod
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """The formula for cosines > 0 of incidence and emission, and phase; arrays that broadcast together."""
+        """The formula (n,) for cosines > 0 of incidence and emission and phase angles, each (n,)."""
 
 
 def checked_number(
