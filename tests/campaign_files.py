@@ -120,9 +120,13 @@ def _write_image(path: Path, visit: int, et: float, seconds: float, exposure_s: 
             ),
         )
     )
-    rng = np.random.default_rng([visit, int(1e3 * exposure_s), int(seconds + 100)])
     taken = simulate_image(
-        shot, CAMERA, scene, rng, catalog=sky(), options=SimulationOptions(rays_per_pixel_side=3, max_magnitude=7.5)
+        shot,
+        CAMERA,
+        scene,
+        seed=(visit, int(1e3 * exposure_s), int(seconds + 100)),
+        catalog=sky(),
+        options=SimulationOptions(rays_per_pixel_side=3, max_magnitude=7.5),
     )
     header = navigation_header(
         epoch=shot.epoch,

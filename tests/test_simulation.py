@@ -43,8 +43,8 @@ from giantlike.simulation import (
     star_field,
     write_approach,
 )
-from giantlike.simulation.images import SUN_MAGNITUDE_G, unexposed
 from giantlike.simulation.orbits import CircularOrbit
+from giantlike.simulation.shot import SUN_MAGNITUDE_G, unexposed
 from giantlike.simulation.write import TRUTH_FILE
 
 ET = 7.6e8  # January 2024
@@ -88,13 +88,16 @@ def small_catalog(count: int, axis_ra_deg: float, axis_dec_deg: float, spread_de
     return MemoryCatalog(stars, name="made up", band="G", version="1")
 
 
+OBSERVER = ObserverState(position_km=np.array([AU_KM, 0.0, 0.0]), velocity_km_s=np.array([0.0, 30.0, 0.0]))
+
+
 def shot_of(exposure_s: float = 1.0, attitude: Rotation | None = None) -> Shot:
     return Shot(
         name="test",
         epoch=time_from_et(ET),
         exposure_s=exposure_s,
         camera_from_inertial=attitude or Rotation.identity(),
-        observer=ObserverState(position_km=np.array([AU_KM, 0.0, 0.0]), velocity_km_s=np.array([0.0, 30.0, 0.0])),
+        observer=OBSERVER,
     )
 
 
@@ -117,7 +120,7 @@ def electrons(taken: SimulatedImage, camera: Camera) -> Float:
 def test_mean_and_variance_of_a_flat_field_are_those_of_the_detector(signal_e: float) -> None:
     detector = Detector(gain_e_per_dn=2.0, read_noise_e=6.0, saturation_dn=60_000.0, bias_dn=500.0)
     side = 500
-    pixels = expose(np.full((side, side), signal_e), detector, np.random.default_rng(1)).astype(np.float64)
+    pixels = expose(np.full((side, side), signal_e), 1.0, detector, seed=1).pixels.astype(np.float64)
     variance = float(detector.variance_dn2(np.array(signal_e / detector.gain_e_per_dn)))
     five_sigma_of_mean = 5.0 * np.sqrt(variance) / side
     assert_allclose(pixels.mean(), 500.0 + signal_e / 2.0, rtol=0, atol=five_sigma_of_mean)
@@ -129,21 +132,21 @@ def test_pixels_are_cut_off_at_saturation_and_at_zero() -> None:
     detector = Detector(gain_e_per_dn=1.0, read_noise_e=20.0, saturation_dn=4095.0)
     signal = np.zeros((50, 50))
     signal[:25] = 1e6
-    pixels = expose(signal, detector, np.random.default_rng(0))
+    pixels = expose(signal, 1.0, detector, seed=0).pixels
     assert pixels.dtype == np.uint16
     assert np.all(pixels[:25] == 4095)
     assert pixels[25:].min() == 0
 
 
 def test_without_a_known_saturation_sixteen_bits_are_the_limit() -> None:
-    pixels = expose(np.full((4, 4), 1e7), Detector(), np.random.default_rng(0))
+    pixels = expose(np.full((4, 4), 1e7), 1.0, Detector(), seed=0).pixels
     assert np.all(pixels == 65535)
 
 
 @pytest.mark.parametrize("signal", [np.full((3, 3), -1.0), np.full((3, 3), np.nan), np.zeros(9)])
 def test_a_signal_that_no_light_can_give_is_refused(signal: Float) -> None:
-    with pytest.raises(InputError, match="signal_e"):
-        expose(signal, Detector(), np.random.default_rng(0))
+    with pytest.raises(InputError, match="light_e"):
+        expose(signal, 1.0, Detector(), seed=0)
 
 
 def test_hot_pixels_fill_with_time_and_not_with_light() -> None:
@@ -183,13 +186,12 @@ def test_the_star_field_holds_every_catalogue_star_on_the_detector_and_no_other(
     axis = attitude.inv().apply([0.0, 0.0, 1.0])
     ra, dec = np.degrees(np.arctan2(axis[1], axis[0])), np.degrees(np.arcsin(axis[2]))
     catalog = small_catalog(4000, float(ra), float(dec), 15.0)
-    observer = shot_of().observer
-    field = star_field(catalog, camera, attitude, ET, observer=observer)
+    field = star_field(catalog, camera, attitude, ET, observer=OBSERVER)
     directions = apparent_directions(
         catalog.stars,
         ET,
-        observer_position_km=observer.position_km,
-        observer_velocity_km_s=observer.velocity_km_s,
+        observer_position_km=OBSERVER.position_km,
+        observer_velocity_km_s=OBSERVER.velocity_km_s,
     )
     points = camera.model.project(attitude.apply(directions))
     on_detector = camera.contains(points)
@@ -204,7 +206,7 @@ def test_a_star_of_given_magnitude_gives_the_electrons_of_the_zero_point() -> No
     attitude = Rotation.from_rotvec([0.0, 0.0, 0.3])
     photometry = Photometry(zero_point_e_s=1e6)
     taken = simulate_image(
-        shot_of(3.0, attitude), camera, _dark_scene(), np.random.default_rng(2), catalog=catalog, photometry=photometry
+        shot_of(3.0, attitude), camera, _dark_scene(), seed=2, catalog=catalog, photometry=photometry
     )
     expected = 3e6 * 10.0 ** (-0.4 * catalog.stars.magnitude[0])
     x, y = np.rint(taken.stars.points_px[0]).astype(int)
@@ -235,7 +237,7 @@ def test_a_lambert_sphere_has_the_light_and_the_photocentre_of_the_closed_form(p
         shot_of(exposure_s),
         camera,
         sphere_scene(range_km, phase_deg, radius_km),
-        np.random.default_rng(4),
+        seed=4,
         photometry=photometry,
     )
     image = electrons(taken, camera)
@@ -260,9 +262,7 @@ def test_a_body_smaller_than_a_pixel_keeps_its_light_and_its_place() -> None:
     scene = sphere_scene(100_000.0, 60.0)  # 0.6 px across
     exposure_s = 2e6 / photometry.surface_rate_e_s(camera)
     attitude = Rotation.from_rotvec([0.0004, 0.0003, 0.0])
-    taken = simulate_image(
-        shot_of(exposure_s, attitude), camera, scene, np.random.default_rng(1), photometry=photometry
-    )
+    taken = simulate_image(shot_of(exposure_s, attitude), camera, scene, seed=1, photometry=photometry)
     center = taken.templates["BALL"].center_px
     image = electrons(taken, camera)
     rows, columns = np.indices(image.shape)
@@ -279,9 +279,9 @@ def test_a_body_hides_the_stars_behind_it_also_with_its_dark_side() -> None:
     camera = small_camera()
     catalog = small_catalog(3000, 0.0, 90.0, 3.0)
     scene = sphere_scene(1000.0, 150.0)
-    taken = simulate_image(shot_of(), camera, scene, np.random.default_rng(1), catalog=catalog)
+    taken = simulate_image(shot_of(), camera, scene, seed=1, catalog=catalog)
     distance = np.linalg.norm(taken.stars.points_px - camera.center_px, axis=1)
-    free = star_field(catalog, camera, Rotation.identity(), ET, observer=shot_of().observer)
+    free = star_field(catalog, camera, Rotation.identity(), ET, observer=OBSERVER)
     behind = np.linalg.norm(free.points_px - camera.center_px, axis=1) < 28.0
     assert behind.sum() > 10
     assert distance.min() > 29.0
@@ -290,7 +290,7 @@ def test_a_body_hides_the_stars_behind_it_also_with_its_dark_side() -> None:
 
 def test_equal_generators_give_equal_images_and_others_do_not() -> None:
     camera, scene = small_camera(), sphere_scene(1000.0, 60.0)
-    first, second, third = (simulate_image(shot_of(1e-3), camera, scene, np.random.default_rng(s)) for s in (1, 1, 2))
+    first, second, third = (simulate_image(shot_of(1e-3), camera, scene, seed=s) for s in (1, 1, 2))
     assert np.array_equal(first.image.pixels, second.image.pixels)
     assert not np.array_equal(first.image.pixels, third.image.pixels)
 
@@ -298,13 +298,13 @@ def test_equal_generators_give_equal_images_and_others_do_not() -> None:
 def test_a_camera_without_a_psf_takes_no_images() -> None:
     camera = dataclasses.replace(small_camera(), psf=None)
     with pytest.raises(InputError, match="psf"):
-        simulate_image(shot_of(), camera, sphere_scene(1000.0, 60.0), np.random.default_rng(1))
+        simulate_image(shot_of(), camera, sphere_scene(1000.0, 60.0), seed=1)
 
 
 def test_a_scene_without_a_sun_is_refused() -> None:
     scene = dataclasses.replace(sphere_scene(1000.0, 60.0), light=None)
     with pytest.raises(InputError, match="Sun"):
-        simulate_image(shot_of(), small_camera(), scene, np.random.default_rng(1))
+        simulate_image(shot_of(), small_camera(), scene, seed=1)
 
 
 # paths ----------------------------------------------------------------------------------------------------
@@ -372,6 +372,7 @@ def test_apparent_places_are_those_of_light_time_and_stellar_aberration_by_spice
         et = et_from_time(frame.shot.epoch)
         observer, body = frame.shot.observer, frame.scene.targets[0].ephemeris
         assert isinstance(body, CircularOrbit)
+        assert observer is not None
         light_time_s = 0.0
         for _ in range(6):
             vector = body.state(et - light_time_s)[0] - observer.position_km
@@ -467,6 +468,7 @@ def test_nothing_that_a_campaign_reads_holds_the_truth(plan: Approach, written: 
         image = Image.open(written / "images" / frame.shot.name)
         assert image.camera_from_inertial is None
         assert image.observer is not None
+        assert frame.shot.observer is not None
         assert np.linalg.norm(image.observer.position_km - frame.shot.observer.position_km) > 1e-3
         row = rows[frame.shot.name]
         if row.camera_from_inertial is not None:

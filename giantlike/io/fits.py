@@ -130,7 +130,13 @@ def navigation_header(
     return header
 
 
-def write_fits(path: str | Path, pixels: NDArray[Any], *, header: Mapping[str, HeaderValue] | None = None) -> None:
+def write_fits(
+    path: str | Path,
+    pixels: NDArray[Any],
+    *,
+    header: Mapping[str, HeaderValue | Card] | None = None,
+    extensions: Mapping[str, NDArray[Any]] | None = None,
+) -> None:
     """Write an image as the primary HDU of a FITS file, whole or not at all.
 
     Parameters
@@ -140,8 +146,11 @@ def write_fits(path: str | Path, pixels: NDArray[Any], *, header: Mapping[str, H
     pixels : (rows, columns) integer or floating
         Written in their own type; half precision is widened to float32.
     header : mapping, optional
-        Keywords (at most eight of A-Z, 0-9, ``_``, ``-``) and plain values; :func:`navigation_header` makes
-        those that are read back. Keywords that describe the structure of the file are refused.
+        Keywords (at most eight of A-Z, 0-9, ``_``, ``-``) and plain values, or values with a comment;
+        :func:`navigation_header` makes those that are read back. Keywords that describe the structure of the file
+        are refused.
+    extensions : mapping, optional
+        More HDUs by EXTNAME: a 2-D array becomes an image, a structured array a table.
 
     Raises
     ------
@@ -163,13 +172,18 @@ def write_fits(path: str | Path, pixels: NDArray[Any], *, header: Mapping[str, H
     for key, value in (header or {}).items():
         if _KEYWORD.fullmatch(key) is None or _STRUCTURAL.fullmatch(key):
             raise InputError(f"FITS keyword {key!r} is not allowed: at most eight of A-Z, 0-9, _ and -, not structural")
-        plain = value.item() if isinstance(value, np.generic) else value
+        given, comment = (value.value, value.comment) if isinstance(value, Card) else (value, _COMMENTS.get(key, ""))
+        plain = given.item() if isinstance(given, np.generic) else given
         try:
-            unit.header[key] = (plain, _COMMENTS.get(key, ""))
+            unit.header[key] = (plain, comment)
         except ValueError as error:
             raise InputError(f"FITS keyword {key} cannot hold {plain!r}: {error}") from error
+    more = [
+        fits.BinTableHDU(part, name=name) if part.dtype.names else fits.ImageHDU(part, name=name)
+        for name, part in (extensions or {}).items()
+    ]
     buffer = io.BytesIO()
-    unit.writeto(buffer)
+    fits.HDUList([unit, *more]).writeto(buffer)
     write_bytes_atomic(path, buffer.getvalue())
 
 

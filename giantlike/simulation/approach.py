@@ -26,17 +26,11 @@ from giantlike.ephemeris import ApparentGeometry, FixedEphemeris
 from giantlike.image import ObserverState
 from giantlike.scene import Scene, Target, light_path
 from giantlike.shapes import Ellipsoid, Shape, irregular_body
-from giantlike.simulation.detector import HotPixels
-from giantlike.simulation.images import (
-    Photometry,
-    Shot,
-    SimulatedImage,
-    SimulationOptions,
-    simulate_image,
-    unexposed,
-    visible_peak,
-)
+from giantlike.simulation.detector import DetectorModel, HotPixels
+from giantlike.simulation.images import SimulatedImage, simulate_image
+from giantlike.simulation.incident import SimulationOptions, visible_peak
 from giantlike.simulation.orbits import CircularOrbit, Rendezvous
+from giantlike.simulation.shot import Photometry, Shot, unexposed
 
 _FIRST_DAY_UTC = "2024-03-02T06:00:00"
 _PEAK_OF_FULL_SCALE = 0.7
@@ -178,7 +172,7 @@ class Approach:
     ----------
     camera : Camera
     photometry : Photometry
-    hot_pixels : HotPixels
+    detector : DetectorModel
     targets : tuple of Target
     frames : tuple of Frame
         In order of time.
@@ -187,7 +181,7 @@ class Approach:
 
     camera: Camera
     photometry: Photometry
-    hot_pixels: HotPixels
+    detector: DetectorModel
     targets: tuple[Target, ...]
     frames: tuple[Frame, ...]
     options: ApproachOptions
@@ -198,10 +192,10 @@ class Approach:
             frame.shot,
             self.camera,
             frame.scene,
-            np.random.default_rng(frame.seed),
+            seed=frame.seed,
             catalog=catalog,
             photometry=self.photometry,
-            hot_pixels=self.hot_pixels,
+            detector=self.detector,
             options=SimulationOptions(rays_per_pixel_side=_STAR_IMAGE_RAYS if frame.star_image else _RAYS),
         )
 
@@ -265,7 +259,7 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
     return Approach(
         camera=camera,
         photometry=photometry,
-        hot_pixels=hot,
+        detector=DetectorModel(hot_pixels=hot),
         targets=tuple(targets),
         frames=tuple(frames),
         options=options,

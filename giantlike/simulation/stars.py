@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
 from giantlike.camera import Camera
+from giantlike.camera_models import ifov_rad
 from giantlike.catalogs import StarCatalog, apparent_directions
 from giantlike.core.arrays import Float, as_floats, require
 from giantlike.image import ObserverState
@@ -31,16 +32,34 @@ class StarField:
     points_px : (n, 2) float64, px
         True places in the distorted image.
     magnitudes : (n,) float64
+    directions_inertial : (n, 3) float64, unitless, inertial
+        Apparent unit vectors to them.
     """
 
     ids: NDArray[np.int64]
     points_px: Float
     magnitudes: Float
+    directions_inertial: Float
+
+    @classmethod
+    def empty(cls) -> StarField:
+        """No star at all."""
+        return cls(
+            ids=np.zeros(0, np.int64),
+            points_px=np.zeros((0, 2)),
+            magnitudes=np.zeros(0),
+            directions_inertial=np.zeros((0, 3)),
+        )
 
     def select(self, index: ArrayLike) -> StarField:
         """The stars of a mask (n,) or of integer indices (k,)."""
         chosen = np.asarray(index)
-        return StarField(ids=self.ids[chosen], points_px=self.points_px[chosen], magnitudes=self.magnitudes[chosen])
+        return StarField(
+            ids=self.ids[chosen],
+            points_px=self.points_px[chosen],
+            magnitudes=self.magnitudes[chosen],
+            directions_inertial=self.directions_inertial[chosen],
+        )
 
 
 def star_field(
@@ -51,6 +70,7 @@ def star_field(
     *,
     observer: ObserverState | None = None,
     max_magnitude: float | None = None,
+    smear_px: float = 0.0,
 ) -> StarField:
     """Catalogue stars where a camera sees them.
 
@@ -65,6 +85,8 @@ def star_field(
         Gives parallax and aberration; without it neither.
     max_magnitude : float, optional
         Faintest star.
+    smear_px : float, px
+        How far the image moves during the exposure: stars from that far outside come in.
 
     Returns
     -------
@@ -72,7 +94,10 @@ def star_field(
         Those whose light reaches the detector, some a few pixels outside it.
     """
     axis = camera_from_inertial.inv().apply(camera.model.unproject(camera.center_px))
-    stars = catalog.cone(axis, camera.half_diagonal_rad + _CONE_MARGIN_RAD, max_magnitude=max_magnitude)
+    sigma_px = 0.0 if camera.psf is None else camera.psf.sigma_px
+    margin_px = _REACH_SIGMA * sigma_px + smear_px
+    margin_rad = _CONE_MARGIN_RAD + margin_px * float(ifov_rad(camera.model, camera.center_px))
+    stars = catalog.cone(axis, camera.half_diagonal_rad + margin_rad, max_magnitude=max_magnitude)
     directions = apparent_directions(
         stars,
         et,
@@ -80,9 +105,13 @@ def star_field(
         observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
     )
     points = camera.model.project(camera_from_inertial.apply(directions))
-    sigma_px = 0.0 if camera.psf is None else camera.psf.sigma_px
-    seen = camera.contains(points, margin_px=-_REACH_SIGMA * sigma_px)
-    return StarField(ids=stars.ids[seen], points_px=points[seen], magnitudes=stars.magnitude[seen])
+    seen = camera.contains(points, margin_px=-margin_px)
+    return StarField(
+        ids=stars.ids[seen],
+        points_px=points[seen],
+        magnitudes=stars.magnitude[seen],
+        directions_inertial=directions[seen],
+    )
 
 
 def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, columns: int, rows: int) -> Float:

@@ -1,0 +1,112 @@
+"""Charged particles through the detector: straight tracks that leave charge behind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float, require
+
+_UM_PER_CM = 1e4
+_STEPS_PER_PX = 16  # a track is laid down in pieces of this length
+_FLATTEST_COSINE = 0.02  # flatter tracks, one in 2,500, are cut off there
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CosmicRays:
+    """How many particles hit the detector, and how much charge they leave.
+
+    Particles come from everywhere alike, so that the square of the sine of their incidence is uniform.
+
+    Parameters
+    ----------
+    rate_s_cm2 : float, 1/s/cm^2
+        Through the area of the detector.
+    hits_per_image : float
+        Mean number in an image whatever its exposure, on top of the rate.
+    pixel_um : float, um
+        Pitch of the pixels.
+    thickness_um : float, um
+        Depth in which charge is gathered: with the incidence it gives the length of a track.
+    charge_e_um : float, electron/um
+        Median charge per length of path.
+    charge_spread : float
+        Standard deviation of the natural logarithm of that charge, from particle to particle.
+    """
+
+    rate_s_cm2: float = 0.0
+    hits_per_image: float = 0.0
+    pixel_um: float = 10.0
+    thickness_um: float = 15.0
+    charge_e_um: float = 80.0
+    charge_spread: float = 0.4
+
+    def __post_init__(self) -> None:
+        for name in ("rate_s_cm2", "hits_per_image", "charge_spread"):
+            value = getattr(self, name)
+            require(math.isfinite(value) and value >= 0, f"cosmic ray {name} must be >= 0, got {value}")
+        for name in ("pixel_um", "thickness_um", "charge_e_um"):
+            value = getattr(self, name)
+            require(math.isfinite(value) and value > 0, f"cosmic ray {name} must be > 0, got {value}")
+
+    def mean_hits(self, columns: int, rows: int, exposure_s: float) -> float:
+        """Expected number of hits on a detector."""
+        area_cm2 = columns * rows * (self.pixel_um / _UM_PER_CM) ** 2
+        return self.hits_per_image + self.rate_s_cm2 * area_cm2 * exposure_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tracks:
+    """Tracks of particles.
+
+    Parameters
+    ----------
+    start_px, end_px : (n, 2) float64, px
+        Where each enters and leaves the layer that gathers charge.
+    charge_e : (n,) float64, electron
+        Left along the whole track, evenly.
+    """
+
+    start_px: Float
+    end_px: Float
+    charge_e: Float
+
+    def deposited_e(self, columns: int, rows: int) -> Float:
+        """Charge (rows, columns), electron, that they leave in the pixels; what lies outside is left out."""
+        along = self.end_px - self.start_px
+        pieces = np.ceil(np.linalg.norm(along, axis=1) * _STEPS_PER_PX).astype(np.int64) + 1
+        track = np.repeat(np.arange(pieces.size), pieces)
+        piece = np.arange(track.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+        middle = ((piece + 0.5) / pieces[track])[:, None]
+        x, y = np.rint(self.start_px[track] + middle * along[track]).astype(np.int64).T
+        inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+        charge = (self.charge_e / pieces)[track]
+        frame = np.bincount((y * columns + x)[inside], weights=charge[inside], minlength=rows * columns)
+        return frame.astype(np.float64, copy=False).reshape(rows, columns)
+
+
+def draw_tracks(options: CosmicRays, columns: int, rows: int, exposure_s: float, random: np.random.Generator) -> Tracks:
+    """Draw the particles that hit a detector during an exposure.
+
+    Parameters
+    ----------
+    options : CosmicRays
+    columns, rows : int, px
+    exposure_s : float, s
+    random : numpy Generator
+
+    Returns
+    -------
+    Tracks
+        Entry points anywhere on the detector; tracks may leave it.
+    """
+    count = int(random.poisson(options.mean_hits(columns, rows, exposure_s)))
+    start = random.uniform(-0.5, [columns - 0.5, rows - 0.5], (count, 2))
+    azimuth = random.uniform(0.0, 2.0 * math.pi, count)
+    cosine = np.sqrt(1.0 - random.uniform(0.0, 1.0 - _FLATTEST_COSINE**2, count))
+    per_um = options.charge_e_um * np.exp(options.charge_spread * random.standard_normal(count))
+    length_px = options.thickness_um / options.pixel_um * np.sqrt(1.0 - cosine**2) / cosine
+    step = length_px[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    return Tracks(start_px=start, end_px=start + step, charge_e=per_um * options.thickness_um / cosine)
