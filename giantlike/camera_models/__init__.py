@@ -5,14 +5,23 @@
 
 from giantlike.camera_models.base import CameraModel, ifov_rad
 from giantlike.camera_models.brown import BrownModel
+from giantlike.camera_models.fisheye import EquidistantModel, EquisolidModel
+from giantlike.camera_models.opencv import OpenCVModel
+from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
 from giantlike.camera_models.registry import MODELS, model_from_mapping, model_to_mapping
+from giantlike.camera_models.scaramuzza import ScaramuzzaModel
 
 __all__ = [
     "MODELS",
     "BrownModel",
     "CameraModel",
+    "EquidistantModel",
+    "EquisolidModel",
+    "OpenCVModel",
+    "OwenModel",
     "PinholeModel",
+    "ScaramuzzaModel",
     "ifov_rad",
     "model_from_mapping",
     "model_to_mapping",

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 from giantlike.camera_models.affine import AFFINE_NAMES, TEMPERATURE_NAMES
-from giantlike.camera_models.plane import PlaneModel, Slopes, polynomial_growth_limit
+from giantlike.camera_models.plane import (
+    PlaneModel,
+    Slopes,
+    decentring,
+    decentring_slopes,
+    radial_slopes,
+    sum_of_slopes,
+)
+from giantlike.camera_models.polynomial import smallest_positive_root
 from giantlike.core.arrays import Float
 
 
@@ -38,25 +47,16 @@ class BrownModel(PlaneModel):
     p2: float = 0.0
 
     def _distort(self, x: Float, y: Float) -> tuple[Float, Float]:
-        xx, xy, yy = x * x, x * y, y * y
-        r2 = xx + yy
+        r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        return (
-            radial * x + 2 * self.p1 * xy + self.p2 * (r2 + 2 * xx),
-            radial * y + self.p1 * (r2 + 2 * yy) + 2 * self.p2 * xy,
-        )
+        dx, dy = decentring(x, y, self.p1, self.p2)
+        return radial * x + dx, radial * y + dy
 
     def _slopes(self, x: Float, y: Float) -> Slopes:
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        slope = 2.0 * (self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3))  # d radial / d r2, times 2
-        cross = slope * x * y + 2 * self.p1 * x + 2 * self.p2 * y
-        return (
-            radial + slope * x * x + 2 * self.p1 * y + 6 * self.p2 * x,
-            cross,
-            cross,
-            radial + slope * y * y + 6 * self.p1 * y + 2 * self.p2 * x,
-        )
+        growth = 2.0 * (self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3))
+        return sum_of_slopes(radial_slopes(x, y, radial, growth), decentring_slopes(x, y, self.p1, self.p2))
 
     def _by_coefficient(self, x: Float, y: Float) -> tuple[list[Float], list[Float]]:
         r2 = x * x + y * y
@@ -66,7 +66,7 @@ class BrownModel(PlaneModel):
         )
 
     def _radial_limit(self) -> float:
-        return polynomial_growth_limit(7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0)
+        return math.sqrt(smallest_positive_root(3 * self.k1, 5 * self.k2, 7 * self.k3))
 
     def _is_radial(self) -> bool:
         return self.p1 == 0.0 == self.p2

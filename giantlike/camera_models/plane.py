@@ -118,11 +118,32 @@ class PlaneModel(AffineModel):
         return x - (vy * du - uy * dv) * inverse, y - (ux * dv - vx * du) * inverse
 
 
-def polynomial_growth_limit(*slope: float) -> float:
-    """Square root of the smallest positive root of a polynomial in r^2 (highest power first), infinite without one."""
-    roots = np.roots(slope)
-    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
-    return float(np.sqrt(real.min())) if real.size else float("inf")
+def radial_slopes(x: Float, y: Float, radial: Float, growth: Float) -> Slopes:
+    """Slopes of ``radial * (x, y)`` where ``growth`` is twice the derivative of ``radial`` by r^2."""
+    cross = growth * x * y
+    return radial + growth * x * x, cross, cross, radial + growth * y * y
+
+
+def decentring(x: Float, y: Float, p1: float, p2: float) -> tuple[Float, Float]:
+    """Displacement by decentring, in OpenCV's words tangential distortion.
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 7.
+    """
+    xx, xy, yy = x * x, x * y, y * y
+    return 2 * p1 * xy + p2 * (3 * xx + yy), p1 * (xx + 3 * yy) + 2 * p2 * xy
+
+
+def decentring_slopes(x: Float, y: Float, p1: float, p2: float) -> Slopes:
+    """Derivative of :func:`decentring`."""
+    cross = 2 * p1 * x + 2 * p2 * y
+    return 2 * p1 * y + 6 * p2 * x, cross, cross, 6 * p1 * y + 2 * p2 * x
+
+
+def sum_of_slopes(a: Slopes, b: Slopes) -> Slopes:
+    """Slopes of a sum of two maps."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
 
 
 @lru_cache(maxsize=256)
@@ -131,34 +152,36 @@ def _fold_radius(model: PlaneModel) -> float:
     if model._is_radial():
         return limit
     radii = np.tan(np.linspace(0.0, min(np.arctan(limit), _WIDEST_RAD), 400)[1:])
+    below = 0.0
     for _ in range(3):  # each turn looks fifty times closer
-        folded = _least_slope(model, radii).min(axis=1) <= 0
+        folded = ~(_least_slope(model, radii).min(axis=1) > 0)  # a pole of a rational lens is no number
         if not folded.any():
             return limit if limit < radii[-1] * 1.001 else float("inf")
         first = int(np.argmax(folded))
-        below = float(radii[first - 1]) if first else 0.0
+        below = float(radii[first - 1]) if first else below
         radii = np.linspace(below, float(radii[first]), 50)[1:]
     return below
 
 
 def _least_slope(model: PlaneModel, radii: Float) -> Float:
     """Smallest eigenvalue of the symmetric part of the derivative, at radii (n,) and all azimuths: (n, azimuths)."""
-    ux, uy, vx, vy = model._slopes(radii[:, None] * np.cos(_AZIMUTHS), radii[:, None] * np.sin(_AZIMUTHS))
-    result: Float = (ux + vy) / 2.0 - np.hypot((ux - vy) / 2.0, (uy + vx) / 2.0)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        ux, uy, vx, vy = model._slopes(radii[:, None] * np.cos(_AZIMUTHS), radii[:, None] * np.sin(_AZIMUTHS))
+        result: Float = (ux + vy) / 2.0 - np.hypot((ux - vy) / 2.0, (uy + vx) / 2.0)
     return result
 
 
 def _radial_start(model: PlaneModel, distorted: Float) -> Float:
-    """Factor on distorted points that undoes the distortion at the mean over azimuth."""
-    at, factors = _radial_table(model)
-    result: Float = np.interp(distorted, at, factors)
-    return result
+    """Factor on distorted points that undoes the distortion at the mean over azimuth; what is left lies inside."""
+    mapped, radii = _radial_table(model)
+    return np.interp(distorted, mapped, radii) / np.where(distorted > 0, distorted, 1.0)
 
 
 @lru_cache(maxsize=256)
 def _radial_table(model: PlaneModel) -> tuple[Float, Float]:
-    radii = np.tan(np.linspace(0.0, min(np.arctan(model.max_radius), np.radians(80.0)), 256)[1:, None])
+    """Distorted radii, mean over azimuth, and the radii they come from."""
+    widest = min(np.arctan(model.max_radius), np.radians(80.0)) * (1.0 - 1e-6)  # short of a pole
+    radii = np.tan(np.linspace(0.0, widest, 256))
     cosine, sine = np.cos(_AZIMUTHS[::9]), np.sin(_AZIMUTHS[::9])
-    u, v = model._distort(radii * cosine, radii * sine)
-    mapped = np.mean(u * cosine + v * sine, axis=1)
-    return np.concatenate([[0.0], mapped]), np.concatenate([[1.0], radii[:, 0] / mapped])
+    u, v = model._distort(radii[:, None] * cosine, radii[:, None] * sine)
+    return np.mean(u * cosine + v * sine, axis=1), radii

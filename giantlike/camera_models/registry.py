@@ -9,11 +9,26 @@ from typing import Any
 from giantlike.camera_models.affine import TEMPERATURE_NAMES, AffineModel
 from giantlike.camera_models.base import CameraModel
 from giantlike.camera_models.brown import BrownModel
+from giantlike.camera_models.fisheye import EquidistantModel, EquisolidModel
+from giantlike.camera_models.opencv import OpenCVModel
+from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
+from giantlike.camera_models.scaramuzza import ScaramuzzaModel
 from giantlike.core.errors import InputError
 
 MODELS: Mapping[str, type[AffineModel]] = MappingProxyType(
-    {model.type_name: model for model in (PinholeModel, BrownModel)}
+    {
+        model.type_name: model
+        for model in (
+            PinholeModel,
+            BrownModel,
+            OpenCVModel,
+            OwenModel,
+            EquidistantModel,
+            EquisolidModel,
+            ScaramuzzaModel,
+        )
+    }
 )
 """Camera model classes by the ``type`` they have in camera files."""
 

@@ -1,0 +1,125 @@
+"""Lenses symmetric about their axis that act on the angle from it, so that they can see behind themselves."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.camera_models.affine import AffineModel
+from giantlike.core.arrays import Float
+
+_MAX_NEWTON_STEPS = 30
+_LAST_STEP = 1e-7  # relative; the error left is its square
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxialModel(AffineModel):
+    """A camera whose lens maps the angle from its axis to a radius in the focal plane.
+
+    It images directions up to :attr:`max_angle_rad`, which may lie behind it; beyond, points give NaN, and so do
+    pixels outside the radius that belongs to this angle.
+
+    A subclass supplies the radius of an angle and back.
+    """
+
+    @property
+    @abstractmethod
+    def max_angle_rad(self) -> float:
+        """Largest angle from the axis that is imaged, rad: where the radius stops growing, at most pi."""
+
+    @abstractmethod
+    def _radius(self, angle: Float) -> Float:
+        """Focal-plane radius of angles; NaN beyond the largest."""
+
+    @abstractmethod
+    def _radius_slope(self, angle: Float, radius: Float) -> Float:
+        """Derivative of :meth:`_radius`."""
+
+    @abstractmethod
+    def _radius_by_coefficient(self, angle: Float, radius: Float) -> list[Float]:
+        """Derivative of :meth:`_radius` with respect to each coefficient."""
+
+    @abstractmethod
+    def _angle(self, radius: Float) -> Float:
+        """Angle of focal-plane radii; NaN beyond the largest."""
+
+    def _lens(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
+        cosine, sine, across = _azimuth(x, y)
+        radius = self._radius(_angle_from_axis(across, z))
+        return radius * cosine, radius * sine
+
+    def _lens_inverse(self, u: Float, v: Float) -> tuple[Float, Float, Float]:
+        cosine, sine, radius = _azimuth(u, v)
+        angle = self._angle(radius)
+        across = np.sin(angle)
+        return across * cosine, across * sine, np.cos(angle)
+
+    def _lens_jacobian(self, x: Float, y: Float, z: Float) -> Float:
+        cosine, sine, across = _azimuth(x, y)
+        angle = _angle_from_axis(across, z)
+        radius = self._radius(angle)
+        slope = self._radius_slope(angle, radius) / (across * across + z * z)
+        around = np.where(across > 0, radius / np.where(across > 0, across, 1.0), 1.0 / z)
+        excess = np.where(across > 0, slope * z - around, 0.0)
+        cross, along_z = excess * cosine * sine, -slope * across
+        return np.array(
+            [
+                [around + excess * cosine * cosine, cross, along_z * cosine],
+                [cross, around + excess * sine * sine, along_z * sine],
+            ]
+        )
+
+    def _lens_by_parameter(self, x: Float, y: Float, z: Float) -> Float:
+        cosine, sine, across = _azimuth(x, y)
+        angle = _angle_from_axis(across, z)
+        radii = np.array(self._radius_by_coefficient(angle, self._radius(angle)))
+        return np.array([radii * cosine, radii * sine])
+
+
+def _azimuth(x: Float, y: Float) -> tuple[Float, Float, Float]:
+    """Cosine and sine of the azimuth (zero on the axis) and the distance from the axis."""
+    across = np.sqrt(x * x + y * y)
+    inverse = 1.0 / np.where(across == 0, np.inf, across)
+    return x * inverse, y * inverse, across
+
+
+def _angle_from_axis(across: Float, z: Float) -> Float:
+    """Angle from the axis; NaN straight behind, where the azimuth is lost, and for the zero vector."""
+    return np.where((across > 0) | (z > 0), np.arctan2(across, z), np.nan)
+
+
+def solve_increasing(
+    residual_and_slope: Callable[[Float, Float], tuple[Float, Float]], target: Float, start: Float, limit: float
+) -> Float:
+    """Solve for arguments in [0, limit] by Newton's method from a good start.
+
+    Parameters
+    ----------
+    residual_and_slope : callable
+        Takes arguments and targets; the residual is zero at the solution and grows with the argument.
+    target, start : (n,) float64
+    limit : float
+        Largest argument.
+
+    Returns
+    -------
+    (n,) float64
+        NaN where the solution is not inside.
+    """
+    result = start.copy()
+    todo = np.arange(result.size)
+    for _ in range(_MAX_NEWTON_STEPS):
+        at = result[todo]
+        residual, slope = residual_and_slope(at, target[todo])
+        near = at - residual / slope
+        outside = (near > limit) | (near < 0)
+        near = np.where(near > limit, 0.5 * (at + limit), np.where(near < 0, 0.5 * at, near))
+        result[todo] = near
+        todo = todo[(np.abs(near - at) > _LAST_STEP * (1.0 + at)) | outside]
+        if not todo.size:
+            break
+    result[todo] = np.nan
+    return result

@@ -1,0 +1,108 @@
+"""OpenCV's camera: rational radial, decentring and thin-prism distortion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from giantlike.camera_models.affine import AFFINE_NAMES, TEMPERATURE_NAMES
+from giantlike.camera_models.plane import (
+    PlaneModel,
+    Slopes,
+    decentring,
+    decentring_slopes,
+    radial_slopes,
+    sum_of_slopes,
+)
+from giantlike.camera_models.polynomial import smallest_positive_root
+from giantlike.core.arrays import Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenCVModel(PlaneModel):
+    """OpenCV's distortion with up to twelve coefficients (no tilted sensor).
+
+    Parameters
+    ----------
+    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
+        See :class:`~giantlike.camera_models.affine.AffineModel`; OpenCV itself has no skew.
+    k1, k2, k3, k4, k5, k6 : float
+        Coefficients of r^2, r^4, r^6 in the numerator, then in the denominator, of the radial factor.
+    p1, p2 : float
+        Decentring coefficients.
+    s1, s2, s3, s4 : float
+        Thin prism: x moves by ``s1 r^2 + s2 r^4``, y by ``s3 r^2 + s4 r^4``.
+
+    References
+    ----------
+    .. [1] GIANT, theory section of giant/camera_models/opencv_model.py, github.com/nasa/giant; the numbers agree with
+       cv2.projectPoints.
+    """
+
+    type_name: ClassVar[str] = "opencv"
+    parameter_names: ClassVar[tuple[str, ...]] = (
+        *AFFINE_NAMES, "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4", *TEMPERATURE_NAMES,
+    )  # fmt: skip
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+
+    def _parts(self, r2: Float) -> tuple[Float, Float]:
+        """Numerator and denominator of the radial factor."""
+        numerator = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        return numerator, 1.0 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
+
+    def _distort(self, x: Float, y: Float) -> tuple[Float, Float]:
+        r2 = x * x + y * y
+        numerator, denominator = self._parts(r2)
+        radial = numerator / denominator
+        dx, dy = decentring(x, y, self.p1, self.p2)
+        return (
+            radial * x + dx + r2 * (self.s1 + r2 * self.s2),
+            radial * y + dy + r2 * (self.s3 + r2 * self.s4),
+        )
+
+    def _slopes(self, x: Float, y: Float) -> Slopes:
+        r2 = x * x + y * y
+        numerator, denominator = self._parts(r2)
+        radial = numerator / denominator
+        growth = 2.0 * (self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3))
+        growth = (growth - radial * 2.0 * (self.k4 + r2 * (2 * self.k5 + 3 * r2 * self.k6))) / denominator
+        lens = sum_of_slopes(radial_slopes(x, y, radial, growth), decentring_slopes(x, y, self.p1, self.p2))
+        along_x, along_y = 2 * (self.s1 + 2 * r2 * self.s2), 2 * (self.s3 + 2 * r2 * self.s4)
+        return sum_of_slopes(lens, (along_x * x, along_x * y, along_y * x, along_y * y))
+
+    def _by_coefficient(self, x: Float, y: Float) -> tuple[list[Float], list[Float]]:
+        r2 = x * x + y * y
+        numerator, denominator = self._parts(r2)
+        powers = [r2 / denominator, r2**2 / denominator, r2**3 / denominator]
+        powers += [-power * numerator / denominator for power in powers]
+        zero = np.zeros_like(x)
+        return (
+            [p * x for p in powers] + [2 * x * y, r2 + 2 * x * x, r2, r2**2, zero, zero],
+            [p * y for p in powers] + [r2 + 2 * y * y, 2 * x * y, zero, zero, r2, r2**2],
+        )
+
+    def _radial_limit(self) -> float:
+        numerator = Polynomial([1.0, self.k1, self.k2, self.k3])  # in t = r^2
+        denominator = Polynomial([1.0, self.k4, self.k5, self.k6])
+        t = Polynomial([0.0, 1.0])
+        slope = (numerator + 2 * t * numerator.deriv()) * denominator - 2 * t * numerator * denominator.deriv()
+        return math.sqrt(min(smallest_positive_root(*part.coef[1:]) for part in (slope, denominator)))
+
+    def _is_radial(self) -> bool:
+        return not any((self.p1, self.p2, self.s1, self.s2, self.s3, self.s4))

@@ -1,0 +1,27 @@
+"""Where a polynomial first vanishes: what bounds the region in which a lens can be inverted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_FARTHEST = 1e12
+
+
+def smallest_positive_root(*coefficients: float) -> float:
+    """Smallest positive root of ``1 + c1 t + c2 t^2 + ...``; infinite where there is none.
+
+    The largest root of the reversed polynomial is looked for, whose leading coefficient is one, so that
+    coefficients of any size, zero too, do no harm.
+
+    Parameters
+    ----------
+    coefficients : float
+        ``c1``, ``c2``, ...
+
+    >>> smallest_positive_root(-1.0, -2.0)
+    0.5
+    """
+    reciprocals = np.roots([1.0, *coefficients])
+    real = reciprocals.real[np.abs(reciprocals.imag) <= 1e-9 * np.abs(reciprocals)]
+    largest = float(real.max(initial=0.0))
+    return 1.0 / largest if largest > 1.0 / _FARTHEST else float("inf")
