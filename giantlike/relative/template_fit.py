@@ -104,10 +104,15 @@ class TemplateImages:
         Brightness under the reflectance law of the target.
     other : (h, w) float64, optional
         Brightness under another law; None keeps to the one.
+    per_log_range : (h, w) float64, optional
+        Derivative of ``light`` with respect to the logarithm of the range; None takes it from the slopes of ``light``.
+        Those do for bodies wider than the point spread function. For smaller ones the growth of the image and the
+        blur that does not grow with it nearly cancel, and what is left is lost in the errors of the slopes.
     """
 
     light: Float
     other: Float | None = None
+    per_log_range: Float | None = None
 
 
 Synthesis = Callable[[TemplateState], TemplateImages | Failure]
@@ -293,7 +298,7 @@ class _Problem:
         other = images.light if images.other is None else images.other
         difference = other * (float(images.light.sum()) / float(other.sum())) - images.light
         basis = np.stack([images.light, np.ones_like(images.light), difference])
-        light: Float = photometry if photometry is not None else _unweighted(basis, usable, pixels_dn)
+        light = np.append(_unweighted(basis[:2], usable, pixels_dn), 0.0) if photometry is None else photometry
         self.gain_dn, offset = float(light[0]), float(light[1])
         self._model = model = np.tensordot(light, basis, 1)
         self._signal = model - offset
@@ -302,7 +307,10 @@ class _Problem:
         x = corner_px[0] + np.arange(model.shape[1]) - state.center_px[0]
         y = corner_px[1] + np.arange(model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + _PIXEL_VARIANCE_PX2  # the blur does not grow with the body
-        radial = x * slope_x + y * slope_y + spread * curvature
+        if images.per_log_range is None:
+            radial = x * slope_x + y * slope_y + spread * curvature
+        else:
+            radial = self.gain_dn * images.per_log_range
         self._columns = np.concatenate([np.stack([-slope_x, -slope_y, radial, 0.5 * curvature]), basis])
         self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / images.light.sum()))
 

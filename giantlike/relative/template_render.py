@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it
 _NEAR_PX, _NEAR_BLUR = 1.0, 0.1
 _OTHER_COARSENESS = 2.0  # the other law only shades: it needs no fine edges ...
 _COARSE_RADIUS_PX = 20.0  # ... but where a body is all edge
+_SMALL_RADIUS_PX = 10.0  # below, the derivative with respect to the range is that of renders
+_LOG_RANGE_STEP = 0.04
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +73,15 @@ class FitBox:
         """A patch whose first pixel is image pixel ``corner_px``, in the box; zero around it."""
         corner = int(corner_px[0]), int(corner_px[1])
         return _pasted(patch, corner, (self.x, self.y), (self.height, self.width), 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Changes:
+    """Changes (h, w) of the light by another law, beside a share of the light itself, and per logarithm of range."""
+
+    share: float
+    difference: Float | None
+    per_log_range: Float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,33 +154,57 @@ class TemplateRenderer:
     def synthesis(self, box: FitBox, *, other_law: bool) -> Synthesis:
         """Return what renders states into a box, optionally under another reflectance law as well.
 
-        The difference that the other law makes is rendered anew only where the geometry has moved by a pixel, and moved
-        along with it up to there.
+        The differences that the other law and another range make are rendered anew only where the geometry has moved by
+        a pixel, and moved along with it up to there.
         """
         own = self.inputs.geometry.target.reflectance
         other = LommelSeeliger() if isinstance(own, Lambert) else Lambert()
 
-        latest: list[tuple[TemplateState, float, Float]] = []
-        coarseness = 1.0 if self.inputs.radius_px < _COARSE_RADIUS_PX else _OTHER_COARSENESS
+        latest: list[tuple[TemplateState, _Changes]] = []
 
         def images(state: TemplateState) -> TemplateImages | Failure:
             template = self.render(state, margin_px=FIT_BORDER_PX)
             if isinstance(template, Failure):
                 return template
             light = box.place(template.brightness, template.corner_px)
-            if not other_law:
-                return TemplateImages(light=light)
             if not (latest and self._near(latest[0][0], state)):
-                second = self.render(state, margin_px=FIT_BORDER_PX, law=other, coarseness=coarseness)
-                if isinstance(second, Failure):
-                    return second
-                shaded = box.place(second.brightness, second.corner_px)
-                share = float(shaded.sum()) / max(float(light.sum()), 1e-300)
-                latest[:] = [(state, share, shaded - share * light)]
-            rendered, share, difference = latest[0]
-            return TemplateImages(light=light, other=share * light + warped(difference, box.corner_px, rendered, state))
+                changes = self._changes(box, state, light, other if other_law else None)
+                if isinstance(changes, Failure):
+                    return changes
+                latest[:] = [(state, changes)]
+            rendered, changes = latest[0]
+
+            def moved(image: Float) -> Float:
+                return warped(image, box.corner_px, rendered, state)
+
+            return TemplateImages(
+                light=light,
+                other=None if changes.difference is None else changes.share * light + moved(changes.difference),
+                per_log_range=None if changes.per_log_range is None else moved(changes.per_log_range),
+            )
 
         return images
+
+    def _changes(self, box: FitBox, state: TemplateState, light: Float, law: Reflectance | None) -> _Changes | Failure:
+        """What another law and, on a small body, another range make of the light at a state."""
+        share, difference, per_log_range = 1.0, None, None
+        if law is not None:
+            coarseness = 1.0 if self.inputs.radius_px < _COARSE_RADIUS_PX else _OTHER_COARSENESS
+            second = self.render(state, margin_px=FIT_BORDER_PX, law=law, coarseness=coarseness)
+            if isinstance(second, Failure):
+                return second
+            shaded = box.place(second.brightness, second.corner_px)
+            share = float(shaded.sum()) / max(float(light.sum()), 1e-300)
+            difference = shaded - share * light
+        if self.inputs.radius_px < _SMALL_RADIUS_PX:
+            sides = []
+            for step in (-_LOG_RANGE_STEP, _LOG_RANGE_STEP):
+                side = self.render(replace(state, log_range=state.log_range + step), margin_px=FIT_BORDER_PX)
+                if isinstance(side, Failure):
+                    return side
+                sides.append(box.place(side.brightness, side.corner_px))
+            per_log_range = (sides[1] - sides[0]) / (2.0 * _LOG_RANGE_STEP)
+        return _Changes(share, difference, per_log_range)
 
     def _near(self, first: TemplateState, second: TemplateState) -> bool:
         """Whether the difference between two laws can be moved from one state to another."""
