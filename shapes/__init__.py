@@ -9,6 +9,7 @@ from giantlike.shapes.generate import geodesic_directions, irregular_body, mesh_
 from giantlike.shapes.limbs import Limb, limb
 from giantlike.shapes.load import load_shape
 from giantlike.shapes.mesh import TriangleMesh
+from giantlike.shapes.save import save_shape
 
 __all__ = [
     "Albedo",
@@ -26,5 +27,6 @@ __all__ = [
     "limb",
     "load_shape",
     "mesh_from_ellipsoid",
+    "save_shape",
     "sphere",
 ]

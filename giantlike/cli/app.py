@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from giantlike.cli.outcome import ExitCode, command
+from giantlike.cli.shape_app import shape_app
 
 app = typer.Typer(
     name="giantlike",
@@ -19,6 +20,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 done, 1 some images failed, 2 bad input, 130 interrupted.",
 )
+app.add_typer(shape_app)
 
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per CPU.")]

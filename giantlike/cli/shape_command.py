@@ -1,0 +1,176 @@
+"""``giantlike shape info``, ``convert`` and ``decimate``."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import typer
+
+from giantlike.cli.outcome import ExitCode, print_json, say
+from giantlike.core.errors import InputError, OpNavError
+from giantlike.shapes import TriangleMesh, load_shape, save_shape
+from giantlike.shapes.decimate import decimated, deviation
+from giantlike.shapes.defects import Defects, defects_of
+from giantlike.shapes.files.dsk import DskIdentity
+from giantlike.shapes.load import UnitsWarning, mesh_of, read_surface
+from giantlike.shapes.measure import Measures, measured
+from giantlike.shapes.repair import repaired
+from giantlike.shapes.surface import Surface
+
+_KEYS = MappingProxyType(
+    dict.fromkeys([field.name for field in fields(Measures)] + ["watertight", "defects", "sha256"])
+)
+_SHOWN = MappingProxyType(
+    {
+        "extents_km": "extents x, y, z (km)",
+        "volume_km3": "volume (km^3)",
+        "area_km2": "area (km^2)",
+        "center_of_figure_km": "centre of figure (km)",
+        "best_fit_radii_km": "best-fit ellipsoid radii (km)",
+        "principal_moments": "principal moments, density 1 (km^5)",
+        "circumscribing_radius_km": "circumscribing radius (km)",
+        "mean_radius_km": "mean radius (km)",
+    }
+)
+"""Measures that are shown to people, and how they are called there."""
+
+
+def shape_info(files: Sequence[Path], *, units: str, json: bool) -> ExitCode:
+    """Measure each file; one that fails does not stop the others."""
+    results = [_info(path, units) for path in files]
+    if json:
+        print_json(results)
+    else:
+        for result in results:
+            _show_info(result)
+    failed = any(result["status"] == "failed" for result in results)
+    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+
+
+def shape_convert(
+    source: Path, target: Path, *, units: str, repair: bool, overwrite: bool, dsk: DskIdentity | None, json: bool
+) -> ExitCode:
+    """Read, mend if asked to, write."""
+    with units_said():
+        surface = read_surface(source, units=units)
+    lines: list[str] = []
+    if repair:
+        mended = repaired(surface)
+        surface = mended.surface
+        lines = [
+            f"found: {mended.before.text() or 'no defects'}",
+            f"turned {mended.facets_turned} facets, closed {mended.holes_filled} holes by {mended.facets_added} facets",
+            f"left: {mended.after.text() or 'no defects'}",
+        ]
+    mesh = mesh_of(source, surface)
+    save_shape(mesh, target, overwrite=overwrite, dsk=dsk)
+    return _written(mesh, target, lines, json=json)
+
+
+def shape_decimate(
+    source: Path, target: Path, *, facets: int, units: str, overwrite: bool, dsk: DskIdentity | None, json: bool
+) -> ExitCode:
+    """Read, make coarser, write, and say what it cost."""
+    with units_said():
+        mesh = load_shape(source, units=units)
+    coarse = decimated(mesh, facets)
+    change = deviation(mesh, coarse)
+    save_shape(coarse, target, overwrite=overwrite, dsk=dsk)
+    share = change.max_km / mesh.mean_radius_km
+    lines = [
+        f"{len(mesh.faces)} facets before, {len(coarse.faces)} after",
+        f"volume changed by {change.volume_change:+.4%}",
+        f"distance between the surfaces {change.rms_km:.4g} km rms, {change.max_km:.4g} km at most ({share:.3%} of the "
+        "mean radius)",
+    ]
+    return _written(coarse, target, lines, json=json, more=asdict(change))
+
+
+def dsk_identity(target: Path, center: int | None, frame: str | None, surface: int) -> DskIdentity | None:
+    """What a DSK is to say of itself, or None where the output is none.
+
+    Raises
+    ------
+    InputError
+        The output is a DSK and an option is missing.
+    """
+    if target.suffix.lower() not in (".bds", ".dsk"):
+        return None
+    if center is None or frame is None:
+        raise InputError(f"{target}: a DSK names its body and frame: give --dsk-center ID and --dsk-frame NAME")
+    return DskIdentity(center=center, frame=frame, surface=surface)
+
+
+@contextmanager
+def units_said() -> Iterator[None]:
+    """Turn warnings about guessed units into lines on stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UnitsWarning)
+        yield
+    for warning in caught:
+        say(f"giantlike: {warning.message}")
+
+
+def _written(
+    mesh: TriangleMesh, target: Path, lines: Sequence[str], *, json: bool, more: dict[str, Any] | None = None
+) -> ExitCode:
+    if json:
+        values = {"file": str(target), "facets": len(mesh.faces), "vertices": len(mesh.vertices_km)}
+        print_json(values | {"volume_km3": mesh.volume_km3} | (more or {}) | {"notes": list(lines)})
+    else:
+        for line in lines:
+            typer.echo(line)
+        typer.echo(f"wrote {target}: {len(mesh.faces)} facets, {mesh.volume_km3:.6g} km^3")
+    return ExitCode.DONE
+
+
+def _info(path: Path, units: str) -> dict[str, Any]:
+    """One object of the JSON list; what is not known is None."""
+    values: dict[str, Any] = {"file": str(path), "status": "failed", "detail": ""} | dict(_KEYS)
+    try:
+        with units_said():
+            surface = read_surface(path, units=units)
+        found = defects_of(surface)
+        values |= _of_surface(surface, found)
+        mesh = mesh_of(path, surface)
+        measures = measured(mesh)
+    except OpNavError as error:
+        return values | {"detail": str(error)}
+    for field in fields(measures):
+        value = getattr(measures, field.name)
+        values[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return values | {"status": "suspect" if found else "ok", "detail": found.text(), "sha256": mesh.sha256}
+
+
+def _of_surface(surface: Surface, found: Defects) -> dict[str, Any]:
+    """What can be said of a surface that may be no body."""
+    return {
+        "facets": len(surface.faces),
+        "vertices": len(surface.vertices),
+        "watertight": found.watertight and len(surface.faces) > 0,
+        "defects": asdict(found),
+    }
+
+
+def _show_info(result: dict[str, Any]) -> None:
+    typer.echo(f"{result['file']}: {result['status']}")
+    if result["detail"]:
+        typer.echo(f"  {result['detail']}")
+    if result["facets"] is not None:
+        closed = "watertight" if result["watertight"] else "not watertight"
+        euler = "" if result["euler_number"] is None else f", Euler number {result['euler_number']}"
+        typer.echo(f"  {result['facets']} facets, {result['vertices']} vertices, {closed}{euler}")
+    for key, label in _SHOWN.items():
+        if result[key] is not None:
+            numbers = np.atleast_1d(result[key])
+            typer.echo(f"  {label:<36}" + " ".join(f"{number:>13.7g}" for number in numbers))
+    if result["principal_axes"] is not None:
+        for label, axis in zip(("long", "middle", "short"), result["principal_axes"], strict=True):
+            typer.echo(f"  {'principal axis, ' + label:<36}" + " ".join(f"{part:>13.6f}" for part in axis))

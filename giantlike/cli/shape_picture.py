@@ -1,0 +1,123 @@
+"""``giantlike shape render``: a picture of a shape for people."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import PinholeModel
+from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.shape_command import units_said
+from giantlike.core.arrays import require
+from giantlike.core.atomic import write_bytes_atomic
+from giantlike.core.errors import InputError
+from giantlike.core.outcomes import Failure
+from giantlike.ray_tracing import Body, RenderOptions, reflectance_from_mapping, render
+from giantlike.shapes import TriangleMesh, load_shape
+
+_DISTANCE_RADII = 100.0
+_FILL = 0.95
+"""How much of the picture the sphere around the body takes."""
+_WHITE_QUANTILE = 0.999
+_LARGEST_PX = 8192
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """From where a shape is seen, and in what light.
+
+    Parameters
+    ----------
+    phase_deg : float, deg
+        Angle at the body between Sun and camera; the Sun is to the right.
+    longitude_deg, latitude_deg : float, deg
+        East longitude and latitude of the point that faces the camera; body north is up.
+    size_px : int, px
+    law : str
+        Name of the reflectance law.
+    """
+
+    phase_deg: float
+    longitude_deg: float
+    latitude_deg: float
+    size_px: int
+    law: str
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.phase_deg < 180.0, f"--phase must be in [0, 180) degrees, got {self.phase_deg:g}")
+        require(
+            abs(self.latitude_deg) <= 90.0, f"--sub-observer latitude must be in [-90, 90], got {self.latitude_deg:g}"
+        )
+        require(math.isfinite(self.longitude_deg), f"--sub-observer longitude must be finite, got {self.longitude_deg}")
+        require(1 <= self.size_px <= _LARGEST_PX, f"--size must be in [1, {_LARGEST_PX}], got {self.size_px}")
+
+
+def shape_render(source: Path, target: Path, *, units: str, view: View, overwrite: bool, json: bool) -> ExitCode:
+    """Read a shape, render it, write a PNG."""
+    require(target.suffix.lower() == ".png", f"{target}: pictures end in .png")
+    require(overwrite or not target.exists(), f"{target} exists: name another file, or give --overwrite")
+    with units_said():
+        mesh = load_shape(source, units=units)
+    write_bytes_atomic(target, _png(picture(mesh, view)))
+    if json:
+        print_json({"file": str(target), "facets": len(mesh.faces), "columns": view.size_px, "rows": view.size_px})
+    else:
+        typer.echo(f"wrote {target}: {view.size_px} x {view.size_px} px")
+    return ExitCode.DONE
+
+
+def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:
+    """Grey levels (size, size) of a view; the brightest parts are white.
+
+    Raises
+    ------
+    InputError
+        Nothing lit is seen, or the law is not known.
+    """
+    distance_km = _DISTANCE_RADII * mesh.circumscribing_radius_km
+    focal_px = 0.5 * _FILL * view.size_px * math.sqrt(_DISTANCE_RADII**2 - 1.0)
+    middle_px = 0.5 * (view.size_px - 1)
+    body = Body(
+        shape=mesh,
+        camera_from_body=_camera_from_body(view),
+        position_camera_km=np.array([0.0, 0.0, distance_km]),
+        reflectance=reflectance_from_mapping({"model": view.law}),
+    )
+    phase = math.radians(view.phase_deg)
+    template = render(
+        body,
+        PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle_px, cy_px=middle_px),
+        sun_direction_camera=np.array([math.sin(phase), 0.0, -math.cos(phase)]),
+        columns=view.size_px,
+        rows=view.size_px,
+        options=RenderOptions(rays_per_pixel_side=3),
+    )
+    if isinstance(template, Failure):
+        raise InputError(f"{mesh.name}: {template.detail}")
+    brightness = template.placed(view.size_px, view.size_px)
+    white = float(np.quantile(brightness[brightness > 0.0], _WHITE_QUANTILE))
+    return np.rint(255.0 * np.clip(brightness / white, 0.0, 1.0)).astype(np.uint8)
+
+
+def _camera_from_body(view: View) -> Rotation:
+    """Attitude of a camera over a point of the body that looks at its centre, north up (image -y)."""
+    longitude, latitude = math.radians(view.longitude_deg), math.radians(view.latitude_deg)
+    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    outward = np.array(
+        [math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)]
+    )
+    north = np.cross(outward, east)
+    return Rotation.from_matrix(np.stack([east, -north, -outward]))
+
+
+def _png(pixels: NDArray[np.uint8]) -> bytes:
+    import cv2
+
+    _, data = cv2.imencode(".png", pixels)
+    return data.tobytes()

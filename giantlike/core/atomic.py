@@ -1,0 +1,45 @@
+"""Whole files or none: writes that a kill of the process cannot leave half done."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from giantlike.core.errors import DataError
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Give a path in the same folder to write to, which becomes ``path`` by one rename when the block ends.
+
+    A reader sees the old content or the new one, never a part; when the block raises, the old file stays.
+    The data are not forced onto the disk: this guards against a killed process, not against a power cut.
+
+    Raises
+    ------
+    DataError
+        The folder does not exist, or the file system refused the write; the old file is untouched.
+    """
+    target = Path(path)
+    part = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
+    try:
+        yield part
+        os.replace(part, target)
+    except OSError as error:
+        raise DataError(target, f"cannot be written: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_bytes_atomic(path: str | Path, data: bytes) -> None:
+    """Write ``data`` to ``path``; see :func:`replacing`."""
+    with replacing(path) as part:
+        part.write_bytes(data)
+
+
+def write_text_atomic(path: str | Path, text: str) -> None:
+    """Write ``text`` as UTF-8, line ends as given; see :func:`replacing`."""
+    write_bytes_atomic(path, text.encode("utf-8"))

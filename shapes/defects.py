@@ -1,0 +1,170 @@
+"""What is wrong with a surface: holes, double facets, facets without area, wrong winding, stray vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from giantlike.core.arrays import Float
+from giantlike.shapes.mesh import Faces
+from giantlike.shapes.surface import Mask, Surface, coincident_names
+
+FLAT = 1e-20
+"""Facets with less area, over the square of the extent of the body, count as without area, as for a mesh."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Defects:
+    """How many of each defect a surface has; all zero is a clean closed surface.
+
+    Coincident vertices are merged before anything that has to do with edges is counted: they are the normal state
+    of an STL file. Edges are those of the facets that remain without invalid, degenerate and duplicate ones.
+
+    Parameters
+    ----------
+    nonfinite_vertices : int
+        Vertices with a coordinate that is NaN or infinite.
+    unreferenced_vertices : int
+        Vertices that no facet uses.
+    invalid_facets : int
+        Facets with a vertex that does not exist or is not finite.
+    degenerate_facets : int
+        Facets without area.
+    duplicate_facets : int
+        Facets with the same corners as one before them, whichever way round.
+    boundary_edges : int
+        Edges of one facet only: the rims of holes.
+    holes : int
+        Connected rims.
+    nonmanifold_edges : int
+        Edges of more than two facets.
+    inconsistent_edges : int
+        Edges whose two facets are wound against each other.
+    """
+
+    nonfinite_vertices: int
+    unreferenced_vertices: int
+    invalid_facets: int
+    degenerate_facets: int
+    duplicate_facets: int
+    boundary_edges: int
+    holes: int
+    nonmanifold_edges: int
+    inconsistent_edges: int
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, field.name) for field in fields(self))
+
+    @property
+    def watertight(self) -> bool:
+        """Whether every edge belongs to exactly two facets."""
+        return self.boundary_edges == 0 and self.nonmanifold_edges == 0
+
+    def text(self) -> str:
+        """Name what is not zero, such as ``3 boundary edges, 1 holes``; empty for a clean surface."""
+        counts = ((field.name.replace("_", " "), getattr(self, field.name)) for field in fields(self))
+        return ", ".join(f"{count} {name}" for name, count in counts if count)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Edges:
+    """The edges of a surface, each once.
+
+    Parameters
+    ----------
+    ends : (e, 2) int64
+        Vertices, the smaller number first.
+    of_side : (3 m,) int64
+        The edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k.
+    forward : (3 m,) bool
+        Whether a side runs from the smaller vertex number to the larger.
+    facets : (e,) int64
+        How many facets an edge has.
+    """
+
+    ends: Faces
+    of_side: NDArray[np.int64]
+    forward: Mask
+    facets: NDArray[np.int64]
+
+    @property
+    def inconsistent(self) -> Mask:
+        """Edges (e,) of two facets that run along them in the same direction."""
+        along = np.bincount(self.of_side, weights=self.forward, minlength=len(self.ends))
+        wrong: Mask = (self.facets == 2) & (along != 1)
+        return wrong
+
+
+def edges_of(faces: Faces) -> Edges:
+    """All edges of facets (m, 3) with three different corners each."""
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    base = int(faces.max(initial=0)) + 1
+    keys, of_side, facets = np.unique(low * base + high, return_inverse=True, return_counts=True)
+    return Edges(
+        ends=np.stack([keys // base, keys % base], axis=-1), of_side=of_side, forward=start < end, facets=facets
+    )
+
+
+def defects_of(surface: Surface) -> Defects:
+    """Count the defects of a surface, whatever state it is in.
+
+    Parameters
+    ----------
+    surface : Surface
+        As :func:`giantlike.shapes.read_surface` gives it.
+    """
+    valid = surface.valid_faces
+    names = coincident_names(surface.vertices)
+    faces = names[surface.faces[valid]]
+    flat = flat_facets(surface.vertices, faces)
+    double = duplicate_facets(faces[~flat])
+    edges = edges_of(faces[~flat][~double])
+    rims = edges.ends[edges.facets == 1]
+    in_range = surface.faces[(surface.faces >= 0) & (surface.faces < len(surface.vertices))]
+    return Defects(
+        nonfinite_vertices=int(np.sum(~surface.finite_vertices)),
+        unreferenced_vertices=len(surface.vertices) - np.unique(in_range).size,
+        invalid_facets=int(np.sum(~valid)),
+        degenerate_facets=int(np.sum(flat)),
+        duplicate_facets=int(np.sum(double)),
+        boundary_edges=len(rims),
+        holes=_pieces(rims),
+        nonmanifold_edges=int(np.sum(edges.facets > 2)),
+        inconsistent_edges=int(np.sum(edges.inconsistent)),
+    )
+
+
+def flat_facets(vertices: Float, faces: Faces) -> Mask:
+    """Which valid facets (m,) have no area."""
+    if faces.size == 0:
+        return np.zeros(len(faces), dtype=bool)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
+        flat: Mask = ~(doubled / 2.0 > FLAT * np.square(extent))
+    return flat
+
+
+def duplicate_facets(faces: Faces) -> Mask:
+    """Which facets (m,) have the corners of one before them."""
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort(corners.T)
+    same = np.zeros(len(faces), dtype=bool)
+    same[order[1:]] = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
+    return same
+
+
+def _pieces(rims: Faces) -> int:
+    """Number of connected pieces of edges (b, 2)."""
+    if len(rims) == 0:
+        return 0
+    ends, numbers = np.unique(rims, return_inverse=True)
+    start, end = numbers.reshape(-1, 2).T
+    graph = coo_array((np.ones(len(rims)), (start, end)), shape=(ends.size, ends.size))
+    return int(connected_components(graph, directed=False)[0])

@@ -1,0 +1,162 @@
+"""SPICE DSK files of type 2, triangular plates: read and written by CSPICE itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.errors import InputError
+from giantlike.core.units import SECONDS_PER_JULIAN_YEAR
+from giantlike.shapes.mesh import Faces, TriangleMesh
+from giantlike.shapes.surface import Surface
+
+_DSK_TYPE = 2
+_SINGLE_VALUED, _GENERAL = 1, 2  # data classes of a DSK
+_LATITUDINAL = 1
+_VALID_YEARS = 100.0
+_FINE_SCALE, _COARSE_SCALE = 5.0, 4  # voxel over mean plate extent, coarse voxel over fine voxel
+_MOST_VOXELS = 3_000_000
+_INDEX_HEADER = 100_008  # integers that come before the lists of a spatial index (SPICE_DSK02_IXIFIX)
+_CELLS_PER_PLATE = 30
+_DAS_RECORD_BYTES = 1024
+_BYTES_PER_VERTEX, _BYTES_PER_PLATE = 24, 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DskIdentity:
+    """What a DSK says of itself besides its plates.
+
+    Parameters
+    ----------
+    center : int
+        NAIF number of the body, such as 2101955 for Bennu.
+    frame : str
+        Body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``.
+    surface : int
+        Number of the surface: whatever tells several shapes of one body apart.
+    """
+
+    center: int
+    frame: str
+    surface: int = 1
+
+    def __post_init__(self) -> None:
+        limit = 2**31
+        for name, value in (("center", self.center), ("surface", self.surface)):
+            require(-limit <= value < limit, f"DSK {name} must be a 32 bit number, got {value}")
+        require(bool(self.frame) and self.frame.isascii(), f"DSK frame must be a name, got {self.frame!r}")
+
+
+def read_dsk(path: Path) -> Surface:
+    """Read all segments of a DSK as one surface, in km.
+
+    Raises
+    ------
+    ValueError
+        CSPICE finds the file damaged, a segment is not of type 2, or its counts cannot be true.
+    """
+    import spiceypy
+    from spiceypy.utils.exceptions import SpiceyError
+
+    size = path.stat().st_size
+    if size < _DAS_RECORD_BYTES:
+        raise ValueError(f"needed a DSK, got a file of {size} bytes")
+    try:
+        handle = spiceypy.dasopr(str(path))
+        try:
+            segments = _segments(spiceypy, handle, size)
+        finally:
+            spiceypy.dascls(handle)
+    except SpiceyError as error:
+        raise ValueError(_telling_line(error)) from error
+    starts = np.cumsum([0] + [len(vertices) for vertices, _ in segments])
+    faces = [plates + start for (_, plates), start in zip(segments, starts, strict=False)]
+    vertices = np.concatenate([vertices for vertices, _ in segments])
+    return Surface(vertices=vertices, faces=np.concatenate(faces), in_km=True)
+
+
+def _segments(spice: Any, handle: int, size: int) -> list[tuple[Float, Faces]]:
+    """Vertices and plates, from 0, of every segment of an open DSK of so many bytes."""
+    from spiceypy.utils.exceptions import NotFoundError
+
+    segments: list[tuple[Float, NDArray[np.int64]]] = []
+    descriptor = spice.dlabfs(handle)
+    while True:
+        kind = spice.dskgd(handle, descriptor).dtype
+        if kind != _DSK_TYPE:
+            raise ValueError(f"needed DSK segments of type {_DSK_TYPE}, got type {kind}")
+        n_vertices, n_plates = spice.dskz02(handle, descriptor)
+        bytes_needed = n_vertices * _BYTES_PER_VERTEX + n_plates * _BYTES_PER_PLATE
+        if n_vertices < 1 or n_plates < 1 or bytes_needed > size:
+            raise ValueError(f"a segment cannot hold {n_vertices} vertices and {n_plates} plates")
+        vertices = np.array(spice.dskv02(handle, descriptor, 1, n_vertices), dtype=np.float64)
+        plates = np.array(spice.dskp02(handle, descriptor, 1, n_plates), dtype=np.int64) - 1
+        segments.append((vertices.reshape(-1, 3), plates.reshape(-1, 3)))
+        if sum(len(part) for part, _ in segments) * _BYTES_PER_VERTEX > size:
+            raise ValueError("the list of segments has no end")
+        try:
+            descriptor = spice.dlafns(handle, descriptor)
+        except NotFoundError:
+            return segments
+
+
+def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
+    """Write one segment of type 2 over all longitudes and latitudes, with its spatial index.
+
+    The data class is 1 (single-valued) where every ray from the origin meets one plate, else 2.
+
+    Raises
+    ------
+    InputError
+        SPICE does not know the frame, or refuses the mesh.
+    """
+    import spiceypy
+    from spiceypy.utils.exceptions import SpiceyError
+
+    vertices, plates = mesh.vertices_km.copy(), (mesh.faces + 1).astype(np.int32)  # SPICE wants writeable arrays
+    parameters = np.zeros(10)  # a latitudinal system has no parameters
+    try:
+        reals, integers = _spatial_index(spiceypy, vertices, plates)
+        low_km, high_km = spiceypy.dskrb2(vertices, plates, _LATITUDINAL, parameters)
+        span_s = _VALID_YEARS * SECONDS_PER_JULIAN_YEAR
+        handle = spiceypy.dskopn(str(path), "giantlike", 0)
+        try:
+            spiceypy.dskw02(
+                handle, identity.center, identity.surface, _data_class(mesh), identity.frame,
+                _LATITUDINAL, parameters, -np.pi, np.pi, -np.pi / 2, np.pi / 2, low_km, high_km, -span_s, span_s,
+                vertices, plates, reals, integers,
+            )  # fmt: skip
+        finally:
+            spiceypy.dskcls(handle, True)
+    except SpiceyError as error:
+        raise InputError(f"SPICE does not write this DSK: {_telling_line(error)}") from error
+
+
+def _telling_line(error: BaseException) -> str:
+    """The telling lines of a SPICE message, which it frames with rules and a traceback."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    telling = [line for line in lines if line and not line.startswith(("===", "Toolkit version")) and "-->" not in line]
+    return " ".join(telling)
+
+
+def _data_class(mesh: TriangleMesh) -> int:
+    """Whether each ray from the origin meets the surface once: all facets face away from the origin."""
+    return _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL
+
+
+def _spatial_index(spice: Any, vertices: Float, plates: NDArray[np.int32]) -> tuple[Float, NDArray[np.int32]]:
+    """The voxel index of CSPICE; voxels are made larger where a fine grid would have too many of them."""
+    corners = vertices[plates - 1]
+    mean_extent = float(np.ptp(corners, axis=1).max(axis=1).mean())
+    grid = np.ptp(vertices, axis=0) / (_FINE_SCALE * mean_extent) + 2 * _COARSE_SCALE
+    scale = _FINE_SCALE * max(1.0, float(np.cbrt(np.prod(grid) / _MOST_VOXELS)))
+    voxels = int(np.prod(np.ptp(vertices, axis=0) / (scale * mean_extent) + 3 * _COARSE_SCALE)) + 1
+    cells = _CELLS_PER_PLATE * len(plates) + 10_000
+    index_size = _INDEX_HEADER + voxels + cells
+    reals, integers = spice.dskmi2(vertices, plates, scale, _COARSE_SCALE, cells, voxels, cells, False, index_size)
+    return reals, integers

@@ -1,0 +1,88 @@
+"""OBJ, PLY and STL: read through trimesh, written here so that PLY and OBJ keep float64."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO, StringIO
+from pathlib import Path
+
+import numpy as np
+
+from giantlike.shapes.files.text import write_rows
+from giantlike.shapes.mesh import TriangleMesh
+from giantlike.shapes.surface import Surface
+
+_STL_HEADER_BYTES, _STL_FACET_BYTES = 80, 50
+_COMMENT = "written by giantlike, coordinates in km"
+
+
+def read_exchange(path: Path) -> Surface:
+    """Read OBJ, PLY or STL; polygons are split into triangles, materials and textures left out.
+
+    Raises
+    ------
+    ValueError and what else a parser stumbles over
+        The file is damaged.
+    """
+    import trimesh
+
+    kind = path.suffix.lower().removeprefix(".")
+    with path.open("rb") as file, _quiet("trimesh.util"):
+        source = file if kind == "ply" else _text_or_binary(file.read(), kind)
+        mesh = trimesh.load(source, file_type=kind, force="mesh", process=False, skip_materials=True)
+        vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+        faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    return Surface(vertices=vertices, faces=faces)
+
+
+def _text_or_binary(content: bytes, kind: str) -> StringIO | BytesIO:
+    """The content as trimesh takes it without guessing at an encoding, for which it would want another package."""
+    if kind == "obj":
+        return StringIO(content.decode("utf-8", errors="replace"))
+    facets = int.from_bytes(content[_STL_HEADER_BYTES : _STL_HEADER_BYTES + 4], "little")
+    if len(content) != _STL_HEADER_BYTES + 4 + facets * _STL_FACET_BYTES and not content.isascii():
+        raise ValueError(f"{len(content)} bytes are no binary STL of {facets} facets, and no text")
+    return BytesIO(content)
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Keep a library from logging what an exception tells as well."""
+    logger = logging.getLogger(name)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
+
+
+def write_obj(path: Path, mesh: TriangleMesh) -> None:
+    """Write ``v`` and ``f`` rows in km, float64 to the last bit."""
+    write_rows(path, f"# {_COMMENT}\n", [("v ", mesh.vertices_km), ("f ", mesh.faces + 1)])
+
+
+def write_ply(path: Path, mesh: TriangleMesh) -> None:
+    """Write binary little-endian PLY in km, vertices in float64."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {_COMMENT}\n"
+        f"element vertex {len(mesh.vertices_km)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    facets = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    facets["count"], facets["corners"] = 3, mesh.faces
+    with path.open("wb") as file:
+        file.write(header.encode("ascii"))
+        file.write(np.ascontiguousarray(mesh.vertices_km, dtype="<f8").data)
+        file.write(facets.data)
+
+
+def write_stl(path: Path, mesh: TriangleMesh) -> None:
+    """Write binary STL in km: the format knows single precision only, 6e-8 of each coordinate."""
+    facets = np.zeros(len(mesh.faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    facets["normal"], facets["corners"] = mesh.normals, mesh.vertices_km[mesh.faces]
+    with path.open("wb") as file:
+        file.write(_COMMENT.encode("ascii").ljust(_STL_HEADER_BYTES))
+        file.write(np.uint32(len(facets)).astype("<u4").tobytes())
+        file.write(facets.data)

@@ -1,0 +1,64 @@
+"""What the text formats share: rows of numbers, fast, and refused with the row that is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.shapes.mesh import Faces
+
+_LARGEST_INDEX = 2.0**53
+
+
+def text_rows(path: Path) -> list[str]:
+    """Rows of an ASCII file without blank lines and comments (#); commas count as blanks, Fortran's D as E.
+
+    Raises
+    ------
+    OSError, UnicodeDecodeError
+        The file cannot be read, or is no ASCII text.
+    """
+    with path.open(encoding="ascii") as file:
+        rows = [line for line in map(str.strip, file) if line and not line.startswith("#")]
+    return [row.replace(",", " ").replace("D", "E") if "," in row or "D" in row else row for row in rows]
+
+
+def numbers(rows: Sequence[str], columns: tuple[int, ...]) -> Float:
+    """Float64 numbers (n, k) of rows that all hold k of them, where ``columns`` lists the k that are right.
+
+    Raises
+    ------
+    ValueError
+        A row has another number of words, or one that is no number; the text names the row.
+    """
+    if not rows:
+        return np.empty((0, columns[0]))
+    table = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
+    if table.shape[1] not in columns:
+        raise ValueError(f"needed {' or '.join(map(str, columns))} numbers in a row, got {rows[0][:60]!r}")
+    return table
+
+
+def whole_numbers(table: Float) -> Faces:
+    """The same numbers as int64.
+
+    Raises
+    ------
+    ValueError
+        A number is not whole, not finite or beyond what an index can be.
+    """
+    bad = ~(np.abs(table) < _LARGEST_INDEX) | (table != np.rint(table))
+    if bad.any():
+        raise ValueError(f"needed vertex numbers, got {float(table[bad][0])!r}")
+    return table.astype(np.int64)
+
+
+def write_rows(path: Path, header: str, tables: Sequence[tuple[str, Float | Faces]]) -> None:
+    """Write a header and then tables of numbers, each row after its own prefix; float64 to the last bit."""
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        file.write(header)
+        for prefix, table in tables:
+            file.writelines(f"{prefix}{' '.join(map(repr, row))}\n" for row in table.tolist())

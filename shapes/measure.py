@@ -1,0 +1,82 @@
+"""The numbers of a shape: size, volume, centre, axes and moments of inertia."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.shapes.defects import edges_of
+from giantlike.shapes.mesh import TriangleMesh
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measures:
+    """What a mesh measures, body axes, uniform density.
+
+    Parameters
+    ----------
+    facets, vertices : int
+        Vertices count only where a facet uses them.
+    extents_km : (3,) float64, km
+        Size along body x, y and z.
+    volume_km3, area_km2 : float
+    center_of_figure_km : (3,) float64, km, body
+    principal_axes : (3, 3) float64, unitless, body
+        One unit vector per row, right-handed, that of the smallest moment (the longest axis) first.
+    principal_moments : (3,) float64, km^5
+        Moments of inertia about those axes through the centre of figure for a density of 1: over the volume they are
+        moments per mass, km^2.
+    best_fit_radii_km : (3,) float64, km
+        Of the ellipsoid with the same moments and volume-weighted centre, longest first, along the principal axes.
+    circumscribing_radius_km, mean_radius_km : float, km
+        Largest distance from the origin; radius of the sphere of the same volume.
+    euler_number : int
+        Vertices minus edges plus facets: 2 for one closed surface without handles.
+    """
+
+    facets: int
+    vertices: int
+    extents_km: Float
+    volume_km3: float
+    area_km2: float
+    center_of_figure_km: Float
+    principal_axes: Float
+    principal_moments: Float
+    best_fit_radii_km: Float
+    circumscribing_radius_km: float
+    mean_radius_km: float
+    euler_number: int
+
+
+def measured(mesh: TriangleMesh) -> Measures:
+    """Measure a mesh.
+
+    Raises
+    ------
+    InputError
+        The facets enclose no body: the second moments of the volume are not positive.
+
+    Notes
+    -----
+    A uniform ellipsoid of radii a, b, c has the central second moments a^2 / 5, b^2 / 5, c^2 / 5 per volume, so that
+    its moment of inertia about a is V (b^2 + c^2) / 5; the best-fit ellipsoid has those of the mesh.
+    """
+    placed = mesh.best_fit_ellipsoid
+    squares = placed.ellipsoid.radii_km**2
+    used = np.unique(mesh.faces)
+    return Measures(
+        facets=len(mesh.faces),
+        vertices=used.size,
+        extents_km=np.ptp(mesh.vertices_km[used], axis=0),
+        volume_km3=mesh.volume_km3,
+        area_km2=mesh.area_km2,
+        center_of_figure_km=placed.center_body_km,
+        principal_axes=placed.body_from_axes.as_matrix().T,
+        principal_moments=mesh.volume_km3 / 5.0 * (squares.sum() - squares),
+        best_fit_radii_km=placed.ellipsoid.radii_km,
+        circumscribing_radius_km=mesh.circumscribing_radius_km,
+        mean_radius_km=mesh.mean_radius_km,
+        euler_number=used.size - len(edges_of(mesh.faces).ends) + len(mesh.faces),
+    )

@@ -1,0 +1,53 @@
+"""Write shape models: the whole file or none, and never over another one unasked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from giantlike.core.arrays import require
+from giantlike.core.atomic import replacing
+from giantlike.core.errors import InputError
+from giantlike.shapes.files.dsk import DskIdentity, write_dsk
+from giantlike.shapes.files.formats import DSK_SUFFIXES, WRITERS
+from giantlike.shapes.mesh import TriangleMesh
+
+
+def save_shape(
+    mesh: TriangleMesh, path: str | Path, *, overwrite: bool = False, dsk: DskIdentity | None = None
+) -> None:
+    """Write a mesh in km, in the format that the end of the file name says.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    path : path-like
+        ``.obj``, ``.ply``, ``.tab`` or ``.plt`` (plate table) and ``.npz`` keep float64 to the last bit, ``.stl`` is
+        single precision. ``.icq`` and ``.txt`` (ICQ model) take only a mesh that is connected as one. ``.bds`` and
+        ``.dsk`` need ``dsk``. Albedo by facet and by vertex is kept in ``.npz``, by vertex in an ICQ model, and
+        nowhere else.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    dsk : DskIdentity, optional
+        Body, frame and surface that a DSK must name.
+
+    Raises
+    ------
+    InputError
+        The file type is not known or cannot hold this mesh, the file exists, or ``dsk`` is missing.
+    DataError
+        The file system refused the write.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    writer = WRITERS.get(suffix)
+    if writer is None and suffix not in DSK_SUFFIXES:
+        known = ", ".join(sorted({*WRITERS, *DSK_SUFFIXES}))
+        raise InputError(f"{path}: shape files end in {known}, not {path.suffix!r}")
+    require(overwrite or not path.exists(), f"{path} exists: name another file, or allow overwriting (--overwrite)")
+    with replacing(path) as part:
+        if writer is not None:
+            writer(part, mesh)
+        elif dsk is not None:
+            write_dsk(part, mesh, dsk)
+        else:
+            raise InputError(f"{path}: a DSK must say which body and frame it describes: give both")

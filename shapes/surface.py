@@ -1,0 +1,127 @@
+"""A surface as a file holds it: nothing merged, dropped or turned over yet, and not checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from giantlike.core.arrays import Float, require
+from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
+from giantlike.shapes.mesh import Faces
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surface:
+    """Vertices and triangles that may be broken in any way, to be looked at or repaired.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+        Body axes, in the unit of the file or in km, as the function that returns it says.
+    faces : (m, 3) int64
+        Corners of each triangle, from 0; may point at vertices that do not exist.
+    in_km : bool
+        Whether the vertices are known to be in km.
+    albedo : VertexAlbedo or FacetAlbedo, optional
+        Relative albedo, where the file has one.
+
+    Raises
+    ------
+    InputError
+        The arrays do not have these shapes.
+    """
+
+    vertices: Float
+    faces: Faces
+    in_km: bool = False
+    albedo: VertexAlbedo | FacetAlbedo | None = None
+
+    def __post_init__(self) -> None:
+        for name, array in (("vertices", self.vertices), ("faces", self.faces)):
+            require(array.ndim == 2 and array.shape[1] == 3, f"{name} must have shape (n, 3), got {array.shape}")
+        if self.albedo is not None:
+            by, needed = (
+                ("vertex", len(self.vertices)) if isinstance(self.albedo, VertexAlbedo) else ("facet", len(self.faces))
+            )
+            have = len(self.albedo.values)
+            require(have == needed, f"albedo by {by} must have {needed} values, got {have}")
+
+    def kept(self, vertices: Mask, faces: Mask) -> Surface:
+        """Only some of the vertices (n,) and facets (m,), renumbered; a facet that is kept keeps its vertices."""
+        number = np.cumsum(vertices) - 1
+        chosen = vertices if isinstance(self.albedo, VertexAlbedo) else faces
+        albedo = None if self.albedo is None else type(self.albedo)(self.albedo.values[chosen])
+        return Surface(
+            vertices=self.vertices[vertices], faces=number[self.faces[faces]], in_km=self.in_km, albedo=albedo
+        )
+
+    def merged(self, distance: float = 0.0) -> Surface:
+        """The same surface with vertices merged to the first of each cluster; all faces must be valid.
+
+        Vertices with equal coordinates are merged, and those nearer to each other than ``distance``.
+        """
+        names = coincident_names(self.vertices) if distance == 0.0 else close_names(self.vertices, distance)
+        first = names == np.arange(len(names))
+        if first.all():
+            return self
+        return replace(self, faces=names[self.faces]).kept(first, np.ones(len(self.faces), dtype=bool))
+
+    @property
+    def finite_vertices(self) -> Mask:
+        """Which vertices (n,) have three finite coordinates."""
+        finite: Mask = np.isfinite(np.abs(self.vertices).max(axis=1))
+        return finite
+
+    @property
+    def valid_faces(self) -> Mask:
+        """Which facets (m,) have three vertices that exist and are finite."""
+        valid: Mask = (self.faces.min(axis=1) >= 0) & (self.faces.max(axis=1) < len(self.vertices))
+        for corner in range(3):
+            valid[valid] = self.finite_vertices[self.faces[valid, corner]]
+        return valid
+
+
+def split_polygons(corners: Faces) -> Faces:
+    """Triangles (k, 3) of triangles and quadrilaterals, in their order.
+
+    Parameters
+    ----------
+    corners : (m, 3) or (m, 4) int64
+        In the four-column form a triangle has -1 in the last column. A quadrilateral a, b, c, d becomes the
+        triangles a, b, c and a, c, d.
+    """
+    if corners.shape[1] == 3:
+        return corners
+    pairs = np.stack([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], axis=1)
+    wanted = np.stack([np.ones(len(corners), dtype=bool), corners[:, 3] >= 0], axis=1)
+    triangles: Faces = pairs[wanted]
+    return triangles
+
+
+def coincident_names(vertices: Float) -> Faces:
+    """For each vertex (n,) the number of the first one with equal coordinates; NaN equals nothing."""
+    order = np.lexsort(vertices.T)  # stable: the first of equals stays first
+    ordered = vertices[order]
+    new = np.ones(len(vertices), dtype=bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    names = np.empty(len(vertices), dtype=np.int64)
+    names[order] = order[np.maximum.accumulate(np.where(new, np.arange(len(vertices)), 0))]
+    return names
+
+
+def close_names(vertices: Float, distance: float) -> Faces:
+    """For each vertex (n,) the number of the first one that a chain of steps up to ``distance`` reaches."""
+    pairs = cKDTree(vertices).query_pairs(distance, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2)
+    count, labels = connected_components(graph, directed=False)
+    first = np.full(count, len(vertices))
+    np.minimum.at(first, labels, np.arange(len(vertices)))
+    names: Faces = first[labels]
+    return names
