@@ -1,7 +1,8 @@
-"""The outline of a mesh in the image from its silhouette edges: exact in float64, whatever the range.
+"""The outline of a shape in the image without a ray: silhouette edges and limb ellipses, cut by lines in float64.
 
-Every ray that grazes a closed mesh meets a silhouette edge, and beyond the outermost one along a line there is only
-sky. Where the camera model has no image of part of the outline, others must say which edge is the last one seen.
+Every ray that grazes a mesh meets a silhouette edge, and beyond the outermost one along a line there is only sky; the
+limb of an ellipsoid is an ellipse. Both are exact at any range. Where the camera model has no image of part of the
+outline, something may still lie beyond.
 """
 
 from __future__ import annotations
@@ -12,30 +13,33 @@ import numpy as np
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, unit
+from giantlike.core.errors import InputError
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.sampling import finite_rows
 from giantlike.ray_tracing.tracer import Indices, Mask
-from giantlike.shapes import TriangleMesh
-from giantlike.shapes.limbs import crossings, largest_of_each, silhouette_edges
+from giantlike.shapes import Ellipsoid, TriangleMesh
+from giantlike.shapes.limbs import crossings, largest_of_each, limb_ellipse, silhouette_edges
 
+_TURN = 2.0 * np.pi
 _NEWTON_STEPS = 4
+_ELLIPSE_CORNERS = 720
 _ACROSS = 1e-12  # of the length of an edge: less of it lies across the line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossings:
-    """Where lines in the image leave a mesh.
+    """Where lines in the image leave a shape.
 
     Parameters
     ----------
     radii_px : (k,) float64, px
         From the start of each line; NaN where it meets no edge, as all that follows.
     points_camera_km : (k, 3) float64, km, camera axes
-        On the edges.
+        On the shape.
     normals_camera : (k, 3) float64, unitless, camera axes
-        Of the plane through edge and camera, outward.
+        Outward and square to the ray: of an ellipsoid, or of the plane through the camera and the edge of a mesh.
     facets : (k,) int64
-        Facet at the edge that faces the camera; -1 for none.
+        Facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none.
     """
 
     radii_px: Float
@@ -88,28 +92,22 @@ class EdgeOutline:
             bool(keep.all() and keep.size),
         )
 
-    def outermost(
-        self, center_px: Float, angles_rad: Float, *, within_px: tuple[Float, Float] | None = None
-    ) -> Crossings:
-        """The last crossing of each line from ``center_px`` (2,) at ``angles_rad`` (k,).
-
-        ``within_px`` gives radii (k,), (k,), px, between which it must lie, or be none.
-        """
+    def outermost(self, center_px: Float, angles_rad: Float) -> Crossings:
+        """The last crossing of each line from ``center_px`` (2,) at ``angles_rad`` (k,) with an imaged edge."""
         which, line = crossings(self.starts_px - center_px, self.stops_px - center_px, angles_rad)
-        steps = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)[line]
+        steps = _steps(angles_rad)[line]
         fraction, slanted = self._cut(which, center_px, steps)
         which, line, steps, fraction = which[slanted], line[slanted], steps[slanted], fraction[slanted]
         edges = self.stops_km[which] - self.starts_km[which]
         points = self.starts_km[which] + fraction[:, None] * edges
         radii = np.einsum("pi,pi->p", self.model.project(points) - center_px, steps)
-        if within_px is not None:
-            low, high = within_px
-            radii = np.where((radii >= low[line]) & (radii <= high[line]), radii, -np.inf)
         best = largest_of_each(line, radii, angles_rad.size)
         found = best >= 0
-        found[found] = np.isfinite(radii[best[found]])
-        best = np.where(found, best, 0) if radii.size else np.zeros(0, dtype=np.int64)
-        return self._chosen(found, best, radii, points, edges, steps, which)
+        best = best[found]
+        normals = unit(np.cross(points[best], edges[best]))
+        in_image = projected_normals(self.model, points[best], normals)
+        normals *= np.sign(np.einsum("pi,pi->p", in_image, steps[best]))[:, None]
+        return _crossings(found, radii[best], points[best], normals, self.facets[which[best]])
 
     def _cut(self, which: Indices, center_px: Float, steps: Float) -> tuple[Float, Mask]:
         """Fractions (p,) along edges at which they cross lines, and which edges do so at an angle.
@@ -131,20 +129,105 @@ class EdgeOutline:
             fraction = np.clip(fraction - value / slope, 0.0, 1.0)
         return fraction, slanted
 
-    def _chosen(
-        self, found: Mask, best: Indices, radii: Float, points: Float, edges: Float, steps: Float, which: Indices
-    ) -> Crossings:
-        count = found.size
-        result = Crossings(
-            np.full(count, np.nan), np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, -1)
-        )
-        chosen = best[found]
-        normals = unit(np.cross(points[chosen], edges[chosen]))
-        in_image = projected_normals(self.model, points[chosen], normals)
-        normals *= np.sign(np.einsum("pi,pi->p", in_image, steps[chosen]))[:, None]
-        result.radii_px[found], result.points_camera_km[found] = radii[chosen], points[chosen]
-        result.normals_camera[found], result.facets[found] = normals, self.facets[which[chosen]]
-        return result
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EllipseOutline:
+    """The limb of an ellipsoid in the image: ``middle_km + cos(t) first_km + sin(t) second_km``.
+
+    Parameters
+    ----------
+    model : CameraModel
+    middle_km, first_km, second_km : (3,) float64, km, camera axes
+    center_km : (3,) float64, km, camera axes
+        Centre of the ellipsoid.
+    shape_matrix : (3, 3) float64, 1/km^2, camera axes
+        Points of the surface about that centre have ``x.A.x == 1``.
+    corners_px : (c, 2) float64, px
+        Points of the limb at even steps of t, NaN where the model has no image.
+    complete : bool
+        The model images all of them.
+    """
+
+    model: CameraModel
+    middle_km: Float
+    first_km: Float
+    second_km: Float
+    center_km: Float
+    shape_matrix: Float
+    corners_px: Float
+    complete: bool
+
+    @classmethod
+    def of(cls, body: Body, ellipsoid: Ellipsoid, model: CameraModel) -> EllipseOutline:
+        """The limb of ``ellipsoid``, the shape of ``body``; without corners when the camera is inside."""
+        middle, first, second = (body.to_camera(vector) for vector in limb_ellipse(ellipsoid, body.camera_body_km))
+        middle = middle + body.position_camera_km
+        turn = _TURN * np.arange(_ELLIPSE_CORNERS) / _ELLIPSE_CORNERS
+        corners = middle + np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
+        pixels = model.project(corners)
+        rotation = body.camera_from_body.as_matrix()
+        matrix = (rotation / ellipsoid.radii_km**2) @ rotation.T
+        complete = bool(finite_rows(pixels).all())
+        return cls(model, middle, first, second, body.position_camera_km, matrix, pixels, complete)
+
+    def outermost(self, center_px: Float, angles_rad: Float) -> Crossings:
+        """The last crossing of each line from ``center_px`` (2,) at ``angles_rad`` (k,) with the imaged limb."""
+        start = np.flatnonzero(finite_rows(self.corners_px) & finite_rows(np.roll(self.corners_px, -1, axis=0)))
+        stop = (start + 1) % _ELLIPSE_CORNERS
+        which, line = crossings(self.corners_px[start] - center_px, self.corners_px[stop] - center_px, angles_rad)
+        steps = _steps(angles_rad)[line]
+        begin, end = (_aside(self.corners_px[corner[which]] - center_px, steps) for corner in (start, stop))
+        turn = start[which] + begin / np.where(begin == end, np.inf, begin - end)
+        turn *= _TURN / _ELLIPSE_CORNERS
+        for _ in range(_NEWTON_STEPS):
+            points, along = self._at(turn)
+            value = _aside(self.model.project(points) - center_px, steps)
+            slope = _aside(np.einsum("pij,pj->pi", self.model.project_jacobian(points), along), steps)
+            turn = turn - value / np.where(slope == 0.0, np.inf, slope)
+        points, _ = self._at(turn)
+        radii = np.einsum("pi,pi->p", self.model.project(points) - center_px, steps)
+        best = largest_of_each(line, radii, angles_rad.size)
+        found = best >= 0
+        points = points[best[found]]
+        normals = unit((points - self.center_km) @ self.shape_matrix)
+        return _crossings(found, radii[best[found]], points, normals, np.zeros(len(points), dtype=np.int64))
+
+    def _at(self, turn: Float) -> tuple[Float, Float]:
+        """Points (p, 3) of the limb, km, and their derivative."""
+        cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        points = self.middle_km + cosine * self.first_km + sine * self.second_km
+        return points, cosine * self.second_km - sine * self.first_km
+
+
+def outline_of(body: Body, model: CameraModel) -> EdgeOutline | EllipseOutline:
+    """The outline of a body's shape.
+
+    Raises
+    ------
+    InputError
+        The shape is neither a mesh nor an ellipsoid.
+    """
+    if isinstance(body.shape, TriangleMesh):
+        return EdgeOutline.of(body, body.shape, model)
+    if isinstance(body.shape, Ellipsoid):
+        return EllipseOutline.of(body, body.shape, model)
+    raise InputError(f"outlines are those of a TriangleMesh or an Ellipsoid, not of a {type(body.shape).__name__}")
+
+
+def _crossings(found: Mask, radii: Float, points: Float, normals: Float, facets: Indices) -> Crossings:
+    """Crossings (k,) from values of those that were ``found``."""
+    count = found.size
+    result = Crossings(
+        np.full(count, np.nan), np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, -1)
+    )
+    result.radii_px[found], result.points_camera_km[found] = radii, points
+    result.normals_camera[found], result.facets[found] = normals, facets
+    return result
+
+
+def _steps(angles_rad: Float) -> Float:
+    """Unit vectors (k, 2) in the image."""
+    return np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)
 
 
 def projected_normals(model: CameraModel, points_camera_km: Float, normals_camera: Float) -> Float:

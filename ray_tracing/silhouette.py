@@ -1,4 +1,4 @@
-"""Where the outline of a body lies in the image: on its silhouette edges, or by rays beside and on the body."""
+"""Where the outline of a body lies in the image, and whether the Sun shines there."""
 
 from __future__ import annotations
 
@@ -10,22 +10,17 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require
 from giantlike.ray_tracing.body import Body, sun_in_body
-from giantlike.ray_tracing.outline import EdgeOutline, projected_normals
-from giantlike.ray_tracing.sampling import Interval, finite_rows, span
+from giantlike.ray_tracing.outline import Crossings, EdgeOutline, outline_of, projected_normals
+from giantlike.ray_tracing.sampling import finite_rows
 from giantlike.ray_tracing.tracer import Hits
-from giantlike.shapes import Ellipsoid, TriangleMesh, limb
+from giantlike.shapes import TriangleMesh
 
 Mask = NDArray[np.bool_]
 
-_NODES = 13
-_SCAN_STEP_PX = 0.5
-_SCAN_STEPS = (64, 512)
-_SCAN_BLOCK = 32
-_HALVINGS = 20
-_SAME_EDGE_PX, _SAME_EDGE = 1e-3, 1e-6  # float32 rays and the bisection are nearer to the edge than this
 _TANGENT_PX = 0.5
-_BOUND_MARGIN = 0.02  # of the body's extent: a hull is a hull before distortion
-_SHRINK, _MAX_SHRINKS = 0.7, 12
+_FAR_FOCAL_LENGTHS = 10.0  # 84 deg off the axis of a pinhole camera
+_HALVINGS = 40
+_BEYOND = np.linspace(0.02, 1.0, 12)  # places between outline and the end of the image, as fractions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,25 +93,30 @@ def trace_silhouette(
 
     Notes
     -----
-    The outline of a mesh is the outermost of its silhouette edges, cut in float64: exact at any range. That of
-    an ellipsoid, and of a mesh that the camera images in part, is scanned by rays from the hull inward, every half
-    pixel or less (at most 512 steps), bisected, and moved on to the limb in closed form or to the nearest silhouette
-    edge; here a gap narrower than a step behind an overhang can go unseen. To first order a limb point moves along its
-    normal by ``normal @ model.project_jacobian(point) @ dposition`` when the camera-to-body vector changes by
-    ``dposition``.
+    The outline of a mesh is the outermost of its silhouette edges and that of an ellipsoid an ellipse, cut by the
+    lines in float64: exact at any range. Only where the camera model images part of the outline are rays shot along
+    the line, to see that the body does not go on beyond; edges that it images in part are left out. To first order a
+    limb point moves along its normal by ``normal @ model.project_jacobian(point) @ dposition`` when the
+    camera-to-body vector changes by ``dposition``.
     """
     angles = as_floats(angles_rad, (), "angles_rad")
     usable = angles.ndim == 1 and bool(np.isfinite(angles).all())
     require(usable, f"angles_rad must be finite and of shape (k,), got {angles.shape}")
     sun_body = sun_in_body(body, sun_direction_camera)
     center = body.center_px(model) if center_px is None else as_finite(center_px, (2,), "center_px")
-    edge = _edge(body, model, center, angles)
-    points_camera_km = body.to_camera(edge.hits.points_km) + body.position_camera_km
+    outline = outline_of(body, model)
+    edge = outline.outermost(center, angles)
+    points_camera_km = edge.points_camera_km
+    if not outline.complete:
+        points_camera_km[_covered(body, model, center, angles, edge.radii_px)] = np.nan
     points_px = model.project(points_camera_km)
     valid = finite_rows(points_px)
-    grazing_px = projected_normals(model, points_camera_km, body.to_camera(edge.normals))
-    normals_px = np.where(np.isfinite(edge.chords_px), edge.chords_px, grazing_px)
-    points_camera_km[~valid] = normals_px[~valid] = np.nan
+    grazing_px = projected_normals(model, points_camera_km, edge.normals_camera)
+    normals_px = grazing_px
+    if isinstance(outline, EdgeOutline):
+        chords_px = _chord_normals(outline, center, angles, np.where(valid, edge.radii_px, np.nan))
+        normals_px = np.where(np.isfinite(chords_px), chords_px, grazing_px)
+    hits = _hits(body, valid, points_camera_km, edge)
     return Silhouette(
         angles_rad=frozen(angles.copy()),
         center_px=center,
@@ -125,56 +125,35 @@ def trace_silhouette(
         points_camera_km=frozen(points_camera_km),
         normals_px=frozen(normals_px),
         points_by_position=frozen(_by_position(model, points_camera_km, grazing_px, angles)),
-        cos_incidence=frozen(np.where(valid, edge.hits.normals @ sun_body, np.nan)),
-        lit=frozen(valid & ~body.tracer.shadowed(edge.hits, sun_body)),
+        cos_incidence=frozen(np.where(valid, hits.normals @ sun_body, np.nan)),
+        lit=frozen(valid & ~body.tracer.shadowed(hits, sun_body)),
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Edge:
-    """Where lines leave a body, NaN where they do not.
-
-    ``hits`` (k,) are the points with the surface that faces the camera there, ``normals`` (k, 3), body axes, those
-    square to the ray, and ``chords_px`` (k, 2) the normals over one pixel of the outline, NaN for those of the surface.
-    """
-
-    hits: Hits
-    normals: Float
-    chords_px: Float
-
-
-def _edge(body: Body, model: CameraModel, center_px: Float, angles_rad: Float) -> _Edge:
-    """The outermost point of a body on each line."""
+def _hits(body: Body, valid: Mask, points_camera_km: Float, edge: Crossings) -> Hits:
+    """The surface that faces the camera at outline points."""
+    points = body.to_body(points_camera_km - body.position_camera_km)
+    normals = body.to_body(edge.normals_camera)
     if isinstance(body.shape, TriangleMesh):
-        return _mesh_edge(body, body.shape, model, center_px, angles_rad)
-    _, directions = _outer_edge(body, model, center_px, angles_rad)
-    hits = body.tracer.intersect(body.camera_body_km, directions)
-    found = np.flatnonzero(hits.hit)
-    if isinstance(body.shape, Ellipsoid) and found.size:
-        exact = limb(body.shape, body.camera_body_km, directions[found])
-        hits.points_km[found], hits.normals[found] = exact.points_body_km, exact.normals
-    return _Edge(hits, hits.normals, np.full((angles_rad.size, 2), np.nan))
+        normals[valid] = body.shape.normals[edge.facets[valid]]
+    normals[~valid] = np.nan
+    return Hits(valid, points, edge.facets, normals)
 
 
-def _mesh_edge(body: Body, mesh: TriangleMesh, model: CameraModel, center_px: Float, angles_rad: Float) -> _Edge:
-    """The same from silhouette edges, and from rays where the camera has no image of all of them."""
-    outline = EdgeOutline.of(body, mesh, model)
-    if outline.complete:
-        exact = outline.outermost(center_px, angles_rad)
-        count = angles_rad.size
-        hits = Hits(np.zeros(count, bool), np.full((count, 3), np.nan), exact.facets, np.full((count, 3), np.nan))
-    else:
-        edge_px, directions = _outer_edge(body, model, center_px, angles_rad)
-        near_px = _SAME_EDGE_PX + _SAME_EDGE * edge_px
-        exact = outline.outermost(center_px, angles_rad, within_px=(edge_px - near_px, edge_px + near_px))
-        hits = body.tracer.intersect(body.camera_body_km, directions)
-    normals = hits.normals.copy()
-    found = exact.facets >= 0
-    hits.hit[found], hits.facets[found] = True, exact.facets[found]
-    hits.points_km[found] = body.to_body(exact.points_camera_km[found] - body.position_camera_km)
-    hits.normals[found] = mesh.normals[exact.facets[found]]
-    normals[found] = body.to_body(exact.normals_camera[found])
-    return _Edge(hits, normals, _chord_normals(outline, center_px, angles_rad, exact.radii_px))
+def _covered(body: Body, model: CameraModel, center_px: Float, angles_rad: Float, radii_px: Float) -> Mask:
+    """Which lines (k,) meet the body again beyond ``radii_px``, up to where the camera model ends."""
+    steps = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)
+    near, far = radii_px, radii_px + _FAR_FOCAL_LENGTHS * model.focal_length_px
+    last = far.copy()
+    for _ in range(_HALVINGS):
+        imaged = finite_rows(model.unproject(center_px + last[:, None] * steps))
+        near, far = np.where(imaged, last, near), np.where(imaged, far, last)
+        last = np.where(near >= far, far, 0.5 * (near + far))
+    places = radii_px[:, None] + (near - radii_px)[:, None] * _BEYOND
+    rays = body.to_body(model.unproject(center_px + places[..., None] * steps[:, None, :]))
+    met = body.tracer.occluded(body.camera_body_km, rays.reshape(-1, 3))
+    covered: Mask = np.any(met.reshape(-1, _BEYOND.size), axis=1)
+    return covered
 
 
 def _by_position(model: CameraModel, points_camera_km: Float, normals_px: Float, angles_rad: Float) -> Float:
@@ -184,122 +163,6 @@ def _by_position(model: CameraModel, points_camera_km: Float, normals_px: Float,
     slant = np.einsum("ki,ki->k", normals_px, steps)
     result: Float = steps[:, :, None] * (outward / np.where(slant == 0.0, np.nan, slant)[:, None])[:, None, :]
     return result
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lines:
-    """Straight stretches in the distorted image, from ``start_px`` to ``stop_px`` (k,) from the centre outward.
-
-    ``values`` (k, nodes, 3) are unit directions in body axes at Chebyshev nodes along each; where the model has no
-    direction for part of a stretch they are NaN.
-    """
-
-    start_px: Float
-    stop_px: Float
-    values: Float
-
-    @classmethod
-    def through(
-        cls, body: Body, model: CameraModel, center_px: Float, angles_rad: Float, start: Float, stop: Float
-    ) -> _Lines:
-        nodes = start[:, None] + (stop - start)[:, None] * _UNIT_INTERVAL.nodes
-        steps = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)
-        values = body.to_body(model.unproject(center_px + nodes[..., None] * steps[:, None, :]))
-        return cls(start, stop, values)
-
-    def at(self, radii_px: Float) -> Float:
-        """Directions (k, 3) at one radius (k,) on each line."""
-        basis = _UNIT_INTERVAL.basis((radii_px - self.start_px) / (self.stop_px - self.start_px))
-        result: Float = np.einsum("kn,knx->kx", basis, self.values)
-        return result
-
-    def at_fractions(self, fractions: Float) -> Float:
-        """Directions (k, m, 3) at fractions (m,) of every line."""
-        result: Float = _UNIT_INTERVAL.basis(fractions) @ self.values
-        return result
-
-    def some(self, which: NDArray[np.int64]) -> _Lines:
-        """The lines with the given numbers."""
-        return _Lines(self.start_px[which], self.stop_px[which], self.values[which])
-
-
-_UNIT_INTERVAL = Interval(0.0, 1.0, _NODES)
-
-
-def _outer_edge(body: Body, model: CameraModel, center_px: Float, angles_rad: Float) -> tuple[Float, Float]:
-    """Radius (k,), px, and direction (k, 3), body axes, of the last point on the body; NaN where there is none."""
-    edge_px = np.full(angles_rad.shape, np.nan)
-    directions = np.full((*angles_rad.shape, 3), np.nan)
-    reach_px = _reach_px(body, model, center_px, angles_rad)
-    if reach_px is None or angles_rad.size == 0:
-        return edge_px, directions
-    zero = np.zeros_like(reach_px)
-    for _ in range(_MAX_SHRINKS):
-        lines = _Lines.through(body, model, center_px, angles_rad, zero, reach_px)
-        open_ended = ~np.isfinite(lines.values).all(axis=(1, 2))
-        if not open_ended.any():
-            break
-        reach_px = np.where(open_ended, _SHRINK * reach_px, reach_px)
-    inner_px, outer_px = _scan(body, lines)
-    found = np.flatnonzero(np.isfinite(inner_px))
-    lines = lines.some(found)
-    edge_px[found] = _bisected(body, lines, inner_px[found], outer_px[found])
-    directions[found] = lines.at(edge_px[found])
-    return edge_px, directions
-
-
-def _reach_px(body: Body, model: CameraModel, center_px: Float, angles_rad: Float) -> Float | None:
-    """How far out (k,), px, the body can reach along each line; None when the camera cannot image it at all."""
-    hull_px = body.hull_px(model)
-    box = span(hull_px)
-    if box is None or not np.isfinite(center_px).all():
-        return None
-    complete = finite_rows(hull_px)
-    offsets = hull_px[complete] - center_px
-    support: Float = np.max(
-        np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1) @ offsets.T, axis=1, initial=0.0
-    )
-    margin = _BOUND_MARGIN * float(np.max(box[1] - box[0]))
-    beyond = 0.0 if complete.all() else model.focal_length_px
-    reach_px: Float = support + margin + beyond
-    return reach_px
-
-
-def _meets(body: Body, directions: Float) -> Mask:
-    """Whether rays (..., 3) from the camera meet the body."""
-    met = body.tracer.occluded(body.camera_body_km, directions.reshape(-1, 3))
-    return met.reshape(directions.shape[:-1])
-
-
-def _scan(body: Body, lines: _Lines) -> tuple[Float, Float]:
-    """Radii (k,), px, of the outermost hit on each line and of the miss next to it; NaN without such a pair."""
-    longest_px = float(np.max(lines.stop_px))
-    count = int(np.clip(np.ceil(longest_px / _SCAN_STEP_PX), *_SCAN_STEPS))
-    fractions = np.linspace(0.0, 1.0, count + 1)
-    last = np.full(lines.stop_px.shape, -1)
-    active = np.arange(last.size)
-    for stop in range(count + 1, 0, -_SCAN_BLOCK):
-        block = fractions[max(stop - _SCAN_BLOCK, 0) : stop]
-        met = _meets(body, lines.some(active).at_fractions(block))
-        hit = met.any(axis=1)
-        last[active[hit]] = stop - 1 - np.argmax(met[hit, ::-1], axis=1)
-        active = active[~hit]
-        if not active.size:
-            break
-    found = (last >= 0) & (last < count)  # a hit at the very end has no miss beyond it
-    inner = np.where(found, fractions[last], np.nan) * lines.stop_px
-    outer = np.where(found, fractions[np.minimum(last + 1, count)], np.nan) * lines.stop_px
-    return inner, outer
-
-
-def _bisected(body: Body, lines: _Lines, inner_px: Float, outer_px: Float) -> Float:
-    """Halve the intervals from a hit to a miss; return the radii (k,), px, of the last hits."""
-    inner, outer = inner_px.copy(), outer_px.copy()
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (inner + outer)
-        met = _meets(body, lines.at(middle))
-        inner, outer = np.where(met, middle, inner), np.where(met, outer, middle)
-    return inner
 
 
 def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, edge_px: Float) -> Float:

@@ -137,6 +137,27 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices
     return edges[outline], facets[outline]
 
 
+def limb_ellipse(ellipsoid: Ellipsoid, camera_body_km: Float) -> tuple[Float, Float, Float]:
+    """The limb of an ellipsoid as a curve.
+
+    Parameters
+    ----------
+    ellipsoid : Ellipsoid
+    camera_body_km : (3,) float64, km, body
+
+    Returns
+    -------
+    middle_km, first_km, second_km : (3,) float64, km, body
+        The limb is ``middle + cos(t) first + sin(t) second``, t from 0 to 2 pi; NaN when the camera is inside.
+    """
+    radii = ellipsoid.radii_km
+    camera = camera_body_km / radii
+    square = float(camera @ camera)
+    height = np.sqrt(1.0 - 1.0 / square) if square > 1.0 else np.nan
+    first, second = _square_to(camera)
+    return radii * camera / square, radii * height * first, radii * height * second
+
+
 def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, Indices]:
     """Which segments in a plane cross which half-lines from its origin.
 
@@ -207,8 +228,7 @@ def _ellipsoid_limb(ellipsoid: Ellipsoid, camera_km: Float, directions: Float) -
 
 def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
     axis = -unit(camera_km)
-    right = unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
-    plane = np.stack([right, np.cross(axis, right)])
+    plane = _square_to(axis)
     edges, _ = silhouette_edges(mesh, camera_km)
     starts, stops = (mesh.vertices_km[edges[:, end]] for end in range(2))
     across = directions @ plane.T
@@ -239,6 +259,12 @@ def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
         points_by_camera=frozen(_spread(by_camera, valid)),
         normals_by_camera=frozen(_spread(_unit_derivative(normal, np.swapaxes(turning, 1, 2)), valid)),
     )
+
+
+def _square_to(axis: Float) -> Float:
+    """Two unit vectors (2, 3) square to an axis (3,) and to each other."""
+    right = unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
+    return np.stack([right, unit(np.cross(axis, right))])
 
 
 def _unit_derivative(vectors: Float, derivative: Float) -> Float:
