@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import (
     MODELS,
@@ -15,6 +18,7 @@ from giantlike.camera_models import (
     CameraModel,
     EquidistantModel,
     EquisolidModel,
+    GridCorrectedModel,
     OpenCVModel,
     OwenModel,
     PinholeModel,
@@ -25,8 +29,13 @@ from giantlike.camera_models import (
 )
 from giantlike.camera_models.affine import AffineModel
 from giantlike.camera_models.axial import AxialModel
+from giantlike.camera_models.convert import Conversion, convert
+from giantlike.camera_models.grid import fit_grid
+from giantlike.camera_models.misalignment import misaligned, misalignment_jacobian
+from giantlike.camera_models.resample import resample
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
+from giantlike.core.outcomes import Failure
 from tests.numerical import numerical_jacobian
 
 ROUND_TRIP_PX = 1e-9  # float64 rounding at 3,000 px, with room for Newton's last step
@@ -313,6 +322,140 @@ def test_inside_its_largest_angle_scaramuzza_recovers_every_direction(**coeffici
     angle = 0.97 * model.max_angle_rad * generator.uniform(0, 1, 200)
     directions = directions_at(angle, generator.uniform(0, 2 * np.pi, 200))
     assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=1e-9)
+
+
+def waves(amplitude_px: float) -> GridCorrectedModel:
+    """NavCam with a smooth correction that no lens formula has."""
+    j, i = np.mgrid[0:11, 0:14]
+    return GridCorrectedModel(
+        base=NAVCAM, corner_px=np.array([-0.5, -0.5]), step_px=250.0,
+        dx_px=amplitude_px * np.sin(0.9 * i + 0.3 * j), dy_px=amplitude_px * np.cos(0.4 * i - 0.8 * j),
+    )  # fmt: skip
+
+
+def test_a_grid_correction_is_inverted_and_differentiated_exactly() -> None:
+    model = waves(5.0)
+    pixels = pixels_of(model, 300)
+    points = model.unproject(pixels)
+    assert_allclose(model.project(points), pixels, rtol=0, atol=ROUND_TRIP_PX)
+    tolerance = JACOBIAN_RELATIVE * model.focal_length_px
+    by_point = numerical_jacobian(model.project, points, 1e-6)
+    assert_allclose(model.project_jacobian(points), by_point, rtol=0, atol=10 * tolerance)
+    by_pixel = numerical_jacobian(model.unproject, pixels, 1e-2) * model.focal_length_px
+    assert_allclose(model.unproject_jacobian(pixels) * model.focal_length_px, by_pixel, rtol=0, atol=JACOBIAN_RELATIVE)
+    step = np.array([1e-3 if name == "fx_px" else 0.0 for name in model.parameter_names])
+    moved = [model.with_parameters(model.parameters + sign * step).project(points) for sign in (1, -1)]
+    assert_allclose(model.parameter_jacobian(points)[..., 0], (moved[0] - moved[1]) / 2e-3, rtol=0, atol=1e-6)
+
+
+def test_a_grid_correction_of_equal_controls_shifts_every_pixel_alike() -> None:
+    model = GridCorrectedModel(
+        base=NAVCAM, corner_px=np.array([-0.5, -0.5]), step_px=500.0,
+        dx_px=np.full((7, 9), 1.25), dy_px=np.full((7, 9), -0.5),
+    )  # fmt: skip
+    points = NAVCAM.unproject(pixels_of(NAVCAM, 50))
+    assert_allclose(model.project(points) - NAVCAM.project(points), [[1.25, -0.5]] * 50, rtol=0, atol=1e-11)
+
+
+def test_a_grid_correction_survives_binning_windows_temperature_and_its_file() -> None:
+    model = waves(2.0)
+    pixels = pixels_of(model, 100)
+    points = model.unproject(pixels)
+    assert_allclose(model.binned(2).project(points), (pixels - 0.5) / 2, rtol=0, atol=ROUND_TRIP_PX)
+    assert_allclose(model.windowed(9, 5).project(points), pixels - [9, 5], rtol=0, atol=ROUND_TRIP_PX)
+    assert_allclose(model_from_mapping(model_to_mapping(model)).project(points), pixels, rtol=0, atol=ROUND_TRIP_PX)
+    warm = dataclasses.replace(model, base=dataclasses.replace(NAVCAM, a1_per_c=1e-4)).at_temperature(10.0)
+    expected = NAVCAM.project(points) * 1.001 - [NAVCAM.cx_px * 1e-3, NAVCAM.cy_px * 1e-3]
+    assert_allclose(warm.project(points), expected + model.correction(expected), rtol=0, atol=ROUND_TRIP_PX)
+
+
+def test_a_correction_that_might_fold_is_refused() -> None:
+    with pytest.raises(InputError, match="sure to be invertible"):
+        waves(100.0)
+
+
+def test_a_fitted_grid_recovers_the_correction_from_noise_free_points() -> None:
+    truth = waves(2.0)
+    pixels = np.random.default_rng(4).uniform([-0.5, -0.5], [COLUMNS - 0.5, ROWS - 0.5], (4000, 2))
+    fitted = fit_grid(
+        NAVCAM, truth.unproject(pixels), pixels, columns=COLUMNS, rows=ROWS, step_px=250.0, smoothing=1e-6
+    )
+    assert isinstance(fitted, GridCorrectedModel)
+    left = fitted.project(truth.unproject(pixels)) - pixels
+    assert np.abs(left).max() < 1e-3  # the smoothing of 1e-6 against some 40 points a cell
+    few = fit_grid(NAVCAM, np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0]]), columns=10, rows=10, step_px=5.0)
+    assert isinstance(few, Failure)
+
+
+def test_converting_to_a_model_that_holds_the_old_one_loses_nothing() -> None:
+    conversion = convert(NAVCAM, "opencv", columns=COLUMNS, rows=ROWS)
+    assert isinstance(conversion, Conversion)
+    assert conversion.coverage == 1.0
+    assert conversion.max_px < 1e-6  # where the fit stops
+
+
+def test_a_conversion_states_what_it_loses() -> None:
+    conversion = convert(TILTED, "brown", columns=COLUMNS, rows=ROWS)
+    assert isinstance(conversion, Conversion)
+    directions = TILTED.unproject(conversion.points_px)
+    lost = conversion.model.project(directions) - conversion.points_px
+    assert_allclose(conversion.residuals_px, lost, rtol=0, atol=ROUND_TRIP_PX)
+    assert_allclose(conversion.max_px, np.linalg.norm(lost, axis=-1).max(), rtol=1e-12, atol=0)
+    # a pinwheel cannot be had from decentring: the field of the two differs by 1e-3 r (-y, x), some px at the corner
+    assert 0.1 < conversion.rms_px < conversion.max_px < 10.0
+    pinhole = convert(TILTED, "pinhole", columns=COLUMNS, rows=ROWS)
+    assert isinstance(pinhole, Conversion)
+    assert pinhole.rms_px > conversion.rms_px
+
+
+def test_a_fisheye_becomes_another_and_only_its_front_a_gnomonic_one() -> None:
+    equisolid = convert(ODIN_WAC.windowed(300, 200), "equisolid", columns=1448, rows=1136)
+    assert isinstance(equisolid, Conversion)
+    assert equisolid.rms_px < 0.1  # four coefficients against three, up to 118 degrees
+    scaramuzza = convert(EQUISOLID, "scaramuzza", columns=COLUMNS, rows=ROWS)
+    assert isinstance(scaramuzza, Conversion)
+    assert scaramuzza.coverage == 1.0
+    gnomonic = convert(FISHEYE, "brown", columns=COLUMNS, rows=ROWS)
+    assert isinstance(gnomonic, Conversion)
+    assert gnomonic.coverage < 1.0
+    with pytest.raises(InputError, match="type must be one of"):
+        convert(FISHEYE, "eye", columns=COLUMNS, rows=ROWS)
+
+
+def test_undistorting_agrees_with_opencv() -> None:
+    y, x = np.mgrid[0:200, 0:300]
+    image = 100.0 + 50.0 * np.sin(x / 17.0) * np.cos(y / 23.0)
+    model = BrownModel(fx_px=250.0, fy_px=255.0, cx_px=150.0, cy_px=98.0, k1=-0.25, k2=0.05, p1=1e-3, p2=-2e-3)
+    matrix = np.array([[250.0, 0, 150.0], [0, 255.0, 98.0], [0, 0, 1]])
+    expected = cv2.undistort(image, matrix, np.array([model.k1, model.k2, model.p1, model.p2]))
+    ours = resample(image, model)
+    seen = np.isfinite(ours) & (expected > 0)
+    assert seen.mean() > 0.9
+    # OpenCV's undistort rounds places to 1/32 px; the image changes by less than 3.7 counts per px
+    assert_allclose(ours[seen], expected[seen], rtol=0, atol=3.7 * np.sqrt(2) / 32)
+
+
+def test_resampling_to_the_same_model_changes_nothing_and_marks_what_was_not_seen() -> None:
+    image = np.random.default_rng(3).uniform(0, 100, (60, 80))
+    model = EquidistantModel(fx_px=40.0, fy_px=40.0, cx_px=39.5, cy_px=29.5)
+    assert_allclose(resample(image, model, model), image, rtol=0, atol=1e-3)  # places in float32
+    wide = resample(image, model, EquidistantModel(fx_px=10.0, fy_px=10.0, cx_px=39.5, cy_px=29.5))
+    assert np.isnan(wide[0, 0])
+    assert np.isfinite(wide[30, 40])
+
+
+@EACH
+def test_the_misalignment_jacobian_is_the_motion_of_pixels_under_a_small_turn(model: CameraModel) -> None:
+    points = model.unproject(pixels_of(model, 20))
+    attitude = Rotation.from_euler("xyz", [0.3, -0.7, 2.0])
+    inertial = attitude.inv().apply(points)
+
+    def pixels(rotvec: Float) -> Float:
+        return model.project(misaligned(attitude, rotvec).apply(inertial))
+
+    numerical = np.stack([(pixels(s) - pixels(-s)) / 2e-6 for s in 1e-6 * np.eye(3)], axis=-1)
+    tolerance = 1e-6 * model.focal_length_px * 10
+    assert_allclose(misalignment_jacobian(model, points), numerical, rtol=0, atol=tolerance)
 
 
 def test_ifov_of_an_undistorted_camera_is_the_inverse_focal_length_at_the_centre() -> None:

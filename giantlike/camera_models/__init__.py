@@ -1,11 +1,13 @@
 """Camera models: how directions in camera axes become pixels and back, with analytic Jacobians.
 
-``CameraModel`` is the interface; a model is a frozen value and its type name is in ``MODELS``.
+``CameraModel`` is the interface; a model is a frozen value and its type name is in ``MODELS``. ``convert``,
+``resample``, ``misalignment`` and ``grid.fit_grid`` work on any of them.
 """
 
 from giantlike.camera_models.base import CameraModel, ifov_rad
 from giantlike.camera_models.brown import BrownModel
 from giantlike.camera_models.fisheye import EquidistantModel, EquisolidModel
+from giantlike.camera_models.grid import GridCorrectedModel
 from giantlike.camera_models.opencv import OpenCVModel
 from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
@@ -18,6 +20,7 @@ __all__ = [
     "CameraModel",
     "EquidistantModel",
     "EquisolidModel",
+    "GridCorrectedModel",
     "OpenCVModel",
     "OwenModel",
     "PinholeModel",

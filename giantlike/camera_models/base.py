@@ -24,8 +24,11 @@ class CameraModel(Protocol):
 
     type_name: ClassVar[str]
     """Name in camera files."""
-    parameter_names: ClassVar[tuple[str, ...]]
-    """Names of the entries of :attr:`parameters`, as in camera files."""
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the entries of :attr:`parameters`, as in camera files."""
+        ...
 
     @property
     def parameters(self) -> Float:
