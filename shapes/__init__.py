@@ -5,6 +5,7 @@ Everything is in body axes and km; the origin of a shape is what estimators call
 
 from giantlike.shapes.albedo import Albedo, AlbedoMap, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid, Point, Shape, sphere
+from giantlike.shapes.detail import LevelsOfDetail, levels_of_detail
 from giantlike.shapes.generate import geodesic_directions, irregular_body, mesh_from_ellipsoid
 from giantlike.shapes.limbs import Limb, limb
 from giantlike.shapes.load import load_shape
@@ -16,6 +17,7 @@ __all__ = [
     "AlbedoMap",
     "Ellipsoid",
     "FacetAlbedo",
+    "LevelsOfDetail",
     "Limb",
     "PlacedEllipsoid",
     "Point",
@@ -24,6 +26,7 @@ __all__ = [
     "VertexAlbedo",
     "geodesic_directions",
     "irregular_body",
+    "levels_of_detail",
     "limb",
     "load_shape",
     "mesh_from_ellipsoid",
