@@ -98,6 +98,22 @@ def stars(
     )
 
 
+@app.command("render")
+@command
+def render(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.")],
+    output: Annotated[
+        Path | None, typer.Option(help="Folder, or the FITS file of an only image.", metavar="DIR|FILE")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace images that are already there.")] = False,
+    json: Json = False,
+) -> ExitCode:
+    """Make images of bodies and stars, with noise and with the truth in the file."""
+    from giantlike.cli.render_command import render_command
+
+    return render_command(scene, output=output, overwrite=overwrite, json=json)
+
+
 @app.command("report")
 @command
 def report(

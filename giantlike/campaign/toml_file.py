@@ -1,0 +1,88 @@
+"""A TOML file whose keys a pydantic model knows: read, checked, and one clear line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from giantlike.campaign.schema import key_text
+from giantlike.core.errors import DataError, InputError
+
+Content = TypeVar("Content", bound=BaseModel)
+
+
+def read_toml(path: Path, model: type[Content]) -> Content:
+    """Parse a TOML file and check keys and types.
+
+    Parameters
+    ----------
+    path : Path
+    model : type
+        Pydantic model of the whole file, strict and closed to unknown keys.
+
+    Raises
+    ------
+    DataError
+        The file is missing or no TOML, a key is unknown or missing, or a value is of the wrong type; one line.
+    """
+    try:
+        with path.open("rb") as stream:
+            table = tomllib.load(stream)
+    except OSError as error:
+        raise DataError(path, f"cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(path, f"is not valid TOML: {error}") from error
+    try:
+        # Strict JSON rules fit TOML: they allow text for an enumeration, but no text for a number.
+        return model.model_validate_json(json.dumps(table, default=_refuse_dates))
+    except ValidationError as error:
+        raise DataError(path, _first_problem(error, model)) from error
+    except InputError as error:
+        raise DataError(path, str(error)) from error
+
+
+def _refuse_dates(value: object) -> Any:
+    raise InputError(f"dates and times are not expected here, got {value}: put it in quotes where text is meant")
+
+
+def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
+    # An unknown key explains a missing one (it is misspelt), so it comes first.
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    more = len(problems) - 1
+    return _one_problem(problems[0], model) + (f" (and {more} more)" if more else "")
+
+
+def _one_problem(problem: ErrorDetails, model: type[BaseModel]) -> str:
+    """One line for a pydantic error: the key, what was expected there and what came."""
+    location = problem["loc"]
+    key = key_text(location)
+    if problem["type"] == "extra_forbidden":
+        return f"unknown key {key}; keys there are {', '.join(_section(location, model).model_fields)}"
+    if problem["type"] == "missing":
+        return f"key {key} is missing"
+    if problem["type"] in {"too_short", "string_too_short"} and not problem["input"]:
+        return f"{key}: must not be empty, got {problem['input']!r}"
+    expected = problem["msg"].removeprefix("Input should be ")
+    return f"{key}: expected {expected}, got {problem['input']!r}"
+
+
+def _section(location: tuple[int | str, ...], model: type[BaseModel]) -> type[BaseModel]:
+    """The model of the table that a key lies in."""
+    section = model
+    for part in location[:-1]:
+        if isinstance(part, str) and part in section.model_fields:
+            section = _model_in(section.model_fields[part].annotation) or section
+    return section
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model inside ``list[...]``, ``dict[str, ...]`` and ``... | None``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    found = (_model_in(inner) for inner in get_args(annotation))
+    return next((inner for inner in found if inner is not None), None)
