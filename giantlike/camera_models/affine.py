@@ -73,7 +73,7 @@ class AffineModel(ABC):
             require(
                 getattr(self, name) > 0,
                 f"camera model: {name} must be > 0, got {getattr(self, name)}; a mission model with negative focal "
-                "lengths is converted on import, see giantlike.io.camera_files.from_mission_frame",
+                "lengths is converted on import, see giantlike.io.mission_frame",
             )
 
     @property

@@ -92,7 +92,7 @@ def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> C
             Reason.DEGENERATE_GEOMETRY,
             f"a {type_name} model can image {np.count_nonzero(used)} of {used.size} places of the frame",
         )
-    fitted = _fit(start, directions[used], points_px[used])
+    fitted = fit_lens(start, directions[used], points_px[used])
     return Conversion(model=fitted, points_px=points_px, residuals_px=fitted.project(directions) - points_px)
 
 
@@ -114,8 +114,16 @@ def _start(model: CameraModel, type_name: str) -> AffineModel:
     return kind(**lens, **{name: known[name] for name in shared if name in known})
 
 
-def _fit(model: AffineModel, directions: Float, points_px: Float) -> AffineModel:
-    """Levenberg-Marquardt over all parameters but temperature; a step that loses a point is refused."""
+def fit_lens(model: AffineModel, directions: Float, points_px: Float) -> AffineModel:
+    """Fit all parameters but temperature so that directions fall on pixels (Levenberg-Marquardt, equal weights).
+
+    Parameters
+    ----------
+    model : AffineModel
+        Start; it must image every direction. A step that loses one is refused.
+    directions : (n, 3) float64, camera axes
+    points_px : (n, 2) float64, px
+    """
     free = np.array([name not in TEMPERATURE_NAMES for name in model.parameter_names])
     residuals = points_px - model.project(directions)
     cost, damping, exact = float(np.sum(residuals**2)), 1e-3, _EXACT_PX**2 * len(residuals)

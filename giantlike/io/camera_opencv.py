@@ -1,0 +1,154 @@
+"""Camera models from and to OpenCV's calibration files (FileStorage, YAML or XML).
+
+OpenCV counts pixels from the centre of the first one, and its x and y are ours: nothing is converted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, OpenCVModel, PinholeModel
+from giantlike.camera_models.affine import TEMPERATURE_NAMES, AffineModel
+from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError, InputError
+from giantlike.io.atomic import write_text_atomic
+from giantlike.io.mission_frame import ImportedCamera
+
+_ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+_COUNTS = (0, 4, 5, 8, 12, 14)
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "K", "M1")
+_COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D", "D1")
+_WIDTH = ("image_width", "image_Width", "imageWidth", "width")
+_HEIGHT = ("image_height", "image_Height", "imageHeight", "height")
+
+
+def read_opencv_camera(path: str | Path, *, fisheye: bool | None = None) -> ImportedCamera:
+    """Read the camera matrix and distortion of an OpenCV calibration file.
+
+    Parameters
+    ----------
+    path : path-like
+        YAML or XML as written by ``cv2.FileStorage``; the usual spellings of the keys are known.
+    fisheye : bool, optional
+        Whether the coefficients are those of ``cv2.fisheye``; by default as the file's ``fisheye_model`` or
+        ``distortion_model`` says, else not.
+
+    Raises
+    ------
+    DataError
+        The file is missing or no FileStorage, has no camera matrix, a mirrored one, or coefficients of a number or
+        kind (a tilted sensor) that no model here has.
+    """
+    import cv2
+
+    if not Path(path).is_file():
+        raise DataError(path, "cannot read camera file: there is no such file")
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError) as error:
+        raise DataError(path, f"is no OpenCV FileStorage: {str(error).strip().splitlines()[-1]}") from error
+    try:
+        matrix = _matrix(storage, _MATRIX)
+        coefficients = _matrix(storage, _COEFFICIENTS)
+        width, height = (_whole(storage, keys) for keys in (_WIDTH, _HEIGHT))
+        if fisheye is None:
+            fisheye = _is_fisheye(storage)
+    finally:
+        storage.release()
+    if matrix is None or matrix.shape != (3, 3):
+        raise DataError(path, f"a 3 by 3 matrix under one of {', '.join(_MATRIX)} was expected")
+    try:
+        model = _model(matrix, np.array([]) if coefficients is None else coefficients.ravel(), fisheye)
+    except InputError as error:
+        raise DataError(path, str(error)) from error
+    return ImportedCamera(
+        name=Path(path).stem, model=model, columns=width, rows=height, camera_from_mission=Rotation.identity()
+    )
+
+
+def write_opencv_camera(path: str | Path, model: CameraModel, *, columns: int, rows: int) -> None:
+    """Write a model as an OpenCV calibration file, YAML or XML by the suffix of the path.
+
+    Parameters
+    ----------
+    path : path-like
+    model : CameraModel
+        Pinhole, Brown, OpenCV or equidistant, without shear and temperature terms.
+    columns, rows : int
+        Size of the detector.
+
+    Raises
+    ------
+    InputError
+        OpenCV has no such model: see :func:`~giantlike.camera_models.convert.convert`.
+    """
+    import cv2
+
+    if not isinstance(model, PinholeModel | BrownModel | OpenCVModel | EquidistantModel):
+        raise InputError(f"OpenCV has no {model.type_name} model: convert it to opencv or equidistant first")
+    known = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
+    if any(known[name] for name in ("skew_px", *TEMPERATURE_NAMES)):
+        raise InputError(
+            "OpenCV's files have no shear and no temperature terms: use model.at_temperature, and for shear fit a "
+            "model without it"
+        )
+    names: Sequence[str] = ("k1", "k2", "k3", "k4") if isinstance(model, EquidistantModel) else _ORDER
+    if not isinstance(model, OpenCVModel | EquidistantModel):
+        names = names[:5]
+    kind = cv2.FILE_STORAGE_FORMAT_XML if Path(path).suffix == ".xml" else cv2.FILE_STORAGE_FORMAT_YAML
+    storage = cv2.FileStorage(Path(path).name, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | kind)
+    storage.write("image_width", columns)
+    storage.write("image_height", rows)
+    storage.write(
+        "camera_matrix", np.array([[known["fx_px"], 0, known["cx_px"]], [0, known["fy_px"], known["cy_px"]], [0, 0, 1]])
+    )
+    storage.write("distortion_coefficients", np.array([[known.get(name, 0.0) for name in names]]))
+    storage.write("fisheye_model", int(isinstance(model, EquidistantModel)))
+    write_text_atomic(Path(path), storage.releaseAndGetString())
+
+
+def _matrix(storage: Any, keys: Sequence[str]) -> Float | None:
+    for key in keys:
+        node = storage.getNode(key)
+        if not node.empty() and node.mat() is not None:
+            return np.asarray(node.mat(), dtype=np.float64)
+    return None
+
+
+def _whole(storage: Any, keys: Sequence[str]) -> int | None:
+    for key in keys:
+        node = storage.getNode(key)
+        if not node.empty() and node.isInt():
+            return int(node.real())
+    return None
+
+
+def _is_fisheye(storage: Any) -> bool:
+    node, named = storage.getNode("fisheye_model"), storage.getNode("distortion_model")
+    if not named.empty() and named.isString():
+        return str(named.string()) in {"fisheye", "equidistant"}
+    return not node.empty() and node.isInt() and bool(node.real())
+
+
+def _model(matrix: Float, coefficients: Float, fisheye: bool) -> AffineModel:
+    affine = {"fx_px": matrix[0, 0], "fy_px": matrix[1, 1], "cx_px": matrix[0, 2], "cy_px": matrix[1, 2]}
+    affine |= {"skew_px": matrix[0, 1]}
+    values = {name: float(value) for name, value in affine.items()}
+    if fisheye:
+        if coefficients.size != 4:
+            raise InputError(f"a fisheye has 4 distortion coefficients, got {coefficients.size}")
+        return EquidistantModel(**values, **dict(zip(("k1", "k2", "k3", "k4"), coefficients.tolist(), strict=True)))
+    if coefficients.size not in _COUNTS:
+        raise InputError(f"distortion coefficients number one of {_COUNTS}, got {coefficients.size}")
+    if coefficients[12:].any():
+        raise InputError("the tilted sensor of OpenCV (coefficients 13 and 14) has no model here")
+    lens = dict(zip(_ORDER, coefficients[:12].tolist(), strict=False))
+    kind: type[AffineModel] = (
+        OpenCVModel if coefficients.size > 5 else BrownModel if coefficients.size else PinholeModel
+    )
+    return kind(**values, **lens)

@@ -1,0 +1,115 @@
+"""Camera models with other axes than ours: turned into ours, the mission's own frame remembered as a rotation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import CameraModel
+from giantlike.camera_models.affine import AffineModel
+from giantlike.core.arrays import require
+
+Boresight = Literal["+z", "-z"]
+"""Which way the z axis of a mission's camera frame points: to the scene, or into the camera."""
+
+_LETTERS_X = ("fx_px", "p2", "s1", "s2", "e6")
+_LETTERS_Y = ("fy_px", "skew_px", "p1", "s3", "s4", "e5")
+_LETTERS_XY = ("e1", "e3")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportedCamera:
+    """A camera model from a file of another program, in our axes and pixels.
+
+    Parameters
+    ----------
+    name : str
+        As the file calls it.
+    model : CameraModel
+    columns, rows : int, optional
+        Size of the detector, where the file tells it.
+    camera_from_mission : Rotation
+        Takes vectors in the mission's camera frame (that of its pointing kernels) to ours.
+    rows_reversed : bool
+        The model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a mirrored image,
+        which no rotation explains.
+    ignored : tuple of str
+        What the file holds and the model does not.
+    """
+
+    name: str
+    model: CameraModel
+    columns: int | None = None
+    rows: int | None = None
+    camera_from_mission: Rotation
+    rows_reversed: bool = False
+    ignored: tuple[str, ...] = ()
+
+
+def from_mission_frame(
+    kind: type[AffineModel],
+    parameters: Mapping[str, float],
+    *,
+    name: str = "camera",
+    columns: int | None = None,
+    rows: int | None = None,
+    boresight: Boresight | None = None,
+) -> ImportedCamera:
+    """Turn a model whose focal lengths may be negative into one with +x along columns, +y along rows, +z forward.
+
+    Parameters
+    ----------
+    kind : type
+        Class of the model.
+    parameters : mapping of str to float
+        By the names of the class, but with signs as in the mission's model; ``cx_px``, ``cy_px`` in our pixels.
+    name : str
+    columns, rows : int, optional
+        Size of the detector.
+    boresight : {"+z", "-z"}, optional
+        Which way the mission's z axis points. The gnomonic equations, with x/z and y/z, do not tell. By default the
+        sense in which the image is not mirrored: "+z" when the signs of both focal lengths agree, else "-z", where
+        the frames differ by half a turn about x or y.
+
+    Raises
+    ------
+    InputError
+        With this ``boresight`` the image is mirrored and ``rows`` is not known, or a focal length is zero.
+
+    Notes
+    -----
+    Where the image is mirrored, rows are counted from the last one instead: see :class:`ImportedCamera`.
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Table 1 (f_y < 0).
+    """
+    values = dict(parameters)
+    for key in ("fx_px", "fy_px"):
+        require(values[key] != 0, f"camera model: {key} must not be zero")
+    forward = 0.0 if boresight is None else (1.0 if boresight == "+z" else -1.0)
+    reverse = forward * values["fx_px"] * values["fy_px"] < 0
+    if reverse:
+        require(
+            rows is not None,
+            f"with its z axis {boresight} this camera takes mirrored images: give rows, to count them from the last "
+            "stored one, or the other boresight",
+        )
+        values["fy_px"] = -values["fy_px"]
+        values["cy_px"] = (rows or 0) - 1 - values["cy_px"]
+    x, y = np.sign(values["fx_px"]), np.sign(values["fy_px"])
+    for letters, sign in ((_LETTERS_X, x), (_LETTERS_Y, y), (_LETTERS_XY, x * y)):
+        values |= {key: float(sign * values[key]) for key in letters if key in values}
+    camera_from_mission = Rotation.from_matrix(np.diag([y, x, x * y]))  # z forward: the sign of x y
+    return ImportedCamera(
+        name=name,
+        model=kind(**values),
+        columns=columns,
+        rows=rows,
+        camera_from_mission=camera_from_mission,
+        rows_reversed=reverse,
+    )
