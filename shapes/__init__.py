@@ -9,6 +9,7 @@ from giantlike.shapes.detail import LevelsOfDetail, levels_of_detail
 from giantlike.shapes.generate import geodesic_directions, irregular_body, mesh_from_ellipsoid
 from giantlike.shapes.limbs import Limb, limb
 from giantlike.shapes.load import load_shape
+from giantlike.shapes.local_map import LocalMap, overlaid
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.save import save_shape
 
@@ -19,6 +20,7 @@ __all__ = [
     "FacetAlbedo",
     "LevelsOfDetail",
     "Limb",
+    "LocalMap",
     "PlacedEllipsoid",
     "Point",
     "Shape",
@@ -30,6 +32,7 @@ __all__ = [
     "limb",
     "load_shape",
     "mesh_from_ellipsoid",
+    "overlaid",
     "save_shape",
     "sphere",
 ]

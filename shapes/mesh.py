@@ -18,13 +18,16 @@ from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 Faces = NDArray[np.int64]
 Indices = NDArray[np.int64]
 
+_OPEN = 0.2  # sum of area vectors over area: a surface that is more open than this has no inside
+
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
     """A body as a surface of triangles, in body axes.
 
     Facets without area are dropped, and all facets are turned over when the volume they enclose comes
-    out negative, so that normals point outward. Derived arrays are computed once, when first asked for.
+    out negative, so that normals point outward; a sheet that encloses nothing stays as it is. Derived arrays are
+    computed once, when first asked for.
 
     Parameters
     ----------
@@ -53,9 +56,10 @@ class TriangleMesh:
     def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices_km, self.faces)
         vectors = _area_vectors(vertices, faces)
-        if _signed_volume(vertices, faces) < 0.0:
-            faces, vectors = np.ascontiguousarray(faces[:, ::-1]), -vectors
         areas = np.linalg.norm(vectors, axis=1)
+        closed = float(np.linalg.norm(vectors.sum(axis=0))) < _OPEN * float(areas.sum())
+        if closed and _signed_volume(vertices, faces) < 0.0:
+            faces, vectors = np.ascontiguousarray(faces[:, ::-1]), -vectors
         extent = float(np.max(np.ptp(vertices, axis=0)))
         keep = areas > 1e-20 * extent**2
         require(bool(keep.any()), f"mesh {self.name!r}: no facet has any area")
