@@ -116,12 +116,13 @@ def levels_of_detail(
     mesh : TriangleMesh
         The finest level.
     facets : sequence of int, optional
-        Facets of the coarser levels; None takes a quarter again and again, down to a thousand or to where the surface
-        would break.
+        Facets of the coarser levels; None takes a quarter again and again, down to a thousand, and leaves out what
+        would break the surface.
     facet_px : float, px
         As in :class:`LevelsOfDetail`.
     simplify : callable
-        Takes a mesh and a number of facets, and gives a mesh; each level is made from the next finer one.
+        Takes a mesh and a number of facets, and gives a mesh or an ``InputError``; each level is made from the next
+        finer one or, where that fails, from the finest.
 
     Raises
     ------
@@ -141,14 +142,22 @@ def levels_of_detail(
     counts = _quarters(len(mesh.faces)) if facets is None else sorted(facets, reverse=True)
     levels = [mesh]
     for count in counts:
-        try:
-            coarser = simplify(levels[-1], count)
-        except InputError:
-            if facets is not None:
-                raise
-            break  # nobody asked for this level
-        levels.append(coarser.with_albedo(mesh.albedo))
+        coarser = _simplified(levels[-1], count, simplify)
+        if coarser is None:
+            coarser = _simplified(mesh, count, simplify) if facets is None else simplify(mesh, count)
+        if coarser is not None:
+            levels.append(coarser.with_albedo(mesh.albedo))
     return LevelsOfDetail(meshes=tuple(reversed(levels)), facet_px=facet_px)
+
+
+def _simplified(
+    mesh: TriangleMesh, facets: int, simplify: Callable[[TriangleMesh, int], TriangleMesh]
+) -> TriangleMesh | None:
+    """The mesh with fewer facets; None where its surface would break."""
+    try:
+        return simplify(mesh, facets)
+    except InputError:
+        return None
 
 
 def facet_size_km(mesh: TriangleMesh) -> float:

@@ -19,7 +19,6 @@ from giantlike.shapes import (
     LevelsOfDetail,
     Shape,
     TriangleMesh,
-    irregular_body,
     levels_of_detail,
     mesh_from_ellipsoid,
     sphere,
@@ -66,12 +65,22 @@ def test_levels_made_from_a_mesh_quarter_its_facets_and_share_its_map() -> None:
     assert_allclose(counts, [1250, 5000, 20_480], rtol=0.03)
     assert all(mesh.albedo is fine.albedo for mesh in levels.meshes)
     assert levels.finest.sha256 == fine.sha256
-    rough = levels_of_detail(irregular_body(3, facets=20_000))  # whose surface breaks on the way to 1,280 facets
-    assert 2 <= len(rough.meshes) <= 3
     given = levels_of_detail(
         MESHES[1], facets=[300, 1200], simplify=lambda mesh, count: mesh_from_ellipsoid(ELLIPSOID, facets=count)
     )
     assert [len(mesh.faces) for mesh in given.meshes] == [320, 1280, 5120]
+
+
+def test_a_level_that_would_break_the_surface_is_left_out_unless_it_was_asked_for() -> None:
+    def fragile(mesh: TriangleMesh, count: int) -> TriangleMesh:
+        if count < 2000 or len(mesh.faces) == 5120:
+            raise InputError("it broke")
+        return mesh_from_ellipsoid(ELLIPSOID, facets=count)
+
+    levels = levels_of_detail(MESHES[2], simplify=fragile)
+    assert [len(mesh.faces) for mesh in levels.meshes] == [5120, 20_480, 81_920]
+    with pytest.raises(InputError, match="it broke"):
+        levels_of_detail(MESHES[2], facets=[320], simplify=fragile)
 
 
 @pytest.mark.parametrize("range_km", [30.0, 600.0, 4000.0])
