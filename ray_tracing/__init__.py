@@ -5,6 +5,7 @@
 
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.disk import disk_integrated, disk_photocenter
+from giantlike.ray_tracing.kept_trace import Trace, trace_body
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import (
     REFLECTANCES,
@@ -21,8 +22,9 @@ from giantlike.ray_tracing.reflectance import (
     UserReflectance,
     reflectance_from_mapping,
 )
-from giantlike.ray_tracing.render import Template, render
+from giantlike.ray_tracing.render import render
 from giantlike.ray_tracing.scene_render import SceneRender, render_scene
+from giantlike.ray_tracing.shade import Template
 from giantlike.ray_tracing.silhouette import Silhouette, trace_silhouette
 
 __all__ = [
@@ -42,11 +44,13 @@ __all__ = [
     "Silhouette",
     "TabulatedReflectance",
     "Template",
+    "Trace",
     "UserReflectance",
     "disk_integrated",
     "disk_photocenter",
     "reflectance_from_mapping",
     "render",
     "render_scene",
+    "trace_body",
     "trace_silhouette",
 ]

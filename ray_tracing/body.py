@@ -12,7 +12,10 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.ray_tracing.reflectance import McEwen, Reflectance
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
-from giantlike.shapes import Shape
+from giantlike.shapes import LevelsOfDetail, Point, Shape, sphere
+
+_POINT_PX = 1e-3
+"""Diameter of the disc that is traced for a point: its phase moves the light by 3e-4 px at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,7 +25,7 @@ class Body:
     Parameters
     ----------
     shape : Shape
-        A ``TriangleMesh`` or an ``Ellipsoid``.
+        A ``TriangleMesh`` or an ``Ellipsoid``; or ``LevelsOfDetail`` or a ``Point``, see :meth:`seen_by`.
     camera_from_body : Rotation
     position_camera_km : (3,) float64, km, camera axes
         From the camera to the origin of the shape, apparent.
@@ -53,12 +56,34 @@ class Body:
 
     @property
     def tracer(self) -> Tracer:
-        """The shape made ready for rays; kept with the shape."""
-        return tracer_for(self.shape)
+        """The shape made ready for rays, the finest of several levels; kept with the shape."""
+        return tracer_for(self.shape.finest if isinstance(self.shape, LevelsOfDetail) else self.shape)
+
+    def seen_by(self, model: CameraModel) -> Body:
+        """Return the body with a shape that rays can meet, as fine as a camera can tell.
+
+        Of several levels of detail that is the one for the pixels at the near side of the body; for a point a sphere of
+        a thousandth of a pixel. Any other shape is itself.
+        """
+        shape, range_km = self.shape, float(np.linalg.norm(self.position_camera_km))
+        if isinstance(shape, LevelsOfDetail):
+            near_km = max(range_km - shape.circumscribing_radius_km, 0.0)
+            return replace(self, shape=shape.for_scale(near_km / model.focal_length_px))
+        if isinstance(shape, Point):
+            return replace(self, shape=sphere(0.5 * _POINT_PX * range_km / model.focal_length_px, name=shape.name))
+        return self
 
     def at(self, position_camera_km: ArrayLike) -> Body:
         """Return the same body elsewhere."""
         return replace(self, position_camera_km=np.asarray(position_camera_km, dtype=np.float64))
+
+    def turned(self, turn: Rotation) -> Body:
+        """Return the same body as seen by a camera turned about itself: position and attitude turn together."""
+        return replace(
+            self,
+            position_camera_km=turn.apply(self.position_camera_km),
+            camera_from_body=turn * self.camera_from_body,
+        )
 
     def to_body(self, vectors_camera: Float) -> Float:
         """Rotate vectors (..., 3) from camera to body axes."""

@@ -1,23 +1,28 @@
 """Intel Embree through embreex, called directly: the one module that knows its traps.
 
-Rays are float32; ``tnear`` is 0; shapes are not checked by Embree and an occlusion query has no useful
-output but its answer (0 = blocked, -1 = clear).
+Rays are float32, with any strides; ``tnear`` is 0; shapes are not checked by Embree and an occlusion query has no
+useful output but its answer (0 = blocked, -1 = clear).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh as EmbreeTriangles
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float
+from giantlike.core.errors import InputError
 
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
+Number = TypeVar("Number", np.float32, np.float64)
+
+_ADDED_ROWS = 256
+_BLAS_ROWS = 2048  # of four: few enough that BLAS does not start threads of its own
 
 
 class EmbreeSurface:
@@ -52,10 +57,41 @@ class EmbreeSurface:
         return blocked
 
 
+def padded(vectors: NDArray[np.floating]) -> Float32:
+    """Vectors (n, 3) as float32 (n, 4), the fourth column 0: their rows move as one item of 16 bytes."""
+    result = np.zeros((len(vectors), 4), np.float32)
+    for axis in range(3):
+        result[:, axis] = vectors[:, axis]
+    return result
+
+
+def rows_of(vectors: Float32, numbers: NDArray[np.integer]) -> Float32:
+    """Rows (k, 4) of an array (n, 4) of :func:`padded` vectors; four times as fast as taking rows of three."""
+    return vectors.view(np.complex128)[:, 0].take(numbers).view(np.float32).reshape(-1, 4)
+
+
+def dot(vectors: NDArray[Number], others: NDArray[Number]) -> NDArray[Number]:
+    """Scalar products (n,) of vectors (n, 4) with one other (4,) or as many (n, 4), fourth columns 0."""
+    if others.ndim == 2:
+        vectors, others = vectors * others, np.ones(4, vectors.dtype)
+    products = np.empty(len(vectors), vectors.dtype)
+    whole = len(vectors) // _BLAS_ROWS * _BLAS_ROWS
+    np.matmul(vectors[:whole].reshape(-1, _BLAS_ROWS, 4), others, out=products[:whole].reshape(-1, _BLAS_ROWS))
+    np.matmul(vectors[whole:], others, out=products[whole:])
+    return products
+
+
+def moved(points: Float, offset: Float) -> Float:
+    """Points (n, 4) plus an offset (3,), in place and back; some hundred rows at a time, since rows of four are slow."""
+    whole = len(points) // _ADDED_ROWS * _ADDED_ROWS
+    step = np.append(offset, 0.0)
+    points[:whole].reshape(-1, 4 * _ADDED_ROWS)[:] += np.tile(step, _ADDED_ROWS)
+    points[whole:] += step
+    return points
+
+
 def _checked(origins: Float32, directions: Float32) -> Float32:
-    for name, rays in (("origins", origins), ("directions", directions)):
-        require(
-            rays.dtype == np.float32 and rays.ndim == 2 and rays.shape == (len(origins), 3) and rays.flags.c_contiguous,
-            f"Embree needs contiguous float32 {name} (n, 3), got {rays.dtype} {rays.shape}",
-        )
+    for rays in (origins, directions):
+        if rays.dtype != np.float32 or rays.shape != (len(origins), 3):
+            raise InputError(f"Embree needs float32 origins and directions (n, 3), got {rays.dtype} {rays.shape}")
     return origins

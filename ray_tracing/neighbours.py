@@ -10,7 +10,8 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing.body import Body
-from giantlike.ray_tracing.tracer import Mask, Real, Tracer
+from giantlike.ray_tracing.embree import Float32
+from giantlike.ray_tracing.tracer import Mask, Tracer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,22 +34,22 @@ class Neighbour:
     hides: bool
     shades: bool
 
-    def hidden(self, camera_body_km: Float, points_body_km: Real) -> Mask:
-        """Whether the neighbour stands before points (k, 3) that the camera (3,) would see; body axes, km."""
-        camera = self.neighbour_from_body @ camera_body_km + self.offset_km
-        rays = self._points(points_body_km) - camera
-        hits = self.tracer.intersect(camera, rays)
-        before: Mask = np.sum((hits.points_km - camera) ** 2, axis=1) < np.sum(rays**2, axis=1)
+    def hidden(self, camera_body_km: Float, directions_body: Float, points_body_km: Float32) -> Mask:
+        """Whether the neighbour stands before points (k, 4) that the camera (3,) sees along (k, 4); body axes, km."""
+        camera_km = self.neighbour_from_body @ camera_body_km + self.offset_km
+        hits = self.tracer.intersect(camera_km, directions_body[:, :3] @ self.neighbour_from_body.T)
+        own_km2 = np.sum((points_body_km[:, :3] - camera_body_km) ** 2, axis=1)
+        before: Mask = np.sum((hits.points_km - camera_km) ** 2, axis=1) < own_km2
         return before
 
-    def dark(self, points_body_km: Real, to_sun_body: Real) -> Mask:
-        """Whether the neighbour stands between points (k, 3), km, and the Sun, towards (3,) or (k, 3); body axes."""
+    def dark(self, points_body_km: Float32, to_sun_body: Float) -> Mask:
+        """Whether the neighbour stands between points (k, 4), km, and the Sun, towards (4,) or (k, 4); body axes."""
         starts = self._points(points_body_km)
-        directions = np.broadcast_to(to_sun_body @ self.neighbour_from_body.T, starts.shape)
+        directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbour_from_body.T, starts.shape)
         return self.tracer.occluded(starts, directions)
 
-    def _points(self, points_body_km: Real) -> Float:
-        points: Float = points_body_km.astype(np.float64) @ self.neighbour_from_body.T + self.offset_km
+    def _points(self, points_body_km: Float32) -> Float:
+        points: Float = points_body_km[:, :3].astype(np.float64) @ self.neighbour_from_body.T + self.offset_km
         return points
 
 

@@ -33,6 +33,8 @@ class RenderOptions:
         Points of the solar disc that each ray is bounced to, where the Sun is extended.
     sun_seed : int
         Where in their strata those points lie; equal seeds give equal images.
+    threads : int
+        Threads that trace; the image is the same, to the last bit, for any number.
     """
 
     rays_per_pixel_side: int = 2
@@ -43,6 +45,7 @@ class RenderOptions:
     sun_radius_rad: float = 0.0
     sun_samples: int = 16
     sun_seed: int = 0
+    threads: int = 1
 
     def __post_init__(self) -> None:
         require(
@@ -56,4 +59,8 @@ class RenderOptions:
             f"sun_radius_rad must be in [0, 0.5), got {self.sun_radius_rad}",
         )
         require(1 <= self.sun_samples <= 1024, f"sun_samples must be in [1, 1024], got {self.sun_samples}")
+        require(1 <= self.threads <= 256, f"threads must be in [1, 256], got {self.threads}")
         require(self.sun_seed >= 0, f"sun_seed must be >= 0, got {self.sun_seed}")
+
+
+DEFAULT_OPTIONS = RenderOptions()

@@ -2,61 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import math
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, frozen, require
+from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.neighbours import Neighbour
-from giantlike.ray_tracing.options import RenderOptions
-from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.sampling import spread_over
-from giantlike.ray_tracing.trace import Strip, View, strips
-from giantlike.ray_tracing.window import Window, window_around
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Template:
-    """A rendered body, cut out to the pixels that its light reaches.
-
-    Parameters
-    ----------
-    brightness : (h, w) float64
-        Mean over the pixel, relative: 1 is a surface seen and lit along its normal. The PSF is in it.
-    coverage : (h, w) float64
-        Fraction of each pixel that the body covers, lit or not, before the PSF.
-    corner_px : (2,) int64, px
-        Image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame.
-    center_px : (2,) float64, px
-        Where the origin of the shape projects, in the distorted image.
-    photocenter_px : (2,) float64, px
-        Centroid of the light before PSF and pixels, so that it holds for a body inside one pixel too.
-    lit_fraction : float
-        Part of the rays on the body that end on lit surface.
-    """
-
-    brightness: Float
-    coverage: Float
-    corner_px: NDArray[np.int64]
-    center_px: Float
-    photocenter_px: Float
-    lit_fraction: float
-
-    def placed(self, columns: int, rows: int) -> Float:
-        """The brightness in a whole frame (rows, columns), zero elsewhere; what lies outside is cut off."""
-        frame = np.zeros((rows, columns))
-        height, width = self.brightness.shape
-        x, y = (int(v) for v in self.corner_px)
-        x0, x1, y0, y1 = max(x, 0), min(x + width, columns), max(y, 0), min(y + height, rows)
-        if x0 < x1 and y0 < y1:
-            frame[y0:y1, x0:x1] = self.brightness[y0 - y : y1 - y, x0 - x : x1 - x]
-        return frame
+from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
+from giantlike.ray_tracing.shade import ShadedTile, Template, gathered, shade_tile, unless_dark
+from giantlike.ray_tracing.trace import View, in_order, trace_tile
+from giantlike.ray_tracing.window import Tile, window_around
 
 
 def render(
@@ -67,7 +29,8 @@ def render(
     psf: GaussianPsf | None = None,
     columns: int,
     rows: int,
-    options: RenderOptions = RenderOptions(),
+    options: RenderOptions = DEFAULT_OPTIONS,
+    recentre: bool = False,
 ) -> Template | Failure:
     """Render a body as the camera sees it.
 
@@ -82,6 +45,9 @@ def render(
     columns, rows : int, px
         Size of the detector; the template is cut at its edges plus ``options.margin_px``.
     options : RenderOptions
+    recentre : bool
+        Where no light of the body can fall on the frame, turn the camera until its middle looks at the body and render
+        that; ``Template.rendered_from_camera`` is the turn, and pixels are those of the turned camera.
 
     Returns
     -------
@@ -102,14 +68,19 @@ def render(
     References
     ----------
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Template
-       Matching", steps 1-6 of the single-bounce ray tracer.
+       Matching", steps 1-6 of the single-bounce ray tracer; step 1a is ``recentre``.
     """
-    template = rendered(
-        body, model, sun_direction_camera=sun_direction_camera, psf=psf, columns=columns, rows=rows, options=options
+    sun = as_finite(sun_direction_camera, (3,), "sun_direction_camera")
+    template = unless_dark(
+        rendered(body, model, sun_direction_camera=sun, psf=psf, columns=columns, rows=rows, options=options)
     )
-    if isinstance(template, Template) and template.lit_fraction == 0.0:
-        return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
-    return template
+    if not (recentre and isinstance(template, Failure) and template.reason is Reason.OUT_OF_FRAME):
+        return template
+    middle = model.unproject([0.5 * (columns - 1), 0.5 * (rows - 1)])
+    turn = shortest_turn(unit(body.position_camera_km), middle)
+    turned, sun = body.turned(turn), turn.apply(sun)
+    template = render(turned, model, sun_direction_camera=sun, psf=psf, columns=columns, rows=rows, options=options)
+    return replace(template, rendered_from_camera=turn) if isinstance(template, Template) else template
 
 
 def rendered(
@@ -127,55 +98,49 @@ def rendered(
 
     Parameters, failures and errors are those of :func:`render`; ``NO_SIGNAL`` means hidden by neighbours.
     """
+    view = viewed(body, model, sun_direction_camera, psf, (columns, rows), options, neighbours)
+    if isinstance(view, Failure):
+        return view
+    grid, law = view.ray_grid(), body.reflectance
+
+    def shaded(tile: Tile) -> ShadedTile:
+        return shade_tile(view, trace_tile(view, grid, tile), law)
+
+    return gathered(view, in_order(shaded, view.window.tiles, options.threads))
+
+
+def shortest_turn(start: Float, stop: Float) -> Rotation:
+    """The rotation about one axis across both that takes unit vector ``start`` (3,) to ``stop`` (3,)."""
+    axis = np.cross(start, stop)
+    sine, cosine = float(np.linalg.norm(axis)), float(start @ stop)
+    if sine < 1e-12:  # straight ahead or behind: any axis across
+        axis = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+    return Rotation.from_rotvec(math.atan2(sine, cosine) * unit(axis))
+
+
+def viewed(
+    body: Body,
+    model: CameraModel,
+    sun_direction_camera: ArrayLike,
+    psf: GaussianPsf | None,
+    size_px: tuple[int, int],
+    options: RenderOptions,
+    neighbours: tuple[Neighbour, ...] = (),
+) -> View | Failure:
+    """Lay a window over a body in a frame of ``size_px`` (columns, rows); failures are those of :func:`render`."""
+    columns, rows = size_px
     require(columns > 0 and rows > 0, f"columns and rows must be > 0, got {columns} and {rows}")
     sun_body = sun_in_body(body, sun_direction_camera)
     sigma_px = 0.0 if psf is None else psf.sigma_px
     window = window_around(body, model, sigma_px=sigma_px, columns=columns, rows=rows, options=options)
     if isinstance(window, Failure):
         return window
-    view = View(body=body, model=model, cells=window.cells, sun_body=sun_body, neighbours=neighbours, options=options)
-    return _gathered(view, window, strips(view), body.reflectance)
-
-
-def _gathered(view: View, window: Window, traced: Iterable[Strip], law: Reflectance) -> Template | Failure:
-    """Shade strips and gather their light on the pixels."""
-    x, y = (cells.centers_px for cells in window.cells)
-    light, cover = (np.empty((y.size, window.blurred[0].shape[0])) for _ in range(2))
-    by_column, by_row = np.zeros(x.size), np.zeros(y.size)
-    n_hit = n_lit = 0
-    for strip in traced:
-        part = slice(strip.start, strip.stop)
-        brightness = _shaded(strip, law, x.size)
-        hit = np.zeros(brightness.shape)
-        hit.flat[strip.sight.rays] = 1.0
-        light[part] = spread_over(window.blurred[0], brightness.T).T
-        cover[part] = spread_over(window.sharp[0], hit.T).T
-        by_column += brightness.sum(axis=0)
-        by_row[part] = brightness.sum(axis=1)
-        n_hit, n_lit = n_hit + strip.sight.rays.size, n_lit + strip.lit
-    if n_hit == 0 and view.neighbours:
-        return Failure(Reason.NO_SIGNAL, "no ray of the frame meets the body, or other bodies stand before it")
-    if n_hit == 0:
-        return Failure(Reason.OUT_OF_FRAME, "no ray of the frame meets the body, though its bounds touch the frame")
-    with np.errstate(invalid="ignore"):
-        photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
-    return Template(
-        brightness=frozen(spread_over(window.blurred[1], light)),
-        coverage=frozen(np.minimum(spread_over(window.sharp[1], cover), 1.0)),
-        corner_px=frozen(window.corner_px),
-        center_px=view.body.center_px(view.model),
-        photocenter_px=photocenter_px,
-        lit_fraction=n_lit / n_hit,
+    return View(
+        body=body,
+        model=model,
+        window=window,
+        camera_body_km=body.camera_body_km,
+        sun_body=np.append(sun_body, 0.0),
+        neighbours=neighbours,
+        options=options,
     )
-
-
-def _shaded(strip: Strip, law: Reflectance, columns: int) -> Float:
-    """Brightness (rows, columns) of the cells of a strip."""
-    brightness = np.zeros((strip.stop - strip.start, columns))
-    sight = strip.sight
-    for light in strip.light:
-        value = law(light.cos_incidence, sight.cos_emission[light.seen], light.phase_rad)
-        if strip.albedo is not None:
-            value = value * strip.albedo[light.seen]
-        brightness.flat[sight.rays[light.seen]] += value / len(strip.light)
-    return brightness

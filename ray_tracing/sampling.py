@@ -15,10 +15,11 @@ from giantlike.core.arrays import Float, unit
 PSF_REACH_SIGMA = 5.0
 _NODES = (9, 25)
 _DIRECTION_TOLERANCE_RAD = 1e-11  # 1e-7 px of 0.1 mrad
+_BLAS_PRODUCTS = 200_000  # few enough that BLAS does not start threads of its own
 _CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Cells:
     """A row of equal cells along one axis of the image, ``per_px`` to a pixel and aligned with the pixels.
 
@@ -56,19 +57,21 @@ class Cells:
         exactly, by the second antiderivative of the Gaussian.
         """
         half = 0.5 / self.per_px
-        centers = self.centers_px
         reach = PSF_REACH_SIGMA * sigma_px
-        lowest = np.floor(centers - half - reach + 0.5).astype(np.int64)
         width = int(np.ceil(2 * reach + 2 * half)) + 1
-        pixels = lowest[:, None] + np.arange(width)
-        left = pixels - 0.5 - centers[:, None]
+        numbers = np.arange(self.count) + self.first
+        within, place = np.unique(
+            numbers % self.per_px, return_inverse=True
+        )  # cells alike in their pixels spread alike
+        centers = (within + 0.5) / self.per_px - 0.5
+        lowest = np.floor(centers - half - reach + 0.5).astype(np.int64)
+        left = lowest[:, None] + np.arange(width) - 0.5 - centers[:, None]
         weights = _ramp(left + 1 + half, sigma_px) - _ramp(left + 1 - half, sigma_px)
         weights -= _ramp(left + half, sigma_px) - _ramp(left - half, sigma_px)
-        rows = pixels - first_px
+        rows = (lowest[place] + numbers // self.per_px - first_px)[:, None] + np.arange(width)
         inside = (rows >= 0) & (rows < count_px)
-        columns = np.broadcast_to(np.arange(centers.size)[:, None], rows.shape)
-        shape = (count_px, centers.size)
-        return csr_matrix((weights[inside], (rows[inside], columns[inside])), shape=shape)
+        columns = np.broadcast_to(np.arange(self.count)[:, None], rows.shape)
+        return csr_matrix((weights[place][inside], (rows[inside], columns[inside])), shape=(count_px, self.count))
 
 
 def _ramp(x: Float, sigma: float) -> Float:
@@ -94,15 +97,14 @@ class RayGrid:
         Columns and rows of the grid.
     rotation : (3, 3) float64
         Applied to the directions: ``to_from_camera``.
-    random : numpy Generator, optional
+    jitter_seed : int, optional
         Where in its cell each ray goes; None takes the centres.
     """
 
-    def __init__(
-        self, model: CameraModel, x: Cells, y: Cells, rotation: Float, random: np.random.Generator | None = None
-    ) -> None:
-        self._model, self._rotation, self._random = model, rotation, random
-        self._columns_px, self._rows_px = (x.centers_px, y.centers_px) if random is None else (x.edges_px, y.edges_px)
+    def __init__(self, model: CameraModel, x: Cells, y: Cells, rotation: Float, jitter_seed: int | None = None) -> None:
+        self._model, self._rotation, self._jitter_seed = model, rotation, jitter_seed
+        centered = jitter_seed is None
+        self._columns_px, self._rows_px = (x.centers_px, y.centers_px) if centered else (x.edges_px, y.edges_px)
         self._basis: tuple[Float, Float, Float] | None = None
         for nodes in _NODES:
             across, down = Interval.around(self._columns_px, nodes), Interval.around(self._rows_px, nodes)
@@ -111,30 +113,35 @@ class RayGrid:
                 return
             check_px = across.middle + across.half * _CHECK, down.middle + down.half * _CHECK
             check = _interpolated(down.basis(check_px[1]), values, across.basis(check_px[0]))
-            if np.abs(check - self._exact(*check_px)).max() < _DIRECTION_TOLERANCE_RAD:
+            if np.abs(np.swapaxes(check, 0, 1) - self._exact(*check_px)).max() < _DIRECTION_TOLERANCE_RAD:
                 self._basis = down.basis(self._rows_px), values, across.basis(self._columns_px)
                 return
 
-    def rows(self, start: int, stop: int) -> Float:
-        """Unit directions ((stop - start) * x.count, 3) of some rows of cells, row after row."""
-        if self._random is None:
-            return self._points(start, stop).reshape(-1, 3)
-        corners = self._points(start, stop + 1)
-        u, v = self._random.uniform(size=(2, stop - start, corners.shape[1] - 1, 1))
-        upper, lower = ((1.0 - u) * row[:, :-1] + u * row[:, 1:] for row in (corners[:-1], corners[1:]))
-        return unit(((1.0 - v) * upper + v * lower).reshape(-1, 3))
+    def tile(self, start: int, stop: int, left: int, right: int) -> Float:
+        """Unit directions (n, 4), the fourth column 0, of cells in rows ``start`` to ``stop`` and columns ``left`` to ``right``.
 
-    def _points(self, start: int, stop: int) -> Float:
-        """Directions (stop - start, w, 3) of rows of grid points."""
+        Column after column, each from its first row to its last.
+        """
+        if self._jitter_seed is None:
+            return self._points(start, stop, left, right).reshape(-1, 4)
+        corners = self._points(start, stop + 1, left, right + 1)
+        random = np.random.default_rng([self._jitter_seed, start])
+        u, v = random.uniform(size=(2, right - left, stop - start, 1))
+        upper, lower = ((1.0 - u) * side[:-1] + u * side[1:] for side in (corners[:, :-1], corners[:, 1:]))
+        return unit(((1.0 - v) * upper + v * lower).reshape(-1, 4))
+
+    def _points(self, start: int, stop: int, left: int, right: int) -> Float:
+        """Directions (right - left, stop - start, 4) of grid points."""
         if self._basis is None:
-            return self._exact(self._columns_px, self._rows_px[start:stop])
+            return np.swapaxes(self._exact(self._columns_px[left:right], self._rows_px[start:stop]), 0, 1)
         by_row, values, by_column = self._basis
-        return _interpolated(by_row[start:stop], values, by_column)
+        return _interpolated(by_row[start:stop], values, by_column[left:right])
 
     def _exact(self, columns_px: Float, rows_px: Float) -> Float:
-        """Directions (h, w, 3)."""
+        """Directions (h, w, 4)."""
         x, y = np.meshgrid(columns_px, rows_px)
-        directions: Float = self._model.unproject(np.stack([x, y], axis=-1)) @ self._rotation.T
+        directions = np.zeros((*x.shape, 4))
+        directions[..., :3] = self._model.unproject(np.stack([x, y], axis=-1)) @ self._rotation.T
         return directions
 
 
@@ -171,11 +178,15 @@ class Interval:
 
 
 def _interpolated(by_row: Float, values: Float, by_column: Float) -> Float:
-    """Tensor product (h, w, 3) of row basis (h, k), values (k, k, 3) and column basis (w, k)."""
-    k = values.shape[0]
-    half: Float = (by_row @ values.reshape(k, -1)).reshape(len(by_row), values.shape[1], 3)
-    result: Float = by_column @ half
-    return result
+    """Tensor product (w, h, 4) of row basis (h, k), values (k, k, 4) and column basis (w, k)."""
+    k = len(values)
+    half = (by_row @ values.reshape(k, -1)).reshape(len(by_row), k, 4)
+    right = np.swapaxes(half, 0, 1).reshape(k, -1)
+    result = np.empty((len(by_column), right.shape[1]))
+    step = max(_BLAS_PRODUCTS // right.size, 1)
+    for start in range(0, len(by_column), step):
+        np.matmul(by_column[start : start + step], right, out=result[start : start + step])
+    return result.reshape(len(by_column), len(by_row), 4)
 
 
 def span(points_px: Float) -> tuple[Float, Float] | None:

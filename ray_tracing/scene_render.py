@@ -14,8 +14,9 @@ from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.neighbours import neighbours_of
-from giantlike.ray_tracing.options import RenderOptions
-from giantlike.ray_tracing.render import Template, rendered
+from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
+from giantlike.ray_tracing.render import rendered
+from giantlike.ray_tracing.shade import Template
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,7 +70,7 @@ def render_scene(
     psf: GaussianPsf | None = None,
     columns: int,
     rows: int,
-    options: RenderOptions = RenderOptions(),
+    options: RenderOptions = DEFAULT_OPTIONS,
 ) -> SceneRender:
     """Render bodies that hide each other and shade each other.
 

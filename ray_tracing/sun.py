@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, unit
 
 _GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 
@@ -16,8 +16,8 @@ def disc_directions(sun: Float, radius_rad: float, samples: int, first: Float, t
 
     Parameters
     ----------
-    sun : (3,) float64, unitless
-        Unit vector to the centre of the disc.
+    sun : (4,) float64, unitless
+        Unit vector to the centre of the disc, and a zero.
     radius_rad : float, rad
         Angular radius of the disc.
     samples : int
@@ -27,18 +27,16 @@ def disc_directions(sun: Float, radius_rad: float, samples: int, first: Float, t
 
     Returns
     -------
-    list of (n, 3) float64
-        Unit vectors, one array for each ring.
+    list of (n, 4) float64
+        Unit vectors and zeros, one array for each ring.
 
     Notes
     -----
-    Any axis symmetric density of ``turn`` and ``first`` that is even in [0, 1) makes the mean over the points an
-    unbiased mean over the disc; rings make its variance that of a stratified sample.
+    Averaged over uniform ``first`` and ``turn``, the mean over the points is the mean over the disc.
     """
-    smallest = int(np.argmin(np.abs(sun)))
-    across = np.cross(sun, np.eye(3)[smallest])
-    across /= np.linalg.norm(across)
-    along = np.cross(sun, across)
+    smallest = int(np.argmin(np.abs(sun[:3])))
+    x_axis = unit(np.cross(sun[:3], np.eye(3)[smallest]))
+    across, along = (np.append(axis, 0.0) for axis in (x_axis, np.cross(sun[:3], x_axis)))
     directions = []
     for ring in range(samples):
         cos_theta = 1.0 - (ring + first) / samples * (2.0 * math.sin(0.5 * radius_rad) ** 2)

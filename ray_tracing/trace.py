@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.embree import Float32, dot, rows_of
 from giantlike.ray_tracing.neighbours import Neighbour
 from giantlike.ray_tracing.options import RenderOptions
-from giantlike.ray_tracing.sampling import Cells, RayGrid
+from giantlike.ray_tracing.sampling import RayGrid
 from giantlike.ray_tracing.sun import disc_directions
-from giantlike.ray_tracing.tracer import Indices, Mask, Real, Sight
+from giantlike.ray_tracing.tracer import Indices, Mask, Sight
+from giantlike.ray_tracing.window import Tile, Window
 from giantlike.shapes import TriangleMesh
 
-_RAYS_PER_CHUNK = 40_000  # fits a cache and keeps whole frames cheap in memory
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,19 +33,27 @@ class View:
     ----------
     body : Body
     model : CameraModel
-    cells : (Cells, Cells)
-        Along x and y of the image.
-    sun_body : (3,) float64, unitless, body axes
+    window : Window
+    camera_body_km : (3,) float64, km, body axes
+        Where the camera is.
+    sun_body : (4,) float64, unitless, body axes
+        Unit vector to the Sun and a zero: see ``Sight``.
     neighbours : tuple of Neighbour
     options : RenderOptions
     """
 
     body: Body
     model: CameraModel
-    cells: tuple[Cells, Cells]
+    window: Window
+    camera_body_km: Float
     sun_body: Float
     neighbours: tuple[Neighbour, ...]
     options: RenderOptions
+
+    def ray_grid(self) -> RayGrid:
+        """Directions of the rays through the cells, body axes."""
+        rotation = self.body.camera_from_body.as_matrix().T
+        return RayGrid(self.model, *self.window.cells, rotation, self.options.jitter_seed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,34 +64,35 @@ class Sunlight:
     ----------
     seen : (k,) int64
         Numbers in the arrays of a ``Sight``.
-    cos_incidence : (k,) float
+    cos_incidence : (k,) float32
     phase_rad : (k,) float64, rad
     """
 
     seen: Indices
-    cos_incidence: Real
-    phase_rad: Real
+    cos_incidence: Float32
+    phase_rad: Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Strip:
-    """Some rows of cells, traced.
+class TracedTile:
+    """A tile of cells, traced.
 
     Parameters
     ----------
-    start, stop : int
-        Rows of cells, from the first one of the view.
+    tile : Tile
     sight : Sight
-        Ray numbers count the cells of the strip, row after row.
+        Ray numbers count the cells of the tile, column after column.
+    directions : (n, 4) float64, unitless, body axes
+        Of all rays of the tile.
     light : tuple of Sunlight
         One for each point of the Sun that rays are bounced to.
     albedo : (k,) float64, optional
         Relative albedo at what is seen; None where it is 1 throughout.
     """
 
-    start: int
-    stop: int
+    tile: Tile
     sight: Sight
+    directions: Float
     light: tuple[Sunlight, ...]
     albedo: Float | None
 
@@ -90,64 +104,50 @@ class Strip:
         return int(np.unique(np.concatenate([light.seen for light in self.light])).size)
 
 
-def strips(view: View) -> Iterator[Strip]:
-    """Trace a view, some rows of cells at a time."""
-    x, y = view.cells
-    seed = view.options.jitter_seed
-    random = None if seed is None else np.random.default_rng(seed)
-    grid = RayGrid(view.model, x, y, view.body.camera_from_body.as_matrix().T, random)
-    step = max(_RAYS_PER_CHUNK // x.count, 1)
-    for start in range(0, y.count, step):
-        stop = min(start + step, y.count)
-        yield _strip(view, start, stop, grid.rows(start, stop))
-
-
-def _strip(view: View, start: int, stop: int, directions: Float) -> Strip:
-    body = view.body
-    camera = body.camera_body_km
-    sight = body.tracer.sight(camera, directions)
+def trace_tile(view: View, grid: RayGrid, tile: Tile) -> TracedTile:
+    """Send the rays of a tile to the body and on to the Sun."""
+    body, camera_km = view.body, view.camera_body_km
+    directions = grid.tile(tile.start, tile.stop, tile.left, tile.right)
+    sight = body.tracer.sight(camera_km, directions)
     for neighbour in view.neighbours:
         if neighbour.hides:
-            sight = sight.only(~neighbour.hidden(camera, sight.points_km))
-    suns = _suns(view, start, sight.rays.size)
-    light = tuple(_sunlight(view, sight, directions, sun) for sun in suns)
-    return Strip(start=start, stop=stop, sight=sight, light=light, albedo=_albedo(body, sight))
+            before = neighbour.hidden(camera_km, directions.take(sight.rays, axis=0), sight.points_km)
+            sight = sight.only(~before)
+    light = sunlight(view, tile, sight, directions)
+    return TracedTile(tile=tile, sight=sight, directions=directions, light=light, albedo=_albedo(body, sight))
 
 
-def _suns(view: View, start: int, count: int) -> list[Float]:
-    """Directions, (3,) or (count, 3), to the points of the Sun that rays are bounced to."""
+def sunlight(view: View, tile: Tile, sight: Sight, directions: Float) -> tuple[Sunlight, ...]:
+    """Bounce what is seen along the ``directions`` (n, 4) of a tile to the points of the Sun."""
     options = view.options
-    if options.sun_radius_rad == 0.0:
-        return [view.sun_body]
-    first, turn = np.random.default_rng([options.sun_seed, start]).uniform(size=(2, count))
-    return disc_directions(view.sun_body, options.sun_radius_rad, options.sun_samples, first, turn)
+    suns = [view.sun_body]
+    if options.sun_radius_rad > 0.0:
+        random = np.random.default_rng([options.sun_seed, tile.start])
+        first, turn = random.uniform(size=(2, sight.rays.size))
+        suns = disc_directions(view.sun_body, options.sun_radius_rad, options.sun_samples, first, turn)
+    return tuple(_sunlight(view, sight, directions, sun) for sun in suns)
 
 
 def _sunlight(view: View, sight: Sight, directions: Float, sun: Float) -> Sunlight:
-    """Which points see a point of the Sun, towards (3,) or (k, 3)."""
-    cos_incidence = _dot(sight.normals, sun)
+    """Which points see a point of the Sun, towards (4,) or (k, 4)."""
+    cos_incidence = dot(sight.normals, sun.astype(np.float32))
     seen = np.flatnonzero(cos_incidence > 0.0)
-    toward = sun if sun.ndim == 1 else sun[seen]
+    toward = sun if sun.ndim == 1 else sun.take(seen, axis=0)
     if view.options.shadows and seen.size:
-        clear = ~_dark(view, sight, seen, toward)
-        seen, toward = seen[clear], toward if sun.ndim == 1 else toward[clear]
-    cos_phase = -_dot(directions[sight.rays[seen]], toward)
-    return Sunlight(seen, cos_incidence[seen], np.arccos(np.clip(cos_phase, -1.0, 1.0)))
+        clear = np.flatnonzero(~_dark(view, sight, seen, toward))
+        seen, toward = seen.take(clear), toward if sun.ndim == 1 else toward.take(clear, axis=0)
+    cos_phase = -dot(directions.take(sight.rays.take(seen), axis=0), toward)
+    return Sunlight(seen, cos_incidence.take(seen), np.arccos(np.clip(cos_phase, -1.0, 1.0)))
 
 
 def _dark(view: View, sight: Sight, seen: Indices, toward: Float) -> Mask:
     """Whether anything stands between some of what is seen and a point of the Sun."""
-    points = sight.points_km[seen]
-    dark = view.body.tracer.dark(points, sight.normals[seen], toward)
+    points = rows_of(sight.points_km, seen)
+    dark = view.body.tracer.dark(points, rows_of(sight.normals, seen), toward)
     for neighbour in view.neighbours:
         if neighbour.shades:
             dark |= neighbour.dark(points, toward)
     return dark
-
-
-def _dot(vectors: Real, other: Real) -> Real:
-    """Scalar products (k,) of vectors (k, 3) with one (3,) or as many (k, 3)."""
-    return vectors @ other if other.ndim == 1 else np.einsum("ij,ij->i", vectors, other)
 
 
 def _albedo(body: Body, sight: Sight) -> Float | None:
@@ -155,6 +155,15 @@ def _albedo(body: Body, sight: Sight) -> Float | None:
     shape = body.shape
     if shape.albedo is None:
         return None
-    points = sight.points_km.astype(np.float64)
-    weights = shape.barycentric(points, sight.facets) if isinstance(shape, TriangleMesh) else None
-    return shape.albedo.at(points, sight.facets, weights)
+    points, facets = sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64)
+    weights = shape.barycentric(points, facets) if isinstance(shape, TriangleMesh) else None
+    return shape.albedo.at(points, facets, weights)
+
+
+def in_order(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> Iterator[Result]:
+    """Results of a function for all items, in their order, on some threads: the same for any number of them."""
+    if threads == 1:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        yield from pool.map(function, items)

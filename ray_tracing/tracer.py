@@ -17,12 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, as_floats, require, unit
 from giantlike.core.errors import InputError
-from giantlike.ray_tracing.embree import EmbreeSurface
+from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, moved, padded, rows_of
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
-Real = NDArray[np.float32] | NDArray[np.float64]
 
 _SPHERE_MARGIN = 1.0001
 _HULL_FACETS = 500
@@ -57,30 +56,38 @@ class Hits:
 class Sight:
     """What a camera sees along the rays of an image: k of them meet the body.
 
+    Vectors are float32 with a fourth column of zeros, so that their rows move fast: see ``embree.padded``.
+
     Parameters
     ----------
     rays : (k,) int64
         Numbers of those rays.
-    facets : (k,) int64
+    facets : (k,) int32
         Facet numbers, 0 on an ellipsoid.
-    points_km : (k, 3) float32 or float64, km, body
-        Good to 1e-6 of the body's radius on a mesh.
-    normals : (k, 3) float32 or float64, unitless, body
+    points_km : (k, 4) float32, km, body
+        Good to 1e-6 of the body's radius.
+    normals : (k, 4) float32, unitless, body
         Outward.
-    cos_emission : (k,) float32 or float64
+    cos_emission : (k,) float32
         Cosine of the angle from the normal to the camera.
     """
 
     rays: Indices
-    facets: Indices
-    points_km: Real
-    normals: Real
-    cos_emission: Real
+    facets: NDArray[np.int32]
+    points_km: Float32
+    normals: Float32
+    cos_emission: Float32
 
     def only(self, keep: Mask) -> Sight:
         """The part that ``keep`` (k,) marks."""
-        rays, facets, points, normals = self.rays[keep], self.facets[keep], self.points_km[keep], self.normals[keep]
-        return Sight(rays, facets, points, normals, self.cos_emission[keep])
+        numbers = np.flatnonzero(keep)
+        return Sight(
+            self.rays.take(numbers),
+            self.facets.take(numbers),
+            rows_of(self.points_km, numbers),
+            rows_of(self.normals, numbers),
+            self.cos_emission.take(numbers),
+        )
 
 
 class Tracer(Protocol):
@@ -109,13 +116,13 @@ class Tracer(Protocol):
         ...
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
-        """Trace the rays of an image: one origin (3,), km, and unit directions (n, 3)."""
+        """Trace the rays of an image: one origin (3,), km, and unit directions (n, 4), the fourth column 0."""
         ...
 
-    def dark(self, points_km: Real, normals: Real, to_sun: Real) -> Mask:
-        """Whether the body lies between points (k, 3) on it and the Sun (k,).
+    def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
+        """Whether the body lies between points (k, 4) on it and the Sun (k,).
 
-        ``normals`` (k, 3) are those at the points and ``to_sun`` unit directions (3,) or (k, 3), all over the horizon.
+        ``normals`` (k, 4) are those at the points and ``to_sun`` unit directions (4,) or (k, 4), all over the horizon.
         """
         ...
 
@@ -127,6 +134,7 @@ class MeshTracer:
         self.radius_km = mesh.circumscribing_radius_km
         self._vertices_km, self._faces, self._normals = mesh.vertices_km, mesh.faces, mesh.normals
         self._offsets_km: Float = np.einsum("ij,ij->i", self._normals, self._vertices_km[self._faces[:, 0]])
+        self._padded_normals = padded(self._normals)
         self._surface = EmbreeSurface(self._vertices_km, self._faces)
         edge_km = float(np.sqrt(np.median(mesh.areas_km2)))
         self._shadow_offset_km = min(_SHADOW_OFFSET * self.radius_km, 0.01 * edge_km)
@@ -177,21 +185,22 @@ class MeshTracer:
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
         """Trace the rays of an image; float32 from the bounding sphere on."""
         reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
-        starts = (origin_body_km + reach * directions_body).astype(np.float32)
         directions = directions_body.astype(np.float32)
-        facets, distances = self._surface.first_hit(starts, directions)
+        starts = moved(reach * directions_body, origin_body_km).astype(np.float32)
+        facets, distances = self._surface.first_hit(starts[:, :3], directions[:, :3])
         rays = np.flatnonzero(facets >= 0)
-        numbers, directions = facets[rays].astype(np.int64), directions[rays]
-        normals = self._normals[numbers]
-        points = starts[rays] + distances[rays, None] * directions
-        return Sight(rays, numbers, points, normals, -np.einsum("ij,ij->i", normals, directions_body[rays]))
+        facets, distances = facets.take(rays), distances.take(rays)
+        normals, directions = rows_of(self._padded_normals, facets), rows_of(directions, rays)
+        points = rows_of(starts, rays)
+        for axis in range(3):
+            points[:, axis] += distances * directions[:, axis]
+        return Sight(rays, facets, points, normals, -dot(normals, directions))
 
-    def dark(self, points_km: Real, normals: Real, to_sun: Real) -> Mask:
-        """Whether the mesh lies between points (k, 3) on it and the Sun."""
-        starts = (points_km + self._shadow_offset_km * normals).astype(np.float32)
-        directions = np.empty_like(starts)
-        directions[:] = to_sun
-        return self._surface.occluded(starts, directions)
+    def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
+        """Whether the mesh lies between points (k, 4) on it and the Sun."""
+        starts = points_km + np.float32(self._shadow_offset_km) * normals
+        directions = np.broadcast_to(to_sun.astype(np.float32), starts.shape)  # one in memory, where there is one
+        return self._surface.occluded(starts[:, :3], directions[:, :3])
 
     def _rays(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> tuple[Float, Float]:
         return _approached(origins_body_km, directions_body, self.radius_km)
@@ -234,13 +243,13 @@ class EllipsoidTracer:
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
         """Trace the rays of an image."""
-        hits = self.intersect(origin_body_km, directions_body)
+        hits = self.intersect(origin_body_km, directions_body[:, :3])
         rays = np.flatnonzero(hits.hit)
-        normals = hits.normals[rays]
-        cos_emission = -np.einsum("ij,ij->i", normals, directions_body[rays])
-        return Sight(rays, hits.facets[rays], hits.points_km[rays], normals, cos_emission)
+        points, normals = padded(hits.points_km.take(rays, axis=0)), padded(hits.normals.take(rays, axis=0))
+        cos_emission = -dot(normals, directions_body.take(rays, axis=0).astype(np.float32))
+        return Sight(rays, np.zeros(rays.size, np.int32), points, normals, cos_emission)
 
-    def dark(self, points_km: Real, normals: Real, to_sun: Real) -> Mask:
+    def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
         """Nowhere: a convex body never stands in its own light."""
         return np.zeros(len(points_km), dtype=bool)
 

@@ -132,10 +132,13 @@ def test_a_convex_body_casts_no_shadow_on_itself() -> None:
     tracer, random = tracer_for(mesh), np.random.default_rng(3)
     targets = ELLIPSOID.radii_km * _unit(random.normal(size=(100_000, 3)))
     origin = np.array([3.0, 2.0, -250_000.0])
-    sight = tracer.sight(origin, _unit(targets - origin))
-    facing = sight.only(sight.normals @ SUN > 0.0)
+    directions = np.zeros((len(targets), 4))
+    directions[:, :3] = _unit(targets - origin)
+    sight = tracer.sight(origin, directions)
+    sun = np.append(SUN, 0.0)
+    facing = sight.only(sight.normals @ sun > 0.0)
     assert facing.rays.size > 70_000
-    assert not tracer.dark(facing.points_km, facing.normals, SUN).any()
+    assert not tracer.dark(facing.points_km, facing.normals, sun).any()
 
 
 def test_a_tower_throws_a_shadow_as_long_as_the_sun_is_low() -> None:
@@ -147,9 +150,9 @@ def test_a_tower_throws_a_shadow_as_long_as_the_sun_is_low() -> None:
     points = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=-1)
     origin = np.array([0.0, 0.0, 1e4])
     tracer = tracer_for(body)
-    sight = tracer.sight(origin, _unit(points - origin))
-    assert sight.rays.size == x.size
-    dark = tracer.dark(sight.points_km, sight.normals, sun)
+    hits = tracer.intersect(origin, points - origin)
+    assert hits.hit.all()
+    dark = tracer.shadowed(hits, sun)
     length = 1.0 / np.tan(elevation)
     assert_allclose([x[dark].min(), x[dark].max()], [-0.1 - length, -0.11], rtol=0, atol=0.01)
 
@@ -394,13 +397,15 @@ def test_ray_directions_are_those_of_the_camera_model_also_where_it_ends(k1: flo
     assert np.isnan(exact).any() == (k1 == -0.4)
     assert np.isfinite(exact).any()
     grid = RayGrid(model, x, y, TILTED.as_matrix().T)
-    assert_allclose(grid.rows(0, y.count), exact.reshape(-1, 3), rtol=0, atol=2e-11)
+    directions = grid.tile(10, 60, 5, x.count).reshape(x.count - 5, 50, 4)  # column after column
+    assert_allclose(np.swapaxes(directions[..., :3], 0, 1), exact[10:60, 5:], rtol=0, atol=2e-11)
+    assert np.all(directions[..., 3] == 0.0)
 
 
 def test_jittered_rays_stay_in_their_cells_and_fill_them() -> None:
     x, y = Cells.covering(100.0, 140.0, 3), Cells.covering(80.0, 100.0, 3)
-    rays = RayGrid(BROWN, x, y, np.eye(3), np.random.default_rng(1)).rows(0, y.count)
-    pixels = BROWN.project(rays).reshape(y.count, x.count, 2)
+    rays = RayGrid(BROWN, x, y, np.eye(3), jitter_seed=1).tile(0, y.count, 0, x.count)[:, :3]
+    pixels = np.swapaxes(BROWN.project(rays).reshape(x.count, y.count, 2), 0, 1)
     within = 3.0 * (pixels - np.stack(np.meshgrid(x.edges_px[:-1], y.edges_px[:-1]), axis=-1))
     assert within.min() > -1e-4
     assert within.max() < 1.0 + 1e-4

@@ -22,8 +22,10 @@ from giantlike.ray_tracing import (
     RenderOptions,
     SceneRender,
     Template,
+    Trace,
     render,
     render_scene,
+    trace_body,
 )
 from giantlike.ray_tracing.sun import disc_directions
 from giantlike.shapes import Ellipsoid, FacetAlbedo, Shape, irregular_body, mesh_from_ellipsoid, sphere
@@ -139,7 +141,9 @@ def test_under_an_extended_sun_a_shadow_has_the_brightness_of_the_uncovered_part
 def test_points_of_the_solar_disc_fill_it_evenly() -> None:
     random = np.random.default_rng(5)
     first, turn = random.uniform(size=(2, 2000))
-    rays = np.stack(disc_directions(SIDEWAYS, 0.3, 8, first, turn))
+    rays = np.stack(disc_directions(np.append(SIDEWAYS, 0.0), 0.3, 8, first, turn))
+    assert np.all(rays[..., 3] == 0.0)
+    rays = rays[..., :3]
     assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=0, atol=ROUNDING)
     share = (1.0 - rays @ SIDEWAYS) / (1.0 - math.cos(0.3))  # uniform in [0, 1) over a cap
     ring = np.arange(8)[:, None]
@@ -175,3 +179,89 @@ def test_what_is_not_seen_is_a_failure_of_that_body_alone() -> None:
     assert eclipsed.coverage.sum() > 0.0
     with pytest.raises(InputError, match="each of 2 bodies"):
         _scene([big, small], np.zeros((3, 3)))
+
+
+# --- one trace, many templates --------------------------------------------------------------------------------------
+
+
+def _near(
+    body: Body,
+    sun: np.ndarray = SIDEWAYS,
+    psf: GaussianPsf | None = None,
+    options: RenderOptions = DEFAULTS,
+    *,
+    recentre: bool = False,
+) -> Template | Failure:
+    """A render through the distorted camera."""
+    return render(
+        body, BROWN, sun_direction_camera=sun, psf=psf, columns=256, rows=240, options=options, recentre=recentre
+    )
+
+
+def _same(first: Template | Failure, second: Template | Failure) -> bool:
+    assert isinstance(first, Template)
+    assert isinstance(second, Template)
+    same = (np.array_equal(getattr(first, name), getattr(second, name)) for name in ("brightness", "coverage"))
+    return all(same) and np.array_equal(first.photocenter_px, second.photocenter_px)
+
+
+@pytest.mark.parametrize("options", [DEFAULTS, RenderOptions(sun_radius_rad=0.1, sun_samples=3, jitter_seed=1)])
+def test_a_kept_trace_shades_as_a_new_render_does(options: RenderOptions) -> None:
+    body = _body(irregular_body(2, facets=2000), [0.5, -0.4, 6.0])
+    psf, wide, other_sun = GaussianPsf(sigma_px=0.7), GaussianPsf(sigma_px=1.9), np.array([0.0, 0.6, -0.8])
+    trace = trace_body(body, BROWN, sun_direction_camera=SIDEWAYS, psf=psf, columns=256, rows=240, options=options)
+    assert isinstance(trace, Trace)
+    seeliger = replace(body, reflectance=LommelSeeliger())
+    pairs = [
+        (trace, (body, SIDEWAYS, psf)),
+        (trace.with_reflectance(LommelSeeliger()), (seeliger, SIDEWAYS, psf)),
+        (trace.with_psf(wide), (body, SIDEWAYS, wide)),
+        (trace.with_psf(None), (body, SIDEWAYS, None)),
+        (trace.with_sun(other_sun).with_reflectance(LommelSeeliger()), (seeliger, other_sun, psf)),
+    ]
+    first = trace.template()
+    for changed, (anew, sun, blur) in pairs:
+        assert _same(changed.template(), _near(anew, sun, blur, options))
+    assert not _same(first, pairs[-1][0].template())
+
+
+def test_a_trace_that_the_frame_cuts_refuses_a_psf_that_needs_other_rays() -> None:
+    body = _body(irregular_body(2, facets=2000), [1.5, 0.0, 6.0])
+    trace = trace_body(body, BROWN, sun_direction_camera=SIDEWAYS, columns=256, rows=240)
+    assert isinstance(trace, Trace)
+    with pytest.raises(InputError, match="trace it anew"):
+        trace.with_psf(GaussianPsf(sigma_px=2.0))
+
+
+@pytest.mark.parametrize("seed", [None, 3])
+def test_threads_change_nothing_in_the_image(seed: int | None) -> None:
+    body = _body(irregular_body(2, facets=20_000), [0.1, -0.1, 5.0])
+    options = RenderOptions(rays_per_pixel_side=10, jitter_seed=seed)
+    one, three = (_near(body, options=replace(options, threads=n)) for n in (1, 3))
+    assert isinstance(one, Template)
+    assert one.coverage.sum() * 100 > 2 * 32_768  # several tiles
+    assert _same(one, three)
+
+
+# --- outside the field ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("position", [[9.0, -4.0, 6.0], [0.5, 0.3, -6.0], [0.0, 0.0, -6.0]])
+def test_a_body_outside_the_field_is_rendered_as_if_the_camera_had_turned_to_it(position: list[float]) -> None:
+    body = _body(irregular_body(2, facets=2000), position)
+    away = np.array(position) / np.linalg.norm(position)
+    sun = np.cross(away, [0.6, 0.8, 0.0])
+    sun = 0.6 * sun / np.linalg.norm(sun) - 0.8 * away
+    psf = GaussianPsf(sigma_px=0.7)
+    assert isinstance(_near(body, sun, psf), Failure)
+    template = _near(body, sun, psf, recentre=True)
+    assert isinstance(template, Template)
+    turn = template.rendered_from_camera
+    assert_allclose(template.center_px, [127.5, 119.5], rtol=0, atol=1e-6)
+    assert_allclose(turn.apply(away), BROWN.unproject([127.5, 119.5]), rtol=0, atol=1e-9)
+    assert _same(template, _near(body.turned(turn), turn.apply(sun), psf))
+    assert turn.magnitude() == pytest.approx(np.arccos(away @ BROWN.unproject([127.5, 119.5])), abs=1e-7)
+    inside = _body(irregular_body(2, facets=2000), [0.2, 0.1, 6.0])
+    kept = _near(inside, recentre=True)
+    assert isinstance(kept, Template)
+    assert kept.rendered_from_camera.magnitude() == 0.0

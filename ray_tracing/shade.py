@@ -1,0 +1,149 @@
+"""Traced rays become light on pixels: the reflectance law, the albedo and the point spread function."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, frozen
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.ray_tracing.reflectance import Reflectance
+from giantlike.ray_tracing.sampling import spread_over
+from giantlike.ray_tracing.trace import TracedTile, View
+from giantlike.ray_tracing.window import Tile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Template:
+    """A rendered body, cut out to the pixels that its light reaches.
+
+    Parameters
+    ----------
+    brightness : (h, w) float64
+        Mean over the pixel, relative: 1 is a surface seen and lit along its normal. The PSF is in it.
+    coverage : (h, w) float64
+        Fraction of each pixel that the body covers, lit or not, before the PSF.
+    corner_px : (2,) int64, px
+        Image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame.
+    center_px : (2,) float64, px
+        Where the origin of the shape projects, in the distorted image.
+    photocenter_px : (2,) float64, px
+        Centroid of the light before PSF and pixels, so that it holds for a body inside one pixel too.
+    lit_fraction : float
+        Part of the rays on the body that end on lit surface.
+    rendered_from_camera : Rotation
+        Takes camera axes to those that the body was rendered in: no turn, unless it was recentred.
+    """
+
+    brightness: Float
+    coverage: Float
+    corner_px: NDArray[np.int64]
+    center_px: Float
+    photocenter_px: Float
+    lit_fraction: float
+    rendered_from_camera: Rotation = field(default_factory=Rotation.identity)
+
+    def placed(self, columns: int, rows: int) -> Float:
+        """The brightness in a whole frame (rows, columns), zero elsewhere; what lies outside is cut off."""
+        frame = np.zeros((rows, columns))
+        height, width = self.brightness.shape
+        x, y = (int(v) for v in self.corner_px)
+        x0, x1, y0, y1 = max(x, 0), min(x + width, columns), max(y, 0), min(y + height, rows)
+        if x0 < x1 and y0 < y1:
+            frame[y0:y1, x0:x1] = self.brightness[y0 - y : y1 - y, x0 - x : x1 - x]
+        return frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShadedTile:
+    """Light and cover of a tile of cells.
+
+    Parameters
+    ----------
+    tile : Tile
+    light : (w, rows) float64
+        By pixel columns of the template and rows of cells; blurred along x.
+    by_column : (columns,) float64
+        Brightness summed over the rows, for each column of cells of the tile.
+    by_row : (rows,) float64
+    cover : (height, columns) int64
+        Number of hits on the template's pixels, from row ``first_row`` on.
+    first_row : int
+    hits, lit : int
+        Number of rays that meet the body, and of those that see the Sun too.
+    """
+
+    tile: Tile
+    light: Float
+    by_column: Float
+    by_row: Float
+    cover: NDArray[np.int64]
+    first_row: int
+    hits: int
+    lit: int
+
+
+def shade_tile(view: View, traced: TracedTile, law: Reflectance) -> ShadedTile:
+    """Brightness of the cells of a tile, gathered on the pixels across."""
+    tile, sight, window = traced.tile, traced.sight, view.window
+    brightness = np.zeros((window.cells[0].count, tile.rows))
+    inside = brightness[tile.left : tile.right]
+    flat = inside.reshape(-1)
+    for light in traced.light:
+        value = law(light.cos_incidence, sight.cos_emission.take(light.seen), light.phase_rad)
+        if traced.albedo is not None:
+            value = value * traced.albedo.take(light.seen)
+        flat[sight.rays.take(light.seen)] += value / len(traced.light)
+    first_row, cover = window.counted(tile, sight.rays)
+    return ShadedTile(
+        tile=tile,
+        light=spread_over(window.spread[0], brightness),
+        by_column=inside @ np.ones(tile.rows),
+        by_row=np.ones(len(inside)) @ inside,
+        cover=cover,
+        first_row=first_row,
+        hits=int(sight.rays.size),
+        lit=traced.lit,
+    )
+
+
+def gathered(view: View, tiles: Iterable[ShadedTile]) -> Template | Failure:
+    """Add up tiles, in their order; a body seen in the dark gives a black template with a NaN photocentre."""
+    window = view.window
+    x, y = (cells.centers_px for cells in window.cells)
+    width, height = window.size_px
+    light, counts = np.zeros((y.size, width)), np.zeros((height, width), np.int64)
+    by_column, by_row = np.zeros(x.size), np.zeros(y.size)
+    n_hit = n_lit = 0
+    for part in tiles:
+        rows = slice(part.tile.start, part.tile.stop)
+        light[rows] = part.light.T
+        counts[part.first_row : part.first_row + len(part.cover)] += part.cover
+        by_column[part.tile.left : part.tile.right] += part.by_column
+        by_row[rows] = part.by_row
+        n_hit, n_lit = n_hit + part.hits, n_lit + part.lit
+    if n_hit == 0 and view.neighbours:
+        return Failure(Reason.NO_SIGNAL, "no ray of the frame meets the body, or other bodies stand before it")
+    if n_hit == 0:
+        return Failure(Reason.OUT_OF_FRAME, "no ray of the frame meets the body, though its bounds touch the frame")
+    with np.errstate(invalid="ignore"):
+        photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
+    return Template(
+        brightness=frozen(spread_over(window.spread[1], light)),
+        coverage=frozen(counts / window.cells[0].per_px ** 2),
+        corner_px=frozen(window.corner_px),
+        center_px=view.body.center_px(view.model),
+        photocenter_px=photocenter_px,
+        lit_fraction=n_lit / n_hit,
+    )
+
+
+def unless_dark(template: Template | Failure) -> Template | Failure:
+    """``NOT_LIT`` for a template without any lit surface."""
+    if isinstance(template, Template) and template.lit_fraction == 0.0:
+        return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
+    return template
