@@ -121,7 +121,12 @@ UNKNOWN_OR_MISSING: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
     (lambda t: t["targets"][0].update(unit="km"), r"unknown key targets\[0\].unit; keys there are name, shape, units"),
     (lambda t: t.pop("images"), "key images is missing"),
     (lambda t: t["campaign"].pop("output"), "key campaign.output is missing"),
-    (lambda t: t.update(calibration={"estimate": ["fx_px"]}), r"\[calibration\].*not available"),
+    (lambda t: t.update(calibration={"estimate": []}), "calibration.estimate: must not be empty"),
+    (
+        lambda t: t.update(calibration={"estimate": ["f_px"]}),
+        "calibration.estimate: a 'brown' model has no parameter 'f_px'",
+    ),
+    (lambda t: t.update(calibration={"estimate": ["fx_px"], "min_star": 1}), "unknown key calibration.min_star"),
 ]
 
 

@@ -15,7 +15,7 @@ from giantlike.calibration.criteria import missed_criteria
 from giantlike.calibration.field_map import FieldSensitivity
 from giantlike.calibration.fix import CalibrationFix, ImageCalibration, RejectedObservation
 from giantlike.calibration.levenberg_marquardt import Minimum, covariance_of, minimise
-from giantlike.calibration.normal import Data, State, at_temperature, predict
+from giantlike.calibration.normal import Data, State, predict
 from giantlike.calibration.observability import parameter_support
 from giantlike.calibration.observations import ImageObservations
 from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
@@ -28,7 +28,9 @@ from giantlike.processing.wahba import solve_wahba
 
 _MEDIAN_CHI2 = 2.0 * math.log(2.0)  # two degrees of freedom
 _NOISE_EXPLAINS = 0.9999
+_SMALLEST_SPREAD = 1e-4  # residuals a hundred times below their sigmas are rounding, not a scale to judge by
 _MIN_PER_IMAGE = 2
+_LOOKING_STEPS = 40
 _MOST_OF_AN_IMAGE = 0.5
 
 
@@ -69,12 +71,6 @@ def calibrate(
     InputError
         A parameter is unknown or named twice, or there are no observations.
 
-    Notes
-    -----
-    Rounds of fit and rejection: residuals are held against their robust spread (median of the squares) by a
-    chi-square test that may be expected to reject ``options.false_rejections`` good observations in all. An image
-    of which less than half agrees is left out whole.
-
     References
     ----------
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Camera Calibration.
@@ -114,7 +110,7 @@ def _start_rotations(observations: Sequence[ImageObservations], model: CameraMod
     for image in observations:
         found = image.camera_from_reference
         if found is None:
-            vectors = at_temperature(model, image.temperature_c).unproject(image.points_px)
+            vectors = model.at_temperature(image.temperature_c).unproject(image.points_px)
             seen = np.isfinite(vectors).all(axis=1)
             outcome = solve_wahba(image.targets[seen], vectors[seen], 1.0 / model.focal_length_px)
             if isinstance(outcome, Failure):
@@ -134,13 +130,18 @@ class _Fitted:
 
 
 def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions) -> _Fitted | Failure:
-    """Robust fits and rejection until that changes nothing, then the fit by the loss that was asked for."""
+    """Robust fits and rejection until that changes nothing, then the fit by the loss that was asked for.
+
+    Residuals are held against their robust spread (median of the squares) by a chi-square test that may be expected
+    to reject ``options.false_rejections`` good observations in all. An image of which less than half agrees is left
+    out whole.
+    """
     used = np.asarray(np.isfinite(predict(state, data)).all(axis=1))
     guard = Loss.HUBER if options.loss is Loss.LINEAR else options.loss
     kept_images: NDArray[np.bool_] = np.ones(len(data.offsets) - 1, dtype=bool)
     steps = rounds = 0
     for rounds in range(1, options.max_rounds + 1):  # noqa: B007 - told in the result
-        minimum = minimise(state, data, used, guard, max_steps=options.max_steps)
+        minimum = minimise(state, data, used, guard, max_steps=_LOOKING_STEPS, rough=True)
         if isinstance(minimum, Failure):
             return minimum
         state, steps = minimum.state, steps + minimum.steps
@@ -165,6 +166,7 @@ def _agreeing(
     squares = np.where(np.isfinite(squares), squares, np.inf)
     count, free = int(used.sum()), len(data.estimated) + data.pose * (len(data.offsets) - 1)
     spread = float(np.median(squares[used])) / _MEDIAN_CHI2 * 2 * count / max(2 * count - free, 1)
+    spread = max(spread, _SMALLEST_SPREAD)
     limit = 2.0 * math.log(max(len(squares) / options.false_rejections, 2.0))  # chi-square with two degrees
     keep = np.asarray(squares <= limit * spread)
     index = data.image_index
@@ -258,7 +260,8 @@ def _images(
     for number, image in enumerate(observations):
         mine = (data.image_index == number) & fitted.used
         shift, kept = shifts[number], bool(mine.any())
-        moved = sensitivity.unrotated[..., data.estimated] @ shift
+        known = bool(np.isfinite(shift).all())  # else the other images leave a parameter free
+        moved = sensitivity.unrotated[..., data.estimated] @ shift if known else np.array([[math.inf]])
         result.append(
             ImageCalibration(
                 name=image.name,
@@ -270,7 +273,7 @@ def _images(
                 n_rejected=len(image) - int(mine.sum()),
                 rms_px=float(np.sqrt(np.mean(np.sum(residuals[mine] ** 2, axis=1)))) if kept else math.nan,
                 influence_px=float(np.sqrt(np.mean(np.sum(moved**2, axis=-1)))),
-                influence=float(shift @ weights @ shift) / scale / max(len(shift), 1),
+                influence=float(shift @ weights @ shift) / scale / max(len(shift), 1) if known else math.inf,
             )
         )
     return tuple(result)

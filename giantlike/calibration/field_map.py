@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.calibration.normal import at_temperature, parameter_jacobian
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
 from giantlike.core.frames import skew
 
 _ROTATION_STEPS = 5
-_CELLS = 24
+_CELLS = 25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +64,7 @@ def map_difference(
     columns, rows : int
     temperature_c : float, Celsius
     """
-    first, second = at_temperature(model, temperature_c), at_temperature(other, temperature_c)
+    first, second = model.at_temperature(temperature_c), other.at_temperature(temperature_c)
     pixels = field_grid(columns, rows)
     vectors = first.unproject(pixels)
     seen = np.isfinite(vectors).all(axis=1)
@@ -103,12 +102,12 @@ class FieldSensitivity:
     @classmethod
     def of(cls, model: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0) -> FieldSensitivity:
         """Sensitivity over a grid of the detector, where the model can image."""
-        there = at_temperature(model, temperature_c)
+        there = model.at_temperature(temperature_c)
         pixels = field_grid(columns, rows)
         vectors = there.unproject(pixels)
         seen = np.isfinite(vectors).all(axis=1)
         pixels, vectors = pixels[seen], vectors[seen]
-        by_parameter = parameter_jacobian(model, vectors, temperature_c)
+        by_parameter = model.parameter_jacobian(vectors, temperature_c=temperature_c)
         by_rotation = (-there.project_jacobian(vectors) @ skew(vectors)).reshape(-1, 3)
         basis, _ = np.linalg.qr(by_rotation)
         flat = by_parameter.reshape(len(basis), -1)

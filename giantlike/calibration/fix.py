@@ -31,7 +31,8 @@ class ImageCalibration:
     rms_px : float, px
         Radial; NaN where nothing was kept.
     influence_px : float, px
-        How far the camera map moves (rms over the field, modulo a rotation) when this image is left out.
+        How far the camera map moves (rms over the field, modulo a rotation) when this image is left out; infinite
+        when the others leave a parameter free.
     influence : float
         The same in units of the covariance: squared shift of the parameters over their number. Above 1, one image
         rules the result.

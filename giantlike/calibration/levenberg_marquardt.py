@@ -15,8 +15,8 @@ from giantlike.core.outcomes import Failure, Reason
 _FIRST_DAMPING = 1e-3
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-15, 1e12
 _FACTOR = 10.0
-_CONVERGED = 1e-8
-"""Promised decrease of chi-square at which a fit is done: every parameter is within 1e-4 of its sigma."""
+_CONVERGED, _ROUGHLY = 1e-8, 1e-2
+"""Promised decrease of chi-square at which a fit is done: every parameter is within its root of its sigma."""
 _ROUNDING = 1e-12
 
 
@@ -29,7 +29,9 @@ class Minimum:
     steps: int
 
 
-def minimise(state: State, data: Data, used: NDArray[np.bool_], loss: Loss, *, max_steps: int) -> Minimum | Failure:
+def minimise(
+    state: State, data: Data, used: NDArray[np.bool_], loss: Loss, *, max_steps: int, rough: bool = False
+) -> Minimum | Failure:
     r"""Levenberg-Marquardt: steps of :math:`(H^T W H + \lambda\,\mathrm{diag}(H^T W H))^{-1} H^T W r`.
 
     Parameters
@@ -40,6 +42,8 @@ def minimise(state: State, data: Data, used: NDArray[np.bool_], loss: Loss, *, m
     used : (n,) bool
     loss : Loss
     max_steps : int
+    rough : bool
+        A tenth of a sigma is near enough, and so is wherever the steps end: for a look at which residuals are large.
 
     Returns
     -------
@@ -60,12 +64,12 @@ def minimise(state: State, data: Data, used: NDArray[np.bool_], loss: Loss, *, m
     normal = normal_equations(state, data, used, loss)
     if normal is None:
         return Failure(Reason.NOT_CONVERGED, "the starting model cannot image a target that was seen")
-    damping = _FIRST_DAMPING
+    damping, enough = _FIRST_DAMPING, _ROUGHLY if rough else _CONVERGED
     for count in range(max_steps):
         step = normal.solve(damping)
         if step is None and damping > _FIRST_DAMPING:
             return Failure(Reason.DEGENERATE_GEOMETRY, "the normal equations are singular")
-        if step is not None and step.decrement <= _CONVERGED and damping <= _FIRST_DAMPING:
+        if step is not None and step.decrement <= enough and damping <= _FIRST_DAMPING:
             return Minimum(state, normal, count)
         moved = None if step is None else state.moved(step, data)
         ahead = None if moved is None else normal_equations(moved, data, used, loss)
@@ -76,6 +80,8 @@ def minimise(state: State, data: Data, used: NDArray[np.bool_], loss: Loss, *, m
             damping *= _FACTOR
         else:
             break
+    if rough:
+        return Minimum(state, normal, max_steps)
     return Failure(
         Reason.NOT_CONVERGED,
         f"the fit still moves after {max_steps} steps (chi-square {normal.cost:.4g} of {int(used.sum())} observations)",

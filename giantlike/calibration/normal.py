@@ -21,6 +21,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
 
+TEMPERATURE_TERMS = frozenset({"a1_per_c", "a2_per_c2", "a3_per_c3"})
+"""Parameters whose effect depends on the temperature of an image."""
 MAX_CONDITION = 1e13
 """Scaled normal matrices worse than this leave a parameter free: nothing of float64 is left."""
 
@@ -132,36 +134,21 @@ def jacobians(state: State, data: Data) -> tuple[Float, Float]:
         pose[which, :, :3] = -by_point @ skew(arms[which])
         if data.pose == 6:
             pose[which, :, 3:] = by_point
-        by_parameter = parameter_jacobian(state.model, vectors[which], temperature_c)
+        by_parameter = state.model.parameter_jacobian(vectors[which], temperature_c=temperature_c)
         camera[which] = by_parameter[..., data.estimated]
     return camera, pose
 
 
-def at_temperature(model: CameraModel, temperature_c: float) -> CameraModel:
-    """Model as it is at a temperature: itself where it has no temperature terms."""
-    return model.at_temperature(temperature_c) if _has_temperature(model) else model
-
-
-def parameter_jacobian(model: CameraModel, vectors: Float, temperature_c: float) -> Float:
-    """Derivative (..., 2, p) of the pixels by all parameters of the model, at a temperature."""
-    if _has_temperature(model):
-        return model.parameter_jacobian(vectors, temperature_c=temperature_c)
-    return model.parameter_jacobian(vectors)
-
-
-def _has_temperature(model: CameraModel) -> bool:
-    return "a1_per_c" in model.parameter_names
-
-
 def _by_temperature(model: CameraModel, data: Data) -> list[tuple[NDArray[np.bool_] | slice, CameraModel, float]]:
-    """Which observations share a temperature, and the model there."""
-    if not _has_temperature(model):
+    """Which observations share a temperature, and the model there; one group where temperature does not matter."""
+    estimated = {model.parameter_names[k] for k in data.estimated}
+    if estimated.isdisjoint(TEMPERATURE_TERMS) and bool(
+        (model.at_temperature(1.0).parameters == model.parameters).all()
+    ):
         return [(slice(None), model, 0.0)]
     temperatures, group = np.unique(data.temperatures_c, return_inverse=True)
-    if len(temperatures) == 1:
-        return [(slice(None), at_temperature(model, float(temperatures[0])), float(temperatures[0]))]
     of_point = group[data.image_index]
-    return [(of_point == k, at_temperature(model, float(t)), float(t)) for k, t in enumerate(temperatures)]
+    return [(of_point == k, model.at_temperature(float(t)), float(t)) for k, t in enumerate(temperatures)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.calibration.calibrate import calibrate
 from giantlike.calibration.fix import CalibrationFix
-from giantlike.calibration.normal import at_temperature
 from giantlike.calibration.observations import ImageObservations
 from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
 from giantlike.camera import Camera
-from giantlike.camera_models import BrownModel, CameraModel, PinholeModel, model_from_mapping, model_to_mapping
+from giantlike.camera_models import BrownModel, CameraModel, model_from_mapping, model_to_mapping
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
@@ -111,7 +110,7 @@ def identify_first(
     -------
     StarImage or Failure
     """
-    rough = isinstance(camera.model, PinholeModel) and camera.model.type_name in ("pinhole", "brown")
+    rough = camera.model.type_name in ("pinhole", BrownModel.type_name)
     options = replace(navigation.options, lost_in_space=True, estimate_scale=rough, scale_error=scale_error)
     if rough:
         camera = replace(camera, model=scaled_model(camera.model, 1.0))
@@ -333,7 +332,7 @@ def _identified(
     image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions, min_snr: float
 ) -> ImageObservations | Failure:
     """Bright matches of an image with a camera, those that the attitude fit leaves out included: calibration judges."""
-    camera = replace(camera, model=at_temperature(camera.model, image.temperature_c))
+    camera = replace(camera, model=camera.model.at_temperature(image.temperature_c))
     focal, half = camera.model.focal_length_px, float(np.hypot(camera.columns, camera.rows)) / 2.0
     refined = refine_attitude(
         image.sky.field(camera, camera_from_inertial).brightest(depth_for(len(image.points_px))),

@@ -13,15 +13,19 @@ from typing import Any
 
 from scipy.spatial.transform import Rotation
 
+from giantlike.calibration import CalibrationCriteria, CalibrationOptions
+from giantlike.calibration.star_images import start_model
 from giantlike.camera import Camera
 from giantlike.campaign.options import options_from_mapping
 from giantlike.campaign.schema import (
+    CalibrationSection,
     CampaignFile,
     SpiceSection,
     StarsSection,
     TargetSection,
     read_campaign_file,
 )
+from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotation_from_xyzw
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry, read_geometry
@@ -74,6 +78,19 @@ class StarsSetup:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSetup:
+    """Camera calibration: parameters to estimate, type of the model, and what it must reach."""
+
+    estimate: tuple[str, ...]
+    model_type: str | None
+    min_snr: float
+    scale_error: float
+    temperature_keyword: str | None
+    options: CalibrationOptions
+    criteria: CalibrationCriteria
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TargetSetup:
     """A body as the campaign file gives it; the shape is loaded where it is needed."""
 
@@ -122,6 +139,7 @@ class Campaign:
     camera_file : Path or None
     spice : SpiceSetup or None
     stars : StarsSetup or None
+    calibration : CalibrationSetup or None
     targets : tuple of TargetSetup
     max_overlays : int
     warnings : tuple of str
@@ -140,6 +158,7 @@ class Campaign:
     camera_file: Path | None
     spice: SpiceSetup | None
     stars: StarsSetup | None
+    calibration: CalibrationSetup | None
     targets: tuple[TargetSetup, ...]
     max_overlays: int
     warnings: tuple[str, ...] = field(default=())
@@ -199,6 +218,9 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     repeated = [name for name, count in Counter(target.name for target in targets).items() if count > 1]
     if repeated:
         raise InputError(f"targets: two targets have the name {repeated[0]!r}")
+    stars = content.stars
+    if stars is None and content.calibration is not None:
+        stars = StarsSection(lost_in_space=True)
     hdu = content.images.hdu
     if hdu is not None and (isinstance(hdu, bool) or not isinstance(hdu, int | str)):
         raise InputError(f"images.hdu: expected a number or a name, got {hdu!r}")
@@ -214,7 +236,8 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         camera=camera,
         camera_file=camera_file,
         spice=spice,
-        stars=None if content.stars is None else _stars(path, content.stars),
+        stars=None if stars is None else _stars(path, stars),
+        calibration=None if content.calibration is None else _calibration(content.calibration, camera),
         targets=targets,
         max_overlays=content.report.max_overlays,
         warnings=(*unmatched, *_oddities(geometry_file, geometry, targets, spice)),
@@ -305,6 +328,22 @@ def _stars(path: Path, section: StarsSection) -> StarsSetup:
         detection=detection,
         long_exposure_s=section.long_exposure_s,
         transfer=transfer,
+    )
+
+
+def _calibration(section: CalibrationSection, camera: Camera) -> CalibrationSetup:
+    start = start_model(camera.model, section.estimate, section.model, 1.0)
+    options = options_from_mapping(CalibrationOptions, section.options, "calibration.options")
+    for name in options.prior_sigma:
+        require(name in start.parameter_names, f"calibration.options.prior_sigma: the model has no {name!r}")
+    return CalibrationSetup(
+        estimate=tuple(section.estimate),
+        model_type=section.model,
+        min_snr=section.min_snr,
+        scale_error=section.scale_error,
+        temperature_keyword=section.temperature_keyword,
+        options=options,
+        criteria=options_from_mapping(CalibrationCriteria, section.criteria, "calibration.criteria"),
     )
 
 

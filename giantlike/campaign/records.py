@@ -126,6 +126,30 @@ class AttitudeRecord(_Record):
         return self.model_copy(update={"stars": None, "detected_px": []})
 
 
+class CalibrationRecord(_Record):
+    """What calibration keeps of one star image; arrays as in :class:`~giantlike.calibration.star_images.StarImage`.
+
+    ``problem`` says why there is nothing.
+    """
+
+    index: int
+    file: str
+    problem: Problem | None = None
+    et: float | None = None
+    observer_position_km: Vector | None = None
+    observer_velocity_km_s: Vector | None = None
+    temperature_c: float = 0.0
+    apriori_xyzw: Vector | None = None
+    quaternion_xyzw: Vector = []
+    focal_length_px: float = 0.0
+    points_px: Matrix = []
+    covariance_px2: list[Matrix] = []
+    snr: Vector = []
+    star_ids: list[int] = []
+    source_indices: list[int] = []
+    sigma_px: Vector = []
+
+
 class ObservationRecord(_Record):
     """What one estimator said about one target in one image; units and frames as in the tables.
 

@@ -81,7 +81,7 @@ def render_images(
     paths = [folder / exposure.file for exposure in plan.exposures]
     _check_output(plan, folder, paths, overwrite=overwrite)
     for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(path.parent)
     catalog = None if plan.catalog is None else load_catalog(plan.catalog)
     rows: list[GeometryRow] = []
     results = []
@@ -119,6 +119,13 @@ def _placed(plan: RenderPlan, output: Path | None) -> tuple[RenderPlan, Path]:
     if images != 1:
         raise InputError(f"--output {output}: names one image, the scene file has {images}: give a folder")
     return replace(plan, exposures=(replace(plan.exposures[0], file=output.name),)), output.parent
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(folder, f"cannot make this folder: {error.strerror}") from error
 
 
 def _check_output(plan: RenderPlan, folder: Path, paths: list[Path], *, overwrite: bool) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from giantlike.campaign.page import render_page
 from giantlike.campaign.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.report_figures import attitude_figures, body_figures, center_colors, overlay
 from giantlike.campaign.results import RunResult
@@ -31,16 +31,10 @@ def write_report(result: RunResult) -> Path:
     DataError
         The file cannot be written.
     """
-    import jinja2
-
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters["sig"] = _significant
-    template = environment.from_string(
-        resources.files("giantlike.campaign").joinpath("report.html.j2").read_text(encoding="utf-8")
-    )
     failures = _failures(result)
     shown = _images_to_show(result)
-    page = template.render(
+    page = render_page(
+        "report.html.j2",
         name=result.name,
         version=VERSION,
         n_images=len(result.attitudes),
@@ -58,6 +52,7 @@ def write_report(result: RunResult) -> Path:
         centers=center_colors(result),
         n_readable=sum(record.readable for record in result.attitudes),
         time_s=result.time_s,
+        calibration=result.calibration,
     )
     path = result.folder / "report.html"
     write_text_atomic(path, page)
@@ -175,10 +170,3 @@ def _images_to_show(result: RunResult) -> list[AttitudeRecord]:
     left = min(result.max_overlays - len(first) - len(second), len(others))
     spread = np.linspace(0, len(others) - 1, max(left, 0)).round().astype(int)
     return first + second + [others[k] for k in np.unique(spread)]
-
-
-def _significant(value: float | None, digits: int = 3) -> str:
-    """Text of a number for people; a dash for none."""
-    if value is None:
-        return "–"
-    return f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e6 or value == 0 else f"{value:.{digits - 1}e}"

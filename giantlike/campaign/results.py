@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from giantlike.campaign.calibration import RESULT_FILE
 from giantlike.campaign.records import AttitudeRecord, ObservationRecord, ObservationsRecord
 from giantlike.campaign.store import RunFolder
 from giantlike.core.errors import DataError
@@ -34,6 +36,8 @@ class RunResult:
     warnings : tuple of str
     time_s : float
         Of the last part of the run.
+    calibration : dict, optional
+        What ``calibration.json`` holds, where the campaign calibrates.
     """
 
     folder: Path
@@ -44,6 +48,7 @@ class RunResult:
     max_overlays: int
     warnings: tuple[str, ...]
     time_s: float
+    calibration: dict[str, Any] | None = None
 
     @property
     def observations(self) -> tuple[ObservationRecord, ...]:
@@ -75,6 +80,7 @@ class RunResult:
                 | _counts([r for r in self.observations if (r.target, r.estimator) == (target, estimator)])
                 for target, estimator in estimators
             ],
+            "calibration": self.calibration,
             "warnings": list(self.warnings),
             "time_s": round(self.time_s, 3),
         }
@@ -101,7 +107,19 @@ def load_result(path: Path) -> RunResult:
         max_overlays=run["max_overlays"],
         warnings=tuple(run["warnings"]),
         time_s=run["time_s"],
+        calibration=_calibration(path / RESULT_FILE),
     )
+
+
+def _calibration(path: Path) -> dict[str, Any] | None:
+    """Content of ``calibration.json``; None where there is none."""
+    if not path.exists():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataError(path, "is damaged: continue the run with giantlike run --resume") from error
+    return dict(content)
 
 
 def _counts(records: Sequence[AttitudeRecord | ObservationRecord]) -> dict[str, Any]:

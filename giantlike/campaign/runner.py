@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from giantlike.camera import Camera
+from giantlike.campaign.calibration import (
+    CampaignCalibration,
+    calibrate_campaign,
+    calibration_summary,
+    write_calibration,
+)
+from giantlike.campaign.calibration_report import write_calibration_report
 from giantlike.campaign.carry import attitude_to_use, carry_attitudes
-from giantlike.campaign.config import Campaign, ImageEntry
+from giantlike.campaign.config import CalibrationSetup, Campaign, ImageEntry
 from giantlike.campaign.pool import WorkerPool
 from giantlike.campaign.prepare import targets_in
 from giantlike.campaign.provenance import environment_of, inputs_of
-from giantlike.campaign.records import AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
+from giantlike.campaign.records import (
+    AttitudeRecord,
+    CalibrationRecord,
+    ObservationRecord,
+    ObservationsRecord,
+    Problem,
+)
 from giantlike.campaign.report import write_report
 from giantlike.campaign.results import RunResult
-from giantlike.campaign.store import Record, RunFolder, stamp_of
+from giantlike.campaign.store import AnyRecord, Record, RunFolder, stamp_of
 from giantlike.campaign.tables import write_tables
 from giantlike.campaign.work import (
     BodyJob,
@@ -24,6 +40,7 @@ from giantlike.campaign.work import (
     estimate_image,
     failed_image,
     failed_observations,
+    find_first_stars,
     solve_image,
 )
 from giantlike.core.outcomes import Reason
@@ -38,9 +55,17 @@ _DIED = Problem(
 
 
 def run_campaign(
-    campaign: Campaign, *, workers: int | None = None, resume: bool = False, progress: Progress | None = None
+    campaign: Campaign,
+    *,
+    workers: int | None = None,
+    resume: bool = False,
+    bodies: bool = True,
+    progress: Progress | None = None,
 ) -> RunResult:
     """Run a campaign and write its run folder.
+
+    With a ``[calibration]`` section the camera is calibrated first, and everything else uses the calibrated camera.
+    Where calibration fails or is not accepted, the run goes on with the camera it was given, and says so.
 
     Parameters
     ----------
@@ -49,6 +74,8 @@ def run_campaign(
         Number of processes; default one per CPU, never more than images.
     resume : bool
         Go on with a run that was interrupted.
+    bodies : bool
+        Run the estimators of bodies too; without, the run ends with the attitudes (and can be continued).
     progress : callable, optional
 
     Returns
@@ -70,26 +97,54 @@ def run_campaign(
         for warning in campaign.warnings:
             folder.log("warning", detail=warning)
         count = max(1, min(_cpus() if workers is None else workers, len(campaign.images)))
-        with WorkerPool(bench, count) as pool:
-            # Taken before any image is read: a file that changes later is noticed when the run is continued.
-            stamps = tuple(stamp_of(entry.path) for entry in campaign.images)
-            run = _Run(campaign, folder, pool, progress or _silent, stamps)
-            attitudes = run.carry(run.solve_images())
-            bodies = run.estimate_images(attitudes)
+        calibration, campaign, attitudes, records = _work_through(bench, folder, count, bodies, progress or _silent)
     finally:
         bench.close()
     result = RunResult(
         folder=folder.path,
         name=campaign.name,
         attitudes=tuple(attitudes),
-        bodies=tuple(bodies),
+        bodies=tuple(records),
         hdu=campaign.hdu,
         max_overlays=campaign.max_overlays,
         warnings=campaign.warnings,
         time_s=time.perf_counter() - start,
+        calibration=None if calibration is None else calibration_summary(calibration),
     )
     _finish(folder, result)
     return result
+
+
+def _work_through(
+    bench: Workbench, folder: RunFolder, workers: int, bodies: bool, progress: Progress
+) -> tuple[CampaignCalibration | None, Campaign, list[AttitudeRecord], list[ObservationsRecord]]:
+    """All passes over the images; the campaign that comes back has the camera that was used."""
+    campaign = bench.campaign
+    # Taken before any image is read: a file that changes later is noticed when the run is continued.
+    stamps = tuple(stamp_of(entry.path) for entry in campaign.images)
+    calibration = None
+    if campaign.calibration is not None:
+        with WorkerPool(bench, workers) as pool:
+            calibration = _Run(campaign, folder, pool, progress, stamps).calibrate(bench, campaign.calibration)
+        bench, stamps = _with_calibration(bench, calibration, stamps)
+        campaign = bench.campaign
+    with WorkerPool(bench, workers) as pool:
+        run = _Run(campaign, folder, pool, progress, stamps)
+        attitudes = run.carry(run.solve_images())
+        records = run.estimate_images(attitudes) if bodies else []
+    return calibration, campaign, attitudes, records
+
+
+def _with_calibration(
+    bench: Workbench, calibration: CampaignCalibration, stamps: tuple[str, ...]
+) -> tuple[Workbench, tuple[str, ...]]:
+    """Workbench to go on with, and stamps that no record made with another camera has."""
+    if calibration.problem is not None:
+        bench = bench.with_warning(calibration.problem)
+    if calibration.camera is None:
+        return bench, stamps
+    digest = _digest(calibration.camera)
+    return bench.with_camera(calibration.camera), tuple(f"{stamp} {digest}" for stamp in stamps)
 
 
 def _finish(folder: RunFolder, result: RunResult) -> None:
@@ -117,11 +172,34 @@ class _Run:
     progress: Progress
     stamps: tuple[str, ...]
 
-    def _save(self, record: AttitudeRecord | ObservationsRecord) -> None:
+    def _save(self, record: AnyRecord) -> None:
         self.folder.save(record, self.stamps[record.index])
 
     def _done(self, kind: type[Record], entry: ImageEntry) -> Record | None:
         return self.folder.load_valid(kind, entry.index, entry.key, self.stamps[entry.index])
+
+    def calibrate(self, bench: Workbench, setup: CalibrationSetup) -> CampaignCalibration:
+        """Identify the stars of all star images, calibrate, and write what comes out."""
+        entries = self.campaign.images
+        records = {
+            entry.index: record for entry in entries if (record := self._done(CalibrationRecord, entry)) is not None
+        }
+        todo = [entry for entry in entries if entry.index not in records]
+        stage = "finding stars"
+        self.progress(stage, len(records), len(entries))
+        for position, answer in self.pool.run(find_first_stars, todo):
+            entry = todo[position]
+            record = answer or CalibrationRecord(index=entry.index, file=entry.key, problem=_DIED)
+            self._save(record)
+            records[entry.index] = record
+            self.progress(stage, len(records), len(entries))
+        assert bench.navigation is not None
+        ordered = [records[entry.index] for entry in entries]
+        result = calibrate_campaign(self.campaign, setup, ordered, bench.navigation.catalog)
+        write_calibration(self.folder.path, result)
+        write_calibration_report(self.folder.path, self.campaign.name, self.campaign.camera, result)
+        self.folder.log("calibrated", accepted=result.camera is not None, problem=result.problem)
+        return result
 
     def solve_images(self) -> list[AttitudeRecord]:
         entries = self.campaign.images
@@ -186,6 +264,11 @@ class _Run:
         if problem is not None:
             values |= problem.model_dump(mode="json", exclude_none=True)
         self.folder.log(event, **values)
+
+
+def _digest(camera: Camera) -> str:
+    """Short hash of a camera."""
+    return hashlib.sha256(json.dumps(camera.to_mapping(), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _cpus() -> int:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from giantlike.calibration.star_images import DEFAULT_MIN_SNR
 from giantlike.core.errors import DataError, InputError
 from giantlike.stars.transfer import TransferMethod
 
@@ -66,6 +67,24 @@ class StarsSection(_Section):
     detection: dict[str, Any] = Field(default_factory=dict)
 
 
+class CalibrationSection(_Section):
+    """``[calibration]``: which parameters of the camera to estimate from the stars of the campaign.
+
+    ``model`` is the type of the model when it is not that of the camera, ``scale_error`` how wrong its focal length
+    may be, ``temperature_keyword`` the header keyword that holds the temperature of the camera in Celsius.
+    ``options`` takes any option of :class:`giantlike.calibration.CalibrationOptions`, ``criteria`` any of
+    :class:`giantlike.calibration.CalibrationCriteria`.
+    """
+
+    estimate: list[str] = Field(min_length=1)
+    model: str | None = None
+    min_snr: float = Field(default=DEFAULT_MIN_SNR, ge=0)
+    scale_error: float = Field(default=0.1, gt=0, le=0.2)
+    temperature_keyword: str | None = None
+    options: dict[str, Any] = Field(default_factory=dict)
+    criteria: dict[str, Any] = Field(default_factory=dict)
+
+
 class TargetSection(_Section):
     """``[[targets]]``: a body, and the estimators to run on it.
 
@@ -97,6 +116,7 @@ class CampaignFile(_Section):
     camera: dict[str, Any]
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
+    calibration: CalibrationSection | None = None
     targets: list[TargetSection] = Field(default_factory=list)
     report: ReportSection = ReportSection()
 
@@ -107,6 +127,7 @@ _SECTIONS: Mapping[str, type[_Section]] = MappingProxyType(
         "images": ImagesSection,
         "spice": SpiceSection,
         "stars": StarsSection,
+        "calibration": CalibrationSection,
         "targets": TargetSection,
         "report": ReportSection,
     }
@@ -134,8 +155,6 @@ def read_campaign_file(path: Path) -> tuple[CampaignFile, dict[str, Any]]:
         raise DataError(path, f"cannot read the campaign file: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(path, f"is not valid TOML: {error}") from error
-    if "calibration" in table:
-        raise DataError(path, "[calibration]: camera calibration is not available in this version; remove the section")
     try:
         # Strict JSON rules fit TOML: they allow text for an enumeration, but no text for a number.
         return CampaignFile.model_validate_json(json.dumps(table, default=_refuse_dates)), table

@@ -9,17 +9,19 @@ import json
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from pydantic import ValidationError
 
 from giantlike.campaign.provenance import changes
-from giantlike.campaign.records import AttitudeRecord, ObservationsRecord
+from giantlike.campaign.records import AttitudeRecord, CalibrationRecord, ObservationsRecord
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Reason
 from giantlike.io.atomic import write_text_atomic
 
-Record = TypeVar("Record", AttitudeRecord, ObservationsRecord)
+Record = TypeVar("Record", AttitudeRecord, ObservationsRecord, CalibrationRecord)
+LightRecord = TypeVar("LightRecord", AttitudeRecord, ObservationsRecord)
+AnyRecord: TypeAlias = AttitudeRecord | ObservationsRecord | CalibrationRecord
 
 _PROVENANCE = "provenance.json"
 _PARTS = "parts"
@@ -123,7 +125,7 @@ class RunFolder:
                 "undo that, or choose another output"
             )
 
-    def save(self, record: AttitudeRecord | ObservationsRecord, stamp: str) -> None:
+    def save(self, record: AnyRecord, stamp: str) -> None:
         """Keep the record of a finished image, and which state of the image file (:func:`stamp_of`) it is of."""
         write_text_atomic(self._part(type(record), record.index), f"{stamp}\n{record.model_dump_json()}")
 
@@ -144,14 +146,17 @@ class RunFolder:
         record = self.load(kind, index, file)
         if record is None or _read(kind, self._part(kind, index))[0] != stamp:
             return None
-        problems = [record.problem] if isinstance(record, AttitudeRecord) else [o.problem for o in record.observations]
+        if isinstance(record, ObservationsRecord):
+            problems = [one.problem for one in record.observations]
+        else:
+            problems = [record.problem]
         return None if any(problem is not None and problem.reason in _TRIED_AGAIN for problem in problems) else record
 
     def drop_observations(self, index: int) -> None:
         """Forget the observations of an image, if there are any: it turned out to be one without."""
         self._part(ObservationsRecord, index).unlink(missing_ok=True)
 
-    def load_all(self, kind: type[Record]) -> list[Record]:
+    def load_all(self, kind: type[LightRecord]) -> list[LightRecord]:
         """All records of a kind, in input order, without their lists of points."""
         suffix = _SUFFIXES[kind]
         paths = sorted((self.path / _PARTS).glob(f"*.{suffix}.json"))
@@ -177,11 +182,12 @@ class RunFolder:
         except OSError as error:
             raise DataError(self.path / _LOG, f"cannot be written: {error.strerror or error}") from error
 
-    def _part(self, kind: type[AttitudeRecord] | type[ObservationsRecord], index: int) -> Path:
+    def _part(self, kind: type[AnyRecord], index: int) -> Path:
         return self.path / _PARTS / f"{index:06d}.{_SUFFIXES[kind]}.json"
 
 
-_SUFFIXES: Mapping[type[AttitudeRecord] | type[ObservationsRecord], str] = {
+_SUFFIXES: Mapping[type[AnyRecord], str] = {
+    CalibrationRecord: "calibration",
     AttitudeRecord: "attitude",
     ObservationsRecord: "observations",
 }

@@ -8,11 +8,14 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from giantlike.calibration import identify_first
+from giantlike.camera import Camera
+from giantlike.campaign.calibration import NO_STAR_IMAGE, record_of_stars, temperature_of
 from giantlike.campaign.config import Campaign, ImageEntry, TargetSetup
 from giantlike.campaign.measure import (
     attitude_fields,
@@ -27,6 +30,7 @@ from giantlike.campaign.prepare import PreparedImage, open_image, scene_of, targ
 from giantlike.campaign.records import (
     Attitude,
     AttitudeRecord,
+    CalibrationRecord,
     ObservationRecord,
     ObservationsRecord,
     Problem,
@@ -94,6 +98,27 @@ class Workbench:
         kernels = None if campaign.spice is None else load_kernels(campaign.spice.kernels, ".")
         return cls(campaign, navigation, shapes, kernels)
 
+    def with_camera(self, camera: Camera) -> Workbench:
+        """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky."""
+        stars, navigation = self.campaign.stars, self.navigation
+        if stars is not None and navigation is not None:
+            stars = replace(stars, options=replace(stars.options, lost_in_space=True, estimate_scale=False))
+            navigation = StarNavigation(camera, navigation.catalog, stars.options, detection=stars.detection)
+        return replace(self, campaign=replace(self.campaign, camera=camera, stars=stars), navigation=navigation)
+
+    def with_warning(self, text: str) -> Workbench:
+        """Return the workbench for a campaign with one more warning."""
+        return replace(self, campaign=replace(self.campaign, warnings=(*self.campaign.warnings, text)))
+
+    def for_image(self, image: Image) -> Workbench:
+        """Return the workbench with the camera as it is at the temperature of an image."""
+        setup = self.campaign.calibration
+        if setup is None or setup.temperature_keyword is None or self.campaign.camera.uncertainty is None:
+            return self
+        camera = self.campaign.camera
+        model = camera.model.at_temperature(temperature_of(image, setup.temperature_keyword))
+        return self.with_camera(replace(camera, model=model))
+
     def close(self) -> None:
         """Take the kernels out of SPICE's pool."""
         if self.kernels is not None:
@@ -115,6 +140,36 @@ def solve_image(bench: Workbench, entry: ImageEntry) -> AttitudeRecord:
     if isinstance(record, Problem):
         return failed_image(bench.campaign, entry, record, time.perf_counter() - start)
     return record
+
+
+def find_first_stars(bench: Workbench, entry: ImageEntry) -> CalibrationRecord:
+    """Read a star image and identify its stars with a camera that is known roughly, for calibration."""
+    record = _attempt(_first_stars, bench, entry)
+    if isinstance(record, Problem):
+        return CalibrationRecord(index=entry.index, file=entry.key, problem=record)
+    return record
+
+
+def _first_stars(bench: Workbench, entry: ImageEntry) -> CalibrationRecord | Problem:
+    campaign, setup = bench.campaign, bench.campaign.calibration
+    assert setup is not None
+    assert bench.navigation is not None
+    try:
+        image = open_image(campaign, entry).image
+    except OpNavError as error:
+        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
+    if not campaign.is_star_image(image.exposure_s):
+        return Problem(reason=Reason.NO_SIGNAL, detail=NO_STAR_IMAGE)
+    try:
+        temperature_c = temperature_of(image, setup.temperature_keyword)
+    except OpNavError as error:
+        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
+    found = identify_first(
+        image, campaign.camera, bench.navigation, scale_error=setup.scale_error, temperature_c=temperature_c
+    )
+    if isinstance(found, Failure):
+        return Problem(reason=found.reason, detail=found.detail)
+    return record_of_stars(entry, found, image.camera_from_inertial)
 
 
 def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem, time_s: float = 0.0) -> AttitudeRecord:
@@ -139,9 +194,10 @@ def _solved(bench: Workbench, entry: ImageEntry, start: float) -> AttitudeRecord
     campaign = bench.campaign
     try:
         prepared = open_image(campaign, entry)
+        bench = bench.for_image(prepared.image)
     except OpNavError as error:
         return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
-    image = prepared.image
+    campaign, image = bench.campaign, prepared.image
     apriori = image.camera_from_inertial
     values: dict[str, Any] = {
         "index": entry.index,
@@ -243,9 +299,10 @@ def _estimated(bench: Workbench, job: BodyJob) -> ObservationsRecord | Problem:
     campaign, entry = bench.campaign, job.entry
     try:
         prepared = open_image(campaign, entry)
+        bench = bench.for_image(prepared.image)
     except OpNavError as error:
         return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
-    image = prepared.image
+    campaign, image = bench.campaign, prepared.image
     if job.attitude is not None:
         image = image.with_attitude(
             rotation_of(job.attitude),

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from giantlike.cli.camera_app import camera_app
 from giantlike.cli.outcome import ExitCode, command
 from giantlike.cli.shape_app import shape_app
 
@@ -21,6 +22,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done, 1 some images failed, 2 bad input, 130 interrupted.",
 )
 app.add_typer(shape_app)
+app.add_typer(camera_app)
 
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per CPU.")]
@@ -58,6 +60,46 @@ def run(
     from giantlike.cli.run_command import run_command
 
     return run_command(campaign, workers=workers, resume=resume, json=json)
+
+
+@app.command("calibrate")
+@command
+def calibrate(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(metavar="CAMPAIGN.toml | IMAGE...", help="A campaign with [calibration], or star images."),
+    ],
+    fov: Annotated[float | None, typer.Option(help="For images: rough field of view along x.", metavar="DEG")] = None,
+    model: Annotated[str, typer.Option(help="For images: type of the camera model.")] = "brown",
+    estimate: Annotated[
+        str, typer.Option(help="For images: parameters to estimate.", metavar="NAME,NAME,...")
+    ] = "fx_px,fy_px,k1,p1,p2",
+    max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalogue star.")] = None,
+    output: Annotated[Path, typer.Option(help="For images: folder of what comes out.", metavar="DIR")] = Path(
+        "calibration"
+    ),
+    workers: Workers = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    json: Json = False,
+) -> ExitCode:
+    """Calibrate a camera from star images.
+
+    Stars are identified anywhere on the sky and the camera is estimated, by turns; writes camera.toml with its
+    covariance, calibration.html, calibration.json and the attitudes with the calibrated camera.
+    """
+    from giantlike.cli.calibrate_command import calibrate_command
+
+    return calibrate_command(
+        inputs,
+        fov_deg=fov,
+        model=model,
+        estimate=estimate,
+        max_magnitude=max_magnitude,
+        output=output,
+        workers=workers,
+        resume=resume,
+        json=json,
+    )
 
 
 @app.command("stars")

@@ -1,0 +1,210 @@
+"""How one sensor lies with respect to another: the mean of many rotations, and its drift with temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import gammainc
+
+from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.outcomes import Failure, Reason
+
+_STEPS = 20
+_SMALL_RAD = 1e-14
+_NOISE_EXPLAINS = 0.9999
+_MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AlignmentFix:
+    """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``.
+
+    Parameters
+    ----------
+    rotation : Rotation
+        ``second_from_first`` at the reference temperature.
+    rate_rad_per_c : (3,) float64, rad/Celsius
+        About the axes of the second sensor; zero for a static alignment.
+    reference_c : float, Celsius
+        Mean temperature of the observations.
+    covariance_rad2 : (3, 3) float64, rad^2
+        Of the small rotation, axes of the second sensor, at the reference temperature.
+    rate_covariance : (3, 3) float64, (rad/Celsius)^2
+        Zero for a static alignment.
+    residuals_rad : (n, 3) float64, rad
+        Observed minus fitted, axes of the second sensor.
+    used : (n,) bool
+        False for what disagrees.
+    reduced_chi2 : float
+        Of those used. Where it is more than noise explains, the covariances have been scaled with it.
+    """
+
+    rotation: Rotation
+    rate_rad_per_c: Float
+    reference_c: float
+    covariance_rad2: Float
+    rate_covariance: Float
+    residuals_rad: Float
+    used: NDArray[np.bool_]
+    reduced_chi2: float
+
+    def rotation_at(self, temperature_c: float) -> Rotation:
+        """``second_from_first`` at a temperature."""
+        turn = self.rate_rad_per_c * (temperature_c - self.reference_c)
+        result: Rotation = Rotation.from_rotvec(turn) * self.rotation
+        return result
+
+    def unwrap(self) -> AlignmentFix:
+        """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        return self
+
+
+def align(
+    rotations: Rotation,
+    covariances_rad2: ArrayLike,
+    *,
+    temperatures_c: ArrayLike | None = None,
+    outlier_sigma: float = 5.0,
+) -> AlignmentFix | Failure:
+    """Weighted mean of n measured alignments, with a drift linear in temperature where temperatures are given.
+
+    Parameters
+    ----------
+    rotations : Rotation
+        n measurements of ``second_from_first``.
+    covariances_rad2 : (n, 3, 3), rad^2
+        Of the small rotation about the axes of the second sensor.
+    temperatures_c : (n,), Celsius, optional
+        With them the drift is estimated too.
+    outlier_sigma : float
+        Measurements further off, in units of their covariance times the robust spread of all, are left out.
+
+    Returns
+    -------
+    AlignmentFix or Failure
+        Reasons: too_few_matches, degenerate_geometry (one temperature only).
+
+    Raises
+    ------
+    InputError
+        Shapes disagree.
+    """
+    count = len(rotations)
+    covariances = as_finite(covariances_rad2, (count, 3, 3), "covariances_rad2")
+    temperatures = np.zeros(count) if temperatures_c is None else as_finite(temperatures_c, (count,), "temperatures_c")
+    require(outlier_sigma > 0, f"outlier_sigma must be > 0, got {outlier_sigma}")
+    drifts = temperatures_c is not None
+    needed = 1 + 2 * drifts
+    if count < needed:
+        return Failure(Reason.TOO_FEW_MATCHES, f"{count} rotations, {needed} are needed")
+    reference = float(temperatures.mean())
+    offsets: Float = temperatures - reference
+    if drifts and not np.ptp(temperatures) > 0:
+        detail = f"all rotations are of {reference:g} C: leave out temperatures_c for a static fit"
+        return Failure(Reason.DEGENERATE_GEOMETRY, detail)
+    weights = np.asarray(np.linalg.inv(covariances), dtype=np.float64)
+    rotation, rate, used = _converged(rotations, weights, offsets, drifts, outlier_sigma)
+    residuals = _residuals(rotations, rotation, rate, offsets)
+    _, covariance = _step(residuals, weights, offsets, used, drifts)
+    freedom = max(3 * int(used.sum()) - (6 if drifts else 3), 1)
+    chi2 = float(_squares(residuals, weights)[used].sum())
+    if gammainc(freedom / 2.0, chi2 / 2.0) > _NOISE_EXPLAINS:
+        covariance *= chi2 / freedom
+    return AlignmentFix(
+        rotation=rotation,
+        rate_rad_per_c=rate,
+        reference_c=reference,
+        covariance_rad2=covariance[:3, :3],
+        rate_covariance=covariance[3:, 3:],
+        residuals_rad=residuals,
+        used=used,
+        reduced_chi2=chi2 / freedom,
+    )
+
+
+def interlock(
+    first_from_inertial: Rotation,
+    first_covariance_rad2: ArrayLike,
+    second_from_inertial: Rotation,
+    second_covariance_rad2: ArrayLike,
+    *,
+    temperatures_c: ArrayLike | None = None,
+) -> AlignmentFix | Failure:
+    """Alignment ``second_from_first`` from n attitudes of two sensors at the same times.
+
+    Parameters
+    ----------
+    first_from_inertial, second_from_inertial : Rotation
+        n attitudes each: a star tracker's and a camera's, for example.
+    first_covariance_rad2, second_covariance_rad2 : (n, 3, 3), rad^2
+        Each about its own sensor's axes.
+    temperatures_c : (n,), Celsius, optional
+
+    Returns
+    -------
+    AlignmentFix or Failure
+
+    References
+    ----------
+    .. [1] Inman and Holt, Artemis I Optical Navigation System Performance, IV.A (interlock of camera and trackers).
+    """
+    count = len(first_from_inertial)
+    require(
+        len(second_from_inertial) == count, f"{count} attitudes of one sensor, {len(second_from_inertial)} of the other"
+    )
+    first = as_finite(first_covariance_rad2, (count, 3, 3), "first_covariance_rad2")
+    second = as_finite(second_covariance_rad2, (count, 3, 3), "second_covariance_rad2")
+    between = second_from_inertial * first_from_inertial.inv()
+    turn = between.as_matrix()
+    return align(between, second + turn @ first @ np.swapaxes(turn, 1, 2), temperatures_c=temperatures_c)
+
+
+def _converged(
+    rotations: Rotation, weights: Float, offsets_c: Float, drifts: bool, outlier_sigma: float
+) -> tuple[Rotation, Float, NDArray[np.bool_]]:
+    """Rotation at the reference temperature, rate, and which measurements agree with them."""
+    used: NDArray[np.bool_] = np.ones(len(rotations), dtype=bool)
+    rotation: Rotation = rotations.mean()
+    rate: Float = np.zeros(3)
+    for _ in range(_STEPS):
+        residuals = _residuals(rotations, rotation, rate, offsets_c)
+        step, _ = _step(residuals, weights, offsets_c, used, drifts)
+        rotation, rate = Rotation.from_rotvec(step[:3]) * rotation, rate + step[3:]
+        before = used
+        squares = _squares(residuals, weights)
+        spread = max(float(np.median(squares)) / _MEDIAN_CHI2, 1.0)
+        used = np.asarray(squares <= outlier_sigma**2 * spread)
+        if np.abs(step).max() < _SMALL_RAD and np.array_equal(before, used):
+            break
+    return rotation, rate, used
+
+
+def _squares(residuals: Float, weights: Float) -> Float:
+    """Squared residuals (n,) in units of their covariance."""
+    return np.asarray(np.einsum("ni,nij,nj->n", residuals, weights, residuals), dtype=np.float64)
+
+
+def _residuals(rotations: Rotation, rotation: Rotation, rate: Float, offsets_c: Float) -> Float:
+    """Small rotations (n, 3) by which the measurements differ from the fit."""
+    fitted = Rotation.from_rotvec(offsets_c[:, None] * rate) * rotation
+    return np.asarray((rotations * fitted.inv()).as_rotvec(), dtype=np.float64)
+
+
+def _step(
+    residuals: Float, weights: Float, offsets_c: Float, used: NDArray[np.bool_], drifts: bool
+) -> tuple[Float, Float]:
+    """Correction (6,) of rotation and rate, and their covariance (6, 6); those of a rate not estimated are zero."""
+    size = 6 if drifts else 3
+    design = np.concatenate([np.broadcast_to(np.eye(3), weights.shape), offsets_c[:, None, None] * np.eye(3)], axis=2)
+    design = design[used][:, :, :size]
+    weighted = np.swapaxes(design, 1, 2) @ weights[used]
+    normal = np.sum(weighted @ design, axis=0)
+    units = 1.0 / np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)
+    step, covariance = np.zeros(6), np.zeros((6, 6))
+    step[:size] = inverse @ np.sum(weighted @ residuals[used][..., None], axis=0)[:, 0]
+    covariance[:size, :size] = inverse
+    return step, covariance

@@ -1,0 +1,97 @@
+"""Residuals of a calibration by image, brightness, place in the field and temperature: what is left in them."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.calibration.fix import CalibrationFix
+from giantlike.core.arrays import Float
+
+_BINS = 6
+_FEWEST = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualGroup:
+    """Residuals of the observations used that have something in common.
+
+    Parameters
+    ----------
+    kind : str
+        ``image``, ``magnitude``, ``radius_px`` (from the image centre) or ``temperature_c``.
+    label : str
+        Name of the image, or the range.
+    middle : float
+        Median of the quantity in the group; for images their number, from 0.
+    count : int
+    rms_px : float, px
+        Radial.
+    mean_x_px, mean_y_px : float, px
+        Observed minus predicted.
+    noise_px : float, px
+        Radial rms that the sigmas given promise.
+    """
+
+    kind: str
+    label: str
+    middle: float
+    count: int
+    rms_px: float
+    mean_x_px: float
+    mean_y_px: float
+    noise_px: float
+
+
+def residual_statistics(fix: CalibrationFix) -> tuple[ResidualGroup, ...]:
+    """Residuals in groups of equal size: by image, magnitude, distance from the image centre and temperature.
+
+    A quantity that is the same for all observations, or unknown, gives no groups.
+    """
+    center = (np.array([fix.columns, fix.rows]) - 1.0) / 2.0
+    temperatures = np.array([image.temperature_c for image in fix.images])[fix.image_index]
+    groups = []
+    for number, image in enumerate(fix.images):
+        mine = fix.used & (fix.image_index == number)
+        if mine.any():
+            groups.append(_group(fix, "image", image.name, float(number), mine))
+    quantities = {
+        "magnitude": fix.magnitudes,
+        "radius_px": np.linalg.norm(fix.observed_px - center, axis=1),
+        "temperature_c": temperatures,
+    }
+    for kind, values in quantities.items():
+        groups += _binned(fix, kind, values)
+    return tuple(groups)
+
+
+def _binned(fix: CalibrationFix, kind: str, values: Float) -> list[ResidualGroup]:
+    known = fix.used & np.isfinite(values)
+    if int(known.sum()) < _FEWEST or np.ptp(values[known]) == 0:
+        return []
+    edges = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, _BINS + 1)))
+    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    groups = []
+    for k, (low, high) in enumerate(itertools.pairwise(edges)):
+        mine = known & (number == k)
+        if mine.any():
+            groups.append(_group(fix, kind, f"{low:.4g} to {high:.4g}", float(np.median(values[mine])), mine))
+    return groups
+
+
+def _group(fix: CalibrationFix, kind: str, label: str, middle: float, mine: NDArray[np.bool_]) -> ResidualGroup:
+    residuals = fix.residuals_px[mine]
+    mean = residuals.mean(axis=0)
+    return ResidualGroup(
+        kind=kind,
+        label=label,
+        middle=middle,
+        count=len(residuals),
+        rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        mean_x_px=float(mean[0]),
+        mean_y_px=float(mean[1]),
+        noise_px=float(np.sqrt(2.0 * np.mean(fix.sigma_px[mine] ** 2))),
+    )

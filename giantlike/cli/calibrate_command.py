@@ -1,0 +1,110 @@
+"""``giantlike calibrate``: a camera from the stars of a campaign, or from images and a rough field of view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from giantlike.campaign.config import Campaign
+from giantlike.campaign.results import RunResult
+from giantlike.campaign.runner import run_campaign
+from giantlike.cli.outcome import ExitCode, print_json, say
+from giantlike.cli.progress import progress_bar
+from giantlike.core.arrays import require
+from giantlike.image import Image
+from giantlike.io.atomic import write_text_atomic
+
+_CAMPAIGN = "campaign.toml"
+
+
+def calibrate_command(
+    inputs: Sequence[Path],
+    *,
+    fov_deg: float | None,
+    model: str,
+    estimate: str,
+    max_magnitude: float | None,
+    output: Path,
+    workers: int | None,
+    resume: bool,
+    json: bool,
+) -> ExitCode:
+    """Calibrate and show the result; images are made a campaign first, whose file is kept."""
+    path = inputs[0]
+    if len(inputs) == 1 and path.suffix.lower() == ".toml":
+        require(fov_deg is None, "--fov goes with images; a campaign file has its own [camera]")
+    else:
+        require(fov_deg is not None, "give a campaign file, or images with --fov DEG")
+        path = _campaign_of_images(inputs, fov_deg, model, estimate, max_magnitude, output)
+    campaign = Campaign.load(path)
+    require(
+        campaign.calibration is not None,
+        f'{path}: there is no [calibration] section; give one, such as estimate = ["fx_px", "fy_px", "k1"]',
+    )
+    for warning in campaign.warnings:
+        say(f"giantlike: {warning}")
+    with progress_bar() as progress:
+        result = run_campaign(campaign, workers=workers, resume=resume, bodies=False, progress=progress)
+    return _show(result, json=json)
+
+
+def _campaign_of_images(
+    images: Sequence[Path],
+    fov_deg: float | None,
+    model: str,
+    estimate: str,
+    max_magnitude: float | None,
+    output: Path,
+) -> Path:
+    """Write a campaign file for images that lie anywhere, and return its path."""
+    import tomli_w
+
+    first = Image.open(images[0])
+    stars: dict[str, Any] = {"lost_in_space": True}
+    if max_magnitude is not None:
+        stars["max_magnitude"] = max_magnitude
+    table = {
+        "campaign": {"name": output.name or "calibration", "output": "run"},
+        "images": {"files": [str(image.resolve()) for image in images]},
+        "camera": {"columns": first.columns, "rows": first.rows, "fov_deg": fov_deg},
+        "stars": stars,
+        "calibration": {"model": model, "estimate": [name.strip() for name in estimate.split(",")]},
+    }
+    path = output / _CAMPAIGN
+    require(not path.exists(), f"{path}: there is a calibration already; give --output another folder")
+    output.mkdir(parents=True, exist_ok=True)
+    write_text_atomic(path, tomli_w.dumps(table))
+    return path
+
+
+def _show(result: RunResult, *, json: bool) -> ExitCode:
+    calibration = result.calibration or {}
+    done = calibration["status"] == "ok"
+    if json:
+        print_json(result.summary())
+    else:
+        _print_table(calibration)
+        for row in calibration["images_lost"]:
+            say(f"giantlike: {row['file']}: {row['problem']}")
+        if calibration["problem"]:
+            say(f"giantlike: {calibration['problem']}")
+        typer.echo(f"{result.folder / 'calibration.html'} ({result.time_s:.1f} s)")
+    return ExitCode.DONE if done and not result.failed_images else ExitCode.SOME_IMAGES_FAILED
+
+
+def _print_table(calibration: dict[str, Any]) -> None:
+    """Parameters with sigma and verdict, and the residuals."""
+    if "parameters" not in calibration:
+        return
+    for row in calibration["parameters"]:
+        typer.echo(f"{row['name']:<10}{row['value']:>16.8g}  +- {row['sigma']:<10.3g}{row['verdict']}")
+    typer.echo(
+        f"{calibration['n_used']} stars of {len(calibration['images'])} images, {calibration['n_rejected']} rejected; "
+        f"residual rms {calibration['rms_px']:.3f} px radial, {calibration['residual_sigma_px']:.3f} px per axis; "
+        f"map known to {calibration['map_sigma_max_px']:.3f} px"
+    )
+    for row in calibration["rejected"][:5]:
+        typer.echo(f"rejected: star {row['label']} in {row['image']}, {row['distance_px'] or float('nan'):.2f} px off")
