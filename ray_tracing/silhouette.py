@@ -104,6 +104,7 @@ def trace_silhouette(
     require(usable, f"angles_rad must be finite and of shape (k,), got {angles.shape}")
     sun_body = sun_in_body(body, sun_direction_camera)
     center = body.center_px(model) if center_px is None else as_finite(center_px, (2,), "center_px")
+    body = body.seen_by(model)
     outline = outline_of(body, model)
     edge = outline.outermost(center, angles)
     points_camera_km = edge.points_camera_km
