@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -10,8 +11,11 @@ import pytest
 from astropy.wcs import WCS
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
+from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, OpenCVModel, OwenModel, PinholeModel
+from giantlike.cli.app import app
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec
@@ -313,3 +317,86 @@ def test_a_frame_wider_than_a_tangent_plane_has_no_sip_header() -> None:
     fisheye = EquidistantModel(fx_px=100.0, fy_px=100.0, cx_px=320.0, cy_px=240.0)
     with pytest.raises(InputError, match="too wide"):
         sip_header(fisheye, columns=COLUMNS, rows=ROWS, camera_from_inertial=Rotation.identity())
+
+
+# --- our own file and the command line
+
+
+def test_a_camera_file_remembers_the_frame_of_the_mission(tmp_path: Path) -> None:
+    turn = Rotation.from_euler("y", 180.0, degrees=True)
+    camera = Camera(
+        name="NavCam", columns=COLUMNS, rows=ROWS, model=LENS,
+        mission_frame=MissionFrame(name="ORX_NAVCAM1", camera_from_mission=turn),
+    )  # fmt: skip
+    camera.save(tmp_path / "camera.toml")
+    again = Camera.load(tmp_path / "camera.toml")
+    assert again == camera
+    assert again.mission_frame is not None
+    assert again.mission_frame.name == "ORX_NAVCAM1"
+    assert (again.mission_frame.camera_from_mission * turn.inv()).magnitude() < 1e-15
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("mission_frame = 3", "must be a table"),
+        ("[mission_frame]\nname = 'A'", "needs the keys"),
+        ("[mission_frame]\nname = 'A'\ncamera_from_mission_xyzw = [1.0, 1.0, 0.0, 0.0]", "norm 1"),
+    ],
+)
+def test_a_wrong_mission_frame_is_refused(table: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "camera.toml"
+    Camera(name="NavCam", columns=COLUMNS, rows=ROWS, model=LENS).save(path)
+    path.write_text(f"{table}\n" + path.read_text() if "=" in table.split("\n")[0] else path.read_text() + "\n" + table)
+    with pytest.raises(DataError, match=message):
+        Camera.load(path)
+
+
+def test_the_command_line_converts_a_camera_and_says_what_is_lost(tmp_path: Path) -> None:
+    opencv, ours = tmp_path / "camera.yml", tmp_path / "camera.toml"
+    write_opencv_camera(opencv, LENS, columns=COLUMNS, rows=ROWS)
+    result = CliRunner().invoke(app, ["camera", "convert", str(opencv), str(ours), "--model", "owen", "--json"])
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    written = Camera.load(ours)
+    assert written.model.type_name == said["model"]["type"] == "owen"
+    lost = written.model.project(LENS.unproject(pixels())) - pixels()
+    assert np.linalg.norm(lost, axis=1).max() <= said["conversion"]["max_px"]
+    assert said["conversion"]["coverage"] == 1.0
+
+
+def test_the_command_line_shows_a_giant_camera_in_our_axes(tmp_path: Path) -> None:
+    path = giant_file(
+        tmp_path / "cameras.xml", "PinholeModel", focal_length="10.0", kx="100.0", ky="-100.0", px="1.0", py="2.0",
+        n_rows="20", n_cols="30",
+    )  # fmt: skip
+    result = CliRunner().invoke(app, ["camera", "info", str(path), "--json"])
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    assert said["model"]["fy_px"] == 1000.0
+    assert_allclose(said["mission_frame"]["camera_from_mission_xyzw"], [0, 1, 0, 0], rtol=0, atol=1e-15)
+    assert_allclose(said["ifov_urad"], 1000.0, rtol=1e-3, atol=0)  # 14 px off the axis
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "camera.ti"], "NAIF code"),
+        (["info", "camera.dat"], "ends in"),
+        (["info", "missing.xml"], "cannot read camera file"),
+        (["info", "small.yml"], "--size"),
+        (["convert", "small.yml", "out.dat", "--size", "10x10"], "must end in"),
+        (["convert", "small.yml", "out.toml", "--size", "10"], "must look like"),
+    ],
+)
+def test_the_command_line_tells_a_mistake_in_one_line(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    storage = cv2.FileStorage("small.yml", cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", np.diag([10.0, 10.0, 1.0]))
+    storage.release()
+    result = CliRunner().invoke(app, ["camera", *arguments])
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1

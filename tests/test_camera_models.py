@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from giantlike.camera import Camera
 from giantlike.camera_models import (
     MODELS,
     BrownModel,
@@ -34,6 +35,7 @@ from giantlike.camera_models.grid import fit_grid
 from giantlike.camera_models.misalignment import misaligned, misalignment_jacobian
 from giantlike.camera_models.resample import resample
 from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
 from tests.numerical import numerical_jacobian
@@ -483,3 +485,31 @@ def test_models_survive_their_file_form(model: AffineModel) -> None:
 def test_a_wrong_model_table_is_refused_with_its_key(table: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         model_from_mapping(table)
+
+
+def test_a_camera_knows_its_field_with_a_lens_that_leaves_the_corners_dark() -> None:
+    lens = EquisolidModel(fx_px=100.0, fy_px=100.0, cx_px=199.5, cy_px=149.5, k1=-0.02)
+    camera = Camera(name="sky", columns=400, rows=300, model=lens)
+    angles = np.radians([0.0, 60.0, 85.0, 120.0])
+    along_x, along_y = directions_at(angles, np.zeros(4)), directions_at(angles, np.full(4, np.pi / 2))
+    assert camera.in_field(along_x).tolist() == [True, True, True, True]
+    assert camera.in_field(along_y).tolist() == [True, True, True, False]
+    assert camera.in_field(along_y, margin_px=20.0).tolist() == [True, True, False, False]
+    assert camera.in_field([0.0, 0.0, -1.0]).tolist() is False
+    assert np.isnan(lens.unproject([-0.5, -0.5])).all()
+    assert np.radians(120.0) < camera.half_diagonal_rad <= np.pi
+    assert_allclose(camera.ifov_rad(), 0.01, rtol=1e-4, atol=0)
+
+
+def test_a_camera_is_windowed_binned_and_warmed_as_its_model_is() -> None:
+    model = dataclasses.replace(NAVCAM, a1_per_c=1e-4)
+    camera = Camera(name="nav", columns=COLUMNS, rows=ROWS, model=model, psf=GaussianPsf(sigma_px=1.0))
+    window = camera.windowed(100, 50, columns=1000, rows=800)
+    assert (window.columns, window.rows, window.model) == (1000, 800, model.windowed(100, 50))
+    binned = camera.binned(2, detector=Detector(read_noise_e=5.0))
+    assert (binned.columns, binned.rows, binned.model) == (1296, 972, model.binned(2))
+    assert binned.psf == GaussianPsf(sigma_px=0.5)
+    assert binned.detector.read_noise_e == 5.0
+    assert camera.at_temperature(-10.0).model == model.at_temperature(-10.0)
+    with pytest.raises(InputError, match="must lie on"):
+        camera.windowed(2000, 0, columns=1000, rows=800)

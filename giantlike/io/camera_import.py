@@ -1,0 +1,67 @@
+"""A camera file of any program: which one is told by the file itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from giantlike.core.errors import DataError, InputError
+from giantlike.io.camera_giant import read_giant_camera
+from giantlike.io.camera_ik import read_ik_camera
+from giantlike.io.camera_opencv import read_opencv_camera
+from giantlike.io.camera_sip import read_sip_camera
+from giantlike.io.mission_frame import Boresight, ImportedCamera
+
+FOREIGN_SUFFIXES = (".xml", ".yml", ".yaml", ".ti", ".fits", ".fit", ".fts")
+"""Ends of file names that :func:`read_foreign_camera` knows."""
+
+
+def read_foreign_camera(
+    path: str | Path,
+    *,
+    name: str | None = None,
+    instrument_id: int | None = None,
+    first_pixel: float | None = None,
+    boresight: Boresight | None = None,
+) -> ImportedCamera:
+    """Read a camera from an OpenCV, GIANT, SPICE instrument-kernel or FITS file.
+
+    Parameters
+    ----------
+    path : path-like
+        Ending as one of :data:`FOREIGN_SUFFIXES`; XML is GIANT's when its root element is ``CameraModels``.
+    name : str, optional
+        Which camera of a GIANT file.
+    instrument_id : int, optional
+        NAIF code, for an instrument kernel.
+    first_pixel : float, optional
+        See :func:`~giantlike.io.camera_ik.read_ik_camera`.
+    boresight : {"+z", "-z"}, optional
+        See :func:`~giantlike.io.mission_frame.from_mission_frame`.
+
+    Raises
+    ------
+    InputError
+        An instrument kernel without ``instrument_id``, or a name that ends otherwise.
+    DataError
+        The file is missing or damaged.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".ti":
+        if instrument_id is None:
+            raise InputError(f"{path}: which instrument of the kernel? Its NAIF code is needed")
+        return read_ik_camera(path, instrument_id, first_pixel=first_pixel, boresight=boresight or "+z")
+    if suffix in (".fits", ".fit", ".fts"):
+        return read_sip_camera(path).camera
+    if suffix in (".xml", ".yml", ".yaml"):
+        if suffix == ".xml" and _is_giant(path):
+            return read_giant_camera(path, name, boresight=boresight)
+        return read_opencv_camera(path)
+    raise InputError(f"{path}: a camera file of another program ends in {', '.join(FOREIGN_SUFFIXES)}")
+
+
+def _is_giant(path: Path) -> bool:
+    try:
+        return b"<CameraModels" in path.read_bytes()[:4096]
+    except OSError as error:
+        raise DataError(path, f"cannot read camera file: {error.strerror}") from error
