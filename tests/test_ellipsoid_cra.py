@@ -249,6 +249,11 @@ def test_a_fix_is_complete_and_its_parts_agree() -> None:
     assert "total_least_squares" not in fix.provenance["options"]
 
 
+def test_an_ellipsoid_is_found_at_opposition() -> None:
+    case = body_image(SHAPES[0], 68, phase_deg=0.0, radius_px=50.0).believed(off_px=(-7.0, 7.0), range_error=0.015)
+    assert_sound(case, fixed(case), sigma_px=SIGMA_PX, sigma_range=SIGMA_RANGE)
+
+
 def test_without_a_photometric_model_the_error_is_larger_and_the_covariance_says_so() -> None:
     options = EllipsoidCRAOptions(scan=LimbScanOptions(edges=EdgeModel.STEP))
     fixes = [fixed(case, options) for case in cases()]

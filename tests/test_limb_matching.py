@@ -21,11 +21,12 @@ from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.io.image_files import read_image_file
-from giantlike.ray_tracing import Lambert, trace_silhouette
+from giantlike.ray_tracing import Lambert, McEwen, Reflectance, trace_silhouette
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.relative.estimator import gather
 from giantlike.relative.horizon import Figure, horizon_residuals
 from giantlike.relative.limb_fix import limb_design
+from giantlike.relative.limb_lines import plan_lines
 from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.limb_observation import LimbScanOptions, observe_limb
 from giantlike.relative.limb_template import WindowModel
@@ -206,6 +207,21 @@ def test_stars_beside_the_limb_do_not_pull_it() -> None:
     assert_sound(case, fix, sigma_px=1.5 * SIGMA_PX, sigma_range=2.0 * SIGMA_RANGE)
 
 
+@pytest.mark.parametrize("law", [McEwen(), Lambert()], ids=["mcewen", "lambert"])
+@pytest.mark.parametrize("phase_deg", [0.0, 0.7])
+def test_the_whole_limb_is_used_at_opposition(phase_deg: float, law: Reflectance) -> None:
+    """The cosine of the incidence angle vanishes all around the limb there; the limb is bright all the same."""
+    case = body_image(body(), 47, phase_deg=phase_deg, law=law, radius_px=50.0).believed(**OFF)  # type: ignore[arg-type]
+    inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
+    assert not isinstance(inputs, Failure)
+    lines = plan_lines(inputs, inputs.geometry.body(), max_lines=300, spacing_px=1.5, reach_px=0.0)
+    assert not isinstance(lines, Failure)
+    assert lines.angles_rad.size * lines.spacing_px > 0.97 * lines.perimeter_px
+    fix = fixed(case)
+    assert fix.n_used > 0.9 * lines.angles_rad.size
+    assert_sound(case, fix, sigma_px=SIGMA_PX, sigma_range=SIGMA_RANGE)
+
+
 # --- what it must refuse ----------------------------------------------------------------------------------------
 
 
@@ -323,20 +339,27 @@ def test_the_limb_of_a_mesh_moves_with_it_as_the_design_says() -> None:
     assert np.median(np.abs(there.shift_px - predicted)) < 0.06  # the same points, with rays through other places
 
 
-def test_a_window_of_a_camera_counts_its_pixels_from_its_corner() -> None:
+@pytest.mark.parametrize("scale", [1.0, 4.0])
+def test_a_window_of_a_camera_counts_its_pixels_from_its_corner(scale: float) -> None:
     corner = np.array([40.0, 15.0])
-    window = WindowModel(CAMERA.model, corner)
+    window = WindowModel(CAMERA.model, corner, scale)
     points = np.array([[0.1, -0.2, 3.0], [0.0, 0.1, 2.0]])
     pixels = CAMERA.model.project(points)
-    assert_allclose(window.project(points), pixels - corner, rtol=0, atol=1e-12)
-    assert_allclose(window.unproject(pixels - corner), CAMERA.model.unproject(pixels), rtol=0, atol=1e-12)
-    assert_allclose(window.project_jacobian(points), CAMERA.model.project_jacobian(points), rtol=0, atol=0)
+    inside = (pixels - corner) / scale
+    assert_allclose(window.project(points), inside, rtol=0, atol=1e-12)
+    assert_allclose(window.unproject(inside), CAMERA.model.unproject(pixels), rtol=0, atol=1e-12)
+    assert_allclose(window.project_jacobian(points), CAMERA.model.project_jacobian(points) / scale, rtol=0, atol=1e-9)
     assert_allclose(
-        window.unproject_jacobian(pixels - corner), CAMERA.model.unproject_jacobian(pixels), rtol=0, atol=1e-12
+        window.unproject_jacobian(inside), CAMERA.model.unproject_jacobian(pixels) * scale, rtol=0, atol=1e-12
     )
     parameters = window.parameters * 1.1
-    assert window.with_parameters(parameters).focal_length_px == pytest.approx(1.1 * CAMERA.model.focal_length_px)
+    longer = window.with_parameters(parameters)
+    assert longer.focal_length_px == pytest.approx(1.1 * CAMERA.model.focal_length_px / scale)
+    assert longer.project(points) == pytest.approx(
+        (CAMERA.model.with_parameters(parameters).project(points) - corner) / scale
+    )
     assert window.parameter_jacobian(points).shape == (2, 2, parameters.size)
+    assert window.at_temperature(20.0).scale == scale
 
 
 # --- real images ------------------------------------------------------------------------------------------------

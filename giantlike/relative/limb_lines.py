@@ -12,11 +12,12 @@ from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
 from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.limb_template import outline_brightness
 
 Mask = NDArray[np.bool_]
 
 _OVERVIEW_ANGLES = 360
-_MIN_COS_INCIDENCE = 0.05
+_MIN_BRIGHTNESS = 0.1  # over the brightest place: darker limb tells little beside the rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,6 +28,8 @@ class LimbLines:
     ----------
     angles_rad : (k,) float64, rad
         From +x towards +y.
+    brightness : (k,) float64
+        Just inside the outline, over the brightest place of the body.
     spacing_px : float, px
         Between neighbours, along the limb.
     perimeter_px : float, px
@@ -36,6 +39,7 @@ class LimbLines:
     """
 
     angles_rad: Float
+    brightness: Float
     spacing_px: float
     perimeter_px: float
     cut_by_frame: bool
@@ -52,14 +56,14 @@ class PredictedLimb:
         The same points in space.
     normals_px : (n, 2) float64, unitless
         Outward normals in the image.
-    cos_incidence : (n,) float64
-        Cosine of the angle from surface normal to Sun.
+    brightness : (n,) float64
+        Just inside, over the brightest place of the body.
     """
 
     points_px: Float
     points_camera_km: Float
     normals_px: Float
-    cos_incidence: Float
+    brightness: Float
 
 
 def plan_lines(
@@ -87,18 +91,29 @@ def plan_lines(
     overview = trace_silhouette(body, inputs.camera.model, angles, sun_direction_camera=sun)
     chord = np.linalg.norm(np.roll(overview.points_px, -1, axis=0) - overview.points_px, axis=1)
     inside = overview.valid & inputs.camera.contains(overview.points_px, margin_px=-reach_px)
-    lit = _lit(overview)
-    wanted = inside & lit
+    near = inside | np.roll(inside, 1) | np.roll(inside, -1)
+    brightness = outline_brightness(
+        np.where(near[:, None], overview.points_px, np.nan),
+        overview.normals_px,
+        body,
+        inputs.camera.model,
+        sun_direction_camera=sun,
+        radius_px=inputs.radius_px,
+    )
+    wanted = brightness > _MIN_BRIGHTNESS
+    wanted &= inside
     if not wanted.any():
-        return _nothing_seen(inputs, overview, inside, lit)
+        return _nothing_seen(inputs, overview, inside)
     wanted |= np.roll(wanted, 1) | np.roll(wanted, -1)
     length = np.where(wanted, np.nan_to_num(chord), 0.0)
     total_px = float(length.sum())
     count = int(np.clip(total_px / spacing_px, 8, max_lines))
     along = np.concatenate([[0.0], np.cumsum(length)])
     places = (np.arange(count) + 0.5) * total_px / count
+    chosen = np.interp(places, along, np.append(angles, 2.0 * np.pi))
     return LimbLines(
-        angles_rad=np.interp(places, along, np.append(angles, 2.0 * np.pi)),
+        angles_rad=chosen,
+        brightness=np.interp(chosen, angles, brightness, period=2.0 * np.pi),
         spacing_px=total_px / count,
         perimeter_px=float(np.nansum(chord)),
         cut_by_frame=not bool(inputs.camera.contains(overview.points_px).all()),
@@ -119,31 +134,24 @@ def trace_lines(inputs: EstimatorInputs, body: Body, lines: LimbLines, *, reach_
     Returns
     -------
     PredictedLimb or Failure
-        ``NO_LIMB`` or ``NOT_LIT`` when none of the lines meets lit limb in the frame.
+        ``NO_LIMB`` when none of the lines meets the limb in the frame.
     """
     silhouette = trace_silhouette(
         body, inputs.camera.model, lines.angles_rad, sun_direction_camera=inputs.geometry.sun_direction_camera
     )
     inside = silhouette.valid & inputs.camera.contains(silhouette.points_px, margin_px=-reach_px)
-    lit = _lit(silhouette)
-    seen = inside & lit & np.isfinite(silhouette.normals_px).all(axis=1)
+    seen = inside & np.isfinite(silhouette.normals_px).all(axis=1)
     if not seen.any():
-        return _nothing_seen(inputs, silhouette, inside, lit)
+        return _nothing_seen(inputs, silhouette, inside)
     return PredictedLimb(
         points_px=silhouette.points_px[seen],
         points_camera_km=silhouette.points_camera_km[seen],
         normals_px=silhouette.normals_px[seen],
-        cos_incidence=silhouette.cos_incidence[seen],
+        brightness=lines.brightness[seen],
     )
 
 
-def _lit(silhouette: Silhouette) -> Mask:
-    with np.errstate(invalid="ignore"):
-        result: Mask = silhouette.lit & (silhouette.cos_incidence > _MIN_COS_INCIDENCE)
-    return result
-
-
-def _nothing_seen(inputs: EstimatorInputs, overview: Silhouette, inside: Mask, lit: Mask) -> Failure:
+def _nothing_seen(inputs: EstimatorInputs, overview: Silhouette, inside: Mask) -> Failure:
     """Why there is no lit limb in the frame."""
     total = overview.valid.size
     if not inside.any():
@@ -160,10 +168,9 @@ def _nothing_seen(inputs: EstimatorInputs, overview: Silhouette, inside: Mask, l
             f"{camera.columns} x {camera.rows}: {where}",
         )
     phase_deg = math.degrees(inputs.geometry.phase_angle_rad)
-    reason = Reason.NO_LIMB if lit.any() else Reason.NOT_LIT
     return inputs.fail(
-        reason,
-        f"{int(inside.sum())} of {total} points of the predicted outline lie in the frame, but none of them is lit "
+        Reason.NOT_LIT,
+        f"{int(inside.sum())} of {total} points of the predicted outline lie in the frame, but the body is dark there "
         f"(phase angle {phase_deg:.0f} deg)",
     )
 

@@ -194,7 +194,7 @@ def locate_limb(
         inputs.usable,
         limb.points_px,
         limb.normals_px,
-        limb.cos_incidence,
+        limb.brightness,
         center_px,
         search_px=search_px,
         search_scale=search_range,

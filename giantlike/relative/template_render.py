@@ -26,7 +26,7 @@ KNOWN_BLUR_SIGMA_PX2 = 0.15
 _MAX_RAYS_PER_PIXEL_SIDE = 24
 _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it
 _NEAR_PX, _NEAR_BLUR = 1.0, 0.1
-_OTHER_COARSENESS = 2.0  # the other law only shades: it needs no fine edges ...
+_OTHER_COARSENESS = 2.0  # changes need no fine edges; the other law only shades ...
 _COARSE_RADIUS_PX = 20.0  # ... but where a body is all edge
 _SMALL_RADIUS_PX = 10.0  # below, the derivative with respect to the range is that of renders
 _LOG_RANGE_STEP = 0.04
@@ -199,7 +199,8 @@ class TemplateRenderer:
         if self.inputs.radius_px < _SMALL_RADIUS_PX:
             sides = []
             for step in (-_LOG_RANGE_STEP, _LOG_RANGE_STEP):
-                side = self.render(replace(state, log_range=state.log_range + step), margin_px=FIT_BORDER_PX)
+                beside = replace(state, log_range=state.log_range + step)
+                side = self.render(beside, margin_px=FIT_BORDER_PX, coarseness=_OTHER_COARSENESS)
                 if isinstance(side, Failure):
                     return side
                 sides.append(box.place(side.brightness, side.corner_px))
