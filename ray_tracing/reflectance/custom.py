@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -56,9 +57,7 @@ class UserReflectance(SurfaceLaw):
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         """Return the function over its value at normal incidence and emission and zero phase."""
-        angles = np.broadcast_arrays(mu0, mu, phase_rad)
-        result: Float = self._values(*(angle.ravel() for angle in angles)).reshape(angles[0].shape) / self._scale()
-        return result
+        return self._values(mu0, mu, phase_rad) / self._scale()
 
     def _scale(self) -> float:
         scale = float(self._values(np.ones(1), np.ones(1), np.zeros(1))[0])
@@ -74,7 +73,7 @@ class UserReflectance(SurfaceLaw):
         return values
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class TabulatedReflectance(SurfaceLaw):
     """Brightness in a table over incidence, emission and phase, linear between its entries.
 
@@ -87,14 +86,15 @@ class TabulatedReflectance(SurfaceLaw):
         ``values[0][0][0]``. Entries that no geometry has (phase over the sum or under the difference of the other two)
         are used between real ones, so they need sensible values.
 
-    Notes
-    -----
-    Continuous with kinks at the entries. Nothing makes it reciprocal but the table.
-
     Raises
     ------
     InputError
         A list is not increasing from 0, the shapes disagree, or a value is negative or not finite.
+
+    Notes
+    -----
+    Continuous with kinks at the entries. Nothing makes it reciprocal but the table. ``repr``, which goes into
+    provenance, has a hash instead of the values.
     """
 
     type_name: ClassVar[str] = "table"
@@ -102,7 +102,7 @@ class TabulatedReflectance(SurfaceLaw):
     incidence_deg: tuple[float, ...]
     emission_deg: tuple[float, ...]
     phase_deg: tuple[float, ...]
-    values: tuple[tuple[tuple[float, ...], ...], ...] = field(repr=False)
+    values: tuple[tuple[tuple[float, ...], ...], ...]
 
     def __post_init__(self) -> None:
         for name in ("incidence_deg", "emission_deg", "phase_deg"):
@@ -123,11 +123,14 @@ class TabulatedReflectance(SurfaceLaw):
 
         axes = [np.asarray(axis) for axis in (self.incidence_deg, self.emission_deg, self.phase_deg)]
         table = self._table()
-        angles = np.degrees(np.arccos(np.minimum(mu0, 1.0))), np.degrees(np.arccos(np.minimum(mu, 1.0)))
-        points = np.broadcast_arrays(*angles, np.degrees(phase_rad))
-        inside = [np.clip(value, 0.0, axis[-1]) for value, axis in zip(points, axes, strict=True)]
-        interpolated: Float = RegularGridInterpolator(axes, table / table[0, 0, 0])(np.stack(inside, axis=-1))
-        return interpolated.reshape(points[0].shape)
+        angles = [np.degrees(angle) for angle in (*np.arccos(np.minimum([mu0, mu], 1.0)), phase_rad)]
+        points = [np.minimum(angle, axis[-1]) for angle, axis in zip(angles, axes, strict=True)]
+        return np.asarray(RegularGridInterpolator(axes, table / table[0, 0, 0])(np.stack(points, axis=-1)))
+
+    def __repr__(self) -> str:
+        axes = (self.incidence_deg, self.emission_deg, self.phase_deg)
+        digest = hashlib.sha256(repr((axes, self.values)).encode()).hexdigest()
+        return f"TabulatedReflectance({' x '.join(str(len(axis)) for axis in axes)}, sha256={digest[:16]})"
 
     def _table(self) -> Float:
         return as_floats(self.values, (), "reflectance table: values")

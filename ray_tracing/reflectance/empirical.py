@@ -98,8 +98,7 @@ class LunarLambert(SurfaceLaw):
 
     Notes
     -----
-    The lunar polynomial falls from 1 at zero phase to 0 at 109 degrees; beyond it is negative without the cut, which is
-    Lambert.
+    The lunar polynomial falls from 1 at zero phase to 0 at 104 degrees; beyond, the cut makes the law Lambert's.
 
     References
     ----------
