@@ -15,7 +15,7 @@ import tomli_w
 from giantlike.campaign.config import Campaign
 from giantlike.campaign.options import options_from_mapping
 from giantlike.core.errors import DataError, InputError
-from giantlike.ray_tracing import Lambert, McEwen
+from giantlike.ray_tracing import Hapke, Lambert, LunarLambert, McEwen, Reflectance
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.stars.transfer import TransferMethod
 from tests.campaign_files import CAMERA, RADII_KM, campaign_table
@@ -106,6 +106,25 @@ def test_mesh_reflectance_and_estimator_options_are_taken_over(tmp_path: Path) -
     assert shape.circumscribing_radius_km == 1e-3
     assert target.reflectance == Lambert()
     assert target.estimators[0].options.search_px == 40
+
+
+@pytest.mark.parametrize(
+    ("section", "law"),
+    [
+        (
+            {"model": "hapke", "w": 0.1, "b0": 1, "h": 0.05, "theta_bar_deg": 20},
+            Hapke(w=0.1, b0=1, h=0.05, theta_bar_deg=20),
+        ),
+        ({"model": "lunar_lambert", "weight": [1, -0.01]}, LunarLambert(weight=(1.0, -0.01))),
+    ],
+)
+def test_a_reflectance_law_takes_its_parameters_from_the_file(
+    tmp_path: Path, section: dict[str, Any], law: Reflectance
+) -> None:
+    table = campaign_table()
+    table["targets"][0]["reflectance"] = section
+    (target,) = Campaign.load(write(tmp_path, table)).targets
+    assert target.reflectance == law
 
 
 def test_a_camera_may_be_given_inline(tmp_path: Path) -> None:
