@@ -10,11 +10,9 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from giantlike.camera import Camera
-from giantlike.catalogs import MemoryCatalog, StarTable
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
-from giantlike.core.frames import radec_from_direction
 from giantlike.core.outcomes import Failure
 from giantlike.ephemeris import DistantLight, FixedEphemeris
 from giantlike.processing.detect import detect_sources
@@ -34,7 +32,7 @@ from giantlike.simulation.effects import (
 )
 from giantlike.simulation.incident import IncidentLight, SimulationOptions, incident_light
 from giantlike.simulation.shot import Photometry, instants
-from tests.test_simulation import OBSERVER, shot_of, small_camera, small_catalog, sphere_scene
+from tests.simulated import OBSERVER, catalog_at, shot_of, small_camera, small_catalog, sphere_scene
 
 SIGMAS = 4.5  # a normal error exceeds it once in 150,000 times
 ROUNDING = 1e-9  # relative: float64 sums over a frame
@@ -287,27 +285,6 @@ def test_charge_that_reaches_an_edge_drains_off_and_without_blooming_it_is_lost_
 
 
 # motion ---------------------------------------------------------------------------------------------------
-
-
-def catalog_at(camera: Camera, points_px: Float) -> MemoryCatalog:
-    """Stars of magnitude 4 to 8 that an unturned camera at rest sees at these pixels."""
-    ra_deg, dec_deg = radec_from_direction(camera.model.unproject(points_px))
-    zero = np.zeros(len(points_px))
-    stars = StarTable(
-        ids=np.arange(len(points_px)) + 1,
-        ra_deg=ra_deg,
-        dec_deg=dec_deg,
-        pm_ra_mas_yr=zero,
-        pm_dec_mas_yr=zero,
-        parallax_mas=zero,
-        radial_velocity_km_s=zero,
-        epoch_jyear=zero + 2016.0,
-        magnitude=np.random.default_rng(4).uniform(4.0, 8.0, len(points_px)),
-        color_bv=zero + 0.6,
-        sigma_mas=zero,
-        sigma_pm_mas_yr=zero,
-    )
-    return MemoryCatalog(stars, name="made up", band="G", version="1")
 
 
 def sky_light(camera: Camera, shot: Shot, count: int = 1, spread_deg: float = 0.0) -> IncidentLight:

@@ -24,6 +24,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_between
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.image import Image
+from giantlike.shapes import Ellipsoid
 from giantlike.simulation.preview import preview_png
 
 ATTITUDE_RAD = 1e-12  # quaternions are written with all their digits
@@ -42,7 +43,7 @@ def seen_at(x: float, y: float, z: float) -> list[float]:
 def scene_table() -> dict[str, Any]:
     """Two balls, one before and beside the other, towards the Sun."""
     return {
-        "render": {"rays_per_pixel_side": 2, "seed": 3, "campaign": True},
+        "render": {"rays_per_pixel_side": 2, "seed": 3, "campaign": True, "estimators": ["limb_matching"]},
         "camera": {
             "name": "small",
             "columns": 140,
@@ -120,6 +121,7 @@ def test_the_truth_of_every_target_is_in_the_header(rendered: Path) -> None:
     header = fits.getheader(rendered / "first.fits")
     assert (header["GT_NTGT"], header["T1_NAME"], header["T2_NAME"]) == (2, "BIG", "SMALL")
     assert header["GT_SEED"] == "3 0"
+    assert header["T1_SHAPE"] == Ellipsoid(radii_km=np.array([7.0, 6.0, 6.5])).sha256[:16]
     assert_allclose([header[f"T1_{axis}"] for axis in "XYZ"], seen_at(4.0, 0.0, RANGE_KM), rtol=0, atol=1e-9)
     body_from_inertial = Rotation.from_quat([header[f"T1_Q{axis}"] for axis in "XYZW"])
     assert np.linalg.norm(rotation_between(body_from_inertial, Rotation.from_quat([0.0, 0.6, 0.0, 0.8]))) < ATTITUDE_RAD
@@ -268,6 +270,13 @@ def test_an_image_that_is_already_there_is_kept_unless_it_may_be_replaced(tmp_pa
     assert done.exit_code == 0, done.stderr
     assert "BIG at (85.5, 59.5)" in done.stdout
     assert Image.open(output).columns == 140
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    refused = giantlike("render", write_scene(tmp_path, scene_table()), "--output", tmp_path / "taken" / "out")
+    assert refused.exit_code == 2
+    assert "cannot make this folder" in refused.stderr
 
 
 def test_one_file_does_not_hold_two_images(tmp_path: Path) -> None:

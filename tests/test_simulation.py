@@ -13,18 +13,16 @@ from photutils.psf import CircularGaussianSigmaPRF
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.camera_models import PinholeModel
-from giantlike.catalogs import MemoryCatalog, StarTable, apparent_directions
+from giantlike.catalogs import apparent_directions
 from giantlike.core.arrays import Float
-from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, rotation_between
-from giantlike.core.time import et_from_time, time_from_et
+from giantlike.core.time import et_from_time
 from giantlike.core.units import AU_KM, RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import ApparentGeometry, DistantLight
-from giantlike.image import Image, ObserverState
+from giantlike.image import Image
 from giantlike.io import read_geometry
-from giantlike.ray_tracing import Lambert
 from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import load_shape, sphere
 from giantlike.simulation import (
@@ -32,7 +30,6 @@ from giantlike.simulation import (
     ApproachOptions,
     HotPixels,
     Photometry,
-    Shot,
     SimulatedImage,
     Visit,
     demo_camera,
@@ -46,8 +43,8 @@ from giantlike.simulation import (
 from giantlike.simulation.orbits import CircularOrbit
 from giantlike.simulation.shot import SUN_MAGNITUDE_G, unexposed
 from giantlike.simulation.write import TRUTH_FILE
+from tests.simulated import ET, OBSERVER, shot_of, small_camera, small_catalog, sphere_scene
 
-ET = 7.6e8  # January 2024
 SPHERE_FLUX = 2e-3  # relative: 5 x 5 rays a pixel on a disc of 60 px
 SPHERE_PHOTOCENTER_PX = 0.005  # 5 x 5 jittered rays a pixel on a disc of 60 px
 NOISE_SIGMAS = 4.5  # passed by chance once in 150,000 times
@@ -55,58 +52,6 @@ STELAB_RAD = 2e-8  # spiceypy's stelab is classical: (v/c)^2 at 30 km/s is 1e-8
 ET_ROUNDING_KM = 1e-5  # 30 km/s in 3e-7 s, what two roundings of an et of 7.6e8 s amount to
 POINT_SHARE = 1e-9  # double precision of the error function, relative to the whole source
 TABLE_S = 1e-6  # epochs are written to the microsecond
-
-
-def small_camera(size: int = 200, *, focal_px: float = 1000.0) -> Camera:
-    return Camera(
-        name="test",
-        columns=size,
-        rows=size,
-        model=PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=(size - 1) / 2, cy_px=(size - 1) / 2),
-        psf=GaussianPsf(sigma_px=0.8),
-        detector=Detector(gain_e_per_dn=2.0, read_noise_e=6.0, saturation_dn=30_000.0, bias_dn=100.0),
-    )
-
-
-def small_catalog(count: int, axis_ra_deg: float, axis_dec_deg: float, spread_deg: float) -> MemoryCatalog:
-    rng = np.random.default_rng(3)
-    zero = np.zeros(count)
-    stars = StarTable(
-        ids=np.arange(count) + 1,
-        ra_deg=axis_ra_deg + rng.uniform(-spread_deg, spread_deg, count),
-        dec_deg=axis_dec_deg + rng.uniform(-spread_deg, spread_deg, count),
-        pm_ra_mas_yr=rng.normal(0.0, 500.0, count),
-        pm_dec_mas_yr=rng.normal(0.0, 500.0, count),
-        parallax_mas=rng.uniform(0.0, 300.0, count),
-        radial_velocity_km_s=zero,
-        epoch_jyear=zero + 2016.0,
-        magnitude=rng.uniform(2.0, 8.0, count),
-        color_bv=zero + 0.6,
-        sigma_mas=zero,
-        sigma_pm_mas_yr=zero,
-    )
-    return MemoryCatalog(stars, name="made up", band="G", version="1")
-
-
-OBSERVER = ObserverState(position_km=np.array([AU_KM, 0.0, 0.0]), velocity_km_s=np.array([0.0, 30.0, 0.0]))
-
-
-def shot_of(exposure_s: float = 1.0, attitude: Rotation | None = None) -> Shot:
-    return Shot(
-        name="test",
-        epoch=time_from_et(ET),
-        exposure_s=exposure_s,
-        camera_from_inertial=attitude or Rotation.identity(),
-        observer=OBSERVER,
-    )
-
-
-def sphere_scene(range_km: float, phase_deg: float, radius_km: float = 30.0) -> Scene:
-    """A Lambert sphere on the boresight, the Sun to the right of the camera (+x)."""
-    phase = phase_deg * RAD_PER_DEG
-    place = ApparentGeometry(position_inertial_km=np.array([0.0, 0.0, range_km]))
-    target = Target(name="BALL", shape=sphere(radius_km), ephemeris=place, reflectance=Lambert())
-    return Scene(targets=(target,), light=DistantLight(np.array([np.sin(phase), 0.0, -np.cos(phase)])))
 
 
 def electrons(taken: SimulatedImage, camera: Camera) -> Float:

@@ -2,7 +2,7 @@
 
 Light on the pixels, stray light, flat field, smear of the frame transfer, dark current, shot noise, cosmic rays,
 full well, read noise, gain and rounding, in this order: what is light goes through the flat field and what is charge
-does not. Every random effect draws from a stream of its own, so that switching one on leaves the others as they were.
+does not. Every random effect draws from a stream of its own: switching on another leaves its numbers as they were.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ Seed = int | tuple[int, ...]
 
 
 class Stream(IntEnum):
-    """Which random numbers: each effect has its own, independent of all others."""
+    """Which random numbers: each effect has its own, independent of all others.
+
+    Shot noise is drawn about the mean charge: what changes that mean draws other numbers, of the same law.
+    """
 
     RAYS = 0
     SHOT_NOISE = 1

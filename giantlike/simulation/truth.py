@@ -9,7 +9,7 @@ truth is in keywords that begin with ``GT_`` and, for the targets, ``T1_``, ``T2
 ``GT_PSF``, ``GT_SEED``         sigma of the PSF, px; seed of everything random
 ``GT_GAIN``, ``GT_READ``, ...   gain, read noise, bias, saturation of the detector
 ``GT_NTGT``                     number of targets in view
-``T1_NAME``                     name of the first
+``T1_NAME``, ``T1_SHAPE``       name of the first, and the beginning of the SHA-256 of its shape
 ``T1_X`` .. ``T1_Z``            camera to body centre, km, inertial axes, apparent
 ``T1_QX`` .. ``T1_QW``          body_from_inertial when the light left it, scalar last
 ``T1_SUNX`` .. ``T1_SUNZ``      unit vector from body to Sun, inertial
@@ -43,6 +43,7 @@ from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.stars import StarField
 
 _AXES = ("X", "Y", "Z")
+_HASH_DIGITS = 16
 _STAR_COLUMNS = np.dtype([("id", "i8"), ("x_px", "f8"), ("y_px", "f8"), ("magnitude", "f8"), ("electrons", "f8")])
 
 
@@ -138,7 +139,10 @@ def _target(
     inertial_from_camera = camera_from_inertial.inv()
     body_from_inertial = geometry.camera_from_body.inv() * camera_from_inertial
     center = camera.model.project(geometry.position_camera_km)
-    cards = {f"{prefix}NAME": Card(name, "target")}
+    cards = {
+        f"{prefix}NAME": Card(name, "target"),
+        f"{prefix}SHAPE": Card(geometry.target.shape.sha256[:_HASH_DIGITS], "SHA-256 of its shape"),
+    }
     cards |= _vector(prefix, inertial_from_camera.apply(geometry.position_camera_km), "[km] from camera, apparent")
     cards |= _rotation(f"{prefix}Q", body_from_inertial, "body_from_inertial, scalar last")
     cards |= _vector(f"{prefix}SUN", inertial_from_camera.apply(geometry.sun_direction_camera), "to the Sun, inertial")
