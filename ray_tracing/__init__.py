@@ -3,6 +3,7 @@
 ``Body`` is what is seen; ``render`` makes a template of it and ``trace_silhouette`` finds its limb.
 """
 
+from giantlike.ray_tracing.backplanes import Backplanes, trace_backplanes
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.disk import disk_integrated, disk_photocenter
 from giantlike.ray_tracing.kept_trace import Trace, trace_body
@@ -30,6 +31,7 @@ from giantlike.ray_tracing.silhouette import Silhouette, trace_silhouette
 __all__ = [
     "REFLECTANCES",
     "Akimov",
+    "Backplanes",
     "Body",
     "Hapke",
     "Lambert",
@@ -51,6 +53,7 @@ __all__ = [
     "reflectance_from_mapping",
     "render",
     "render_scene",
+    "trace_backplanes",
     "trace_body",
     "trace_silhouette",
 ]

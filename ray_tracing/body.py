@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_finite, require, unit
+from giantlike.core.arrays import Float, as_finite, as_floats, require, unit
 from giantlike.ray_tracing.reflectance import McEwen, Reflectance
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import LevelsOfDetail, Point, Shape, sphere
@@ -100,6 +101,20 @@ class Body:
     def hull_px(self, model: CameraModel) -> Float:
         """Pixels (k, 2) of points whose hull holds the body; NaN for those that the model cannot image."""
         return model.project(self.to_camera(self.tracer.hull_points_km) + self.position_camera_km)
+
+
+def suns_of(bodies: Sequence[Body], sun_direction_camera: ArrayLike) -> Float:
+    """One Sun direction (n, 3) for each of n bodies, from one for all (3,) or n of them.
+
+    Raises
+    ------
+    InputError
+        There are more or less.
+    """
+    suns = as_floats(sun_direction_camera, (3,), "sun_direction_camera")
+    fits = suns.shape in ((3,), (len(bodies), 3))
+    require(fits, f"sun_direction_camera must be (3,) or one for each of {len(bodies)} bodies, got {suns.shape}")
+    return np.broadcast_to(suns, (len(bodies), 3))
 
 
 def sun_in_body(body: Body, sun_direction_camera: ArrayLike) -> Float:

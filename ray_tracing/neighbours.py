@@ -42,13 +42,13 @@ class Neighbour:
         before: Mask = np.sum((hits.points_km - camera_km) ** 2, axis=1) < own_km2
         return before
 
-    def dark(self, points_body_km: Float32, to_sun_body: Float) -> Mask:
-        """Whether the neighbour stands between points (k, 4), km, and the Sun, towards (4,) or (k, 4); body axes."""
+    def dark(self, points_body_km: Float32 | Float, to_sun_body: Float) -> Mask:
+        """Whether the neighbour stands between points (k, 3) or (k, 4), km, and the Sun, towards as many; body axes."""
         starts = self._points(points_body_km)
         directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbour_from_body.T, starts.shape)
         return self.tracer.occluded(starts, directions)
 
-    def _points(self, points_body_km: Float32) -> Float:
+    def _points(self, points_body_km: Float32 | Float) -> Float:
         points: Float = points_body_km[:, :3].astype(np.float64) @ self.neighbour_from_body.T + self.offset_km
         return points
 

@@ -130,6 +130,7 @@ def viewed(
     """Lay a window over a body in a frame of ``size_px`` (columns, rows); failures are those of :func:`render`."""
     columns, rows = size_px
     require(columns > 0 and rows > 0, f"columns and rows must be > 0, got {columns} and {rows}")
+    body = body.seen_by(model)
     sun_body = sun_in_body(body, sun_direction_camera)
     sigma_px = 0.0 if psf is None else psf.sigma_px
     window = window_around(body, model, sigma_px=sigma_px, columns=columns, rows=rows, options=options)

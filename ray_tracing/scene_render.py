@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.arrays import Float, as_floats
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
-from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.body import Body, suns_of
 from giantlike.ray_tracing.neighbours import neighbours_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.render import rendered
@@ -102,11 +102,7 @@ def render_scene(
     Every body is rendered as :func:`~giantlike.ray_tracing.render` does, but rays that meet another body first are
     dropped, and shadow rays are tested against all bodies. Light that one body casts on another is left out.
     """
-    suns = as_floats(sun_direction_camera, (3,), "sun_direction_camera")
-    require(
-        suns.shape in ((3,), (len(bodies), 3)),
-        f"sun_direction_camera must be (3,) or one for each of {len(bodies)} bodies, got {suns.shape}",
-    )
+    bodies = [body.seen_by(model) for body in bodies]
     templates = tuple(
         rendered(
             body,
@@ -118,6 +114,6 @@ def render_scene(
             options=options,
             neighbours=tuple(neighbours_of(bodies, number, sun, options.sun_radius_rad)),
         )
-        for number, (body, sun) in enumerate(zip(bodies, np.broadcast_to(suns, (len(bodies), 3)), strict=True))
+        for number, (body, sun) in enumerate(zip(bodies, suns_of(bodies, sun_direction_camera), strict=True))
     )
     return SceneRender(columns=columns, rows=rows, templates=templates)

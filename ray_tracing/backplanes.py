@@ -1,0 +1,173 @@
+"""What every pixel of an image looks at: body, facet, range, angles of light, longitude and latitude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, frozen, require
+from giantlike.core.outcomes import Failure
+from giantlike.ray_tracing.body import Body, sun_in_body, suns_of
+from giantlike.ray_tracing.neighbours import Neighbour, neighbours_of
+from giantlike.ray_tracing.sampling import Cells, RayGrid
+from giantlike.ray_tracing.tracer import Mask
+from giantlike.ray_tracing.window import sampled_box
+
+_RAYS_AT_A_TIME = 100_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Backplanes:
+    """Geometry at the centre of every pixel; off all bodies numbers are -1, values NaN and flags False.
+
+    Parameters
+    ----------
+    body : (rows, columns) int32
+        Number of the nearest body, in the order they were given.
+    facet : (rows, columns) int32
+        Facet of its mesh; 0 on an ellipsoid.
+    range_km : (rows, columns) float64, km
+        From the camera, along the line of sight.
+    depth_km : (rows, columns) float64, km
+        The part of it along the boresight: camera z.
+    incidence_rad, emission_rad, phase_rad : (rows, columns) float64, rad
+        Angles at the surface: from the normal of the facet to the Sun and to the camera, and from Sun to camera.
+    longitude_rad, latitude_rad : (rows, columns) float64, rad
+        Planetocentric, in the axes of the body: longitude positive to the east in [0, 2 pi), latitude from the equator.
+    point_body_km : (rows, columns, 3) float64, km, body axes
+        The point of the surface.
+    shadowed : (rows, columns) bool
+        No direct light of the centre of the Sun: below the horizon, or something in the way.
+    """
+
+    body: NDArray[np.int32]
+    facet: NDArray[np.int32]
+    range_km: Float
+    depth_km: Float
+    incidence_rad: Float
+    emission_rad: Float
+    phase_rad: Float
+    longitude_rad: Float
+    latitude_rad: Float
+    point_body_km: Float
+    shadowed: Mask
+
+
+def trace_backplanes(
+    bodies: Sequence[Body],
+    model: CameraModel,
+    *,
+    sun_direction_camera: ArrayLike,
+    columns: int,
+    rows: int,
+) -> Backplanes:
+    """Trace one ray through the centre of every pixel, in float64 but for the choice of the facet.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        They hide each other and shade each other.
+    model : CameraModel
+    sun_direction_camera : (3,) or (n, 3), unitless, camera axes
+        Unit vector to the Sun, for all bodies or for each.
+    columns, rows : int, px
+
+    Returns
+    -------
+    Backplanes
+
+    Raises
+    ------
+    InputError
+        A size is not positive, or a direction is not a unit vector or not one for each body.
+    """
+    require(columns > 0 and rows > 0, f"columns and rows must be > 0, got {columns} and {rows}")
+    bodies = [body.seen_by(model) for body in bodies]
+    planes = _blank(columns, rows)
+    for number, sun in enumerate(suns_of(bodies, sun_direction_camera)):
+        box = sampled_box(bodies[number], model, np.array([columns, rows], dtype=np.float64), 0)
+        if isinstance(box, Failure):
+            continue
+        x, y = (Cells.covering(float(box.low_px[i]), float(box.high_px[i]), 1) for i in range(2))
+        rotation = bodies[number].camera_from_body.as_matrix().T
+        grid, step = RayGrid(model, x, y, rotation), max(_RAYS_AT_A_TIME // x.count, 1)
+        neighbours = neighbours_of(bodies, number, sun, 0.0)
+        for start in range(0, y.count, step):
+            stop = min(start + step, y.count)
+            window = slice(y.first + start, y.first + stop), slice(x.first, x.first + x.count)
+            directions = grid.tile(start, stop, 0, x.count)[:, :3].reshape(x.count, stop - start, 3)
+            _fill(planes, window, number, bodies[number], np.swapaxes(directions, 0, 1), sun, neighbours)
+    for name in planes.__dataclass_fields__:
+        frozen(getattr(planes, name))
+    return planes
+
+
+def _blank(columns: int, rows: int) -> Backplanes:
+    """Planes of a frame without bodies, still to be written."""
+
+    def unknown(*shape: int) -> Float:
+        return np.full((rows, columns, *shape), np.nan)
+
+    return Backplanes(
+        body=np.full((rows, columns), -1, np.int32),
+        facet=np.full((rows, columns), -1, np.int32),
+        range_km=unknown(),
+        depth_km=unknown(),
+        incidence_rad=unknown(),
+        emission_rad=unknown(),
+        phase_rad=unknown(),
+        longitude_rad=unknown(),
+        latitude_rad=unknown(),
+        point_body_km=unknown(3),
+        shadowed=np.zeros((rows, columns), bool),
+    )
+
+
+def _fill(
+    planes: Backplanes,
+    window: tuple[slice, slice],
+    number: int,
+    body: Body,
+    directions: Float,
+    sun_camera: Float,
+    neighbours: Sequence[Neighbour],
+) -> None:
+    """Write what a body shows along directions (h, w, 3), body axes, into a window of the planes, where it is nearest."""
+    sun, camera_km = sun_in_body(body, sun_camera), body.camera_body_km
+    rays = directions.reshape(-1, 3)
+    hits = body.tracer.intersect(camera_km, rays)
+    range_km = np.linalg.norm(hits.points_km - camera_km, axis=1)
+    before = planes.range_km[window].reshape(-1)
+    nearest = np.flatnonzero(hits.hit & ~(range_km >= before))
+    points, normals, rays = hits.points_km[nearest], hits.normals[nearest], rays[nearest]
+    shadowed = body.tracer.shadowed(hits, sun)[nearest]
+    for neighbour in neighbours:
+        if neighbour.shades:
+            shadowed |= neighbour.dark(points, sun)
+    values = {
+        "body": np.full(nearest.size, number, np.int32),
+        "facet": hits.facets[nearest],
+        "range_km": range_km[nearest],
+        "depth_km": (body.to_camera(points) + body.position_camera_km)[:, 2],
+        "incidence_rad": _angle(normals, sun),
+        "emission_rad": _angle(normals, -rays),
+        "phase_rad": _angle(-rays, sun),
+        "longitude_rad": np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi),
+        "latitude_rad": np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])),
+        "point_body_km": points,
+        "shadowed": shadowed,
+    }
+    rows, columns = np.unravel_index(nearest, directions.shape[:2])
+    for name, value in values.items():
+        getattr(planes, name)[window][rows, columns] = value
+
+
+def _angle(first: Float, second: Float) -> Float:
+    """Angles (k,), rad, between unit vectors (k, 3) and one (3,) or as many (k, 3); good to rounding also near 0."""
+    across = np.linalg.norm(np.cross(first, second), axis=-1)
+    angles: Float = np.arctan2(across, np.sum(first * second, axis=-1))
+    return angles
