@@ -122,18 +122,19 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices
     unseen[mesh.faces[~front]] = True
     candidate = seen & unseen
     candidate[mesh.border_vertices] = True
-    near = np.flatnonzero(candidate[mesh.faces].any(axis=1))  # every facet at each edge of two candidate vertices
+    first, second, third = (candidate[mesh.faces[:, corner]] for corner in range(3))
+    near = np.flatnonzero(first | second | third)  # every facet at each edge of two candidate vertices
     near = near[np.argsort(~front[near], kind="stable")]
     faces = mesh.faces[near]
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     keep = candidate[edges].all(axis=1)
     edges, facets = edges[keep], np.repeat(near, 3)[keep]
-    _, first, which = np.unique(
+    _, sample, which = np.unique(
         edges[:, 0] * len(mesh.vertices_km) + edges[:, 1], return_index=True, return_inverse=True
     )
-    meeting = np.bincount(which, minlength=first.size)
-    facing = np.bincount(which, weights=front[facets], minlength=first.size)
-    outline = first[(meeting == 1) | ((facing > 0) & (facing < meeting))]
+    meeting = np.bincount(which, minlength=sample.size)
+    facing = np.bincount(which, weights=front[facets], minlength=sample.size)
+    outline = sample[(meeting == 1) | ((facing > 0) & (facing < meeting))]
     return edges[outline], facets[outline]
 
 

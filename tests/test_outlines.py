@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
+from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, irregular_body, mesh_from_ellipsoid
 from tests.numerical import numerical_jacobian
 
@@ -152,3 +153,29 @@ def test_an_outline_that_the_camera_images_in_part_is_that_of_a_camera_without_i
     folds_at = np.sqrt(1.0 / 1.2)
     longest = 2.0 * np.sqrt(4 * np.pi / 2000)  # edges, over a range of some 1 km: what is imaged in part is left out
     assert beyond.min() > folds_at - longest
+
+
+@pytest.mark.parametrize("range_km", RANGES_KM)
+def test_hit_points_lie_on_their_rays_and_on_the_surface_at_every_range(range_km: float) -> None:
+    mesh = mesh_from_ellipsoid(ELLIPSOID, facets=50_000)
+    camera = range_km * np.array([0.48, -0.6, 0.64])
+    rays = np.random.default_rng(1).uniform(-0.6, 0.6, size=(20_000, 3)) - camera
+    smooth, faceted = (tracer_for(shape).intersect(camera, rays) for shape in (ELLIPSOID, mesh))
+    both = smooth.hit & faceted.hit
+    assert np.mean(smooth.hit != faceted.hit) < 3e-3  # between the outlines of the ellipsoid and of its mesh
+    assert both.sum() > 10_000
+    on_surface = np.sum((smooth.points_km[both] / ELLIPSOID.radii_km) ** 2, axis=1)
+    assert_allclose(on_surface, 1.0, rtol=0, atol=HIT * range_km)
+    corners, normals = mesh.vertices_km[mesh.faces[faceted.facets[both], 0]], faceted.normals[both]
+    heights = np.einsum("ij,ij->i", faceted.points_km[both] - corners, normals)
+    assert_allclose(heights, 0.0, rtol=0, atol=HIT * range_km)
+    for hits in (smooth, faceted):
+        offsets = hits.points_km[both] - camera
+        aside = np.linalg.norm(np.cross(offsets, rays[both]), axis=1) / np.linalg.norm(rays[both], axis=1)
+        assert aside.max() < HIT * range_km
+    weights = mesh.barycentric(faceted.points_km[both], faceted.facets[both])
+    assert np.mean(weights.min(axis=1) < -1e-9) < 1e-3  # which side of an edge is taken is decided in float32
+    steep = np.einsum("ij,ij->i", smooth.normals[both], -rays[both]) > 0.3 * np.linalg.norm(rays[both], axis=1)
+    apart = np.linalg.norm(smooth.points_km - faceted.points_km, axis=1)[both][steep]
+    longest = 2.0 * np.sqrt(4 * np.pi / 50_000)
+    assert apart.max() < longest**2 / 8 / 0.36 / 0.3
