@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +18,8 @@ from giantlike.shapes.surface import Surface
 _KM_PER_UNIT = {"km": 1.0, "m": 1e-3}
 _MAX_OPENNESS = 0.01
 _SURELY_KM, _SURELY_M = 30.0, 3000.0
+_LARGEST_KM = 1e30
+"""Far beyond any body, far below where sixth powers overflow."""
 
 
 class UnitsWarning(UserWarning):
@@ -100,16 +101,15 @@ def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
         It has no facets, facets of vertices that are missing or not finite, or is not closed.
     """
     path = Path(path)
+    largest = float(np.abs(surface.vertices[surface.finite_vertices]).max(initial=0.0))
+    if largest > _LARGEST_KM:
+        raise DataError(path, f"not a usable triangle mesh: it has coordinates of {largest:.3g} km")
     if surface.faces.size and surface.valid_faces.all() and surface.finite_vertices.all():
         surface = surface.merged()
     try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            mesh = TriangleMesh(surface.vertices, surface.faces, path.stem, _sha256(path), surface.albedo)
-            size = mesh.volume_km3 * mesh.area_km2
+        mesh = TriangleMesh(surface.vertices, surface.faces, path.stem, _sha256(path), surface.albedo)
     except InputError as error:
         raise DataError(path, f"not a usable triangle mesh: {error}") from error
-    if not math.isfinite(size):
-        raise DataError(path, "not a usable triangle mesh: its coordinates are too large to compute a volume")
     if mesh.openness > _MAX_OPENNESS:
         raise DataError(
             path,

@@ -83,8 +83,10 @@ class Surface:
     def valid_faces(self) -> Mask:
         """Which facets (m,) have three vertices that exist and are finite."""
         valid: Mask = (self.faces.min(axis=1) >= 0) & (self.faces.max(axis=1) < len(self.vertices))
-        for corner in range(3):
-            valid[valid] = self.finite_vertices[self.faces[valid, corner]]
+        finite = self.finite_vertices
+        if not finite.all():
+            for corner in range(3):
+                valid[valid] = finite[self.faces[valid, corner]]
         return valid
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -216,6 +217,59 @@ def test_quadrilaterals_of_exchange_formats_are_split(tmp_path: Path, suffix: st
     assert len(mesh.faces) == 12
     assert_allclose(mesh.volume_km3, 8.0, rtol=ROUNDING)
     assert_allclose(mesh.area_km2, 24.0, rtol=ROUNDING)
+
+
+def test_an_obj_may_have_comments_in_any_encoding(tmp_path: Path) -> None:
+    path = tmp_path / "cube.obj"
+    path.write_bytes(
+        "# Würfel\n".encode("latin-1") + "\n".join(rows_of(CUBE, "v ") + rows_of(QUADS + 1, "f ")).encode()
+    )
+    assert load_shape(path).volume_km3 == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("sides", [3, 4, "mixed"])
+def test_binary_ply_of_either_byte_order_and_with_more_columns_is_read(
+    tmp_path: Path, order: str, sides: int | str
+) -> None:
+    words = {"<": "little", ">": "big"}[order]
+    header = ["ply", f"format binary_{words}_endian 1.0", "comment a cube", "element vertex 8"]
+    header += ["property float red", *[f"property double {axis}" for axis in "zyx"]]
+    corners = {4: QUADS.tolist(), 3: [[a, b, c] for q in QUADS for a, b, c in (q[:3], q[[0, 2, 3]])]}
+    facets = corners[sides] if isinstance(sides, int) else corners[4][:3] + corners[3][6:]
+    header += [f"element face {len(facets)}", "property list uchar uint vertex_indices", "end_header"]
+    data = b"".join(struct.pack(f"{order}f3d", 0.5, z, y, x) for x, y, z in CUBE.tolist())
+    data += b"".join(struct.pack(f"{order}B{len(facet)}I", len(facet), *facet) for facet in facets)
+    path = tmp_path / "cube.ply"
+    path.write_bytes("\n".join(header).encode() + b"\n" + data)
+    mesh = load_shape(path)
+    assert_array_equal(mesh.vertices_km, CUBE)
+    assert len(mesh.faces) == 12
+    assert_allclose(mesh.volume_km3, 8.0, rtol=ROUNDING)
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(DataError, match="damaged PLY"):
+        load_shape(path)
+
+
+def test_a_dsk_of_many_segments_is_read_and_one_cut_short_never_reaches_spice(tmp_path: Path) -> None:
+    import spiceypy
+
+    path = tmp_path / "many.bds"
+    box, plates = CUBE.copy(), (np.array([[a, b, c] for q in QUADS for a, b, c in (q[:3], q[[0, 2, 3]])]) + 1)
+    system = (1, np.zeros(10), -np.pi, np.pi, -np.pi / 2, np.pi / 2, 0.0, 1e4, -1e9, 1e9)
+    handle = spiceypy.dskopn(str(path), "many", 0)
+    for number in range(140):  # a directory of the file describes 123 of them
+        vertices = box + np.array([3.0 * number, 0.0, 0.0])
+        index = spiceypy.dskmi2(vertices, plates, 2.0, 2, 10_000, 10_000, 10_000, False, 130_000)
+        spiceypy.dskw02(handle, 401, number + 1, 2, "IAU_PHOBOS", *system, vertices, plates, *index)
+    spiceypy.dskcls(handle, False)
+    mesh = load_shape(path)
+    assert len(mesh.faces) == 140 * 12
+    assert_allclose(mesh.volume_km3, 140 * 8.0, rtol=1e-9)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: 3 * len(whole) // 4])
+    with pytest.raises(DataError, match="is it cut short"):
+        load_shape(path)
 
 
 @pytest.mark.parametrize("start", [0, 1])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.units import SECONDS_PER_JULIAN_YEAR
+from giantlike.shapes.files.das import require_whole_das
 from giantlike.shapes.mesh import Faces, TriangleMesh
 from giantlike.shapes.surface import Surface
 
@@ -23,7 +24,6 @@ _FINE_SCALE, _COARSE_SCALE = 5.0, 4  # voxel over mean plate extent, coarse voxe
 _MOST_VOXELS = 3_000_000
 _INDEX_HEADER = 100_008  # integers that come before the lists of a spatial index (SPICE_DSK02_IXIFIX)
 _CELLS_PER_PLATE = 30
-_DAS_RECORD_BYTES = 1024
 _BYTES_PER_VERTEX, _BYTES_PER_PLATE = 24, 12
 
 
@@ -63,13 +63,11 @@ def read_dsk(path: Path) -> Surface:
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 
-    size = path.stat().st_size
-    if size < _DAS_RECORD_BYTES:
-        raise ValueError(f"needed a DSK, got a file of {size} bytes")
+    require_whole_das(path)
     try:
         handle = spiceypy.dasopr(str(path))
         try:
-            segments = _segments(spiceypy, handle, size)
+            segments = _segments(spiceypy, handle, path.stat().st_size)
         finally:
             spiceypy.dascls(handle)
     except SpiceyError as error:

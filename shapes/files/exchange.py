@@ -1,4 +1,4 @@
-"""OBJ, PLY and STL: read through trimesh, written here so that PLY and OBJ keep float64."""
+"""OBJ, PLY and STL: read through trimesh, but for the usual binary PLY; OBJ written so that it keeps float64."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike.shapes.files.ply import read_binary_ply
 from giantlike.shapes.files.text import write_rows
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
@@ -26,9 +27,11 @@ def read_exchange(path: Path) -> Surface:
     ValueError and what else a parser stumbles over
         The file is damaged.
     """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind == "ply" and (surface := read_binary_ply(path)) is not None:
+        return surface
     import trimesh
 
-    kind = path.suffix.lower().removeprefix(".")
     with path.open("rb") as file, _quiet("trimesh.util"):
         source = file if kind == "ply" else _text_or_binary(file.read(), kind)
         mesh = trimesh.load(source, file_type=kind, force="mesh", process=False, skip_materials=True)
@@ -61,21 +64,6 @@ def _quiet(name: str) -> Iterator[None]:
 def write_obj(path: Path, mesh: TriangleMesh) -> None:
     """Write ``v`` and ``f`` rows in km, float64 to the last bit."""
     write_rows(path, f"# {_COMMENT}\n", [("v ", mesh.vertices_km), ("f ", mesh.faces + 1)])
-
-
-def write_ply(path: Path, mesh: TriangleMesh) -> None:
-    """Write binary little-endian PLY in km, vertices in float64."""
-    header = (
-        f"ply\nformat binary_little_endian 1.0\ncomment {_COMMENT}\n"
-        f"element vertex {len(mesh.vertices_km)}\nproperty double x\nproperty double y\nproperty double z\n"
-        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    facets = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
-    facets["count"], facets["corners"] = 3, mesh.faces
-    with path.open("wb") as file:
-        file.write(header.encode("ascii"))
-        file.write(np.ascontiguousarray(mesh.vertices_km, dtype="<f8").data)
-        file.write(facets.data)
 
 
 def write_stl(path: Path, mesh: TriangleMesh) -> None:

@@ -14,16 +14,17 @@ import numpy as np
 
 from giantlike.core.errors import DataError, InputError, OpNavError
 from giantlike.shapes.files.dsk import read_dsk
-from giantlike.shapes.files.exchange import read_exchange, write_obj, write_ply, write_stl
+from giantlike.shapes.files.exchange import read_exchange, write_obj, write_stl
 from giantlike.shapes.files.icq import is_icq, read_icq, write_icq
 from giantlike.shapes.files.npz import read_npz, write_npz
 from giantlike.shapes.files.plate_table import read_plate_table, write_plate_table
+from giantlike.shapes.files.ply import write_ply
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
 _PARSER_ERRORS = (
     ValueError, LookupError, TypeError, AttributeError, EOFError, NotImplementedError, AssertionError, ArithmeticError,
-    MemoryError, RecursionError, struct.error, zipfile.BadZipFile, zlib.error,
+    NameError, MemoryError, RecursionError, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 
 
