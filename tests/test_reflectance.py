@@ -283,6 +283,23 @@ def test_rough_hapke_equals_its_form_in_angles() -> None:
     assert_allclose(BRIGHT(mu0, mu, phase), expected / _hapke_in_angles(BRIGHT, 0.0, 0.0, 0.0), rtol=1e-9, atol=0)
 
 
+@pytest.mark.parametrize(
+    ("law", "slanted", "normal"),
+    [
+        (Hapke(w=0.5), 0.0832883, 0.0965097),
+        (Hapke(w=0.52, theta_bar_deg=30.0, hg1=0.213, hg2=1.0), 0.0911799, 0.158749),
+        (Hapke(w=0.52, b0=1.0, h=1.0, theta_bar_deg=30.0), 0.111525, 0.16145),
+        (Hapke(w=0.52, b0=1.0, h=1.0, theta_bar_deg=30.0, hg1=0.213, hg2=1.0), 0.1342, 0.286048),
+        (LunarLambert(), 1.0 / 1.14863, 1.0 / 0.903853),
+    ],
+)
+def test_hapke_and_lunar_lambert_give_the_numbers_of_isis(law: Reflectance, slanted: float, normal: float) -> None:
+    # The expected output of the unit tests of Hapke, HapkeHen and LunarLambertMcEwen in USGS ISIS3: incidence 45,
+    # emission 30 and phase 60 degrees, and all three 0; six digits are printed.
+    found = law(np.cos(np.radians(45.0)), np.cos(np.radians(30.0)), np.radians(60.0))
+    assert found == pytest.approx(slanted / normal, rel=5e-6)
+
+
 def test_hapke_becomes_smooth_as_its_slopes_vanish_and_darker_at_large_phase_as_they_grow() -> None:
     mu0, mu, _, phase = _geometries(300, seed=10)
     smooth = Hapke(w=0.3, b0=1.0, h=0.05, hg1=-0.3)

@@ -55,7 +55,7 @@ class Hapke(SurfaceLaw):
 
     References
     ----------
-    .. [1] USGS ISIS3, ``Hapke.cpp`` and ``Hapke.h``: the law as implemented here, with roughness.
+    .. [1] USGS ISIS3, ``Hapke.cpp`` and ``Hapke.h``: the law as implemented here; same numbers.
     .. [2] M. Broz, xitau, ``hapke.f90``: the same roughness, there after Spjuth (2009) eqs. 2.36 to 2.41, with signs
        corrected after Hapke (1984).
     """
