@@ -165,7 +165,7 @@ class Akimov(SurfaceLaw):
     Parameters
     ----------
     eta : float
-        Smoothness of the relief, >= 0: 1 is the parameter-free form.
+        How strongly the disc darkens towards the photometric poles, >= 0: 1 is the parameter-free form.
 
     Notes
     -----
@@ -174,8 +174,8 @@ class Akimov(SurfaceLaw):
 
     References
     ----------
-    .. [1] As implemented in public code for disc-integrated phase curves and lunar photometry (there attributed to
-       Shkuratov et al. 1999 and, with eta, to Velikodsky); the form is stated above.
+    .. [1] As implemented in public code for phase curves of discs (there after Shkuratov et al. 1999) and, with eta,
+       for lunar photometry; the form is stated above.
     """
 
     type_name: ClassVar[str] = "akimov"
