@@ -42,6 +42,8 @@ from giantlike.simulation import DetectorModel, HotPixels, Photometry, Shot, Sim
 from giantlike.simulation.cosmic_rays import CosmicRays
 from giantlike.simulation.detector import Stream, scattered_pixels
 from giantlike.simulation.effects import DarkCurrent, FlatField, FrameTransfer, FullWell, StrayLight, pixel_response
+from giantlike.simulation.incident import true_geometry
+from giantlike.simulation.shot import unexposed
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -178,11 +180,15 @@ class RenderPlan:
         try:
             shapes = {target.name: target.load_shape() for target in self.targets}
             shots = [(self._shot(exposure), self._scene(exposure, shapes)) for exposure in self.exposures]
-            shown = {target.name for _, scene in shots if scene is not None for target in scene.targets}
-            for number, target in enumerate(self.targets):
-                if target.name not in shown:
+            shown: set[str] = set()
+            for shot, scene in shots:
+                if scene is not None:
+                    frame = unexposed(shot, self.camera)
+                    shown |= {true_geometry(scene, frame, body.name).target.name for body in scene.targets}
+            for number, setup in enumerate(self.targets):
+                if setup.name not in shown:
                     raise InputError(
-                        f"targets[{number}].position_km: nothing says where {target.name!r} is: give it here, in an "
+                        f"targets[{number}].position_km: nothing says where {setup.name!r} is: give it here, in an "
                         "image or in the geometry table, or add [spice]"
                     )
         except InputError as error:

@@ -80,13 +80,13 @@ def render_images(
     plan, folder = _placed(plan, output)
     paths = [folder / exposure.file for exposure in plan.exposures]
     _check_output(plan, folder, paths, overwrite=overwrite)
-    for path in paths:
-        _make_folder(path.parent)
     catalog = None if plan.catalog is None else load_catalog(plan.catalog)
     rows: list[GeometryRow] = []
     results = []
     with plan.kernels():
         shots = plan.shots()
+        for path in paths:
+            _make_folder(path.parent)
         for number, ((shot, scene), path) in enumerate(zip(shots, paths, strict=True)):
             started = time.perf_counter()
             taken = simulate_image(
@@ -149,8 +149,9 @@ def _check_output(plan: RenderPlan, folder: Path, paths: list[Path], *, overwrit
 
 
 def _write(plan: RenderPlan, path: Path, taken: SimulatedImage) -> None:
-    write_simulated(path, taken, plan.camera, extensions=plan.content.render.truth)
-    if plan.content.render.preview:
+    section = plan.content.render
+    write_simulated(path, taken, plan.camera, extensions=section.truth, backplanes=section.backplanes)
+    if section.preview:
         write_bytes_atomic(path.with_suffix(".png"), preview_png(taken.image.pixels.astype(np.float64)))
 
 

@@ -20,7 +20,9 @@ Quaternion = tuple[float, float, float, float]
 class RenderSection(_Section):
     """``[render]``: where images go and how they are made.
 
-    ``rays_per_pixel`` counts along each side of a pixel. ``geometry`` names a table that stands for ``[[images]]``.
+    ``rays_per_pixel_side`` squared is the number of rays in a pixel. ``geometry`` names a table that stands for
+    ``[[images]]``. ``truth`` and ``backplanes`` add extensions to the images, ``preview`` a PNG beside each, and
+    ``campaign`` what ``giantlike run`` needs, with these ``estimators``.
     """
 
     output: str = "rendered"
@@ -28,6 +30,7 @@ class RenderSection(_Section):
     rays_per_pixel_side: int = Field(default=4, ge=1, le=32)
     geometry: str | None = None
     truth: bool = True
+    backplanes: bool = False
     preview: bool = False
     campaign: bool = False
     estimators: list[str] = ["cross_correlation", "limb_matching"]

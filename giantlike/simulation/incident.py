@@ -173,7 +173,7 @@ def _smear_px(shot: Shot, camera: Camera, scene: Scene | None) -> float:
         places = [now.camera_from_inertial.apply(inertial)]
         if scene is not None:
             frame = unexposed(now, camera)
-            bodies = [_geometry(scene, frame, target.name).position_camera_km for target in scene.targets]
+            bodies = [true_geometry(scene, frame, target.name).position_camera_km for target in scene.targets]
             places.append(np.array(bodies))
         path.append(camera.model.project(np.concatenate(places)))
     steps = np.linalg.norm(np.diff(path, axis=0), axis=-1)
@@ -205,7 +205,8 @@ def _hidden(points_px: Float, covered: NDArray[np.bool_], camera: Camera) -> NDA
     return hidden
 
 
-def _geometry(scene: Scene, frame: Image, target: str) -> TargetGeometry:
+def true_geometry(scene: Scene, frame: Image, target: str) -> TargetGeometry:
+    """Apparent geometry of a target; ``InputError`` where the scene cannot tell it."""
     geometry = scene.geometry(frame, target)
     if isinstance(geometry, Failure):
         raise InputError(geometry.detail)
@@ -225,7 +226,7 @@ def _seen_bodies(
         dark = np.zeros((camera.rows, camera.columns))
         return _SeenBodies(rate_e_s=dark, covered=dark > _HIDES, geometry={}, templates={})
     frame = unexposed(shot, camera)
-    geometries = [_geometry(scene, frame, target.name) for target in scene.targets]
+    geometries = [true_geometry(scene, frame, target.name) for target in scene.targets]
     image = _rendered(geometries, camera, options, seed=int(random.integers(2**31)))
     found, templates = {}, {}
     covered = np.zeros((camera.rows, camera.columns))

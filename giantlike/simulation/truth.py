@@ -17,7 +17,9 @@ truth is in keywords that begin with ``GT_`` and, for the targets, ``T1_``, ``T2
 ==============================  =====================================================================================
 
 Extensions: ``EXPECTED`` (mean electrons without noise or saturation), ``COSMIC`` (electrons left by cosmic rays),
-``STARS`` (table: id, x_px, y_px, magnitude, electrons).
+``STARS`` (table: id, x_px, y_px, magnitude, electrons). On request also what the centre of every pixel looks at:
+``BODY`` (number as in the keywords, 0: none), ``FACET``, ``RANGE`` (km), and ``INCIDENCE``, ``EMISSION``, ``PHASE``,
+``LONGITUDE``, ``LATITUDE`` (degrees).
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ from giantlike.core.version import VERSION
 from giantlike.io import navigation_header, write_fits
 from giantlike.io.fits_keywords import Card
 from giantlike.io.geometry_table import GeometryRow
+from giantlike.ray_tracing import trace_backplanes
 from giantlike.scene import TargetGeometry
 from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.stars import StarField
@@ -47,7 +50,9 @@ _HASH_DIGITS = 16
 _STAR_COLUMNS = np.dtype([("id", "i8"), ("x_px", "f8"), ("y_px", "f8"), ("magnitude", "f8"), ("electrons", "f8")])
 
 
-def write_simulated(path: str | Path, taken: SimulatedImage, camera: Camera, *, extensions: bool = True) -> None:
+def write_simulated(
+    path: str | Path, taken: SimulatedImage, camera: Camera, *, extensions: bool = True, backplanes: bool = False
+) -> None:
     """Write a simulated image with its truth; what a campaign reads from it a priori is the truth too.
 
     Parameters
@@ -58,7 +63,9 @@ def write_simulated(path: str | Path, taken: SimulatedImage, camera: Camera, *, 
     camera : Camera
         That took it.
     extensions : bool
-        Whether the extensions are written besides the keywords.
+        Whether what is true of the pixels, and the stars, are written besides the keywords.
+    backplanes : bool
+        Whether the backplanes are written.
 
     Raises
     ------
@@ -74,7 +81,9 @@ def write_simulated(path: str | Path, taken: SimulatedImage, camera: Camera, *, 
         observer_position_km=None if observer is None else observer.position_km,
         observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
     )
-    parts = {} if not extensions else truth_extensions(taken)
+    parts = truth_extensions(taken) if extensions else {}
+    if backplanes and taken.bodies:
+        parts |= backplane_extensions(taken, camera)
     write_fits(path, taken.image.pixels, header={**header, **truth_header(taken, camera)}, extensions=parts)
 
 
@@ -107,6 +116,30 @@ def truth_extensions(taken: SimulatedImage) -> dict[str, NDArray[Any]]:
         "EXPECTED": taken.readout.expected_e.astype(np.float32),
         "COSMIC": taken.readout.cosmic_e.astype(np.float32),
         "STARS": _star_table(taken.stars, taken.star_electrons),
+    }
+
+
+def backplane_extensions(taken: SimulatedImage, camera: Camera) -> dict[str, NDArray[Any]]:
+    """What every pixel looks at, at mid-exposure, by EXTNAME: body (from 1, as in the header), facet, km, degrees."""
+    planes = trace_backplanes(
+        [geometry.body() for geometry in taken.bodies.values()],
+        camera.model,
+        sun_direction_camera=[geometry.sun_direction_camera for geometry in taken.bodies.values()],
+        columns=camera.columns,
+        rows=camera.rows,
+    )
+    angles = {
+        "INCIDENCE": planes.incidence_rad,
+        "EMISSION": planes.emission_rad,
+        "PHASE": planes.phase_rad,
+        "LONGITUDE": planes.longitude_rad,
+        "LATITUDE": planes.latitude_rad,
+    }
+    return {
+        "BODY": np.where(planes.body < 0, 0, planes.body + 1).astype(np.int32),
+        "FACET": planes.facet,
+        "RANGE": planes.range_km,
+        **{name: np.degrees(angle).astype(np.float32) for name, angle in angles.items()},
     }
 
 
