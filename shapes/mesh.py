@@ -147,7 +147,7 @@ class TriangleMesh:
         Each vertex sums numbers, drawn for its neighbours, over the edges that leave it minus those that arrive; where
         every edge runs both ways, this is zero.
         """
-        draws = np.random.default_rng(0).integers(1, 2**40, size=len(self.vertices_km)).astype(np.float64)
+        draws = np.random.default_rng(0).integers(1, 2**32, size=len(self.vertices_km)).astype(np.float64)
         total = np.zeros(len(draws))
         for corner in range(3):
             leave, arrive = self.faces[:, corner], self.faces[:, (corner + 1) % 3]
