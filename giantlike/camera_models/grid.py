@@ -15,7 +15,7 @@ from giantlike.core.outcomes import Failure, Reason
 
 _MAX_STEEPNESS = 0.5  # px per px: half of what would fold
 _MAX_TURNS = 60  # each at least halves the error
-_LAST_MOVE_PX = 1e-11
+_LEFT_PX = 1e-10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,10 +59,7 @@ class GridCorrectedModel:
         for name in ("dx_px", "dy_px"):
             object.__setattr__(self, name, frozen(as_finite(getattr(self, name), shape, name)))
         require(np.isfinite(self.step_px) and self.step_px > 0, f"step_px must be > 0, got {self.step_px}")
-        steepness = max(
-            sum(float(np.abs(np.diff(values, axis=axis)).max()) for values in (self.dx_px, self.dy_px)) / self.step_px
-            for axis in (0, 1)
-        )
+        steepness = self._steepness()
         require(
             steepness <= _MAX_STEEPNESS,
             f"the grid correction changes by {steepness:.3g} px per px, at most {_MAX_STEEPNESS} is sure to be "
@@ -138,13 +135,22 @@ class GridCorrectedModel:
         return blockwise(self._correction_block, as_floats(base_px, (2,), "base_px"), (2,))
 
     def _correction_block(self, pixels: Float) -> Float:
-        cell, weights_x, weights_y = self._weights(pixels)
-        values = np.stack([self.dx_px.ravel(), self.dy_px.ravel()], axis=-1)
-        result = np.zeros_like(pixels)
+        moved = self._spline_sum(*self._weights(pixels))
+        return np.stack([moved.real, moved.imag], axis=-1)
+
+    def _spline_sum(
+        self, cell: NDArray[np.int64], weights_x: list[Float], weights_y: list[Float]
+    ) -> NDArray[np.complex128]:
+        """Weighted sum of controls, dx as the real and dy as the imaginary part: each is looked up once."""
+        controls = (self.dx_px + 1j * self.dy_px).ravel()
+        result = np.zeros(len(cell), dtype=np.complex128)
         for j, across in enumerate(weights_y):
             row = cell + j * self.dx_px.shape[1]
-            along: Float = sum(weight[:, None] * values[row + i] for i, weight in enumerate(weights_x))
-            result += across[:, None] * along
+            along = weights_x[0] * controls.take(row)
+            for i in (1, 2, 3):
+                along += weights_x[i] * controls.take(row + i)
+            along *= across
+            result += along
         return result
 
     def _weights(self, pixels: Float, slope: int | None = None) -> tuple[NDArray[np.int64], list[Float], list[Float]]:
@@ -153,8 +159,8 @@ class GridCorrectedModel:
         cells, weights = [], []
         for axis, count in enumerate((columns, rows)):
             place = (pixels[:, axis] - self.corner_px[axis]) / self.step_px
-            inside = np.clip(place, 0.0, count - 3.0)
-            cell = np.where(np.isnan(inside), 0.0, np.minimum(np.floor(inside), count - 4.0))
+            inside = np.minimum(np.maximum(place, 0.0), count - 3.0)
+            cell = np.fmin(np.floor(inside), count - 4.0)  # of NaN the last: its fraction stays NaN
             fraction = inside - cell
             cells.append(cell.astype(np.int64))
             if axis == slope:
@@ -170,22 +176,26 @@ class GridCorrectedModel:
         def block(pixels: Float) -> Float:
             result = np.broadcast_to(np.eye(2), (len(pixels), 2, 2)).copy()
             for axis in (0, 1):
-                cell, weights_x, weights_y = self._weights(pixels, slope=axis)
-                for j, across in enumerate(weights_y):
-                    for i, along in enumerate(weights_x):
-                        at = cell + j * self.dx_px.shape[1] + i
-                        result[:, 0, axis] += across * along * self.dx_px.ravel()[at]
-                        result[:, 1, axis] += across * along * self.dy_px.ravel()[at]
+                growth = self._spline_sum(*self._weights(pixels, slope=axis))
+                result[:, 0, axis] += growth.real
+                result[:, 1, axis] += growth.imag
             return result
 
         return blockwise(block, base_px, (2, 2))
 
+    def _steepness(self) -> float:
+        """Bound on how far the correction of two pixels differs, per distance of the pixels."""
+        return max(
+            sum(float(np.abs(np.diff(values, axis=axis)).max()) for values in (self.dx_px, self.dy_px)) / self.step_px
+            for axis in (0, 1)
+        )
+
     def _uncorrected(self, pixels: Float) -> Float:
-        """Pixels of the base: a fixed point, found because the correction is not steep."""
-        base = pixels
+        """Pixels of the base: a fixed point, which every turn comes nearer to by the steepness of the correction."""
+        base, nearer = pixels, self._steepness()
         for _ in range(_MAX_TURNS):
             before, base = base, pixels - self._correction_block(base)
-            if not np.nanmax(np.abs(base - before), initial=0.0) > _LAST_MOVE_PX:
+            if not np.nanmax(np.abs(base - before), initial=0.0) * nearer / (1.0 - nearer) > _LEFT_PX:
                 break
         return base
 
@@ -193,7 +203,8 @@ class GridCorrectedModel:
 def _spline(f: Float) -> list[Float]:
     """Weights of the four controls around a place in a cell, by the uniform cubic B-spline."""
     g = 1.0 - f
-    return [g**3 / 6, (4 - 3 * f * f * (1 + g)) / 6, (4 - 3 * g * g * (1 + f)) / 6, f**3 / 6]
+    ff, gg = f * f, g * g
+    return [gg * g / 6, 2 / 3 - ff * (1 + g) / 2, 2 / 3 - gg * (1 + f) / 2, ff * f / 6]
 
 
 def _spline_slope(f: Float) -> list[Float]:

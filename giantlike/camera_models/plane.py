@@ -151,7 +151,7 @@ def _fold_radius(model: PlaneModel) -> float:
     limit = model._radial_limit()
     if model._is_radial():
         return limit
-    radii = np.tan(np.linspace(0.0, min(np.arctan(limit), _WIDEST_RAD), 400)[1:])
+    radii = np.tan(np.linspace(0.0, min(np.arctan(limit), _WIDEST_RAD), 150)[1:])
     below = 0.0
     for _ in range(3):  # each turn looks fifty times closer
         folded = ~(_least_slope(model, radii).min(axis=1) > 0)  # a pole of a rational lens is no number
