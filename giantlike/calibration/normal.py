@@ -123,20 +123,25 @@ def predict(state: State, data: Data) -> Float:
     return result
 
 
-def jacobians(state: State, data: Data) -> tuple[Float, Float]:
-    """Derivatives (n, 2, k) by the estimated parameters and (n, 2, pose) by the pose of the image."""
+def linearised(state: State, data: Data) -> tuple[Float, Float, Float]:
+    """Pixels (n, 2), their derivatives (n, 2, k) by the estimated parameters and (n, 2, pose) by the pose of the image.
+
+    All at once, because a model at a temperature is made once for them.
+    """
     vectors = state.vectors(data)
+    pixels = np.empty((len(vectors), 2))
     camera = np.empty((len(vectors), 2, len(data.estimated)))
     pose = np.empty((len(vectors), 2, data.pose))
     arms = vectors if data.pose == 3 else vectors - state.position[data.image_index]
     for which, model, temperature_c in _by_temperature(state.model, data):
+        pixels[which] = model.project(vectors[which])
         by_point = model.project_jacobian(vectors[which])
         pose[which, :, :3] = -by_point @ skew(arms[which])
         if data.pose == 6:
             pose[which, :, 3:] = by_point
         by_parameter = state.model.parameter_jacobian(vectors[which], temperature_c=temperature_c)
         camera[which] = by_parameter[..., data.estimated]
-    return camera, pose
+    return pixels, camera, pose
 
 
 def _by_temperature(model: CameraModel, data: Data) -> list[tuple[NDArray[np.bool_] | slice, CameraModel, float]]:
@@ -219,11 +224,11 @@ class NormalEquations:
 
 def normal_equations(state: State, data: Data, used: NDArray[np.bool_], loss: Loss) -> NormalEquations | None:
     """Assemble the blocks; None where a used target cannot be imaged."""
-    residuals = data.points_px - predict(state, data)
+    predicted, by_camera, by_pose = linearised(state, data)
+    residuals = data.points_px - predicted
     if not np.isfinite(residuals[used]).all():
         return None
     squares = np.sum(residuals**2, axis=1) / data.sigma_px**2
-    by_camera, by_pose = jacobians(state, data)
     weight = np.where(used, np.sqrt(loss.weight(np.where(used, squares, 0.0))) / data.sigma_px, 0.0)
     stacked = np.concatenate([by_camera, by_pose, residuals[..., None]], axis=-1) * weight[:, None, None]
     stacked[~used] = 0.0

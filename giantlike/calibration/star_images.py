@@ -66,6 +66,10 @@ class StarImage:
     sigma_px: Float
     temperature_c: float = 0.0
 
+    def unwrap(self) -> StarImage:
+        """Return the star image itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        return self
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarCalibration:
@@ -86,6 +90,10 @@ class StarCalibration:
     rounds: int
     settled: bool
     failed: tuple[tuple[str, Failure], ...]
+
+    def unwrap(self) -> StarCalibration:
+        """Return the calibration itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        return self
 
 
 def identify_first(
