@@ -84,7 +84,7 @@ def _without_broken_facets(surface: Surface) -> Surface:
     valid = surface.kept(surface.finite_vertices, surface.valid_faces)
     if len(valid.faces) == 0:
         return valid
-    merged = valid.merged(_SAME_PLACE * float(np.ptp(valid.vertices, axis=0).max()))
+    merged = valid.merged().merged(_SAME_PLACE * float(np.ptp(valid.vertices, axis=0).max()))
     every = np.ones(len(merged.vertices), dtype=bool)
     solid = merged.kept(every, ~flat_facets(merged.vertices, merged.faces))
     single = ~duplicate_facets(solid.faces)

@@ -139,6 +139,21 @@ def test_convert_to_a_dsk_asks_for_body_and_frame(tmp_path: Path, egg: Path) -> 
     assert "--dsk-center" in refusal(shape("convert", egg, target))
     assert shape("convert", egg, target, "--dsk-center", "401", "--dsk-frame", "IAU_PHOBOS").exit_code == 0
     assert len(load_shape(target).faces) == 1280
+    kernel = tmp_path / "egg.tf"
+    values = "FRAME_EGG_FIXED = 1401001\nFRAME_1401001_NAME = 'EGG_FIXED'\nFRAME_1401001_CLASS = 2\n"
+    values += "FRAME_1401001_CLASS_ID = 401\nFRAME_1401001_CENTER = 401\n"
+    kernel.write_text(f"KPL/FK\n\\begindata\n{values}\\begintext\n")
+    mission: list[str | Path] = [
+        "convert",
+        egg,
+        tmp_path / "mission.bds",
+        "--dsk-center",
+        "401",
+        "--dsk-frame",
+        "EGG_FIXED",
+    ]
+    assert "EGG_FIXED" in refusal(shape(*mission))
+    assert shape(*mission, "--dsk-kernel", kernel).exit_code == 0
 
 
 def test_convert_repairs_on_request_and_says_what_it_did(tmp_path: Path, torn: Path) -> None:

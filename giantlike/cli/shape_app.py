@@ -35,6 +35,10 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace OUT where 
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
 DskCenter = Annotated[int | None, typer.Option(metavar="ID", help="NAIF number of the body, for a DSK.")]
 DskFrame = Annotated[str | None, typer.Option(metavar="NAME", help="Body-fixed frame SPICE knows, for a DSK.")]
+DskKernels = Annotated[
+    list[Path] | None,
+    typer.Option("--dsk-kernel", metavar="PATH", help="Kernel that defines the frame of a DSK; repeatable."),
+]
 DskSurface = Annotated[int, typer.Option(metavar="ID", help="Number of the surface, for a DSK.")]
 
 
@@ -67,6 +71,7 @@ def convert(
     dsk_center: DskCenter = None,
     dsk_frame: DskFrame = None,
     dsk_surface: DskSurface = 1,
+    dsk_kernel: DskKernels = None,
     json: Json = False,
 ) -> ExitCode:
     """Write a shape in another format, in km.
@@ -74,10 +79,11 @@ def convert(
     OBJ, PLY, plate tables (.tab, .plt) and .npz keep every digit, STL single precision; an ICQ model (.icq, .txt)
     takes only what came from one.
     """
-    from giantlike.cli.shape_command import dsk_identity, shape_convert
+    from giantlike.cli.shape_command import dsk_identity, kernels_loaded, shape_convert
 
     dsk = dsk_identity(target, dsk_center, dsk_frame, dsk_surface)
-    return shape_convert(source, target, units=units, repair=repair, overwrite=overwrite, dsk=dsk, json=json)
+    with kernels_loaded(dsk_kernel):
+        return shape_convert(source, target, units=units, repair=repair, overwrite=overwrite, dsk=dsk, json=json)
 
 
 @shape_app.command("decimate")
@@ -91,13 +97,15 @@ def decimate(
     dsk_center: DskCenter = None,
     dsk_frame: DskFrame = None,
     dsk_surface: DskSurface = 1,
+    dsk_kernel: DskKernels = None,
     json: Json = False,
 ) -> ExitCode:
     """Write a shape with fewer facets, and say how far its surface moved."""
-    from giantlike.cli.shape_command import dsk_identity, shape_decimate
+    from giantlike.cli.shape_command import dsk_identity, kernels_loaded, shape_decimate
 
     dsk = dsk_identity(target, dsk_center, dsk_frame, dsk_surface)
-    return shape_decimate(source, target, facets=facets, units=units, overwrite=overwrite, dsk=dsk, json=json)
+    with kernels_loaded(dsk_kernel):
+        return shape_decimate(source, target, facets=facets, units=units, overwrite=overwrite, dsk=dsk, json=json)
 
 
 @shape_app.command("render")

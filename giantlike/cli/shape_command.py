@@ -109,6 +109,18 @@ def dsk_identity(target: Path, center: int | None, frame: str | None, surface: i
 
 
 @contextmanager
+def kernels_loaded(paths: Sequence[Path] | None) -> Iterator[None]:
+    """Load SPICE kernels, where there are any, for as long as the block runs."""
+    if not paths:
+        yield
+        return
+    from giantlike.io.spice import load_kernels
+
+    with load_kernels(paths, Path()):
+        yield
+
+
+@contextmanager
 def units_said() -> Iterator[None]:
     """Turn warnings about guessed units into lines on stderr."""
     with warnings.catch_warnings(record=True) as caught:
