@@ -370,7 +370,10 @@ def changed(table: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
 
 def test_a_file_that_is_no_toml_or_not_there_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text("[render\n")
-    for path, text in ((tmp_path / "scene.toml", "is not valid TOML"), (tmp_path / "gone.toml", "cannot be read")):
+    for path, text in (
+        (tmp_path / "scene.toml", "is not valid TOML"),
+        (tmp_path / "gone.toml", "cannot read the scene file"),
+    ):
         refused = giantlike("render", path, "--json")
         assert refused.exit_code == 2
         assert text in refused.stderr

@@ -23,8 +23,8 @@ from giantlike.campaign.schema import (
     SpiceSection,
     StarsSection,
     TargetSection,
-    read_campaign_file,
 )
+from giantlike.campaign.toml_file import read_toml
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotation_from_xyzw
@@ -173,7 +173,7 @@ class Campaign:
             Anything is wrong with it; one line that names file, key and what was expected.
         """
         path = Path(path)
-        content, table = read_campaign_file(path)
+        content, table = read_toml(path, CampaignFile, "campaign file")
         try:
             return _resolve(path, content, table)
         except DataError:

@@ -140,7 +140,7 @@ class RenderPlan:
             Anything is wrong with it; one line that names file, key and what was expected.
         """
         path = Path(path)
-        content = read_toml(path, RenderFile)
+        content, _ = read_toml(path, RenderFile, "scene file")
         try:
             return _resolve(path, content)
         except InputError as error:

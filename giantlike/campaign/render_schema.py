@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from giantlike.campaign.schema import SpiceSection
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
+from giantlike.campaign.toml_file import Section
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
-class RenderSection(_Section):
+class RenderSection(Section):
     """``[render]``: where images go and how they are made.
 
     ``rays_per_pixel_side`` squared is the number of rays in a pixel. ``geometry`` names a table that stands for
@@ -33,10 +29,10 @@ class RenderSection(_Section):
     backplanes: bool = False
     preview: bool = False
     campaign: bool = False
-    estimators: list[str] = ["cross_correlation", "limb_matching"]
+    estimators: list[str] = Field(default=["cross_correlation", "limb_matching"])
 
 
-class LightSection(_Section):
+class LightSection(Section):
     """``[light]``: the Sun; ``direction`` is from the targets, inertial axes, and need not be of length one."""
 
     direction: Vector | None = None
@@ -44,27 +40,27 @@ class LightSection(_Section):
     extended: bool = False
 
 
-class PhotometrySection(_Section):
+class PhotometrySection(Section):
     """``[photometry]``: electrons per second of a star of magnitude 0."""
 
     zero_point_e_s: float = Field(default=2.0e5, gt=0)
 
 
-class SkySection(_Section):
+class SkySection(Section):
     """``[stars]``: the catalogue, and its faintest star that is drawn."""
 
     catalog: str = "default"
     max_magnitude: float | None = None
 
 
-class HotPixelSection(_Section):
+class HotPixelSection(Section):
     """``[detector.hot_pixels]``: how many, and the median of their rates."""
 
     count: int = Field(default=0, ge=0)
     median_e_s: float = Field(default=500.0, gt=0)
 
 
-class DetectorSection(_Section):
+class DetectorSection(Section):
     """``[detector]``: what the detector does beyond the ``[detector]`` of its camera file.
 
     ``pattern_seed`` places what does not change from image to image: pixel response, hot and dead pixels. The tables
@@ -86,7 +82,7 @@ class DetectorSection(_Section):
     vignetting: float = Field(default=0.0, ge=0, le=1)
 
 
-class PlaceSection(_Section):
+class PlaceSection(Section):
     """Where a target is: apparent vector from the camera, orientation, and its Sun where that differs."""
 
     position_km: Vector | None = None
@@ -106,14 +102,14 @@ class RenderTargetSection(PlaceSection):
     frame: str | None = None
 
 
-class ObserverSection(_Section):
+class ObserverSection(Section):
     """``observer``: the spacecraft with respect to the solar system barycentre, for parallax and aberration."""
 
     position_km: Vector
     velocity_km_s: Vector
 
 
-class ImageSection(_Section):
+class ImageSection(Section):
     """``[[images]]``: an exposure. The attitude is a quaternion or the pointing (RA, Dec, roll) of the boresight.
 
     ``targets`` holds places of targets in this image by name.
@@ -129,7 +125,7 @@ class ImageSection(_Section):
     targets: dict[str, PlaceSection] = Field(default_factory=dict)
 
 
-class RenderFile(_Section):
+class RenderFile(Section):
     """A whole scene file."""
 
     render: RenderSection = RenderSection()

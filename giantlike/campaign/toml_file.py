@@ -7,23 +7,36 @@ import tomllib
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from giantlike.campaign.schema import key_text
 from giantlike.core.errors import DataError, InputError
 
 Content = TypeVar("Content", bound=BaseModel)
 
 
-def read_toml(path: Path, model: type[Content]) -> Content:
+class Section(BaseModel):
+    """A table of a file: strict in its types, closed to unknown keys, immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dict[str, Any]]:
     """Parse a TOML file and check keys and types.
 
     Parameters
     ----------
     path : Path
     model : type
-        Pydantic model of the whole file, strict and closed to unknown keys.
+        Section of the whole file.
+    what : str
+        How an error calls the file.
+
+    Returns
+    -------
+    model
+    dict
+        The plain table, for provenance.
 
     Raises
     ------
@@ -34,12 +47,12 @@ def read_toml(path: Path, model: type[Content]) -> Content:
         with path.open("rb") as stream:
             table = tomllib.load(stream)
     except OSError as error:
-        raise DataError(path, f"cannot be read: {error.strerror}") from error
+        raise DataError(path, f"cannot read the {what}: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(path, f"is not valid TOML: {error}") from error
     try:
         # Strict JSON rules fit TOML: they allow text for an enumeration, but no text for a number.
-        return model.model_validate_json(json.dumps(table, default=_refuse_dates))
+        return model.model_validate_json(json.dumps(table, default=_refuse_dates)), table
     except ValidationError as error:
         raise DataError(path, _first_problem(error, model)) from error
     except InputError as error:
@@ -86,3 +99,15 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
         return annotation
     found = (_model_in(inner) for inner in get_args(annotation))
     return next((inner for inner in found if inner is not None), None)
+
+
+def key_text(location: tuple[int | str, ...]) -> str:
+    """Dotted name of a key, list positions from 0: ``targets[0].units``.
+
+    >>> key_text(("targets", 0, "units"))
+    'targets[0].units'
+    """
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
