@@ -37,6 +37,7 @@ from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape
 
 SILHOUETTE_PX = 1e-4  # float32 rays from the bounding sphere: 6e-8 of the radius, and a bisection to 5e-7 px
 EXACT_PX = 2e-6  # bisection of half a pixel, 20 times
+POINT_OF_RANGE = 1e-9  # what is promised; rounding is 1e-15
 POINT_KM = 1e-9  # float64 planes, body of 1 km
 PHOTOCENTER_RADII = 2e-3  # 256 rays across the disc
 FLUX = 5e-3  # relative, same reason; crescents of 120 deg have a quarter of the rays
@@ -127,17 +128,42 @@ def test_rays_that_are_nan_point_away_or_pass_by_hit_nothing(shape: Ellipsoid | 
         tracer.intersect(np.zeros((2, 3)), directions)
 
 
+@pytest.mark.parametrize("radii", [2.0, 10.0, 1e3, 1e6])
+def test_rays_tell_inside_from_outside_of_an_outline_at_any_range(radii: float) -> None:
+    mesh = mesh_from_ellipsoid(ELLIPSOID, facets=180)
+    model = PinholeModel(fx_px=150.0 * radii, fy_px=150.0 * radii, cx_px=512.0, cy_px=512.0)
+    body = Body(shape=mesh, camera_from_body=TILTED, position_camera_km=radii * np.array([1e-3, 2e-3, 1.0]))
+    corners = model.project(body.to_camera(mesh.vertices_km) + body.position_camera_km)
+    hull = ConvexHull(corners)
+    normals = hull.equations[:, None, :2]
+    along = np.linspace(0.05, 0.95, 50)[None, :, None]
+    edges = corners[hull.simplices]
+    outline = (1.0 - along) * edges[:, None, 0] + along * edges[:, None, 1]
+    for offset_px, meets in ((-SILHOUETTE_PX, True), (SILHOUETTE_PX, False)):
+        directions = np.zeros((outline.size // 2, 4))
+        directions[:, :3] = body.to_body(model.unproject((outline + offset_px * normals).reshape(-1, 2)))
+        rays = body.tracer.sight(body.camera_body_km, directions).rays
+        assert rays.size == (len(directions) if meets else 0)
+        hits = body.tracer.intersect(body.camera_body_km, directions[:, :3])
+        assert np.all(hits.hit == meets)
+        if meets:
+            plane = np.einsum("ij,ij->i", hits.normals, hits.points_km - mesh.vertices_km[mesh.faces[hits.facets, 0]])
+            aside = np.cross(hits.points_km - body.camera_body_km, directions[:, :3])
+            assert np.abs(plane).max() < POINT_OF_RANGE * radii
+            assert np.linalg.norm(aside, axis=1).max() < POINT_OF_RANGE * radii
+
+
 def test_a_convex_body_casts_no_shadow_on_itself() -> None:
     mesh = mesh_from_ellipsoid(ELLIPSOID, facets=20_000)
     tracer, random = tracer_for(mesh), np.random.default_rng(3)
-    targets = ELLIPSOID.radii_km * _unit(random.normal(size=(100_000, 3)))
+    targets = ELLIPSOID.radii_km * _unit(random.normal(size=(1_000_000, 3)))
     origin = np.array([3.0, 2.0, -250_000.0])
     directions = np.zeros((len(targets), 4))
     directions[:, :3] = _unit(targets - origin)
     sight = tracer.sight(origin, directions)
     sun = np.append(SUN, 0.0)
     facing = sight.only(sight.normals @ sun > 0.0)
-    assert facing.rays.size > 70_000
+    assert facing.rays.size > 700_000
     assert not tracer.dark(facing.points_km, facing.normals, sun).any()
 
 
