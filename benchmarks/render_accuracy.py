@@ -8,7 +8,8 @@ rays form a regular grid, 16 to 96 along each side of a pixel. Bodies stand at s
 Columns: root mean square over the places of the centroid shift, px; largest error of a pixel, and fraction of pixels
 off by more than 2e-3, both over the peak; largest error of the total; CPU time. ``default`` is 2 rays a side and at
 least 256 across the body; the other rows have as many rays a side as they say, in the middle of their cells or anywhere
-in them. How well the reference is known shows beside a reference with half as many rays a side.
+in them. How well the reference is known shows beside a reference with half as many rays a side; how
+exact the tracer is shows in ``same_rays_as_reference``, where both send the same 64 rays through each pixel.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ OPTIONS = {
     **{f"{n}x{n}": RenderOptions(rays_per_pixel_side=n, min_rays_across=1) for n in (1, 2, 3)},
     **{f"{n}x{n}_jittered": RenderOptions(rays_per_pixel_side=n, min_rays_across=1, jitter_seed=1) for n in (1, 2, 3)},
 }
+SAME_RAYS = 8
+OPTION_SAME_RAYS = RenderOptions(rays_per_pixel_side=SAME_RAYS, min_rays_across=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +166,7 @@ def measured(mesh: TriangleMesh, diameter_px: int, side: int, places: int) -> di
     focal_px = 0.5 * diameter_px / mesh.circumscribing_radius_km * RANGE_KM
     size_px = int(1.05 * diameter_px) + 14
     random = np.random.default_rng(diameter_px)
-    bodies, fine, coarse = [], [], []
+    bodies, fine, coarse, same_rays = [], [], [], []
     start = time.process_time()
     for _ in range(places):
         offset_km = np.append(random.uniform(-0.5, 0.5, size=2) * RANGE_KM / focal_px, RANGE_KM)
@@ -171,14 +174,18 @@ def measured(mesh: TriangleMesh, diameter_px: int, side: int, places: int) -> di
         corners = body.to_camera(mesh.vertices_km)[mesh.faces] + offset_km
         scene = Scene(corners=corners, normals=body.to_camera(mesh.normals), focal_px=focal_px, size_px=size_px)
         bodies.append((body, scene.model))
+        same_rays.append(pixels(fine_image(scene, SAME_RAYS), SAME_RAYS, 0.0))
         fine.append(fine_image(scene, side))
         coarse.append(fine_image(scene, side // 2))
-    rendered(*bodies[0], size_px, 0.0, OPTIONS["1x1"])  # builds the tree of the mesh
+    rendered(*bodies[0], size_px, 0.0, OPTION_SAME_RAYS)  # builds the tree of the mesh
     table: dict[str, Any] = {"reference_s": round(time.process_time() - start, 1), "rays_per_pixel_side": side}
     for label, sigma_px in (("pixels", 0.0), ("psf", PSF_SIGMA_PX)):
         reference = [pixels(image, side, sigma_px) for image in fine]
         coarser = [pixels(image, side // 2, sigma_px) for image in coarse]
         rows: dict[str, Any] = {"reference_with_half_as_many": compared(coarser, reference)}
+        if sigma_px == 0.0:
+            found = [rendered(body, model, size_px, 0.0, OPTION_SAME_RAYS) for body, model in bodies]
+            rows["same_rays_as_reference"] = compared(found, same_rays)
         for name, options in OPTIONS.items():
             begin = time.process_time()
             found = [rendered(body, model, size_px, sigma_px, options) for body, model in bodies]
