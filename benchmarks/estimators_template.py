@@ -37,7 +37,7 @@ from giantlike.relative import CrossCorrelation, Estimator, Unresolved
 from giantlike.relative.template_render import KNOWN_BLUR_SIGMA_PX2
 from giantlike.relative.unresolved import UnresolvedOptions
 from giantlike.scene import Scene, Target
-from giantlike.shapes import irregular_body
+from giantlike.shapes import Shape, irregular_body
 
 PSF_PX = 0.75
 CAMERA = Camera(
@@ -70,11 +70,17 @@ class Draw:
 
 
 def draw(
-    diameter_px: float, phase_deg: float, law: Reflectance, seed: int, *, range_sigma: float | None = None
+    diameter_px: float,
+    phase_deg: float,
+    law: Reflectance,
+    seed: int,
+    *,
+    range_sigma: float | None = None,
+    shape: Shape | None = None,
 ) -> Draw:
     """An image; the a priori range is off by 1.5 %, or by a normal deviate of ``range_sigma``."""
     random = np.random.default_rng(seed)
-    shape, pose = BODIES[seed % len(BODIES)], Rotation.random(random_state=seed)
+    shape, pose = shape or BODIES[seed % len(BODIES)], Rotation.random(random_state=seed)
     center = np.array([320.0, 318.0]) + random.uniform(0, 1, 2)
     sight = CAMERA.model.unproject(center)
     range_km = 2 * shape.mean_radius_km * CAMERA.model.focal_length_px / diameter_px

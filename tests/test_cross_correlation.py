@@ -43,6 +43,7 @@ from giantlike.shapes import Shape, TriangleMesh, irregular_body, load_shape, sp
 EXACT_PX = 2e-3  # a last step below 0.01 px is not followed by another render
 EXACT_LOG_RANGE = 2e-4  # the same 0.01 px, at the 17 px that the light reaches
 MISSED_FOR_NOISE = 1.6  # the widening by the jackknife is one-sided: with nothing to find, variances come out larger
+RARE = 1e-6  # chance of a false alarm of one gate
 ALIGNED_PX = 0.3  # where a new render takes over
 NOISE = Detector(gain_e_per_dn=1.0, read_noise_e=5.0).variance_dn2
 SHAPE = (64, 70)
@@ -137,7 +138,7 @@ def test_errors_under_pure_noise_are_consistent_with_the_covariance() -> None:
     random, draws = np.random.default_rng(11), 300
     signal = 1500.0 * blobs()(TRUE).light + 20.0
     fits = [fitted(noisy(signal, random), start(random)) for _ in range(draws)]
-    low, high = (float(chi2.ppf(q, 3 * draws)) / draws for q in (0.025, 0.975))
+    low, high = (float(chi2.ppf(q, 3 * draws)) / draws for q in (RARE, 1.0 - RARE))
     assert mean_nees(fits, lambda fit: fit.noise_covariance) < high * 1.1  # some of the noise counts as model error
     assert low / MISSED_FOR_NOISE < mean_nees(fits, lambda fit: fit.covariance) < high
 
@@ -149,7 +150,7 @@ def test_model_errors_that_hang_together_are_in_the_covariance() -> None:
         texture = gaussian_filter(random.normal(size=SHAPE), 2.0)
         texture *= 0.05 / texture.std()  # albedo that the template does not know
         fits.append(fitted(noisy(1500.0 * blobs()(TRUE).light * (1.0 + texture), random), start(random)))
-    low, high = (float(chi2.ppf(q, 3 * draws)) / draws for q in (0.025, 0.975))
+    low, high = (float(chi2.ppf(q, 3 * draws)) / draws for q in (RARE, 1.0 - RARE))
     assert mean_nees(fits, lambda fit: fit.noise_covariance) > 5.0 * high  # noise alone is far too optimistic
     assert (
         low / MISSED_FOR_NOISE < mean_nees(fits, lambda fit: fit.covariance) < 1.2 * high
@@ -360,7 +361,7 @@ def test_errors_on_rendered_bodies_are_consistent_with_the_covariance() -> None:
         fix = estimated(case, case.image(), case.scene(off_px=off))
         error = fix.center_px - case.pixel
         nees.append(float(error @ np.linalg.solve(fix.covariance_px2, error)))
-    low, high = (float(chi2.ppf(q, 2 * draws)) / draws for q in (0.025, 0.975))
+    low, high = (float(chi2.ppf(q, 2 * draws)) / draws for q in (RARE, 1.0 - RARE))
     assert low / MISSED_FOR_NOISE < np.mean(nees) < high
 
 
@@ -470,7 +471,7 @@ def test_a_weak_match_is_kept_with_a_flag() -> None:
     fix = estimated(case, case.image(peak_dn=12.0), case.scene())
     assert Quality.LOW_SCORE in fix.flags
     error = fix.center_px - case.pixel
-    assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < float(chi2.ppf(0.999, 2))
+    assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < float(chi2.ppf(1.0 - RARE, 2))
 
 
 @pytest.mark.parametrize("name", ["min_scale_diameter_px", "range_sigma", "clip_sigma", "search_px", "max_iterations"])
