@@ -102,7 +102,7 @@ def split_polygons(corners: Faces) -> Faces:
     if corners.shape[1] == 3:
         return corners
     pairs = np.stack([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], axis=1)
-    wanted = np.stack([np.ones(len(corners), dtype=bool), corners[:, 3] >= 0], axis=1)
+    wanted = np.stack([np.ones(len(corners), dtype=bool), corners[:, 3] != -1], axis=1)
     triangles: Faces = pairs[wanted]
     return triangles
 

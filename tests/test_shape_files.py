@@ -285,10 +285,11 @@ def test_the_numbering_of_a_table_whose_outer_vertices_are_unused_is_told_by_its
     assert defects_of(read_surface(path)).unreferenced_vertices == 2
 
 
-def test_tables_may_have_commas_comments_and_the_exponents_of_fortran(tmp_path: Path) -> None:
+def test_tables_may_have_commas_tabulators_comments_and_the_exponents_of_fortran(tmp_path: Path) -> None:
     vertices = [row.replace("1.0", "0.1D+01").replace(" ", ", ") for row in rows_of(CUBE, "v ")]
     path = tmp_path / "cube.tab"
-    path.write_text("\n".join(["# a cube", "", *vertices, *rows_of(QUADS, "f ")]))
+    plates = [row.replace(" ", "\t") for row in rows_of(QUADS, "f ")]
+    path.write_text("\n".join(["# a cube", "", *vertices, *plates]))
     assert load_shape(path).volume_km3 == pytest.approx(8.0)
 
 
@@ -298,6 +299,7 @@ def test_tables_may_have_commas_comments_and_the_exponents_of_fortran(tmp_path: 
         (["v 0 0", "v 1 0 0"], "columns changed"),
         (["v 0 0 0", "f 1 2 1.5"], "vertex numbers, got 1.5"),
         (["v 0 0 0", "f 1 2 inf"], "vertex numbers, got inf"),
+        (["v 0 0 0", "vn 1 2 3"], "'v x y z' or 'f i j k'"),
         (["v 0 0 0", "g 1 2 3"], "'v x y z' or 'f i j k'"),
         (["2 1", "1 0 0 0", "7 0 0 1", "1 2 3"], "or its number"),
         (["2 2", "0 0 0", "0 0 1", "1 2 3"], "2 vertices and 2 plates"),

@@ -47,10 +47,10 @@ def _letter_rows(rows: list[str]) -> tuple[Float, Faces]:
     """Rows that begin with v or f, in any order."""
     by_letter: dict[str, list[str]] = {"v": [], "f": []}
     for row in rows:
-        letter, _, rest = row.partition(" ")
-        if letter.lower() not in by_letter:
+        letter = row[0].lower()
+        if letter not in by_letter or not row[1:2].isspace():
             raise ValueError(f"needed 'v x y z' or 'f i j k', got {row[:60]!r}")
-        by_letter[letter.lower()].append(rest)
+        by_letter[letter].append(row[1:])
     return numbers(by_letter["v"], (3,)), _corners(by_letter["f"])
 
 
