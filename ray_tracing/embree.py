@@ -49,6 +49,14 @@ class EmbreeSurface:
         answer = self._run(origins, directions, query="INTERSECT", output=True)
         return answer["primID"], answer["tfar"]
 
+    def first_hit_inside(self, origins: Float32, directions: Float32) -> tuple[Int32, Float32, Float32]:
+        """As :meth:`first_hit`, and the least barycentric weight (n,) of each hit: how far inside its facet it is."""
+        if len(_checked(origins, directions)) == 0:
+            return np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32)
+        answer = self._run(origins, directions, query="INTERSECT", output=True)
+        second, third = answer["u"], answer["v"]
+        return answer["primID"], answer["tfar"], np.minimum(np.minimum(second, third), 1.0 - second - third)
+
     def occluded(self, origins: Float32, directions: Float32) -> NDArray[np.bool_]:
         """Whether anything lies on each ray (n, 3), however far."""
         if len(_checked(origins, directions)) == 0:
@@ -82,7 +90,7 @@ def dot(vectors: NDArray[Number], others: NDArray[Number]) -> NDArray[Number]:
 
 
 def moved(points: Float, offset: Float) -> Float:
-    """Points (n, 4) plus an offset (3,), in place and back; some hundred rows at a time, since rows of four are slow."""
+    """Points (n, 4) plus an offset (3,), in place and back; some hundred rows at a time: rows of four are slow."""
     whole = len(points) // _ADDED_ROWS * _ADDED_ROWS
     step = np.append(offset, 0.0)
     points[:whole].reshape(-1, 4 * _ADDED_ROWS)[:] += np.tile(step, _ADDED_ROWS)

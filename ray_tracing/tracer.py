@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, as_floats, require, unit
 from giantlike.core.errors import InputError
+from giantlike.ray_tracing.beside import facet_distances, facets_around
 from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, moved, padded, rows_of
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
@@ -25,10 +26,10 @@ Indices = NDArray[np.int64]
 
 _SPHERE_MARGIN = 1.0001
 _HULL_FACETS = 500
+_EDGE = 1e-5
+"""How near to an edge of a facet, across the ray and over the body radius, float32 may be wrong about the facet."""
 _SHADOW_OFFSET = 1e-5
 """How far over the surface a shadow ray starts, as a fraction of the body radius; float32 resolves 6e-8."""
-_DISTANCE_TOLERANCE = 1e-5
-"""Largest difference, over the body radius, between float64 and float32 distances; more means a ray along a facet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,6 +135,7 @@ class MeshTracer:
         self.radius_km = mesh.circumscribing_radius_km
         self._vertices_km, self._faces, self._normals = mesh.vertices_km, mesh.faces, mesh.normals
         self._offsets_km: Float = np.einsum("ij,ij->i", self._normals, self._vertices_km[self._faces[:, 0]])
+        self._sizes_km: Float = np.sqrt(mesh.areas_km2)
         self._padded_normals = padded(self._normals)
         self._surface = EmbreeSurface(self._vertices_km, self._faces)
         edge_km = float(np.sqrt(np.median(mesh.areas_km2)))
@@ -152,22 +154,39 @@ class MeshTracer:
         return points
 
     def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
-        """First hits, the facet from Embree and the point on its plane in float64."""
+        """First hits, the facet from Embree and the point on it in float64.
+
+        Near an edge, where float32 can have taken the wrong one of two facets, float64 decides between those around.
+        """
         starts, directions = self._rays(origins_body_km, directions_body)
-        facets, distances = self._surface.first_hit(starts.astype(np.float32), directions.astype(np.float32))
-        hit = facets >= 0
-        normals = np.full(starts.shape, np.nan)
-        points = np.full(starts.shape, np.nan)
-        normals[hit] = self._normals[facets[hit]]
-        start, direction, normal = starts[hit], directions[hit], normals[hit]
+        found, rough, inside = self._surface.first_hit_inside(starts.astype(np.float32), directions.astype(np.float32))
+        facets, distances = found.astype(np.int64), rough.astype(np.float64)
+        hit = np.flatnonzero(facets >= 0)
+        normal, start, direction = self._normals[facets[hit]], starts[hit], directions[hit]
         slope = np.einsum("ij,ij->i", normal, direction)
         height = self._offsets_km[facets[hit]] - np.einsum("ij,ij->i", normal, start)
         with np.errstate(divide="ignore", invalid="ignore"):
-            distance = height / slope
-        rough = distances[hit].astype(np.float64)
-        along_facet = ~(np.abs(distance - rough) < _DISTANCE_TOLERANCE * self.radius_km)
-        points[hit] = start + np.where(along_facet, rough, distance)[:, None] * direction
-        return Hits(hit, points, facets.astype(np.int64), normals)
+            exact = height / slope
+            sure = inside[hit] * np.abs(slope) * self._sizes_km[facets[hit]] > _EDGE * self.radius_km
+        distances[hit[sure]] = exact[sure]
+        self._decide(hit[~sure], starts, directions, facets, distances)
+        normals, points = np.full(starts.shape, np.nan), np.full(starts.shape, np.nan)
+        normals[hit] = self._normals[facets[hit]]
+        points[hit] = start + distances[hit, None] * direction
+        return Hits(facets >= 0, points, facets, normals)
+
+    def _decide(self, which: Indices, starts: Float, directions: Float, facets: Indices, distances: Float) -> None:
+        """Put exact facets and distances for the rays ``which``; those that meet nothing keep the ones of float32."""
+        exact = facet_distances(self._vertices_km[self._faces[facets[which]]], starts[which], directions[which])
+        met = np.isfinite(exact)
+        distances[which[met]] = exact[met]
+        beside = which[~met]
+        if beside.size:
+            found, exact = facets_around(
+                self._surface, self._vertices_km, self._faces, starts[beside], directions[beside], self.radius_km
+            )
+            met = np.isfinite(exact)
+            facets[beside[met]], distances[beside[met]] = found[met], exact[met]
 
     def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
         """Whether rays meet the mesh; start rays that leave the surface a little above it."""

@@ -168,13 +168,13 @@ def test_hit_points_lie_on_their_rays_and_on_the_surface_at_every_range(range_km
     assert_allclose(on_surface, 1.0, rtol=0, atol=HIT * range_km)
     corners, normals = mesh.vertices_km[mesh.faces[faceted.facets[both], 0]], faceted.normals[both]
     heights = np.einsum("ij,ij->i", faceted.points_km[both] - corners, normals)
-    assert_allclose(heights, 0.0, rtol=0, atol=HIT * range_km)
+    assert_allclose(heights, 0.0, rtol=0, atol=HIT * range_km)  # rays met by the smooth body meet the facets in float64
     for hits in (smooth, faceted):
         offsets = hits.points_km[both] - camera
         aside = np.linalg.norm(np.cross(offsets, rays[both]), axis=1) / np.linalg.norm(rays[both], axis=1)
         assert aside.max() < HIT * range_km
     weights = mesh.barycentric(faceted.points_km[both], faceted.facets[both])
-    assert np.mean(weights.min(axis=1) < -1e-9) < 1e-3  # which side of an edge is taken is decided in float32
+    assert weights.min() > -1e-8
     steep = np.einsum("ij,ij->i", smooth.normals[both], -rays[both]) > 0.3 * np.linalg.norm(rays[both], axis=1)
     apart = np.linalg.norm(smooth.points_km - faceted.points_km, axis=1)[both][steep]
     longest = 2.0 * np.sqrt(4 * np.pi / 50_000)

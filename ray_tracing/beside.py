@@ -1,0 +1,62 @@
+"""Rays that pass beside the facet that float32 gave them: met with the facets around in float64.
+
+Embree decides between two facets in float32, 1e-7 of the body's radius to either side of their edge. Where the decision
+was wrong, the point on the plane of the facet lies off the facet, and on a facet seen at a glancing angle far off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, unit
+from giantlike.ray_tracing.embree import EmbreeSurface
+
+Indices = NDArray[np.int64]
+
+_INSIDE = -1e-9  # barycentric weights of points on an edge, rounded
+_RINGS = (3e-7, 2e-6)  # of the radius: how far beside the ray facets are looked for; float32 resolves 6e-8
+_TURNS = np.arange(8) * (np.pi / 4.0)
+_AROUND = np.concatenate([ring * np.column_stack([np.cos(_TURNS), np.sin(_TURNS)]) for ring in _RINGS])
+
+
+def facet_distances(corners_km: Float, starts_km: Float, directions: Float) -> Float:
+    """Distances (...,) along rays to facets with ``corners_km`` (..., 3, 3), infinite where they pass beside them.
+
+    Starts and directions (..., 3) have the leading axes of the corners.
+
+    References
+    ----------
+    .. [1] Moller and Trumbore (1997), Fast, minimum storage ray-triangle intersection: the usual form of the test.
+    """
+    first = corners_km[..., 0, :]
+    along, up, offset = corners_km[..., 1, :] - first, corners_km[..., 2, :] - first, starts_km - first
+    p, q = np.cross(directions, up), np.cross(offset, along)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = 1.0 / np.sum(along * p, axis=-1)
+        u, v = np.sum(offset * p, axis=-1) * scale, np.sum(directions * q, axis=-1) * scale
+        distance = np.sum(up * q, axis=-1) * scale
+        inside = (u >= _INSIDE) & (v >= _INSIDE) & (u + v <= 1.0 - _INSIDE) & (distance > 0.0)
+    return np.where(inside, distance, np.inf)
+
+
+def facets_around(
+    surface: EmbreeSurface, vertices_km: Float, faces: Indices, starts_km: Float, directions: Float, radius_km: float
+) -> tuple[Indices, Float]:
+    """The facets (k,) that rays really meet first, and their distances (k,); infinite where none around is met.
+
+    Rays have ``starts_km`` and unit ``directions`` (k, 3).
+    """
+    sideways = unit(np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)]))
+    plane = np.stack([sideways, np.cross(directions, sideways)], axis=1)
+    beside = starts_km[:, None, :] + radius_km * np.einsum("rc,kcx->krx", _AROUND, plane)
+    rays = np.broadcast_to(directions[:, None, :], beside.shape)
+    found, _ = surface.first_hit(
+        np.ascontiguousarray(beside.reshape(-1, 3), np.float32), np.ascontiguousarray(rays.reshape(-1, 3), np.float32)
+    )
+    facets = found.reshape(-1, len(_AROUND)).astype(np.int64)
+    starts = np.broadcast_to(starts_km[:, None, :], rays.shape)
+    distances = facet_distances(vertices_km[faces[facets]], starts, rays)
+    distances[facets < 0] = np.inf
+    best = np.arange(len(facets)), distances.argmin(axis=1)
+    return facets[best], distances[best]
