@@ -35,7 +35,7 @@ DIAMETER_PX = 300.0
 RUNS = 15
 RADII_AWAY = (2.0, 10.0, 1e3, 1e6)
 CAMERA = BrownModel(fx_px=3473.3, fy_px=3473.4, cx_px=1295.5, cy_px=971.5, k1=-0.539, k2=0.4, p1=1e-4, p2=1e-4)
-FRAME = {"columns": 2592, "rows": 1944}
+COLUMNS, ROWS = 2592, 1944
 TURN = Rotation.from_euler("xyz", [80.0, 20.0, 30.0], degrees=True)
 SUN = unit(np.array([0.8, 0.1, -0.6]))
 ELLIPSOID = Ellipsoid(radii_km=np.array([0.28, 0.2, 0.17]))
@@ -61,14 +61,14 @@ def body_of(shape: TriangleMesh, diameter_px: float = DIAMETER_PX) -> Body:
 
 
 def rendered(body: Body, **options: Any) -> Template:
-    settings = RenderOptions(**options)
-    result = render(body, CAMERA, sun_direction_camera=SUN, psf=GaussianPsf(), **FRAME, options=settings)
+    psf, settings = GaussianPsf(), RenderOptions(**options)
+    result = render(body, CAMERA, sun_direction_camera=SUN, psf=psf, columns=COLUMNS, rows=ROWS, options=settings)
     assert isinstance(result, Template)
     return result
 
 
 def traced(body: Body) -> Trace:
-    result = trace_body(body, CAMERA, sun_direction_camera=SUN, psf=GaussianPsf(), **FRAME)
+    result = trace_body(body, CAMERA, sun_direction_camera=SUN, psf=GaussianPsf(), columns=COLUMNS, rows=ROWS)
     assert isinstance(result, Trace)
     return result
 

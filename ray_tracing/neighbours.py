@@ -79,7 +79,10 @@ def _hides(other: Body, body: Body) -> bool:
     radii_km = other.tracer.radius_km, body.tracer.radius_km
     ranges_km = float(np.linalg.norm(near)), float(np.linalg.norm(far))
     apart_rad = math.atan2(float(np.linalg.norm(np.cross(near, far))), float(near @ far))
-    reach_rad = sum(math.asin(min(radius / range_, 1.0)) for radius, range_ in zip(radii_km, ranges_km, strict=True))
+    reach_rad = sum(
+        math.asin(radius / range_) if radius < range_ else math.pi
+        for radius, range_ in zip(radii_km, ranges_km, strict=True)
+    )
     return ranges_km[0] - ranges_km[1] < sum(radii_km) and apart_rad <= reach_rad
 
 

@@ -102,8 +102,8 @@ def shade_tile(view: View, traced: TracedTile, law: Reflectance) -> ShadedTile:
     return ShadedTile(
         tile=tile,
         light=spread_over(window.spread[0], brightness),
-        by_column=inside @ np.ones(tile.rows),
-        by_row=np.ones(len(inside)) @ inside,
+        by_column=inside.sum(axis=1),
+        by_row=inside.sum(axis=0),
         cover=cover,
         first_row=first_row,
         hits=int(sight.rays.size),
