@@ -51,6 +51,7 @@ def campaign(folder: Path, output: str, **changes: Any) -> Path:
         "camera": {"columns": TRUTH.columns, "rows": TRUTH.rows, "fov_deg": 1.04 * TRUTH.fov_deg},
         "stars": {"max_magnitude": 7.5},
         "calibration": {"estimate": ESTIMATE},
+        "report": {"max_overlays": 0},
     }
     path = folder / f"{output}.toml"
     path.write_text(tomli_w.dumps(table | changes))
@@ -129,11 +130,10 @@ def test_attitudes_are_those_with_the_calibrated_camera(done: tuple[Path, Result
 def test_report_and_tables_say_what_was_done(done: tuple[Path, Result]) -> None:
     folder = done[0].parent / "done"
     page = (folder / "calibration.html").read_text()
-    for text in ("k1", "cannot be told from zero", "Correlation of the parameters", "Rejected observations"):
-        assert (text in page) == (text != "cannot be told from zero" or "not_significant" in result_text(folder))
-    assert "http" not in page.replace("http://www.w3.org", "").replace("https://matplotlib.org", "").replace(
-        "http://purl.org", ""
-    ).replace("http://creativecommons.org", "")
+    for text in ("<code>k1</code>", "supported by the data", "Correlation of the parameters", "Rejected observations"):
+        assert text in page
+    assert "<img" not in page  # one file that needs nothing else
+    assert "src=" not in page
     with (folder / "calibration_residuals.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     summary = json.loads((folder / "calibration.json").read_text())
@@ -149,6 +149,14 @@ def result_text(folder: Path) -> str:
     return (folder / "calibration.json").read_text()
 
 
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes most of the time; once is enough."""
+    monkeypatch.setattr("giantlike.campaign.calibration_report.calibration_figures", lambda fix: [])
+    monkeypatch.setattr("giantlike.campaign.report.attitude_figures", lambda result: [])
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_a_run_goes_on_from_a_calibration_that_was_killed_and_gives_the_same(done: tuple[Path, Result]) -> None:
     path, _ = done
     folder = path.parent / "done"
@@ -169,9 +177,11 @@ def test_a_run_goes_on_from_a_calibration_that_was_killed_and_gives_the_same(don
     assert sorted(again) == ["sky1.fits", "sky3.fits"]
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_calibration_that_misses_a_criterion_says_why_and_is_not_used(images: Path) -> None:
     changes = {"estimate": ESTIMATE, "criteria": {"max_residual_px": 1e-3}, "temperature_keyword": "CCDTEMP"}
-    path = campaign(images, "strict", calibration=changes, camera=TRUTH.to_mapping())
+    files = {"files": ["sky1.fits", "sky3.fits"]}
+    path = campaign(images, "strict", calibration=changes, camera=TRUTH.to_mapping(), images=files)
     result = giantlike("calibrate", path, "--workers", "1")
     assert result.exit_code == 1
     assert "calibration not accepted: residual rms is" in result.stderr
@@ -181,7 +191,7 @@ def test_a_calibration_that_misses_a_criterion_says_why_and_is_not_used(images: 
     assert "Why it is not used" in (folder / "calibration.html").read_text()
     assert {float(row["fov_deg"]) for row in attitudes(folder) if row["fov_deg"]} <= {TRUTH.fov_deg}
     summary = json.loads(result_text(folder))
-    assert [one["temperature_c"] for one in summary["images"]] == [0.0, 10.0, 20.0, 30.0]
+    assert [one["temperature_c"] for one in summary["images"]] == [10.0, 30.0]
 
 
 def test_mistakes_are_one_line(images: Path) -> None:

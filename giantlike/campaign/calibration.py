@@ -35,6 +35,7 @@ from giantlike.stars import Sky, StarOptions
 
 NO_STAR_IMAGE = "is no star image: its exposure is shorter than stars.long_exposure_s"
 CAMERA_FILE, RESULT_FILE, TABLE_FILE = "camera.toml", "calibration.json", "calibration_residuals.csv"
+REPORT_FILE = "calibration.html"
 _COLUMNS = (
     "file", "star", "x_px", "y_px", "predicted_x_px", "predicted_y_px", "sigma_px", "magnitude", "temperature_c",
     "used",
@@ -207,8 +208,13 @@ def _alignment(fix: CalibrationFix, records: Sequence[CalibrationRecord]) -> Ali
     return None if isinstance(found, Failure) else found
 
 
-def write_calibration(folder: Path, result: CampaignCalibration) -> None:
+def write_calibration(folder: Path, result: CampaignCalibration) -> bool:
     """Write ``camera.toml`` (when accepted), ``calibration.json`` and the table of residuals.
+
+    Returns
+    -------
+    bool
+        Whether this changed what an earlier run left there, so that the report must be written again.
 
     Raises
     ------
@@ -219,9 +225,15 @@ def write_calibration(folder: Path, result: CampaignCalibration) -> None:
         result.camera.save(folder / CAMERA_FILE)
     else:
         (folder / CAMERA_FILE).unlink(missing_ok=True)
-    write_text_atomic(folder / RESULT_FILE, json.dumps(calibration_summary(result), indent=1, default=str) + "\n")
+    content = json.dumps(calibration_summary(result), indent=1, default=str) + "\n"
+    path = folder / RESULT_FILE
+    if (folder / REPORT_FILE).exists() and path.exists() and path.read_text(encoding="utf-8") == content:
+        return False
+    (folder / REPORT_FILE).unlink(missing_ok=True)
+    write_text_atomic(path, content)
     if isinstance(result.outcome, StarCalibration):
         write_text_atomic(folder / TABLE_FILE, _residual_table(result.outcome.fix))
+    return True
 
 
 def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from giantlike.calibration.star_images import StarCalibration
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, PinholeModel
-from giantlike.campaign.calibration import CampaignCalibration, calibration_summary
+from giantlike.campaign.calibration import REPORT_FILE, CampaignCalibration, calibration_summary
 from giantlike.campaign.page import render_page
 from giantlike.core.arrays import Float
 from giantlike.core.version import VERSION
@@ -27,7 +27,6 @@ from giantlike.plotting import (
     svg_text,
 )
 
-REPORT_FILE = "calibration.html"
 _MAX_REJECTED = 200
 _TRENDS = {
     "image": "image",

@@ -196,8 +196,8 @@ class _Run:
         assert bench.navigation is not None
         ordered = [records[entry.index] for entry in entries]
         result = calibrate_campaign(self.campaign, setup, ordered, bench.navigation.catalog)
-        write_calibration(self.folder.path, result)
-        write_calibration_report(self.folder.path, self.campaign.name, self.campaign.camera, result)
+        if write_calibration(self.folder.path, result):
+            write_calibration_report(self.folder.path, self.campaign.name, self.campaign.camera, result)
         self.folder.log("calibrated", accepted=result.camera is not None, problem=result.problem)
         return result
 
