@@ -302,10 +302,12 @@ def check_no_folded_solution(model: OpenCVModel | OwenModel) -> None:
     directions = directions_at(np.arctan(radius), azimuth)
     assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=1e-10)
     pixels = generator.uniform(-3000, 3000, (200, 2))
-    back = model.project(model.unproject(pixels))
-    seen = np.isfinite(back).all(axis=1)
-    # next to a fold the direction is the root of a double zero: half the digits
-    assert_allclose(back[seen], pixels[seen], rtol=0, atol=1e-6)
+    there = model.unproject(pixels)
+    seen = np.isfinite(there).all(axis=1)
+    error_px = np.abs(model.project(there[seen]) - pixels[seen]).max(axis=1)
+    # next to a fold the direction is a double root: half the digits; next to a pole its rounding is magnified
+    magnified = np.linalg.norm(model.project_jacobian(there[seen]), axis=(1, 2))
+    assert (error_px <= 1e-6 + 1e-14 * magnified).all()
     if np.isfinite(model.max_radius):
         assert np.isnan(model.project(directions_at(np.arctan(1.001 * model.max_radius + 0 * azimuth), azimuth))).all()
 

@@ -16,6 +16,7 @@ Slopes = tuple[Float, Float, Float, Float]
 
 _MAX_NEWTON_STEPS = 40
 _LAST_STEP = 1e-8  # relative; the error left is its square times a curvature
+_STEP_PER_ERROR = 1e-2  # next to a pole steps are short, however far the goal is
 _AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 _WIDEST_RAD = np.radians(89.9)  # how far folds are looked for
 
@@ -94,7 +95,7 @@ class PlaneModel(AffineModel):
         todo = np.arange(x.size)
         for _ in range(_MAX_NEWTON_STEPS):
             at_x, at_y = x[todo], y[todo]
-            near_x, near_y = self._newton(at_x, at_y, u[todo], v[todo])
+            near_x, near_y, error = self._newton(at_x, at_y, u[todo], v[todo])
             step = np.abs(near_x - at_x) + np.abs(near_y - at_y)
             radius = np.hypot(near_x, near_y)
             outside = radius > limit
@@ -102,7 +103,7 @@ class PlaneModel(AffineModel):
                 back = np.where(outside, 0.5 * (np.minimum(np.hypot(at_x, at_y), limit) + limit) / radius, 1.0)
                 near_x, near_y = near_x * back, near_y * back
             x[todo], y[todo] = near_x, near_y
-            moving = (step > _LAST_STEP * (1.0 + radius)) | outside
+            moving = (np.maximum(step, _STEP_PER_ERROR * error) > _LAST_STEP * (1.0 + radius)) | outside
             todo = todo[moving]
             if not todo.size:
                 break
@@ -110,12 +111,13 @@ class PlaneModel(AffineModel):
         y[todo] = np.nan
         return x, y
 
-    def _newton(self, x: Float, y: Float, u: Float, v: Float) -> tuple[Float, Float]:
+    def _newton(self, x: Float, y: Float, u: Float, v: Float) -> tuple[Float, Float, Float]:
+        """Next place, and how far the distorted place was from its goal."""
         at_u, at_v = self._distort(x, y)
         ux, uy, vx, vy = self._slopes(x, y)
         inverse = 1.0 / (ux * vy - uy * vx)
         du, dv = at_u - u, at_v - v
-        return x - (vy * du - uy * dv) * inverse, y - (ux * dv - vx * du) * inverse
+        return x - (vy * du - uy * dv) * inverse, y - (ux * dv - vx * du) * inverse, np.abs(du) + np.abs(dv)
 
 
 def radial_slopes(x: Float, y: Float, radial: Float, growth: Float) -> Slopes:
