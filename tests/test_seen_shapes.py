@@ -8,9 +8,15 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
+from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
-from giantlike.core.detector import GaussianPsf
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.outcomes import CenterFix
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
 from giantlike.ray_tracing import Body, Template, render, trace_silhouette
+from giantlike.relative.unresolved import Unresolved, UnresolvedOptions
+from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, Point, Shape, mesh_from_ellipsoid
 
 MODEL = PinholeModel(fx_px=5000.0, fy_px=5000.0, cx_px=256.0, cy_px=256.0)
@@ -64,3 +70,31 @@ def test_the_image_of_a_point_is_the_psf_over_its_pixels(range_km: float) -> Non
         )  # light off the centre, 3e-4 px
     assert_allclose(template.center_px, center, rtol=0, atol=1e-6)
     assert_allclose(template.photocenter_px, center, rtol=0, atol=5e-4)
+
+
+def test_the_centre_of_a_point_is_the_centre_of_its_light_whatever_the_phase() -> None:
+    camera = Camera(
+        name="cam", columns=96, rows=80, model=PinholeModel(fx_px=3000.0, fy_px=3000.0, cx_px=47.0, cy_px=39.0),
+        psf=GaussianPsf(sigma_px=0.8), detector=Detector(gain_e_per_dn=2.0, read_noise_e=8.0, saturation_dn=4095.0),
+    )  # fmt: skip
+    truth_px = np.array([44.3, 41.6])
+    profiles = [
+        np.diff(ndtr((np.arange(n + 1) - 0.5 - place) / 0.8)) for n, place in zip((96, 80), truth_px, strict=True)
+    ]
+    light = 8000.0 * np.outer(profiles[1], profiles[0])
+    noise = np.random.default_rng(1).normal(size=light.shape) * np.sqrt(camera.detector.variance_dn2(light))
+    image = Image(
+        pixels=(100.0 + light + noise).astype(np.float32), camera_from_inertial=Rotation.identity(), name="point.fits"
+    )
+    geometry = ApparentGeometry(
+        position_inertial_km=1e7 * camera.model.unproject(np.add(truth_px, [5.0, -4.0])),
+        inertial_from_body=Rotation.identity(),
+        sun_direction_inertial=SUN,
+    )
+    scene = Scene(targets=(Target(name="P", shape=Point(), ephemeris=geometry),))
+    for correction in ("rendered", "kaasalainen_tanga"):
+        fix = Unresolved(UnresolvedOptions(correction=correction)).estimate(image, camera, scene)
+        assert isinstance(fix, CenterFix)
+        error_px = fix.center_px - truth_px
+        assert error_px @ np.linalg.solve(fix.covariance_px2, error_px) < 30.0  # chi-square of two: 3e-7 by chance
+        assert np.sqrt(np.trace(fix.covariance_px2)) < 0.02

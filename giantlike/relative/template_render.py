@@ -23,6 +23,7 @@ UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 KNOWN_BLUR_SIGMA_PX2 = 0.15
 """The same where the camera knows: a tenth of a usual width, and what the sampling of renders adds."""
 
+_POINT_PX = 1e-3  # smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24
 _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it
 _NEAR_PX, _NEAR_BLUR = 1.0, 0.1
@@ -136,7 +137,7 @@ class TemplateRenderer:
                 reflectance=law,
             )
         rays_across = self.rays_across / coarseness
-        rays = math.ceil(rays_across / (2.0 * inputs.radius_px))
+        rays = math.ceil(rays_across / max(2.0 * inputs.radius_px, _POINT_PX))
         return render(
             body,
             inputs.camera.model,
