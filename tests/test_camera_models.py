@@ -521,3 +521,12 @@ def test_a_camera_is_windowed_binned_and_warmed_as_its_model_is() -> None:
     assert camera.at_temperature(-10.0).model == model.at_temperature(-10.0)
     with pytest.raises(InputError, match="must lie on"):
         camera.windowed(2000, 0, columns=1000, rows=800)
+
+
+@EACH
+def test_no_points_at_all_are_no_mistake(model: CameraModel) -> None:
+    assert model.project(np.zeros((0, 3))).shape == (0, 2)
+    assert model.unproject(np.zeros((3, 0, 2))).shape == (3, 0, 3)
+    assert model.project_jacobian(np.zeros((0, 3))).shape == (0, 2, 3)
+    assert model.unproject_jacobian(np.zeros((0, 2))).shape == (0, 3, 2)
+    assert model.parameter_jacobian(np.zeros((0, 3))).shape == (0, 2, len(model.parameter_names))

@@ -85,7 +85,7 @@ class PlaneModel(AffineModel):
 
     def _lens_by_parameter(self, x: Float, y: Float, z: Float) -> Float:
         along_x, along_y = self._by_coefficient(*self._plane(x, y, z))
-        return np.array([along_x, along_y]).reshape(2, -1, x.size)
+        return np.array([along_x, along_y]).reshape(2, len(along_x), x.size)
 
     def _undistort(self, u: Float, v: Float) -> tuple[Float, Float]:
         """Invert :meth:`_distort` by Newton's method from the radial profile; NaN where nothing inside maps there."""
