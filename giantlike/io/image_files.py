@@ -27,9 +27,6 @@ from giantlike.io.vicar import decode_vicar
 if TYPE_CHECKING:
     from astropy.time import Time
 
-FORMATS = ("fits", "png", "tiff", "jpeg", "vicar", "pds3")
-"""Values of :attr:`ImageFile.format`."""
-
 _MAGIC = {
     "fits": re.compile(rb"SIMPLE  ="),
     "png": re.compile(rb"\x89PNG\r\n\x1a\n"),
