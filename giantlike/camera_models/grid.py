@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -268,10 +268,16 @@ def fit_grid(
     values = [across * along for across in weights_y for along in weights_x]
     lines = np.tile(np.arange(len(cell)), 16)
     design = sparse.csr_array((np.concatenate(values), (lines, np.concatenate(at))), shape=(len(cell), np.prod(shape)))
-    bends = [sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) for n in shape]
-    rough = sparse.vstack(
-        [sparse.kron(bends[0], sparse.eye_array(shape[1])), sparse.kron(sparse.eye_array(shape[0]), bends[1])]
-    )
-    normal = sparse.csc_array(design.T @ design + smoothing * (rough.T @ rough))
+    normal = sparse.csc_array(design.T @ design + smoothing * _roughness(shape))
     fitted = np.asarray(spsolve(normal, design.T @ (measured - predicted)[seen]))
     return dataclasses.replace(empty, dx_px=fitted[:, 0].reshape(shape), dy_px=fitted[:, 1].reshape(shape))
+
+
+def _roughness(shape: tuple[int, int]) -> Any:
+    """Sparse matrix of the sum of squared second differences of controls, along both axes."""
+    from scipy import sparse
+
+    bends = [sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) for n in shape]
+    along = [sparse.kron(bends[0], sparse.eye_array(shape[1])), sparse.kron(sparse.eye_array(shape[0]), bends[1])]
+    rough = sparse.vstack(along)
+    return rough.T @ rough

@@ -104,12 +104,7 @@ def from_mission_frame(
     x, y = np.sign(values["fx_px"]), np.sign(values["fy_px"])
     for letters, sign in ((_LETTERS_X, x), (_LETTERS_Y, y), (_LETTERS_XY, x * y)):
         values |= {key: float(sign * values[key]) for key in letters if key in values}
-    camera_from_mission = Rotation.from_matrix(np.diag([y, x, x * y]))  # z forward: the sign of x y
+    turn = Rotation.from_matrix(np.diag([y, x, x * y]))  # z forward: the sign of x y
     return ImportedCamera(
-        name=name,
-        model=kind(**values),
-        columns=columns,
-        rows=rows,
-        camera_from_mission=camera_from_mission,
-        rows_reversed=reverse,
+        name=name, model=kind(**values), columns=columns, rows=rows, camera_from_mission=turn, rows_reversed=reverse
     )
