@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from giantlike.core.outcomes import PositionFix
 from giantlike.ray_tracing import Lambert, McEwen, Reflectance
-from giantlike.relative import EllipsoidCRA, Estimator, LimbMatching
+from giantlike.relative import EllipsoidCRA, Estimator, LimbMatching, LimbMatchingOptions
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, Shape
 
@@ -63,7 +63,10 @@ def measured(estimator: Estimator, draws: list[Draw]) -> dict[str, object]:
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 102
     report: dict[str, object] = {}
-    estimators: tuple[tuple[Estimator, Shape | None], ...] = ((LimbMatching(), None), (EllipsoidCRA(), ELLIPSOID))
+    estimators: tuple[tuple[Estimator, Shape | None], ...] = (
+        (LimbMatching(LimbMatchingOptions(min_diameter_px=20.0)), None),
+        (EllipsoidCRA(), ELLIPSOID),
+    )
     for estimator, shape in estimators:
         for diameter_px in (30.0, 100.0, 300.0):
             for name, law in (("exact law", KNOWN), ("other law", OTHER)):

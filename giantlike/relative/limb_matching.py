@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from giantlike.camera import Camera
-from giantlike.core.outcomes import Failure, PositionFix
+from giantlike.core.arrays import require
+from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.image import Image
 from giantlike.processing.correlated_fit import correlated_solution
 from giantlike.relative.estimator import EstimatorInputs, gather
@@ -35,6 +36,10 @@ class LimbMatchingOptions:
         Larger residuals are a failure.
     large_rms_px : float, px
         Larger residuals get a flag.
+    min_diameter_px : float, px
+        Smaller bodies (by the predicted size of the sphere of the same volume) are a failure: a limb of a few dozen
+        pixels tells the range to 0.2 % at best, and ``cross_correlation`` and ``unresolved``, which use all of the
+        light, do better. Lower it to have such limbs nevertheless.
     scan : LimbScanOptions
     """
 
@@ -45,10 +50,12 @@ class LimbMatchingOptions:
     outlier_mad: float = 4.0
     max_rms_px: float = 5.0
     large_rms_px: float = 1.0
+    min_diameter_px: float = 40.0
     scan: LimbScanOptions = field(default_factory=LimbScanOptions)
 
     def __post_init__(self) -> None:
         _ = self.search  # checks the values
+        require(self.min_diameter_px >= 0.0, f"min_diameter_px must be >= 0, got {self.min_diameter_px}")
 
     @property
     def search(self) -> LimbSearch:
@@ -117,6 +124,12 @@ class LimbMatching:
         inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
         if isinstance(inputs, Failure):
             return inputs
+        diameter_px, least_px = 2.0 * inputs.radius_px, self.options.min_diameter_px
+        if diameter_px < least_px:
+            advice = "use cross_correlation or unresolved, or lower min_diameter_px"
+            return inputs.fail(
+                Reason.NO_LIMB, f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}"
+            )
         limb = settle_limb(inputs, inputs.geometry.body(), search=self.options.search, scan=self.options.scan)
         if isinstance(limb, Failure):
             return limb
