@@ -88,6 +88,18 @@ class AffineModel(ABC):
         return dataclasses.replace(self, **dict(zip(names, numbers.tolist(), strict=True)))
 
     @property
+    def lens_coefficients(self) -> tuple[float, ...]:
+        """The parameters of the lens alone: what is neither affine nor a temperature term."""
+        names = self.parameter_names[len(AFFINE_NAMES) : -len(TEMPERATURE_NAMES)]
+        return tuple([getattr(self, name) for name in names])
+
+    @classmethod
+    def unit_lens(cls, coefficients: tuple[float, ...]) -> Self:
+        """Return the lens with these :attr:`lens_coefficients` before pixels of unit focal length."""
+        names = cls.parameter_names[len(AFFINE_NAMES) : -len(TEMPERATURE_NAMES)]
+        return cls(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **dict(zip(names, coefficients, strict=True)))
+
+    @property
     def focal_length_px(self) -> float:
         """Focal length along x, px."""
         return self.fx_px

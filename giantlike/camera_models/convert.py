@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,8 @@ _LEAST_GAIN = 1e-9  # of the sum of squares, relative
 _EXACT_PX = 1e-9  # rms, below which nothing is left to gain
 _NODES = 41  # along the longer side of the frame
 _WIDEST_PLANE = 20.0  # image-plane radius, 87 degrees: a gnomonic model is not fitted beyond
-_WIDE_START = {"scaramuzza": {"b2": -1 / 3, "b4": -1 / 45}}  # m / tan m, equidistant: sees behind itself
+WIDE_START: Mapping[str, Mapping[str, float]] = {"scaramuzza": {"b2": -1 / 3, "b4": -1 / 45}}
+"""Where a lens starts that shall see behind itself: m / tan m, equidistant."""
 _SAME_LETTERS = frozenset({"pinhole", "brown", "opencv"})
 
 
@@ -110,7 +112,7 @@ def _start(model: CameraModel, type_name: str) -> AffineModel:
     kind = MODELS[type_name]
     alike = type_name == model.type_name or {type_name, model.type_name} <= _SAME_LETTERS
     shared = kind.parameter_names if alike else AFFINE_NAMES + TEMPERATURE_NAMES
-    lens = {} if alike else _WIDE_START.get(type_name, {})
+    lens = {} if alike else WIDE_START.get(type_name, {})
     return kind(**lens, **{name: known[name] for name in shared if name in known})
 
 

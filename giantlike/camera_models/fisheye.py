@@ -37,7 +37,7 @@ class FisheyeModel(AxialModel):
     @property
     def max_angle_rad(self) -> float:
         """Largest angle from the axis that is imaged, rad: where the radius stops growing, at most pi."""
-        return float(self._angle_of_ideal(np.array(_limits(self)[0])))
+        return float(self._angle_of_ideal(np.array(_limits(type(self), self.lens_coefficients)[0])))
 
     @abstractmethod
     def _ideal(self, angle: Float) -> Float:
@@ -62,7 +62,7 @@ class FisheyeModel(AxialModel):
 
     def _radius(self, angle: Float) -> Float:
         ideal = self._ideal(angle)
-        return np.where(ideal <= _limits(self)[0], self._corrected(ideal), np.nan)
+        return np.where(ideal <= _limits(type(self), self.lens_coefficients)[0], self._corrected(ideal), np.nan)
 
     def _radius_slope(self, angle: Float, radius: Float) -> Float:
         return self._growth(self._ideal(angle)) * self._ideal_slope(angle)
@@ -72,7 +72,7 @@ class FisheyeModel(AxialModel):
         return [ideal**power for power in (3, 5, 7, 9)]
 
     def _angle(self, radius: Float) -> Float:
-        widest, radii, ideals = _limits(self)
+        widest, radii, ideals = _limits(type(self), self.lens_coefficients)
         start = np.where(radius <= radii[-1], np.interp(radius, radii, ideals), np.nan)
 
         def residual_and_slope(ideal: Float, target: Float) -> tuple[Float, Float]:
@@ -135,8 +135,9 @@ class EquisolidModel(FisheyeModel):
 
 
 @lru_cache(maxsize=256)
-def _limits(model: FisheyeModel) -> tuple[float, Float, Float]:
+def _limits(kind: type[FisheyeModel], coefficients: tuple[float, ...]) -> tuple[float, Float, Float]:
     """Largest ideal radius, and a table of radii and their ideal radii up to it."""
+    model = kind.unit_lens(coefficients)
     widest = float(model._ideal(np.array(np.pi)))
     fold = math.sqrt(smallest_positive_root(3 * model.k1, 5 * model.k2, 7 * model.k3, 9 * model.k4))
     ideals = np.linspace(0.0, min(fold, widest), 512)

@@ -36,7 +36,7 @@ class PlaneModel(AffineModel):
     @property
     def max_radius(self) -> float:
         """Undistorted image-plane radius up to which the map is one to one (infinite if it always is)."""
-        return _fold_radius(self)
+        return _fold_radius(type(self), self.lens_coefficients)
 
     @abstractmethod
     def _distort(self, x: Float, y: Float) -> tuple[Float, Float]:
@@ -149,7 +149,8 @@ def sum_of_slopes(a: Slopes, b: Slopes) -> Slopes:
 
 
 @lru_cache(maxsize=256)
-def _fold_radius(model: PlaneModel) -> float:
+def _fold_radius(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> float:
+    model = kind.unit_lens(coefficients)
     limit = model._radial_limit()
     if model._is_radial():
         return limit
@@ -175,13 +176,14 @@ def _least_slope(model: PlaneModel, radii: Float) -> Float:
 
 def _radial_start(model: PlaneModel, distorted: Float) -> Float:
     """Factor on distorted points that undoes the distortion at the mean over azimuth; what is left lies inside."""
-    mapped, radii = _radial_table(model)
+    mapped, radii = _radial_table(type(model), model.lens_coefficients)
     return np.interp(distorted, mapped, radii) / np.where(distorted > 0, distorted, 1.0)
 
 
 @lru_cache(maxsize=256)
-def _radial_table(model: PlaneModel) -> tuple[Float, Float]:
+def _radial_table(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> tuple[Float, Float]:
     """Distorted radii, mean over azimuth, and the radii they come from."""
+    model = kind.unit_lens(coefficients)
     widest = min(np.arctan(model.max_radius), np.radians(80.0)) * (1.0 - 1e-6)  # short of a pole
     radii = np.tan(np.linspace(0.0, widest, 256))
     cosine, sine = np.cos(_AZIMUTHS[::9]), np.sin(_AZIMUTHS[::9])

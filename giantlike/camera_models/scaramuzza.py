@@ -79,7 +79,7 @@ class ScaramuzzaModel(AxialModel):
     @property
     def max_angle_rad(self) -> float:
         """Largest angle from the axis that is imaged, rad: where the angle stops growing with the radius."""
-        return _limits(self)[1]
+        return _limits(self.lens_coefficients)[1]
 
     def _depth(self, radius: Float) -> Float:
         return 1.0 + radius**2 * (self.b2 + radius * (self.b3 + radius * self.b4))
@@ -88,10 +88,10 @@ class ScaramuzzaModel(AxialModel):
         return radius * (2 * self.b2 + radius * (3 * self.b3 + radius * 4 * self.b4))
 
     def _angle(self, radius: Float) -> Float:
-        return np.where(radius <= _limits(self)[0], np.arctan2(radius, self._depth(radius)), np.nan)
+        return np.where(radius <= _limits(self.lens_coefficients)[0], np.arctan2(radius, self._depth(radius)), np.nan)
 
     def _radius(self, angle: Float) -> Float:
-        widest, widest_angle, radii = _limits(self)
+        widest, widest_angle, radii = _limits(self.lens_coefficients)
         place = np.where(angle <= widest_angle, angle, 0.0) * ((len(radii) - 1) / widest_angle)
         before = np.minimum(place.astype(np.int64), len(radii) - 2)
         start = radii[before] + (place - before) * (radii[before + 1] - radii[before])
@@ -112,8 +112,9 @@ class ScaramuzzaModel(AxialModel):
 
 
 @lru_cache(maxsize=256)
-def _limits(model: ScaramuzzaModel) -> tuple[float, float, Float]:
+def _limits(coefficients: tuple[float, ...]) -> tuple[float, float, Float]:
     """Largest radius, its angle, and the radii of angles evenly spaced up to it."""
+    model = ScaramuzzaModel.unit_lens(coefficients)
     widest = min(smallest_positive_root(0.0, -model.b2, -2 * model.b3, -3 * model.b4), _WIDEST_RADIUS)
     radii = np.tan(np.linspace(0.0, np.arctan(widest), 16 * _TABLE))
     radii[-1] = widest
