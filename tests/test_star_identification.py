@@ -574,11 +574,26 @@ def test_a_user_catalogue_serves_as_well(catalog: MemoryCatalog) -> None:
     assert _worst_px(fix.camera_from_inertial, scene.attitude) < FULL_ATTITUDE_PX
 
 
+def test_faint_stars_can_be_left_out_but_never_the_twenty_brightest(catalog: MemoryCatalog) -> None:
+    scene = _scene(np.random.default_rng(22), catalog)
+    image = scene.image.with_attitude(scene.attitude)
+    snr = scene.detections.snr
+    order = np.argsort(-snr, kind="stable")
+    for limit in (np.inf, float(snr[order[23]])):
+        kept = max(20, int(np.count_nonzero(snr >= limit)))
+        navigation = StarNavigation(CAMERA, catalog, StarOptions(min_snr=limit))
+        fix = _solved(navigation.solve_detections(image, scene.detections))
+        assert fix.n_detected == kept
+        assert set(fix.detection_indices.tolist()) <= set(order[:kept].tolist())
+        assert _worst_px(fix.camera_from_inertial, scene.attitude) < FULL_ATTITUDE_PX
+
+
 @pytest.mark.parametrize(
     "bad",
     [
         {"min_matches": 2}, {"inlier_px": 0.0}, {"max_pixel_distance": -1.0}, {"ransac_iterations": 0}, {"seed": -1},
         {"scale_error": 0.5}, {"outlier_sigma": 1.0}, {"max_false_match_probability": 0.0}, {"max_magnitude": np.nan},
+        {"min_snr": -1.0},
     ],
 )  # fmt: skip
 def test_options_out_of_range_are_refused(bad: dict[str, float]) -> None:

@@ -7,7 +7,7 @@ from giantlike.stars.attitude import AttitudeSolution, Scale, fit_attitude
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, StarField
 from giantlike.stars.lost_in_space import identify_lost_in_space
 from giantlike.stars.navigation import StarNavigation
-from giantlike.stars.options import StarOptions
+from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, refine_attitude
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "StarField",
     "StarNavigation",
     "StarOptions",
+    "bright_enough",
     "fit_attitude",
     "identify_apriori",
     "identify_lost_in_space",

@@ -25,7 +25,7 @@ from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky
 from giantlike.stars.lost_in_space import depth_for, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within
-from giantlike.stars.options import StarOptions
+from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, refine_attitude
 
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # with an a priori attitude, fainter ones are noise or unlisted
@@ -124,6 +124,7 @@ class StarNavigation:
 
     def _solve_usable(self, image: Image, detections: Detections, usable: NDArray[np.intp]) -> AttitudeFix | Failure:
         """Attitude from the detections of indices ``usable`` (k,)."""
+        usable = usable[bright_enough(detections.snr[usable], self.options.min_snr)]
         needed = self.options.min_matches
         if usable.size < needed:
             return Failure(

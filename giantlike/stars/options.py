@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from giantlike.core.arrays import require
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, require
+
+_NEVER_LEFT_OUT = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +36,8 @@ class StarOptions:
         Number of four-star samples.
     seed : int
         Of the samples: equal input gives equal output.
+    min_snr : float
+        Detections of a lower signal-to-noise ratio are left out, but never the brightest 20.
     min_matches : int
         Fewest stars that make a solution, at least 3.
     outlier_sigma : float
@@ -52,6 +59,7 @@ class StarOptions:
     inlier_px: float = 3.0
     ransac_iterations: int = 300
     seed: int = 20181203
+    min_snr: float = 0.0
     min_matches: int = 4
     outlier_sigma: float = 4.0
     max_false_match_probability: float = 1e-6
@@ -67,9 +75,17 @@ class StarOptions:
         require(math.isfinite(self.inlier_px) and self.inlier_px > 0, f"inlier_px must be > 0 px, got {self.inlier_px}")
         require(self.ransac_iterations >= 1, f"ransac_iterations must be >= 1, got {self.ransac_iterations}")
         require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
+        require(self.min_snr >= 0.0, f"min_snr must be >= 0, got {self.min_snr}")
         require(self.min_matches >= 3, f"min_matches must be >= 3, got {self.min_matches}")
         require(self.outlier_sigma >= 2.0, f"outlier_sigma must be >= 2, got {self.outlier_sigma}")
         require(
             0.0 < self.max_false_match_probability < 1.0,
             f"max_false_match_probability must be in (0, 1), got {self.max_false_match_probability}",
         )
+
+
+def bright_enough(snr: Float, min_snr: float) -> NDArray[np.bool_]:
+    """Which of some stars (k,) reach a signal-to-noise ratio, or are among the 20 brightest anyway."""
+    bright: NDArray[np.bool_] = snr >= min_snr
+    bright[np.argsort(-snr, kind="stable")[:_NEVER_LEFT_OUT]] = True
+    return bright
