@@ -136,7 +136,7 @@ def _fill(
     sun_camera: Float,
     neighbours: Sequence[Neighbour],
 ) -> None:
-    """Write what a body shows along directions (h, w, 3), body axes, into a window of the planes, where it is nearest."""
+    """Write what a body shows along directions (h, w, 3), body axes, into a window of the planes, if it is nearest."""
     sun, camera_km = sun_in_body(body, sun_camera), body.camera_body_km
     rays = directions.reshape(-1, 3)
     hits = body.tracer.intersect(camera_km, rays)

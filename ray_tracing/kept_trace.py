@@ -102,7 +102,8 @@ def trace_body(
     Returns
     -------
     Trace or Failure
-        ``OUT_OF_FRAME`` when no light can fall on the (widened) frame.
+        ``OUT_OF_FRAME`` when no light can fall on the (widened) frame, ``DEGENERATE_GEOMETRY`` when the camera lies
+        inside the body.
     """
     view = viewed(body, model, sun_direction_camera, psf, (columns, rows), options)
     if isinstance(view, Failure):

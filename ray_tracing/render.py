@@ -52,7 +52,8 @@ def render(
     Returns
     -------
     Template or Failure
-        ``OUT_OF_FRAME`` when no light can fall on the (widened) frame, ``NOT_LIT`` when nothing seen there is lit.
+        ``OUT_OF_FRAME`` when no light can fall on the (widened) frame, ``NOT_LIT`` when nothing seen there is lit,
+        ``DEGENERATE_GEOMETRY`` when the camera lies inside the body.
 
     Raises
     ------

@@ -60,14 +60,14 @@ class Cells:
         reach = PSF_REACH_SIGMA * sigma_px
         width = int(np.ceil(2 * reach + 2 * half)) + 1
         numbers = np.arange(self.count) + self.first
-        within, place = np.unique(
-            numbers % self.per_px, return_inverse=True
-        )  # cells alike in their pixels spread alike
+        # cells alike in their pixels spread alike
+        within, place = np.unique(numbers % self.per_px, return_inverse=True)
         centers = (within + 0.5) / self.per_px - 0.5
         lowest = np.floor(centers - half - reach + 0.5).astype(np.int64)
         left = lowest[:, None] + np.arange(width) - 0.5 - centers[:, None]
         weights = _ramp(left + 1 + half, sigma_px) - _ramp(left + 1 - half, sigma_px)
         weights -= _ramp(left + half, sigma_px) - _ramp(left - half, sigma_px)
+        np.maximum(weights, 0.0, out=weights)  # rounding of differences far out
         rows = (lowest[place] + numbers // self.per_px - first_px)[:, None] + np.arange(width)
         inside = (rows >= 0) & (rows < count_px)
         columns = np.broadcast_to(np.arange(self.count)[:, None], rows.shape)
@@ -118,9 +118,9 @@ class RayGrid:
                 return
 
     def tile(self, start: int, stop: int, left: int, right: int) -> Float:
-        """Unit directions (n, 4), the fourth column 0, of cells in rows ``start`` to ``stop`` and columns ``left`` to ``right``.
+        """Unit directions (n, 4), the fourth column 0, of some cells.
 
-        Column after column, each from its first row to its last.
+        Those in columns ``left`` to ``right``, one after the other, each from row ``start`` to row ``stop``.
         """
         if self._jitter_seed is None:
             return self._points(start, stop, left, right).reshape(-1, 4)

@@ -30,7 +30,8 @@ class SceneRender:
     templates : tuple of Template or Failure
         One for each body, in the order they were given: what is seen of it, shadows of the others in. A body that
         is seen but wholly in the dark is a black template with a NaN photocentre, not a failure.
-        Failures: ``OUT_OF_FRAME``, and ``NO_SIGNAL`` for a body behind others.
+        Failures: ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around
+        the camera, which hides nothing.
     """
 
     columns: int

@@ -112,6 +112,10 @@ class Tracer(Protocol):
         """Whether rays meet the body at all (n,); origins and directions as in :meth:`intersect`."""
         ...
 
+    def encloses(self, point_body_km: Float) -> bool:
+        """Whether a point (3,), km, lies inside the body."""
+        ...
+
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
         """Whether hits lie in the dark (n,): nothing hit, facing away from the Sun, or the body in the way."""
         ...
@@ -146,9 +150,7 @@ class MeshTracer:
         """Vertices (k, 3), km, that lie farthest out in a few hundred directions; short of the hull by 1 % at most."""
         used = self._vertices_km[np.unique(self._faces)]
         extent = np.ptp(used, axis=0)
-        scaled = used / np.where(
-            extent > 0.0, extent, 1.0
-        )  # so that a long body has its directions where it needs them
+        scaled = used / np.where(extent > 0.0, extent, 1.0)  # a long body has its directions where it needs them
         directions, _ = geodesic_directions(_HULL_FACETS)
         points: Float = used[np.unique([np.argmax(scaled @ direction) for direction in directions])]
         return points
@@ -192,6 +194,13 @@ class MeshTracer:
         """Whether rays meet the mesh; start rays that leave the surface a little above it."""
         starts, directions = self._rays(origins_body_km, directions_body)
         return self._surface.occluded(starts.astype(np.float32), directions.astype(np.float32))
+
+    def encloses(self, point_body_km: Float) -> bool:
+        """Whether a point (3,), km, lies inside the mesh: the way out from the origin leads through a facet's back."""
+        if float(np.linalg.norm(point_body_km)) >= self.radius_km:
+            return False
+        outward = point_body_km if np.any(point_body_km) else np.array([1.0, 0.0, 0.0])
+        return bool(self.intersect(point_body_km, outward[None]).normals[0] @ outward > 0.0)
 
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
         """Whether hits lie in the dark (n,): facing away from the Sun, or with the body in the way."""
@@ -254,6 +263,10 @@ class EllipsoidTracer:
         _, far = self._distances(starts, directions)
         blocked: Mask = far > 1e-9 * self.radius_km
         return blocked
+
+    def encloses(self, point_body_km: Float) -> bool:
+        """Whether a point (3,), km, lies inside the ellipsoid."""
+        return bool(np.sum((point_body_km / self._radii_km) ** 2) < 1.0)
 
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
         """Whether hits lie in the dark (n,): on an ellipsoid, whether they face away from the Sun."""

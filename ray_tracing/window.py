@@ -90,7 +90,7 @@ def window_around(
     Returns
     -------
     Window or Failure
-        ``OUT_OF_FRAME`` when nothing of it can fall there.
+        ``OUT_OF_FRAME`` when nothing of it can fall there, ``DEGENERATE_GEOMETRY`` for a camera inside the body.
     """
     size = np.array([columns, rows], dtype=np.float64)
     halo_px = math.ceil(PSF_REACH_SIGMA * sigma_px)  # how far the PSF carries light
@@ -141,7 +141,12 @@ def _extent(outline_px: Float, pad_px: float, low_px: Float, high_px: Float) -> 
 
 
 def sampled_box(body: Body, model: CameraModel, size: Float, reach_px: int) -> Box | Failure:
-    """The part of a frame of ``size`` (2,) px, widened by ``reach_px``, that the body can touch."""
+    """The part of a frame of ``size`` (2,) px, widened by ``reach_px``, that the body can touch.
+
+    Failures are ``OUT_OF_FRAME``, and ``DEGENERATE_GEOMETRY`` for a camera inside the body.
+    """
+    if body.tracer.encloses(body.camera_body_km):
+        return Failure(Reason.DEGENERATE_GEOMETRY, "the camera lies inside the body: are position and units right?")
     hull_px = body.hull_px(model)
     box = span(hull_px)
     if box is None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,6 @@ from giantlike.core.errors import InputError
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo, hash_with_albedo
 
 
-@runtime_checkable
 class Shape(Protocol):
     """The surface of a body, in body axes; an immutable value."""
 

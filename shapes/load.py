@@ -88,7 +88,10 @@ def read_surface(path: str | Path, *, units: str = "km") -> Surface:
     surface = read_file(path)
     if surface.in_km:
         return surface
-    factor = _KM_PER_UNIT[_guessed_units(path, surface) if units == "auto" else units]
+    if units == "auto":
+        units, remark = guessed_units(path, surface)
+        warnings.warn(remark, UnitsWarning, stacklevel=3)
+    factor = _KM_PER_UNIT[units]
     return replace(surface, vertices=surface.vertices if factor == 1.0 else surface.vertices * factor, in_km=True)
 
 
@@ -119,18 +122,20 @@ def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
     return mesh
 
 
-def _guessed_units(path: Path, surface: Surface) -> str:
-    """Unit by the largest finite radius, with a warning."""
+def guessed_units(path: Path, surface: Surface) -> tuple[str, str]:
+    """Unit of a file by its largest finite radius, and a remark for people that it was guessed.
+
+    Raises
+    ------
+    DataError
+        The radius fits a body in km and one in m.
+    """
     radius = float(np.linalg.norm(surface.vertices[surface.finite_vertices], axis=1).max(initial=0.0))
     if _SURELY_KM < radius < _SURELY_M:
         raise DataError(path, f'a largest radius of {radius:.4g} can be km or m: state units = "km" or "m"')
     units = "km" if radius <= _SURELY_KM else "m"
-    warnings.warn(
-        f"{path}: took the coordinates as {units}, for a largest radius of {radius:.4g}; state the units to be sure",
-        UnitsWarning,
-        stacklevel=4,
-    )
-    return units
+    remark = f"{path}: took the coordinates as {units}, for a largest radius of {radius:.4g}; state units to be sure"
+    return units, remark
 
 
 def _sha256(path: Path) -> str:

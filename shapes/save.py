@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import MappingProxyType
 
 from giantlike.core.arrays import require
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
+from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.files.dsk import DskIdentity, write_dsk
 from giantlike.shapes.files.formats import DSK_SUFFIXES, WRITERS
 from giantlike.shapes.mesh import TriangleMesh
+
+_KEPT_ALBEDO = MappingProxyType({".npz": (FacetAlbedo, VertexAlbedo), ".icq": (VertexAlbedo,), ".txt": (VertexAlbedo,)})
+"""What albedo a format has room for, by the end of its name; none in the others."""
 
 
 def save_shape(
@@ -51,3 +56,9 @@ def save_shape(
             write_dsk(part, mesh, dsk)
         else:
             raise InputError(f"{path}: a DSK must say which body and frame it describes: give both")
+
+
+def keeps_albedo(mesh: TriangleMesh, path: str | Path) -> bool:
+    """Whether :func:`save_shape` leaves nothing of the albedo out in the format that the file name says."""
+    kept = _KEPT_ALBEDO.get(Path(path).suffix.lower(), ())
+    return mesh.albedo is None or isinstance(mesh.albedo, kept)

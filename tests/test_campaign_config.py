@@ -108,6 +108,14 @@ def test_mesh_reflectance_and_estimator_options_are_taken_over(tmp_path: Path) -
     assert target.estimators[0].options.search_px == 40
 
 
+def test_a_guessed_unit_is_a_warning_of_the_campaign(tmp_path: Path) -> None:
+    table = campaign_table()
+    table["targets"][0] |= {"shape": "rock.obj", "units": "auto"}
+    campaign = Campaign.load(write(tmp_path, table))
+    assert campaign.targets[0].units == "km"
+    assert any("rock.obj: took the coordinates as km" in warning for warning in campaign.warnings)
+
+
 @pytest.mark.parametrize(
     ("section", "law"),
     [

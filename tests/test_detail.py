@@ -47,8 +47,7 @@ def test_facets_have_the_size_of_equilateral_triangles_of_their_area() -> None:
 
 
 def test_estimators_are_answered_by_the_finest_level() -> None:
-    levels = LevelsOfDetail(meshes=MESHES)
-    assert isinstance(levels, Shape)
+    levels: Shape = LevelsOfDetail(meshes=MESHES)
     assert (levels.mean_radius_km, levels.name) == (MESHES[-1].mean_radius_km, MESHES[-1].name)
     assert levels.circumscribing_radius_km == pytest.approx(1.0, abs=1e-3)
     assert_allclose(levels.best_fit_ellipsoid.ellipsoid.radii_km, ELLIPSOID.radii_km, rtol=1e-3)

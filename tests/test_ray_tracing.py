@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -167,6 +166,24 @@ def test_a_convex_body_casts_no_shadow_on_itself() -> None:
     assert not tracer.dark(facing.points_km, facing.normals, sun).any()
 
 
+@pytest.mark.parametrize("shape", [ELLIPSOID, mesh_from_ellipsoid(ELLIPSOID, facets=80)], ids=["ellipsoid", "mesh"])
+def test_a_camera_inside_a_body_is_told_so(shape: Ellipsoid | TriangleMesh) -> None:
+    results = []
+    for position in ([0.0, 0.0, 0.4], [0.0, 0.0, 0.7]):  # the shortest radius is 0.6 km
+        body = Body(shape=shape, camera_from_body=Rotation.identity(), position_camera_km=np.array(position))
+        results.append(render(body, PINHOLE, sun_direction_camera=[0.0, 0.0, -1.0], columns=64, rows=64))
+    assert isinstance(results[0], Failure)
+    assert results[0].reason is Reason.DEGENERATE_GEOMETRY
+    assert isinstance(results[1], Template)
+
+
+def test_no_light_is_negative_however_far_the_body() -> None:
+    position = np.array([0.0, 0.0, 1e15])
+    template = _render(Body(shape=sphere(1.0), camera_from_body=TILTED, position_camera_km=position), PINHOLE, sun=-SUN)
+    assert isinstance(template, Template)
+    assert template.brightness.min() >= 0.0 < template.brightness.sum()
+
+
 def test_a_tower_throws_a_shadow_as_long_as_the_sun_is_low() -> None:
     body = _block_with_tower()
     elevation = np.radians(30.0)
@@ -217,23 +234,16 @@ def _sun_at_phase(position: np.ndarray, phase_deg: float) -> np.ndarray:
 
 @lru_cache
 def _sphere_integrals(law: Lambert | McEwen | LommelSeeliger, phase_deg: float) -> tuple[float, float]:
-    """Flux over disc area, and photocentre over radius, of a far sphere: by quadrature over its lit disc."""
+    """Flux over disc area, and photocentre over radius, of a far sphere: by quadrature over what is seen and lit."""
     a = np.radians(phase_deg)
-
-    def light(y: float, x: float) -> float:
-        z = np.sqrt(max(1.0 - x * x - y * y, 0.0))
-        return float(law(x * np.sin(a) + z * np.cos(a), z, a))
-
-    def edge(x: float) -> float:
-        return float(np.sqrt(max(1.0 - x * x, 0.0)))
-
-    def integral(power: int) -> float:
-        def row(x: float) -> float:
-            return x**power * 2.0 * quad(lambda y: light(y, x), 0.0, edge(x), epsabs=1e-6)[0]
-
-        return quad(row, -1.0, 1.0, epsabs=1e-6, limit=100)[0]
-
-    return integral(0) / np.pi, integral(1) / integral(0)
+    nodes, weights = np.polynomial.legendre.leggauss(80)
+    half_width = 0.5 * (np.pi - a)  # of the lune, in longitude from the camera towards the Sun
+    longitude, latitude = (grid.ravel() for grid in np.meshgrid(0.5 * a + half_width * nodes, 0.5 * np.pi * nodes))
+    cos_emission, x = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
+    value = law(np.cos(latitude) * np.cos(longitude - a), cos_emission, np.full(x.shape, a))
+    area = half_width * 0.5 * np.pi * np.outer(weights, weights).ravel() * np.cos(latitude) * cos_emission
+    flux = float(area @ value)
+    return flux / np.pi, float(area @ (x * value)) / flux
 
 
 @pytest.mark.parametrize("phase_deg", [0.0, 60.0, 120.0])

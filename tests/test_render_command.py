@@ -24,7 +24,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_between
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.image import Image
-from giantlike.shapes import Ellipsoid
+from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid, save_shape, sphere
 from giantlike.simulation.preview import preview_png
 
 ATTITUDE_RAD = 1e-12  # quaternions are written with all their digits
@@ -330,6 +330,12 @@ def test_one_file_does_not_hold_two_images(tmp_path: Path) -> None:
             {"targets.0.body_from_inertial_xyzw": [1.0, 1.0, 0.0, 0.0]},
             r"targets\[0\].body_from_inertial_xyzw must",
         ),
+        ({"targets.0.albedo": float("inf")}, r"targets\[0\].albedo: expected a finite number, got inf"),
+        (
+            {"images.0.pointing_deg": [float("nan"), 0.0, 0.0]},
+            r"images\[0\].pointing_deg\[0\]: expected a finite",
+        ),
+        ({"light.extended": True, "light.distance_au": 0.001}, "light.distance_au: 0.001 au lies inside the Sun"),
         ({"light.direction": [0.0, 0.0, 0.0]}, "light.direction: must not be the zero vector"),
         ({"detector": {"bits": 24}}, r"detector.bits must be in \[1, 16\], got 24"),
         ({"detector": {"dark": {"rate": 1.0}}}, "detector.dark: unknown option 'rate'; options are rate_e_s"),
@@ -378,6 +384,23 @@ def test_a_file_that_is_no_toml_or_not_there_is_one_line(tmp_path: Path) -> None
         assert refused.exit_code == 2
         assert text in refused.stderr
         assert refused.stderr.count("\n") == 1
+
+
+def test_a_camera_inside_a_target_is_one_line(tmp_path: Path) -> None:
+    path = write_scene(tmp_path, changed(scene_table(), {"targets.0.position_km": seen_at(0.0, 0.0, 3.0)}))
+    refused = giantlike("render", path)
+    assert refused.exit_code == 2
+    assert refused.stderr.count("\n") == 1
+    assert "'BIG': the camera lies inside the body" in refused.stderr
+
+
+def test_a_guessed_unit_is_one_line_on_stderr(tmp_path: Path) -> None:
+    save_shape(mesh_from_ellipsoid(sphere(7.0), facets=80), tmp_path / "ball.obj")
+    path = write_scene(tmp_path, changed(scene_table(), {"targets.0.shape": "ball.obj", "targets.0.units": "auto"}))
+    done = giantlike("render", path)
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "ball.obj: took the coordinates as km" in done.stderr
 
 
 def test_a_geometry_table_without_exposure_is_refused(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from typer.testing import CliRunner, Result
 from giantlike.cli.app import app
 from giantlike.shapes import (
     Ellipsoid,
+    FacetAlbedo,
     load_shape,
     mesh_from_ellipsoid,
     save_shape,
@@ -132,6 +133,16 @@ def test_convert_writes_another_format_exactly_and_nothing_over_another_file(tmp
     assert "--overwrite" in refusal(shape("convert", egg, target))
     assert shape("convert", egg, target, "--overwrite", "--units", "m", "--json").exit_code == 0
     assert_allclose(load_shape(target).vertices_km, 1e-3 * load_shape(egg).vertices_km, rtol=1e-15)
+
+
+def test_convert_and_decimate_say_that_albedo_is_left_out(tmp_path: Path, egg: Path) -> None:
+    mesh = load_shape(egg)
+    painted = tmp_path / "painted.npz"
+    save_shape(mesh.with_albedo(FacetAlbedo(np.linspace(0.5, 1.0, len(mesh.faces)))), painted)
+    assert "the albedo is left out" in shape("convert", painted, tmp_path / "plain.obj").stderr
+    assert "the albedo is left out" in shape("decimate", painted, tmp_path / "few.npz", "--facets", "300").stderr
+    assert not shape("convert", painted, tmp_path / "again.npz").stderr
+    assert load_shape(tmp_path / "again.npz").albedo is not None
 
 
 def test_convert_to_a_dsk_asks_for_body_and_frame(tmp_path: Path, egg: Path) -> None:

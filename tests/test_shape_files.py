@@ -489,7 +489,8 @@ def test_every_real_shape_loads_and_its_numbers_agree_with_trimesh(data_dir: Pat
     files = sorted((data_dir / "shapes").iterdir())
     assert len(files) >= 9
     for path in files:
-        surface, mesh = read_surface(path), load_shape(path)
+        surface = read_surface(path)
+        mesh = mesh_of(path, surface)
         other = trimesh.Trimesh(mesh.vertices_km, mesh.faces, process=False)
         assert_measures(measured(mesh), other)
         assert defects_of(surface).watertight == other.is_watertight
@@ -506,6 +507,19 @@ def test_a_decimated_body_is_closed_and_near_the_original(rock: TriangleMesh) ->
     for facets in (3, len(rock.faces)):
         with pytest.raises(InputError, match="facets must be in"):
             decimated(rock, facets)
+
+
+@pytest.mark.real_data
+def test_a_body_that_is_torn_at_one_pace_of_decimation_survives_another(data_dir: Path) -> None:
+    vesta = load_shape(data_dir / "shapes" / "vesta_5002.ply")
+    coarse = decimated(vesta, 500)
+    assert not defects_of(surface_of(coarse)).boundary_edges
+    assert 480 <= len(coarse.faces) <= 500
+
+
+def test_an_open_body_is_not_decimated_but_to_be_repaired(rock: TriangleMesh) -> None:
+    with pytest.raises(InputError, match=r"is not closed \(3 boundary edges, 1 holes\): repair it first"):
+        decimated(TriangleMesh(rock.vertices_km, rock.faces[1:], "rock"), 400)
 
 
 def test_the_deviation_of_concentric_spheres_is_the_difference_of_their_radii() -> None:

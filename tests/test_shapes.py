@@ -247,8 +247,7 @@ def test_the_best_fit_ellipsoid_of_an_ellipsoid_mesh_is_that_ellipsoid() -> None
 
 
 def test_an_ellipsoid_knows_its_size_and_refuses_what_is_none() -> None:
-    body = Ellipsoid(radii_km=np.array([3.0, 2.0, 1.0]))
-    assert isinstance(body, Shape)
+    body: Shape = Ellipsoid(radii_km=np.array([3.0, 2.0, 1.0]))
     assert (body.circumscribing_radius_km, body.mean_radius_km) == pytest.approx((3.0, 6.0 ** (1 / 3)))
     assert body.best_fit_ellipsoid.ellipsoid is body
     assert body.sha256 != Ellipsoid(radii_km=np.array([3.0, 2.0, 1.1])).sha256
@@ -273,7 +272,6 @@ def test_a_generated_asteroid_is_star_shaped_closed_centred_and_elongated(seed: 
     body = irregular_body(seed, facets=20_000)
     corners = body.vertices_km[body.faces]
     outward = np.linalg.det(corners)
-    assert isinstance(body, Shape)
     assert np.all(outward > 0)  # every ray from the origin meets one facet, from within
     assert trimesh.Trimesh(body.vertices_km, body.faces, process=False).is_watertight
     assert_allclose(body.center_of_figure_km, 0.0, rtol=0, atol=1e-12)

@@ -7,7 +7,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,8 @@ from giantlike.processing.detect import DetectionOptions
 from giantlike.ray_tracing import McEwen, Reflectance, reflectance_from_mapping
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.shapes import Ellipsoid, Shape, load_shape
+from giantlike.shapes.files.formats import read_file
+from giantlike.shapes.load import guessed_units
 from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferOptions
 
@@ -218,6 +220,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     repeated = [name for name, count in Counter(target.name for target in targets).items() if count > 1]
     if repeated:
         raise InputError(f"targets: two targets have the name {repeated[0]!r}")
+    targets, guessed = with_units_decided(targets)
     stars = content.stars
     if stars is None and content.calibration is not None:
         stars = StarsSection(lost_in_space=True)
@@ -240,7 +243,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         calibration=None if content.calibration is None else _calibration(content.calibration, camera),
         targets=targets,
         max_overlays=content.report.max_overlays,
-        warnings=(*unmatched, *_oddities(geometry_file, geometry, targets, spice)),
+        warnings=(*guessed, *unmatched, *_oddities(geometry_file, geometry, targets, spice)),
     )
 
 
@@ -396,6 +399,27 @@ def shape_of(path: Path, key: str, value: Any) -> tuple[Path | None, tuple[float
     if any(isinstance(r, bool) or not isinstance(r, int | float) or not math.isfinite(r) or not r > 0 for r in radii):
         raise InputError(f"{key}: radii_km must be three positive and finite numbers, got {radii!r}")
     return None, (float(radii[0]), float(radii[1]), float(radii[2]))
+
+
+def with_units_decided(targets: Sequence[TargetSetup]) -> tuple[tuple[TargetSetup, ...], list[str]]:
+    """Targets with km or m for ``auto``, the same for all processes, and a warning for each that was guessed.
+
+    Raises
+    ------
+    DataError
+        A mesh file whose unit is to be guessed is damaged, or fits both.
+    """
+    decided, remarks = list[TargetSetup](), list[str]()
+    for target in targets:
+        units = target.units
+        if target.shape_file is not None and units == "auto":
+            surface = read_file(target.shape_file)
+            units = "km"
+            if not surface.in_km:
+                units, remark = guessed_units(target.shape_file, surface)
+                remarks.append(remark)
+        decided.append(replace(target, units=units))
+    return tuple(decided), remarks
 
 
 def _unmatched(

@@ -15,7 +15,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.config import SpiceSetup, TargetSetup, camera_of, existing_file, shape_of, spice_of
+from giantlike.campaign.config import (
+    SpiceSetup,
+    TargetSetup,
+    camera_of,
+    existing_file,
+    shape_of,
+    spice_of,
+    with_units_decided,
+)
 from giantlike.campaign.options import options_from_mapping
 from giantlike.campaign.render_schema import (
     DetectorSection,
@@ -118,6 +126,8 @@ class RenderPlan:
     catalog : str or None
         Name or path of the catalogue; None: no stars.
     spice : SpiceSetup or None
+    warnings : tuple of str
+        What is odd but no mistake.
     """
 
     path: Path
@@ -129,6 +139,7 @@ class RenderPlan:
     detector: DetectorModel
     catalog: str | None
     spice: SpiceSetup | None
+    warnings: tuple[str, ...]
 
     @classmethod
     def load(cls, path: str | Path) -> RenderPlan:
@@ -271,8 +282,12 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
     repeated = [name for name, count in Counter(target.name for target in targets).items() if count > 1]
     if repeated:
         raise InputError(f"targets: two targets have the name {repeated[0]!r}")
+    targets, guessed = with_units_decided(targets)
     if content.light.direction is not None and not any(content.light.direction):
         raise InputError("light.direction: must not be the zero vector")
+    light = content.light
+    if light.extended and light.distance_au * AU_KM <= SUN_RADIUS_KM:
+        raise InputError(f"light.distance_au: {light.distance_au:g} au lies inside the Sun")
     exposures = _exposures(path, content)
     names = {target.name for target in targets}
     for exposure in exposures:
@@ -291,6 +306,7 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
         detector=_detector(path, content.detector, camera),
         catalog=catalog,
         spice=None if content.spice is None else spice_of(path, content.spice),
+        warnings=tuple(guessed),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from giantlike.campaign.schema import SpiceSection
 from giantlike.campaign.toml_file import Section
@@ -13,7 +13,13 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
-class RenderSection(Section):
+class SceneSection(Section):
+    """A table of a scene file: its numbers are finite."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class RenderSection(SceneSection):
     """``[render]``: where images go and how they are made.
 
     ``rays_per_pixel_side`` squared is the number of rays in a pixel. ``geometry`` names a table that stands for
@@ -32,7 +38,7 @@ class RenderSection(Section):
     estimators: list[str] = Field(default=["cross_correlation", "limb_matching"])
 
 
-class LightSection(Section):
+class LightSection(SceneSection):
     """``[light]``: the Sun; ``direction`` is from the targets, inertial axes, and need not be of length one."""
 
     direction: Vector | None = None
@@ -40,27 +46,27 @@ class LightSection(Section):
     extended: bool = False
 
 
-class PhotometrySection(Section):
+class PhotometrySection(SceneSection):
     """``[photometry]``: electrons per second of a star of magnitude 0."""
 
     zero_point_e_s: float = Field(default=2.0e5, gt=0)
 
 
-class SkySection(Section):
+class SkySection(SceneSection):
     """``[stars]``: the catalogue, and its faintest star that is drawn."""
 
     catalog: str = "default"
     max_magnitude: float | None = None
 
 
-class HotPixelSection(Section):
+class HotPixelSection(SceneSection):
     """``[detector.hot_pixels]``: how many, and the median of their rates."""
 
     count: int = Field(default=0, ge=0)
     median_e_s: float = Field(default=500.0, gt=0)
 
 
-class DetectorSection(Section):
+class DetectorSection(SceneSection):
     """``[detector]``: what the detector does beyond the ``[detector]`` of its camera file.
 
     ``pattern_seed`` places what does not change from image to image: pixel response, hot and dead pixels. The tables
@@ -82,7 +88,7 @@ class DetectorSection(Section):
     vignetting: float = Field(default=0.0, ge=0, le=1)
 
 
-class PlaceSection(Section):
+class PlaceSection(SceneSection):
     """Where a target is: apparent vector from the camera, orientation, and its Sun where that differs."""
 
     position_km: Vector | None = None
@@ -102,14 +108,14 @@ class RenderTargetSection(PlaceSection):
     frame: str | None = None
 
 
-class ObserverSection(Section):
+class ObserverSection(SceneSection):
     """``observer``: the spacecraft with respect to the solar system barycentre, for parallax and aberration."""
 
     position_km: Vector
     velocity_km_s: Vector
 
 
-class ImageSection(Section):
+class ImageSection(SceneSection):
     """``[[images]]``: an exposure. The attitude is a quaternion or the pointing (RA, Dec, roll) of the boresight.
 
     ``targets`` holds places of targets in this image by name.
@@ -125,7 +131,7 @@ class ImageSection(Section):
     targets: dict[str, PlaceSection] = Field(default_factory=dict)
 
 
-class RenderFile(Section):
+class RenderFile(SceneSection):
     """A whole scene file."""
 
     render: RenderSection = RenderSection()

@@ -8,13 +8,15 @@ import typer
 
 from giantlike.campaign.render_plan import RenderPlan
 from giantlike.campaign.render_run import RenderedImage, render_images
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 
 
 def render_command(path: Path, *, output: Path | None, overwrite: bool, json: bool) -> ExitCode:
     """Render the images of a scene file."""
     plan = RenderPlan.load(path)
+    for warning in plan.warnings:
+        say(f"giantlike: {warning}")
     with progress_bar() as progress:
         images = render_images(plan, output, overwrite=overwrite, progress=progress)
     if json:

@@ -22,6 +22,7 @@ from giantlike.shapes.files.dsk import DskIdentity
 from giantlike.shapes.load import UnitsWarning, mesh_of, read_surface
 from giantlike.shapes.measure import Measures, measured
 from giantlike.shapes.repair import repaired
+from giantlike.shapes.save import keeps_albedo
 from giantlike.shapes.surface import Surface
 
 _KEYS = MappingProxyType(
@@ -71,6 +72,8 @@ def shape_convert(
         ]
     mesh = mesh_of(source, surface)
     save_shape(mesh, target, overwrite=overwrite, dsk=dsk)
+    if not keeps_albedo(mesh, target):
+        say(f"giantlike: {target}: the albedo is left out, this format has no room for it; .npz keeps it")
     return _written(mesh, target, lines, json=json)
 
 
@@ -83,6 +86,8 @@ def shape_decimate(
     coarse = decimated(mesh, facets)
     change = deviation(mesh, coarse)
     save_shape(coarse, target, overwrite=overwrite, dsk=dsk)
+    if mesh.albedo is not None:
+        say(f"giantlike: {target}: the albedo is left out, it belongs to the facets of {source}")
     share = change.max_km / mesh.mean_radius_km
     lines = [
         f"{len(mesh.faces)} facets before, {len(coarse.faces)} after",

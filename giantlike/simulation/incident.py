@@ -14,7 +14,7 @@ from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
-from giantlike.core.outcomes import Failure
+from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.time import et_from_time
 from giantlike.image import Image
 from giantlike.ray_tracing import RenderOptions, SceneRender, Template, render_scene
@@ -125,7 +125,7 @@ def incident_light(
     Raises
     ------
     InputError
-        The scene cannot tell where a target is or where the Sun stands, or the camera has no PSF.
+        The scene cannot tell where a target is or where the Sun stands, the camera has no PSF, or lies inside a target.
 
     Notes
     -----
@@ -231,6 +231,8 @@ def _seen_bodies(
     found, templates = {}, {}
     covered = np.zeros((camera.rows, camera.columns))
     for number, (geometry, template) in enumerate(zip(geometries, image.templates, strict=True)):
+        if isinstance(template, Failure) and template.reason is Reason.DEGENERATE_GEOMETRY:
+            raise InputError(f"{shot.name}: target {geometry.target.name!r}: {template.detail}")
         if isinstance(template, Template):
             found[geometry.target.name], templates[geometry.target.name] = geometry, template
             covered += image.coverage(number)
