@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tomllib
 from collections.abc import Mapping
@@ -15,15 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import (
+    MODELS,
     CameraModel,
     GridCorrectedModel,
-    PinholeModel,
     ifov_rad,
     model_from_mapping,
     model_to_mapping,
 )
 from giantlike.camera_models.affine import AffineModel
-from giantlike.camera_models.convert import frame_grid
+from giantlike.camera_models.convert import WIDE_START, frame_grid
+from giantlike.camera_models.plane import PlaneModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError, InputError
@@ -31,6 +33,7 @@ from giantlike.core.frames import quaternion_xyzw, rotation_from_xyzw
 from giantlike.io.atomic import write_text_atomic
 
 Part = TypeVar("Part", GaussianPsf, Detector)
+_WIDEST_PLANE_DEG, _WIDEST_FISHEYE_DEG = 170.0, 360.0
 _EDGE_NODES = 33  # along the longer side; the corners are among them
 
 
@@ -172,16 +175,35 @@ class Camera:
             )
 
     @classmethod
-    def from_fov(cls, fov_deg: float, columns: int, rows: int, *, name: str = "camera") -> Camera:
-        """Return a pinhole camera of a rough field of view along x, principal point at the image centre.
+    def from_fov(
+        cls, fov_deg: float, columns: int, rows: int, *, name: str = "camera", type_name: str = "pinhole"
+    ) -> Camera:
+        """Return a camera of a rough field of view along x, principal point at the image centre, ideal lens.
+
+        Parameters
+        ----------
+        fov_deg : float, degrees
+        columns, rows : int
+        name : str
+        type_name : str
+            A key of :data:`~giantlike.camera_models.MODELS`.
+
+        Raises
+        ------
+        InputError
+            The type is unknown or such a lens does not see so much.
 
         >>> round(Camera.from_fov(90.0, 100, 80).model.focal_length_px, 9)
         50.0
         """
-        require(0 < fov_deg < 170, f"fov_deg must be between 0 and 170, got {fov_deg}")
-        focal = columns / (2 * math.tan(math.radians(fov_deg) / 2))
-        model = PinholeModel(fx_px=focal, fy_px=focal, cx_px=(columns - 1) / 2, cy_px=(rows - 1) / 2)
-        return cls(name=name, columns=columns, rows=rows, model=model)
+        require(type_name in MODELS, f"camera model type must be one of {', '.join(sorted(MODELS))}, got {type_name!r}")
+        widest = _WIDEST_PLANE_DEG if issubclass(MODELS[type_name], PlaneModel) else _WIDEST_FISHEYE_DEG
+        require(0 < fov_deg < widest, f"fov_deg must be between 0 and {widest:g} for {type_name}, got {fov_deg}")
+        half = math.radians(fov_deg) / 2
+        unit = MODELS[type_name](fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **WIDE_START.get(type_name, {}))
+        focal = columns / (2 * float(unit.project([math.sin(half), 0.0, math.cos(half)])[0]))
+        values = {"fx_px": focal, "fy_px": focal, "cx_px": (columns - 1) / 2, "cy_px": (rows - 1) / 2}
+        return cls(name=name, columns=columns, rows=rows, model=dataclasses.replace(unit, **values))
 
     @classmethod
     def load(cls, path: str | Path) -> Camera:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from giantlike.calibration.alignment import AlignmentFix, align, interlock
+from giantlike.calibration.boards import board_observations
 from giantlike.calibration.calibrate import calibrate
 from giantlike.calibration.fix import CalibrationFix
 from giantlike.calibration.observations import ImageObservations, collimator_directions
@@ -16,6 +17,7 @@ __all__ = [
     "CalibrationOptions",
     "ImageObservations",
     "align",
+    "board_observations",
     "calibrate",
     "calibrate_stars",
     "collimator_directions",

@@ -25,7 +25,7 @@ from giantlike.stars.lost_in_space import depth_for, scaled_model
 from giantlike.stars.matching import attitudes_of_sky
 from giantlike.stars.navigation import StarNavigation, sky_of
 from giantlike.stars.options import StarOptions
-from giantlike.stars.refine import refine_attitude
+from giantlike.stars.refine import RefinedAttitude, refine_attitude
 
 DEFAULT_MIN_SNR = 20.0
 """Stars from which a camera is calibrated: their centroids are known to some 0.05 px."""
@@ -71,6 +71,27 @@ class StarImage:
         return self
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AllStars:
+    """Stars of all brightnesses that agree with the attitudes found with a calibrated camera.
+
+    Parameters
+    ----------
+    min_snr : float
+        Of the stars that were calibrated from; these are all, also the fainter ones.
+    count : int
+    rms_px : float, px
+        Radial. Faint stars have more noise, so that it is larger than that of the calibration.
+    noise_px : float, px
+        Radial rms that their own sigmas promise.
+    """
+
+    min_snr: float
+    count: int
+    rms_px: float
+    noise_px: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarCalibration:
     """A calibration from star images.
@@ -84,12 +105,15 @@ class StarCalibration:
         Whether the matches stopped changing.
     failed : tuple of (str, Failure)
         Images whose stars were lost on the way, and why.
+    all_stars : AllStars, optional
+        What the camera makes of fainter stars too; None where there are no stars.
     """
 
     fix: CalibrationFix
     rounds: int
     settled: bool
     failed: tuple[tuple[str, Failure], ...]
+    all_stars: AllStars | None = None
 
     def unwrap(self) -> StarCalibration:
         """Return the calibration itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
@@ -269,7 +293,38 @@ def calibrate_stars(
         rounds += 1
     if isinstance(fix, Failure):
         return fix
-    return StarCalibration(fix=fix, rounds=rounds, settled=settled, failed=tuple(failed))
+    return StarCalibration(
+        fix=fix,
+        rounds=rounds,
+        settled=settled,
+        failed=tuple(failed),
+        all_stars=_all_stars(fix, images, camera, stars, min_snr),
+    )
+
+
+def _all_stars(
+    fix: CalibrationFix, images: Sequence[StarImage], camera: Camera, options: StarOptions, min_snr: float
+) -> AllStars | None:
+    attitudes = {image.name: image.camera_from_reference for image in fix.images}
+    residuals, sigmas = [], []
+    for image in images:
+        if image.name not in attitudes:
+            continue
+        refined = _refined(image, replace(camera, model=fix.model), attitudes[image.name], options)
+        if isinstance(refined, RefinedAttitude):
+            used = refined.solution.used
+            seen = image.points_px[refined.matches.detection_indices]
+            residuals.append((seen - refined.solution.predicted_px)[used])
+            sigmas.append(refined.solution.sigma_px[used])
+    if not residuals:
+        return None
+    left, sigma = np.concatenate(residuals), np.concatenate(sigmas)
+    return AllStars(
+        min_snr=min_snr,
+        count=len(left),
+        rms_px=float(np.sqrt(np.mean(np.sum(left**2, axis=1)))),
+        noise_px=float(np.sqrt(2.0 * np.mean(sigma**2))),
+    )
 
 
 def _matches(observations: Sequence[ImageObservations]) -> list[tuple[str, bytes, bytes]]:
@@ -336,13 +391,12 @@ def _observations(
     )
 
 
-def _identified(
-    image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions, min_snr: float
-) -> ImageObservations | Failure:
-    """Bright matches of an image with a camera, those that the attitude fit leaves out included: calibration judges."""
+def _refined(
+    image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions
+) -> RefinedAttitude | Failure:
     camera = replace(camera, model=camera.model.at_temperature(image.temperature_c))
     focal, half = camera.model.focal_length_px, float(np.hypot(camera.columns, camera.rows)) / 2.0
-    refined = refine_attitude(
+    return refine_attitude(
         image.sky.field(camera, camera_from_inertial).brightest(depth_for(len(image.points_px))),
         image.points_px,
         image.covariance_px2,
@@ -352,6 +406,13 @@ def _identified(
         trials=lambda radius_px: attitudes_of_sky(radius_px, focal, half, 0.0),
         options=options,
     )
+
+
+def _identified(
+    image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions, min_snr: float
+) -> ImageObservations | Failure:
+    """Bright matches of an image with a camera, those that the attitude fit leaves out included: calibration judges."""
+    refined = _refined(image, camera, camera_from_inertial, options)
     if isinstance(refined, Failure):
         return refined
     bright = _bright(image.snr[refined.matches.detection_indices], min_snr)

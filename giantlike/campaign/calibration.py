@@ -55,13 +55,16 @@ class CampaignCalibration:
     alignment : AlignmentFix or None
         Of the camera with respect to the a priori attitudes, where images have them.
     lost : tuple of (str, str)
-        Star images that did not take part, and why.
+        Images that did not take part, and why.
+    targets : str
+        What was observed, in a word for people: stars, or corners of a board.
     """
 
     outcome: StarCalibration | Failure
     camera: Camera | None
     alignment: AlignmentFix | None
     lost: tuple[tuple[str, str], ...]
+    targets: str = "stars"
 
     @property
     def problem(self) -> str | None:
@@ -241,11 +244,12 @@ def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
     content: dict[str, Any] = {
         "status": "failed" if isinstance(result.outcome, Failure) else "ok" if result.camera else "not_accepted",
         "problem": result.problem,
+        "targets": result.targets,
         "images_lost": [{"file": name, "problem": problem} for name, problem in result.lost],
     }
     if isinstance(result.outcome, Failure):
         return content
-    fix = result.outcome.fix
+    fix, everything = result.outcome.fix, result.outcome.all_stars
     return content | {
         "model": model_to_mapping(fix.model),
         "estimated": list(fix.estimated),
@@ -259,6 +263,7 @@ def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
         "map_sigma_max_px": float(fix.map_sigma_px.max()),
         "n_used": fix.n_used,
         "n_rejected": fix.n_rejected,
+        "all_stars": None if everything is None else dataclasses.asdict(everything),
         "rounds": result.outcome.rounds,
         "settled": result.outcome.settled,
         "problems": list(fix.problems),

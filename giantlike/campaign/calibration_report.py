@@ -13,7 +13,9 @@ from giantlike.calibration.observability import Verdict
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera
-from giantlike.camera_models import CameraModel, PinholeModel
+from giantlike.camera_models import CameraModel, EquidistantModel, EquisolidModel, GridCorrectedModel, PinholeModel
+from giantlike.camera_models.affine import AFFINE_NAMES
+from giantlike.camera_models.axial import AxialModel
 from giantlike.campaign.calibration import REPORT_FILE, CampaignCalibration, calibration_summary
 from giantlike.campaign.page import render_page
 from giantlike.core.arrays import Float
@@ -84,14 +86,18 @@ def calibration_figures(fix: CalibrationFix) -> list[dict[str, str]]:
     residuals = star_residual_figure(
         fix.observed_px[used],
         fix.residuals_px[used],
-        np.nan_to_num(fix.magnitudes[used]),
+        fix.magnitudes[used],
         fix.sigma_px[used],
         fix.columns,
         fix.rows,
     )
     points, shifts = distortion_of(fix.model, fix.columns, fix.rows)
     figures = [
-        (residuals, "residuals", "Residuals of the observations used, over the field and against magnitude."),
+        (
+            residuals,
+            "residuals",
+            "Residuals of the observations used, over the field and by size.",
+        ),
         (
             residual_trend_figure(_trends(fix)),
             "trends",
@@ -100,8 +106,9 @@ def calibration_figures(fix: CalibrationFix) -> list[dict[str, str]]:
         (
             distortion_figure(points, shifts, fix.map_points_px, fix.map_sigma_px, fix.columns, fix.rows),
             "distortion",
-            "Left: where the camera puts a direction, minus where a pinhole of the same focal lengths and principal "
-            "point would. Right: uncertainty of the camera map, a rotation of the whole camera taken out.",
+            "Left: where the camera puts a direction, minus where an ideal lens (pinhole, or fisheye) of the same "
+            "focal lengths and principal point would. Right: uncertainty of the camera map, a rotation of the whole "
+            "camera taken out.",
         ),
     ]
     if len(fix.estimated) > 1:
@@ -113,11 +120,17 @@ def calibration_figures(fix: CalibrationFix) -> list[dict[str, str]]:
 
 
 def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, Float]:
-    """Grid of pixels (n, 2) and, there, the difference (n, 2) to a pinhole of the same affine parameters, px."""
+    """Grid of pixels (n, 2) and, there, the difference (n, 2) to the ideal lens of the same affine parameters, px.
+
+    Ideal is the pinhole; of a fisheye the equidistant or equisolid lens without its polynomial.
+    """
     values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
-    affine = {name: values[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px", "skew_px") if name in values}
+    affine = {name: values[name] for name in AFFINE_NAMES}
+    base = model.base if isinstance(model, GridCorrectedModel) else model
+    fisheye = EquisolidModel if isinstance(base, EquisolidModel) else EquidistantModel
+    ideal = fisheye(**affine) if isinstance(base, AxialModel) else PinholeModel(**affine)
     pixels = field_grid(columns, rows)
-    shifts = pixels - PinholeModel(**affine).project(model.unproject(pixels))
+    shifts = pixels - ideal.project(model.unproject(pixels))
     good = np.isfinite(shifts).all(axis=1)
     return pixels[good], shifts[good]
 

@@ -67,13 +67,23 @@ def run(
 def calibrate(
     inputs: Annotated[
         list[Path],
-        typer.Argument(metavar="CAMPAIGN.toml | IMAGE...", help="A campaign with [calibration], or star images."),
+        typer.Argument(
+            metavar="CAMPAIGN.toml | IMAGE...", help="A campaign with [calibration], or images of stars or of a board."
+        ),
     ],
     fov: Annotated[float | None, typer.Option(help="For images: rough field of view along x.", metavar="DEG")] = None,
     model: Annotated[str, typer.Option(help="For images: type of the camera model.")] = "brown",
     estimate: Annotated[
-        str, typer.Option(help="For images: parameters to estimate.", metavar="NAME,NAME,...")
-    ] = "fx_px,fy_px,k1,p1,p2",
+        str | None,
+        typer.Option(
+            help="For images: parameters to estimate; default fx_px,fy_px,k1,p1,p2; with a board cx_px,cy_px,k2 too.",
+            metavar="NAME,NAME,...",
+        ),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(help="Images show a checkerboard with so many inner corners.", metavar="COLUMNSxROWS"),
+    ] = None,
     max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalogue star.")] = None,
     output: Annotated[Path, typer.Option(help="For images: folder of what comes out.", metavar="DIR")] = Path(
         "calibration"
@@ -82,7 +92,7 @@ def calibrate(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
     json: Json = False,
 ) -> ExitCode:
-    """Calibrate a camera from star images.
+    """Calibrate a camera from images of stars, or of a checkerboard.
 
     Stars are identified anywhere on the sky and the camera is estimated, by turns; writes camera.toml with its
     covariance, calibration.html, calibration.json and the attitudes with the calibrated camera.
@@ -94,6 +104,7 @@ def calibrate(
         fov_deg=fov,
         model=model,
         estimate=estimate,
+        board=board,
         max_magnitude=max_magnitude,
         output=output,
         workers=workers,

@@ -1,4 +1,4 @@
-"""``giantlike calibrate``: a camera from the stars of a campaign, or from images and a rough field of view."""
+"""``giantlike calibrate``: a camera from a campaign, or from images of stars or of a board."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any
 
 import typer
 
+from giantlike.campaign.calibration import REPORT_FILE, calibration_summary
+from giantlike.campaign.calibration_boards import BoardSetup, calibrate_boards
 from giantlike.campaign.config import Campaign
 from giantlike.campaign.results import RunResult
 from giantlike.campaign.runner import run_campaign
@@ -18,6 +20,7 @@ from giantlike.image import Image
 from giantlike.io.atomic import write_text_atomic
 
 _CAMPAIGN = "campaign.toml"
+_ESTIMATE = "fx_px,fy_px,k1,p1,p2"
 
 
 def calibrate_command(
@@ -25,7 +28,8 @@ def calibrate_command(
     *,
     fov_deg: float | None,
     model: str,
-    estimate: str,
+    estimate: str | None,
+    board: str | None,
     max_magnitude: float | None,
     output: Path,
     workers: int | None,
@@ -34,11 +38,15 @@ def calibrate_command(
 ) -> ExitCode:
     """Calibrate and show the result; images are made a campaign first, whose file is kept."""
     path = inputs[0]
+    if board is not None:
+        require(fov_deg is not None, "--board needs --fov DEG, the rough field of view along x")
+        require(max_magnitude is None, "--max-magnitude is for stars")
+        return _calibrate_board(inputs, board, fov_deg, model, estimate, output, json=json)
     if len(inputs) == 1 and path.suffix.lower() == ".toml":
         require(fov_deg is None, "--fov goes with images; a campaign file has its own [camera]")
     else:
         require(fov_deg is not None, "give a campaign file, or images with --fov DEG")
-        path = _campaign_of_images(inputs, fov_deg, model, estimate, max_magnitude, output)
+        path = _campaign_of_images(inputs, fov_deg, model, estimate or _ESTIMATE, max_magnitude, output)
     campaign = Campaign.load(path)
     require(
         campaign.calibration is not None,
@@ -71,7 +79,7 @@ def _campaign_of_images(
         "images": {"files": [str(image.resolve()) for image in images]},
         "camera": {"columns": first.columns, "rows": first.rows, "fov_deg": fov_deg},
         "stars": stars,
-        "calibration": {"model": model, "estimate": [name.strip() for name in estimate.split(",")]},
+        "calibration": {"model": model, "estimate": _names(estimate)},
     }
     path = output / _CAMPAIGN
     require(not path.exists(), f"{path}: there is a calibration already; give --output another folder")
@@ -80,19 +88,57 @@ def _campaign_of_images(
     return path
 
 
+def _calibrate_board(
+    images: Sequence[Path],
+    board: str,
+    fov_deg: float | None,
+    model: str,
+    estimate: str | None,
+    output: Path,
+    *,
+    json: bool,
+) -> ExitCode:
+    across, _, down = board.lower().partition("x")
+    require(across.isdecimal() and down.isdecimal(), f"--board must be COLUMNSxROWS, such as 8x6, got {board!r}")
+    assert fov_deg is not None
+    setup = BoardSetup(
+        across=int(across),
+        down=int(down),
+        fov_deg=fov_deg,
+        model_type=model,
+        estimate=None if estimate is None else tuple(_names(estimate)),
+    )
+    summary = calibration_summary(calibrate_boards(images, setup, output))
+    if json:
+        print_json({"output": str(output), "calibration": summary})
+    else:
+        _print_calibration(summary)
+        typer.echo(output / REPORT_FILE)
+    return ExitCode.DONE if summary["status"] == "ok" and not summary["images_lost"] else ExitCode.SOME_IMAGES_FAILED
+
+
+def _names(estimate: str) -> list[str]:
+    return [name.strip() for name in estimate.split(",")]
+
+
 def _show(result: RunResult, *, json: bool) -> ExitCode:
     calibration = result.calibration or {}
     done = calibration["status"] == "ok"
     if json:
         print_json(result.summary())
     else:
-        _print_table(calibration)
-        for row in calibration["images_lost"]:
-            say(f"giantlike: {row['file']}: {row['problem']}")
-        if calibration["problem"]:
-            say(f"giantlike: {calibration['problem']}")
-        typer.echo(f"{result.folder / 'calibration.html'} ({result.time_s:.1f} s)")
+        _print_calibration(calibration)
+        typer.echo(f"{result.folder / REPORT_FILE} ({result.time_s:.1f} s)")
     return ExitCode.DONE if done and not result.failed_images else ExitCode.SOME_IMAGES_FAILED
+
+
+def _print_calibration(calibration: dict[str, Any]) -> None:
+    """The table, what took no part, and why the camera is not used."""
+    _print_table(calibration)
+    for row in calibration["images_lost"]:
+        say(f"giantlike: {row['file']}: {row['problem']}")
+    if calibration["problem"]:
+        say(f"giantlike: {calibration['problem']}")
 
 
 def _print_table(calibration: dict[str, Any]) -> None:
@@ -101,10 +147,17 @@ def _print_table(calibration: dict[str, Any]) -> None:
         return
     for row in calibration["parameters"]:
         typer.echo(f"{row['name']:<10}{row['value']:>16.8g}  +- {row['sigma']:<10.3g}{row['verdict']}")
+    targets, every = calibration["targets"], calibration["all_stars"]
     typer.echo(
-        f"{calibration['n_used']} stars of {len(calibration['images'])} images, {calibration['n_rejected']} rejected; "
-        f"residual rms {calibration['rms_px']:.3f} px radial, {calibration['residual_sigma_px']:.3f} px per axis; "
-        f"map known to {calibration['map_sigma_max_px']:.3f} px"
+        f"{calibration['n_used']} {targets} of {len(calibration['images'])} images, "
+        f"{calibration['n_rejected']} rejected; residual rms {calibration['rms_px']:.3f} px radial, "
+        f"{calibration['residual_sigma_px']:.3f} px per axis; map known to {calibration['map_sigma_max_px']:.3f} px"
     )
+    if every:
+        typer.echo(
+            f"all {every['count']} stars, also those of SNR < {every['min_snr']:g}: "
+            f"residual rms {every['rms_px']:.3f} px radial (their sigmas promise {every['noise_px']:.3f} px)"
+        )
     for row in calibration["rejected"][:5]:
-        typer.echo(f"rejected: star {row['label']} in {row['image']}, {row['distance_px'] or float('nan'):.2f} px off")
+        off = row["distance_px"] or float("nan")
+        typer.echo(f"rejected: {targets[:-1]} {row['label']} in {row['image']}, {off:.2f} px off")

@@ -96,6 +96,8 @@ def star_residual_figure(
 ) -> Figure:
     """Residuals of matched stars: arrows over the field, histogram per axis, size against magnitude.
 
+    What has no magnitudes, such as corners of a board, is shown against the distance from the image centre.
+
     Parameters
     ----------
     points_px : (n, 2), px
@@ -103,7 +105,7 @@ def star_residual_figure(
     residuals_px : (n, 2), px
         Observed minus predicted.
     magnitudes, sigma_px : (n,)
-        Catalogue magnitudes; standard deviation per axis that weighted each star, px.
+        Catalogue magnitudes, NaN where there are none; standard deviation per axis that weighted each star, px.
     columns, rows : int
         Size of the detector.
     """
@@ -114,11 +116,17 @@ def star_residual_figure(
         _draw_histogram(histogram, residuals_px)
         size = np.maximum(np.linalg.norm(residuals_px, axis=1), _SMALLEST_PX)
         many = size.size > MANY_POINTS
+        known = np.isfinite(magnitudes)
+        label, title = "magnitude", "Against magnitude"
+        if not known.any():
+            known, label, title = np.ones_like(known), "distance from centre, px", "Against distance from the centre"
+            magnitudes = np.linalg.norm(points_px - [(columns - 1) / 2, (rows - 1) / 2], axis=1)
+        magnitudes, size, sigma_px = magnitudes[known], size[known], sigma_px[known]
         brightness.plot(magnitudes, size, ".", color=BLUE, markersize=3.5, alpha=0.4, rasterized=many)
         brightness.plot(*_binned(magnitudes, _RAYLEIGH_MEDIAN * sigma_px), "-", color=RED, label="expected, median")
         brightness.plot(*_binned(magnitudes, size), "-", color=INK, linewidth=1.0, label="residual, median")
         brightness.set_yscale("log")
-        brightness.set(xlabel="magnitude", ylabel="radial residual, px", title="Against magnitude")
+        brightness.set(xlabel=label, ylabel="radial residual, px", title=title)
         brightness.legend(loc="lower right", frameon=True, framealpha=0.85, edgecolor="none")
     return figure
 
@@ -156,5 +164,5 @@ def _draw_histogram(axis: Axes, residuals_px: Float) -> None:
         axis.hist(
             clipped[:, k], bins=bins, histtype="step", linewidth=1.4, color=color, label=f"{name}: {sigma:.3f} px"
         )
-    axis.set(xlabel="observed - predicted, px", ylabel="stars", title="Distribution (standard deviation)")
+    axis.set(xlabel="observed - predicted, px", ylabel="number", title="Distribution (standard deviation)")
     axis.legend(loc="upper right")
