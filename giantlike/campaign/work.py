@@ -99,10 +99,15 @@ class Workbench:
         return cls(campaign, navigation, shapes, kernels)
 
     def with_camera(self, camera: Camera) -> Workbench:
-        """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky."""
-        stars, navigation = self.campaign.stars, self.navigation
+        """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky.
+
+        They rest on stars as bright as those of the calibration, so that residuals of the two compare.
+        """
+        stars, navigation, setup = self.campaign.stars, self.navigation, self.campaign.calibration
         if stars is not None and navigation is not None:
-            stars = replace(stars, options=replace(stars.options, lost_in_space=True, estimate_scale=False))
+            least = max(stars.options.min_snr, 0.0 if setup is None else setup.min_snr)
+            options = replace(stars.options, lost_in_space=True, estimate_scale=False, min_snr=least)
+            stars = replace(stars, options=options)
             navigation = StarNavigation(camera, navigation.catalog, stars.options, detection=stars.detection)
         return replace(self, campaign=replace(self.campaign, camera=camera, stars=stars), navigation=navigation)
 
