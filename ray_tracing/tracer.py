@@ -28,8 +28,12 @@ _SPHERE_MARGIN = 1.0001
 _HULL_FACETS = 500
 _EDGE = 1e-5
 """How near to an edge of a facet, across the ray and over the body radius, float32 may be wrong about the facet."""
-_SHADOW_OFFSET = 1e-5
-"""How far over the surface a shadow ray starts, as a fraction of the body radius; float32 resolves 6e-8."""
+_SHADOW_OFFSET = 1e-6
+"""How far over the surface a shadow ray starts, as a fraction of the body radius.
+
+Float32 resolves 6e-8: convex bodies have false shadows up to 1e-7, and none in 5e6 rays from 4e-7 on. What starts higher
+looks over low edges: 1e-5 moves the light of a rough body of 300 px by 0.005 px, 1e-6 by 0.0002 px.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,8 +146,7 @@ class MeshTracer:
         self._sizes_km: Float = np.sqrt(mesh.areas_km2)
         self._padded_normals = padded(self._normals)
         self._surface = EmbreeSurface(self._vertices_km, self._faces)
-        edge_km = float(np.sqrt(np.median(mesh.areas_km2)))
-        self._shadow_offset_km = min(_SHADOW_OFFSET * self.radius_km, 0.01 * edge_km)
+        self._shadow_offset_km = _SHADOW_OFFSET * self.radius_km
 
     @cached_property
     def hull_points_km(self) -> Float:

@@ -198,6 +198,9 @@ def test_a_tower_throws_a_shadow_as_long_as_the_sun_is_low() -> None:
     dark = tracer.shadowed(hits, sun)
     length = 1.0 / np.tan(elevation)
     assert_allclose([x[dark].min(), x[dark].max()], [-0.1 - length, -0.11], rtol=0, atol=0.01)
+    near_km = 3e-5  # a shadow ray that starts 6e-6 km over the slab, 1e-6 of the radius, looks 1e-5 km into the shadow
+    end = np.array([[-0.1 - length + near_km, 0.0, 0.0], [-0.1 - length - near_km, 0.0, 0.0]])
+    assert tracer.shadowed(tracer.intersect(origin, end - origin), sun).tolist() == [True, False]
 
 
 def _block_with_tower(half: float = 0.1) -> TriangleMesh:
