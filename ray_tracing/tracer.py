@@ -31,8 +31,8 @@ _EDGE = 1e-5
 _SHADOW_OFFSET = 1e-6
 """How far over the surface a shadow ray starts, as a fraction of the body radius.
 
-Float32 resolves 6e-8: convex bodies have false shadows up to 1e-7, and none in 5e6 rays from 4e-7 on. What starts higher
-looks over low edges: 1e-5 moves the light of a rough body of 300 px by 0.005 px, 1e-6 by 0.0002 px.
+Float32 resolves 6e-8: convex bodies have false shadows up to 1e-7, and none in 5e6 rays from 4e-7 on. What starts
+higher looks over low edges: 1e-5 moves the light of a rough body of 300 px by 0.005 px, 1e-6 by 0.0002 px.
 """
 
 
