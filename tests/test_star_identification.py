@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 from giantlike.camera import Camera
-from giantlike.camera_models import BrownModel
+from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, OpenCVModel, ScaramuzzaModel
 from giantlike.catalogs import MemoryCatalog, StarTable, load_catalog
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
@@ -39,6 +39,7 @@ from giantlike.stars import (
     identify_apriori,
     identify_lost_in_space,
 )
+from giantlike.stars.lost_in_space import scaled_model
 from giantlike.stars.matching import (
     chance_of_match,
     confusion_px,
@@ -444,15 +445,45 @@ def test_crowded_points_in_a_crowded_field_are_not_identified(catalog: MemoryCat
         assert isinstance(found, Failure)
 
 
-def test_fields_too_narrow_or_too_wide_are_refused_with_the_limits(catalog: MemoryCatalog) -> None:
+def test_fields_too_narrow_are_refused_with_the_limit(catalog: MemoryCatalog) -> None:
     points, covariance = np.random.default_rng(21).uniform(0, 1023, (20, 2)), np.tile(np.eye(2), (20, 1, 1))
-    for fov in (0.3, 120.0):
-        outcome = identify_lost_in_space(
-            points, covariance, Camera.from_fov(fov, 1024, 1024), Sky(catalog=catalog), options=StarOptions()
-        )
-        assert isinstance(outcome, Failure)
-        assert outcome.reason is Reason.FOV_MISMATCH
-        assert "a priori" in outcome.detail
+    outcome = identify_lost_in_space(
+        points, covariance, Camera.from_fov(0.3, 1024, 1024), Sky(catalog=catalog), options=StarOptions()
+    )
+    assert isinstance(outcome, Failure)
+    assert outcome.reason is Reason.FOV_MISMATCH
+    assert "a priori" in outcome.detail
+
+
+WIDE: dict[str, CameraModel] = {
+    "equidistant, 60 degrees": EquidistantModel(fx_px=978.0, fy_px=979.0, cx_px=515.0, cy_px=508.0, k1=0.02, k2=-0.01),
+    "equidistant, 90 degrees": EquidistantModel(fx_px=652.0, fy_px=652.0, cx_px=511.5, cy_px=511.5, k1=-0.03),
+    "equidistant, 120 degrees": EquidistantModel(fx_px=489.0, fy_px=489.0, cx_px=511.5, cy_px=511.5),
+    "opencv rational": OpenCVModel(
+        fx_px=1100.0, fy_px=1102.0, cx_px=511.5, cy_px=511.5, k1=0.31, k2=-0.11, k4=0.65, k5=0.07, p1=8e-4, s1=1e-3
+    ),
+    "scaramuzza": ScaramuzzaModel(fx_px=900.0, fy_px=900.0, cx_px=511.5, cy_px=511.5, b2=-0.3, b4=-0.02),
+}
+
+
+@pytest.mark.parametrize("kind", WIDE)
+def test_stars_are_found_through_wide_lenses(catalog: MemoryCatalog, kind: str) -> None:
+    camera = replace(CAMERA, model=WIDE[kind])
+    rng = np.random.default_rng(22)
+    scenes = [_scene(rng, catalog, camera=camera, n_stars=120) for _ in range(2)]
+    for rough in (1.0, 1.02):  # the focal length as it is, or wrong and estimated along
+        options = StarOptions(lost_in_space=True, estimate_scale=rough != 1.0, scale_error=0.05, max_magnitude=8.0)
+        navigation = StarNavigation(replace(camera, model=scaled_model(camera.model, rough)), catalog, options)
+        outcomes = [navigation.solve_detections(scene.image, scene.detections) for scene in scenes]
+        assert not [outcome.detail for outcome in outcomes if isinstance(outcome, Failure)]
+        for outcome, scene in zip(outcomes, scenes, strict=True):
+            fix = _solved(outcome)
+            assert _worst_px(fix.camera_from_inertial, scene.attitude, camera) < FULL_ATTITUDE_PX
+            assert fix.focal_length_px == pytest.approx(camera.model.focal_length_px, rel=1e-3)
+    image = scenes[0].image.with_attitude(_off(rng, scenes[0].attitude, 0.5))
+    fix = _solved(StarNavigation(camera, catalog).solve_detections(image, scenes[0].detections))
+    assert fix.provenance["identification"] == "a_priori"
+    assert _worst_px(fix.camera_from_inertial, scenes[0].attitude, camera) < FULL_ATTITUDE_PX
 
 
 def test_a_damaged_pattern_database_is_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -125,8 +125,8 @@ def identify_first(
 ) -> StarImage | Failure:
     """Find the stars of an image with a camera that is known roughly.
 
-    The focal length (and, with enough stars, k1) of pinhole and Brown cameras is estimated along; other models are
-    taken as they are. The whole sky is searched where there is no a priori attitude or it does not help.
+    The focal length (and, with enough stars, k1 of models that have it) is estimated along. The whole sky is searched
+    where there is no a priori attitude or it does not help.
 
     Parameters
     ----------
@@ -142,10 +142,8 @@ def identify_first(
     -------
     StarImage or Failure
     """
-    rough = camera.model.type_name in ("pinhole", BrownModel.type_name)
-    options = replace(navigation.options, lost_in_space=True, estimate_scale=rough, scale_error=scale_error)
-    if rough:
-        camera = replace(camera, model=scaled_model(camera.model, 1.0))
+    options = replace(navigation.options, lost_in_space=True, estimate_scale=True, scale_error=scale_error)
+    camera = replace(camera, model=scaled_model(camera.model, 1.0))
     solver = StarNavigation(camera, navigation.catalog, options, detection=navigation.detection)
     detections = solver.detect(image)
     if isinstance(detections, Failure):

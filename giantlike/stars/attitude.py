@@ -95,7 +95,7 @@ def fit_attitude(
         Of measurement and catalogue together, positive definite.
     model : CameraModel
     scale : Scale
-        What of the model to estimate too; needs a :class:`~giantlike.camera_models.BrownModel` unless ``FIXED``.
+        What of the model to estimate too; ``RADIAL`` needs a model with ``k1``.
     outlier_sigma : float
 
     Returns
@@ -141,11 +141,11 @@ class _State:
         if scale:
             names = self.model.parameter_names
             by_parameter = self.model.parameter_jacobian(vectors)
-            fx, fy, k1 = (names.index(name) for name in ("fx_px", "fy_px", "k1"))
+            fx, fy = names.index("fx_px"), names.index("fy_px")
             values = self.model.parameters
             columns.append((by_parameter[..., fx] * values[fx] + by_parameter[..., fy] * values[fy])[..., None])
             if scale == Scale.RADIAL:
-                columns.append(by_parameter[..., k1, None])
+                columns.append(by_parameter[..., names.index("k1"), None])
         return np.concatenate(columns, axis=-1)
 
     def moved(self, step: Float) -> _State:
@@ -155,7 +155,8 @@ class _State:
             factor = float(np.exp(step[3]))
             values["fx_px"] *= factor
             values["fy_px"] *= factor
-            values["k1"] += float(step[4]) if step.size > 4 else 0.0
+            if step.size > 4:
+                values["k1"] += float(step[4])
             model = model.with_parameters(list(values.values()))
         return _State(Rotation.from_rotvec(step[:3]) * self.rotation, model)
 

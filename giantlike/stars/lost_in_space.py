@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.camera_models import BrownModel, CameraModel
+from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.stars.field import Sky
@@ -34,6 +34,7 @@ _DISTORTED_EDGE_ERROR = 0.004  # ratio of pattern edges: a k1 of -0.4 over 14 de
 _HALF_EDGE_ERROR = 0.002
 _FIRST_RADIUS = 0.008  # of the image width: distortion that a pinhole of the right focal length leaves
 _SAME_SCALE = 0.005
+_MARGIN = 1.3  # of the frame in which patterns are looked for: distorted images reach over it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,11 +76,12 @@ def identify_lost_in_space(
         Reasons: fov_mismatch (out of range, or stars fit another focal length), too_few_detections,
         no_pattern_match, mirrored_image.
     """
-    if not MIN_FOV_DEG <= camera.fov_deg <= MAX_FOV_DEG:
+    fov_deg = _pattern_fov_deg(camera)
+    if fov_deg < MIN_FOV_DEG:
         return Failure(
             Reason.FOV_MISMATCH,
-            f"lost-in-space identification works for fields of view from {MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees, "
-            f"this camera has {camera.fov_deg:.3g}: give an a priori attitude",
+            f"lost-in-space identification works for fields of view from {MIN_FOV_DEG:g} degrees, "
+            f"this camera has {fov_deg:.3g}: give an a priori attitude",
         )
     needed = max(options.min_matches, 4)
     if len(points_px) < needed:
@@ -114,8 +116,10 @@ def pattern_candidates(
     sky : Sky
     options : StarOptions
     """
-    plane = _undistorted_px(points_px, camera)
-    database = pattern_database(camera.fov_deg)
+    fov_deg = _pattern_fov_deg(camera)
+    plane = _undistorted_px(points_px, camera, fov_deg)
+    width = 2.0 * camera.model.focal_length_px * math.tan(math.radians(fov_deg) / 2.0)
+    database = pattern_database(fov_deg)
     for attempt in _attempts(points_px, camera):
         subset = plane[attempt.chosen & np.isfinite(plane).all(axis=1)]
         if len(subset) < 4:
@@ -123,10 +127,10 @@ def pattern_candidates(
         brightness = np.arange(len(subset), 0, -1.0)  # only the order counts
         result = database.solve_from_centroids(
             np.column_stack([subset, brightness]),
-            fov_estimate_deg=camera.fov_deg,
-            image_width=camera.columns,
-            image_height=camera.rows,
-            fov_max_error_deg=camera.fov_deg * options.scale_error,
+            fov_estimate_deg=fov_deg,
+            image_width=round(width),
+            image_height=round(width * camera.rows / camera.columns),
+            fov_max_error_deg=fov_deg * options.scale_error,
             match_radius=_MATCH_RADIUS,
             match_threshold=_MATCH_THRESHOLD,
             solve_timeout_ms=None,  # bounded by work, so that slow machines find the same
@@ -136,7 +140,7 @@ def pattern_candidates(
             observer_velocity_km_s=None if sky.observer_velocity_km_s is None else list(sky.observer_velocity_km_s),
         )
         if isinstance(result, tetra3rs.SolveResult):
-            focal = camera.columns / (2.0 * math.tan(math.radians(result.fov_deg) / 2.0))
+            focal = round(width) / (2.0 * math.tan(math.radians(result.fov_deg) / 2.0))
             yield PatternCandidate(
                 camera_from_inertial=Rotation.from_matrix(result.rotation_matrix_icrs_to_camera),
                 scale=focal / camera.model.focal_length_px,
@@ -144,11 +148,13 @@ def pattern_candidates(
             )
 
 
-def scaled_model(model: CameraModel, scale: float) -> BrownModel:
-    """Brown model with the focal lengths of ``model`` times ``scale``; other parameters as they are, or zero."""
+def scaled_model(model: CameraModel, scale: float) -> CameraModel:
+    """The model with its focal lengths times ``scale``; a pinhole as a Brown model, whose ``k1`` can be estimated."""
     values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
-    values = {name: value for name, value in values.items() if name in BrownModel.parameter_names}
-    return BrownModel(**(values | {name: values[name] * scale for name in ("fx_px", "fy_px")}))
+    values |= {name: values[name] * scale for name in ("fx_px", "fy_px", "skew_px")}
+    if isinstance(model, PinholeModel):
+        return BrownModel(**values)
+    return model.with_parameters(list(values.values()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,10 +178,25 @@ def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
     yield _Attempt(everything, pattern_stars=_MANY_PATTERN_STARS)
 
 
-def _undistorted_px(points_px: Float, camera: Camera) -> Float:
-    """Where a pinhole of the same focal length would see the detections, from its principal point (m, 2)."""
+def _pattern_fov_deg(camera: Camera) -> float:
+    """Field of view along x in which patterns are looked for, degrees: what the lens sees, or the inner part of it."""
+    middle = camera.center_px[1]
+    left, right = camera.model.unproject([[-0.5, middle], [camera.columns - 0.5, middle]])
+    seen = math.degrees(math.acos(float(np.clip(left @ right, -1.0, 1.0))))
+    return min(seen, MAX_FOV_DEG) if math.isfinite(seen) else MAX_FOV_DEG
+
+
+def _undistorted_px(points_px: Float, camera: Camera, fov_deg: float) -> Float:
+    """Where a pinhole of the same focal length would see the detections, from its principal point (m, 2).
+
+    NaN well outside the field of view asked for, and of what lies behind the camera.
+    """
     vectors = camera.model.unproject(points_px)
-    result: Float = vectors[:, :2] / vectors[:, 2:] * camera.model.focal_length_px
+    depth = np.where(vectors[:, 2] > 0, vectors[:, 2], np.nan)[:, None]
+    plane = vectors[:, :2] / depth
+    half = math.tan(math.radians(fov_deg) / 2.0) * max(1.0, camera.rows / camera.columns)
+    inside = np.abs(plane).max(axis=1) <= _MARGIN * half
+    result: Float = np.where(inside[:, None], plane * camera.model.focal_length_px, np.nan)
     return result
 
 

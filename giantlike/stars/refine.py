@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.camera_models import ifov_rad
+from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.stars.attitude import AttitudeSolution, Scale, fit_attitude
@@ -141,11 +141,12 @@ def significant_matches(predicted_px: Float, points_px: Float, radius_px: float,
     return match_nearest(limited, points_px, radius_px)
 
 
-def scale_for(n_matched: int, options: StarOptions) -> Scale:
+def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale:
     """What of the camera model so many stars can determine."""
     if not options.estimate_scale or n_matched < _STARS_FOR_FOCAL_LENGTH:
         return Scale.FIXED
-    return Scale.RADIAL if n_matched >= _STARS_FOR_RADIAL else Scale.FOCAL_LENGTH
+    radial = n_matched >= _STARS_FOR_RADIAL and "k1" in model.parameter_names
+    return Scale.RADIAL if radial else Scale.FOCAL_LENGTH
 
 
 def _predicted_in_frame(field: StarField, camera: Camera, rotation: Rotation, margin_px: float) -> Float:
@@ -171,7 +172,7 @@ def _fit(
         points_px[chosen],
         covariance_px2[chosen] + (catalog_px**2 + blend_px**2)[:, None, None] * np.eye(2),
         camera.model,
-        scale=scale_for(len(matches), options),
+        scale=scale_for(len(matches), camera.model, options),
         outlier_sigma=options.outlier_sigma,
     )
 
