@@ -101,6 +101,10 @@ def test_a_camera_is_calibrated_from_its_size_a_rough_field_of_view_and_stars(do
     summary = json.loads(result.stdout)["calibration"]
     assert summary["status"] == "ok"
     assert summary["settled"]
+    assert summary["targets"] == "stars"
+    assert summary["all_stars"]["min_snr"] == 20.0
+    assert summary["all_stars"]["count"] >= summary["n_used"]
+    assert summary["all_stars"]["rms_px"] > summary["rms_px"]  # faint stars have more noise
     assert [one["name"] for one in summary["parameters"]] == ESTIMATE
     camera = Camera.load(path.parent / "done" / "camera.toml")
     assert map_difference(TRUTH.model, camera.model, columns=480, rows=400).rms_px < MAP_PX
@@ -207,6 +211,7 @@ def test_mistakes_are_one_line(images: Path) -> None:
         assert result.exit_code == 2
         (line,) = result.stderr.splitlines()
         assert message in line
+    assert not (images / "wrong" / "campaign.toml").exists()  # nothing in the way of the next attempt
 
 
 def test_a_camera_file_keeps_the_covariance_and_refuses_a_wrong_one(tmp_path: Path) -> None:

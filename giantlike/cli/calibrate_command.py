@@ -16,6 +16,7 @@ from giantlike.campaign.runner import run_campaign
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
+from giantlike.core.errors import OpNavError
 from giantlike.image import Image
 from giantlike.io.atomic import write_text_atomic
 
@@ -47,7 +48,12 @@ def calibrate_command(
     else:
         require(fov_deg is not None, "give a campaign file, or images with --fov DEG")
         path = _campaign_of_images(inputs, fov_deg, model, estimate or _ESTIMATE, max_magnitude, output)
-    campaign = Campaign.load(path)
+    try:
+        campaign = Campaign.load(path)
+    except OpNavError:
+        if path not in inputs:  # ours, which would be in the way of the next attempt
+            path.unlink()
+        raise
     require(
         campaign.calibration is not None,
         f'{path}: there is no [calibration] section; give one, such as estimate = ["fx_px", "fy_px", "k1"]',
