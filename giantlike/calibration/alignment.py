@@ -97,8 +97,7 @@ def align(
     temperatures = np.zeros(count) if temperatures_c is None else as_finite(temperatures_c, (count,), "temperatures_c")
     require(outlier_sigma > 0, f"outlier_sigma must be > 0, got {outlier_sigma}")
     drifts = temperatures_c is not None
-    needed = 1 + 2 * drifts
-    if count < needed:
+    if count < (needed := 1 + 2 * drifts):
         return Failure(Reason.TOO_FEW_MATCHES, f"{count} rotations, {needed} are needed")
     reference = float(temperatures.mean())
     offsets: Float = temperatures - reference
