@@ -3,7 +3,8 @@
 Run with ``OMP_NUM_THREADS=1 python benchmarks/calibration.py [SECTION...]``; sections are ``models`` (every camera
 model, 200 trials of 20 images of 50 stars at 0.1 px, from focal lengths 5 % off and no distortion), ``table`` (the five
 cameras of the OSIRIS-REx paper, Table 1), ``artemis`` (30 calibrations of 20 images with k2 and k3 that a narrow field
-does not support), ``speed`` (500 images of 100 stars) and ``real``. Stars are simulated directly in pixels.
+does not support), ``boards`` (a checkerboard through the fisheye of the ODIN paper, Table 2, its corners found in
+rendered images), ``speed`` (500 images of 100 stars) and ``real``. Stars are simulated directly in pixels.
 ``nees_band`` is the 95 % band of the mean over the trials; map errors are rms over the field, modulo a rotation.
 """
 
@@ -21,9 +22,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from giantlike.calibration import CalibrationFix, ImageObservations, calibrate, calibrate_stars, identify_first
+from giantlike.calibration.boards import board_corners, board_observations
 from giantlike.calibration.field_map import map_difference
 from giantlike.camera import Camera
-from giantlike.camera_models import CameraModel
+from giantlike.camera_models import CameraModel, ScaramuzzaModel
 from giantlike.camera_models.registry import model_from_mapping
 from giantlike.catalogs import load_catalog
 from giantlike.core.outcomes import Failure
@@ -207,6 +209,76 @@ def artemis() -> dict[str, Any]:
     }  # fmt: skip
 
 
+ODIN_FRAME, ODIN_CENTER = (1280, 960), (642.0, 477.0)
+ODIN = {"a0_px": 533.039, "a2": -7.764e-4, "a3": 4.340e-7, "a4": -8.639e-10}
+BOARD, BOARD_VIEWS, BOARD_TRIALS, BOARD_NOISE_DN = (9, 6), 10, 4, 2.0
+
+
+def board_images(model: CameraModel, seed: int) -> list[Image]:
+    """Pictures of a checkerboard in random places, from a few rays per pixel where the board is."""
+    rng = np.random.default_rng(seed)
+    corners = board_corners(across=BOARD[0], down=BOARD[1])
+    steps = [(np.arange(2 * n) + 0.5) / 2 - 0.5 for n in ODIN_FRAME]
+    rays = model.unproject(np.stack(np.meshgrid(*steps), axis=-1))
+    images: list[Image] = []
+    while len(images) < BOARD_VIEWS:
+        angle, azimuth = rng.uniform(0.0, 1.0), rng.uniform(0.0, 2.0 * np.pi)
+        away = np.array([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)])
+        facing = Rotation.from_euler("ZY", [azimuth, angle]) * Rotation.from_euler("Z", -azimuth)
+        turn = facing * Rotation.from_rotvec(rng.normal(0.0, 0.3, 3))
+        position = rng.uniform(6.0, 9.0) * away - turn.apply(corners.mean(axis=0))
+        at = model.project(turn.apply(corners) + position)
+        if not bool(np.all((at > 25) & (at < np.array(ODIN_FRAME) - 26))):
+            continue
+        inverse = turn.inv().as_matrix()
+        origin, along = -inverse @ position, rays @ inverse.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = -origin[2] / along[..., 2]
+            square = np.floor(origin[:2] + distance[..., None] * along[..., :2] + 1.0)
+        margin = (distance > 0) & np.all((square >= -1) & (square <= np.array(BOARD) + 1), axis=-1)
+        dark = margin & np.all((square >= 0) & (square <= BOARD), axis=-1) & (square.sum(axis=-1) % 2 == 0)
+        light = np.where(dark, 20.0, np.where(margin, 220.0, 110.0))
+        pixels = light.reshape(ODIN_FRAME[1], 2, ODIN_FRAME[0], 2).mean(axis=(1, 3))
+        noisy = pixels + rng.normal(0.0, BOARD_NOISE_DN, pixels.shape)
+        images.append(Image(pixels=noisy, name=f"board {len(images)}"))
+    return images
+
+
+def boards() -> dict[str, Any]:
+    truth = ScaramuzzaModel.from_polynomial(**ODIN, cx_px=ODIN_CENTER[0], cy_px=ODIN_CENTER[1])
+    start = Camera.from_fov(130.0, *ODIN_FRAME, type_name="scaramuzza").model
+    names = ("fx_px", "fy_px", "cx_px", "cy_px", "b2", "b3", "b4")
+    found, maps, nees, sigmas, seen, seconds = [], [], [], [], 0, 0.0
+    for trial in range(BOARD_TRIALS):
+        images = board_images(truth, 4000 + trial)
+        begin = time.process_time()
+        observations, failed = board_observations(images, start, across=BOARD[0], down=BOARD[1])
+        fix = calibrate(observations, start, estimate=names, columns=ODIN_FRAME[0], rows=ODIN_FRAME[1]).unwrap()
+        seconds += time.process_time() - begin
+        error = errors_of(fix, truth)
+        nees.append(float(error @ np.linalg.solve(fix.covariance, error)) / len(names))
+        maps.append(map_difference(truth, fix.model, columns=ODIN_FRAME[0], rows=ODIN_FRAME[1]).rms_px)
+        sigmas.append(fix.residual_sigma_px)
+        seen += len(images) - len(failed)
+        values = dict(zip(fix.model.parameter_names, fix.model.parameters.tolist(), strict=True))
+        f = (values["fx_px"] + values["fy_px"]) / 2
+        found.append([f, values["b2"] / f, values["b3"] / f**2, values["b4"] / f**3])
+    scatter = np.array(found)
+    return {
+        "polynomial": {
+            name: {"paper": value, "mean": float(f"{scatter[:, k].mean():.5g}"),
+                   "scatter": float(f"{scatter[:, k].std(ddof=1):.2g}")}
+            for k, (name, value) in enumerate(ODIN.items())
+        },
+        "boards_found": f"{seen} of {BOARD_VIEWS * BOARD_TRIALS}",
+        "residual_sigma_px": round(float(np.mean(sigmas)), 4),
+        "map_rms_px_mean": round(float(np.mean(maps)), 4),
+        "map_rms_px_max": round(float(np.max(maps)), 4),
+        "nees_per_parameter": round(float(np.mean(nees)), 2),
+        "cpu_s_per_calibration": round(seconds / BOARD_TRIALS, 2),
+    }  # fmt: skip
+
+
 def speed() -> dict[str, Any]:
     values = TRUTHS["brown"]
     truth = model_from_mapping({"type": "brown"} | values)
@@ -258,7 +330,7 @@ def real() -> dict[str, Any]:
 def main(sections: Sequence[str]) -> None:
     """Run the sections named, all without a name."""
     every: dict[str, Callable[[], dict[str, Any]]] = {
-        "table": table, "artemis": artemis, "speed": speed, "real": real, "models": models,
+        "table": table, "artemis": artemis, "boards": boards, "speed": speed, "real": real, "models": models,
     }  # fmt: skip
     for name in sections or every:
         print(json.dumps({name: every[name]()}, indent=1), flush=True)
