@@ -151,6 +151,38 @@ def stars(
     )
 
 
+@app.command("detect")
+@command
+def detect(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of any readable format.")],
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file: its PSF and detector are used.", metavar="CAMERA.toml")
+    ] = None,
+    psf_sigma: Annotated[
+        float | None, typer.Option(help="Width of the PSF; default: the camera's or as found.", metavar="PX")
+    ] = None,
+    min_snr: Annotated[float, typer.Option(help="Leave out what is fainter.")] = 0.0,
+    threshold: Annotated[float, typer.Option(help="Detection limit in units of the noise.", metavar="SIGMA")] = 5.0,
+    hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
+    json: Json = False,
+) -> ExitCode:
+    """Find stars and other point sources, and say where they are and how well that is known.
+
+    With --json all of them are listed, brightest first; flags say what speaks against one.
+    """
+    from giantlike.cli.detect_command import detect_command
+
+    return detect_command(
+        images,
+        camera_file=camera,
+        psf_sigma_px=psf_sigma,
+        min_snr=min_snr,
+        threshold_sigma=threshold,
+        hdu=int(hdu) if hdu is not None and hdu.isdecimal() else hdu,
+        json=json,
+    )
+
+
 @app.command("render")
 @command
 def render(

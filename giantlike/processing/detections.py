@@ -29,6 +29,20 @@ class DetectionFlag(enum.IntFlag):
     """Another detection lies so close that the two fits share pixels."""
     FIT_FAILED = 64
     """The fit ran away; the position is that of the peak, with a wide covariance."""
+    COSMIC_RAY = 128
+    """The track of a particle: light as sharp as pixels and not that of a point through the PSF."""
+    HOT_PIXEL = 256
+    """Stays at its pixel from image to image while the stars move."""
+    STREAK = 512
+    """A line as wide as the PSF: a star or another source that moved; the position is its middle."""
+
+    def names(self) -> tuple[str, ...]:
+        """Lower-case names of the single flags that are set, in order of definition.
+
+        >>> (DetectionFlag.BLENDED | DetectionFlag.SATURATED).names()
+        ('saturated', 'blended')
+        """
+        return tuple(str(flag.name).lower() for flag in DetectionFlag if flag in self)
 
 
 NOT_A_STAR = DetectionFlag.EXTENDED | DetectionFlag.SHARP | DetectionFlag.FIT_FAILED

@@ -1,0 +1,163 @@
+"""``giantlike detect``: point sources of images, without identifying them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from giantlike.camera import Camera
+from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.progress import progress_bar
+from giantlike.core.arrays import require
+from giantlike.core.detector import Detector
+from giantlike.core.errors import OpNavError
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.image import Image
+from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
+
+_SHOWN = 20
+"""Detections of an image that the table for people shows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectRequest:
+    """How images are to be searched.
+
+    Parameters
+    ----------
+    camera : Camera, optional
+        Its PSF and detector are used, and images of another size fail.
+    psf_sigma_px : float, px, optional
+        Instead of the camera's; by default it is estimated from each image.
+    min_snr : float
+        Detections of a lower signal to noise ratio are left out.
+    hdu : int or str, optional
+        Of FITS files.
+    options : DetectionOptions
+    """
+
+    camera: Camera | None = None
+    psf_sigma_px: float | None = None
+    min_snr: float = 0.0
+    hdu: int | str | None = None
+    options: DetectionOptions = field(default_factory=DetectionOptions)
+
+    def __post_init__(self) -> None:
+        sigma = self.psf_sigma_px
+        require(sigma is None or 0 <= sigma <= 20, f"--psf-sigma must be in [0, 20] px, got {sigma}")
+        require(math.isfinite(self.min_snr) and self.min_snr >= 0, f"--min-snr must be >= 0, got {self.min_snr}")
+
+    def search(self, image: Image) -> Detections | Failure:
+        """Sources of one image.
+
+        Raises
+        ------
+        InputError
+            The image has another size than the camera.
+        """
+        camera, have = self.camera, (image.columns, image.rows)
+        require(
+            camera is None or have == (camera.columns, camera.rows),
+            f"{image.name}: image is {have[0]}x{have[1]}, the camera has another size",
+        )
+        sigma = self.psf_sigma_px
+        if sigma is None and camera is not None and camera.psf is not None:
+            sigma = camera.psf.sigma_px
+        found = detect_sources(
+            image.pixels,
+            detector=Detector() if camera is None else camera.detector,
+            psf_sigma_px=sigma,
+            mask=image.mask,
+            options=self.options,
+        )
+        return found.select(found.snr >= self.min_snr) if isinstance(found, Detections) else found
+
+
+def detect_command(
+    images: Sequence[Path], *, camera_file: Path | None, json: bool, threshold_sigma: float, **request: Any
+) -> ExitCode:
+    """Search images and show what is found; ``request`` are fields of :class:`DetectRequest`."""
+    wanted = DetectRequest(
+        camera=None if camera_file is None else Camera.load(camera_file),
+        options=DetectionOptions(threshold_sigma=threshold_sigma),
+        **request,
+    )
+    results = []
+    with progress_bar() as progress:
+        for number, path in enumerate(images):
+            progress("detecting", number, len(images))
+            results.append(_searched(path, wanted))
+        progress("detecting", len(images), len(images))
+    if json:
+        print_json(results)
+    else:
+        _print_table(results)
+    failed = any(result["status"] == "failed" for result in results)
+    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+
+
+def _searched(path: Path, wanted: DetectRequest) -> dict[str, Any]:
+    """One object of the JSON list; what is not known is None."""
+    values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None, "detail": ""}
+    values |= {"psf_sigma_px": None, "noise_dn": None, "detections": []}
+    try:
+        found = wanted.search(Image.open(path, hdu=wanted.hdu))
+    except OpNavError as error:
+        return values | {"reason": str(Reason.UNREADABLE_IMAGE), "detail": str(error)}
+    if isinstance(found, Failure):
+        return values | {"reason": str(found.reason), "detail": found.detail}
+    return values | {
+        "status": "ok",
+        "psf_sigma_px": found.psf_sigma_px,
+        "noise_dn": found.noise_dn,
+        "detections": _rows(found),
+    }
+
+
+def _rows(found: Detections) -> list[dict[str, Any]]:
+    """One object per detection, brightest first."""
+    sigma = np.sqrt(np.diagonal(found.covariance_px2, axis1=1, axis2=2))
+    return [
+        {
+            "x_px": float(point[0]),
+            "y_px": float(point[1]),
+            "sigma_x_px": float(error[0]),
+            "sigma_y_px": float(error[1]),
+            "flux_dn": float(flux),
+            "snr": float(snr),
+            "flags": list(DetectionFlag(int(flags)).names()),
+            "is_star": bool(clean),
+        }
+        for point, error, flux, snr, flags, clean in zip(
+            found.points_px, sigma, found.flux_dn, found.snr, found.flags, found.clean, strict=True
+        )
+    ]
+
+
+def _print_table(results: Sequence[dict[str, Any]]) -> None:
+    """A line per image, and under it the brightest detections or the reason of the failure."""
+    for result in results:
+        rows = result["detections"]
+        if result["status"] == "failed":
+            typer.echo(f"{result['file']}: failed\n  {result['reason']}: {result['detail']}")
+            continue
+        stars = sum(row["is_star"] for row in rows)
+        typer.echo(
+            f"{result['file']}: {len(rows)} detections, {stars} look like stars; "
+            f"PSF sigma {result['psf_sigma_px']:.3f} px, noise {result['noise_dn']:.4g} DN"
+        )
+        if rows:
+            typer.echo(f"  {'x_px':>10}{'y_px':>10}{'sigma_x':>9}{'sigma_y':>9}{'flux_dn':>12}{'snr':>9}  flags")
+        for row in rows[:_SHOWN]:
+            typer.echo(
+                f"  {row['x_px']:>10.3f}{row['y_px']:>10.3f}{row['sigma_x_px']:>9.4f}{row['sigma_y_px']:>9.4f}"
+                f"{row['flux_dn']:>12.1f}{row['snr']:>9.1f}  {', '.join(row['flags'])}".rstrip()
+            )
+        if len(rows) > _SHOWN:
+            typer.echo(f"  ... and {len(rows) - _SHOWN} fainter ones: --json lists all")
