@@ -1,10 +1,14 @@
 r"""Wahba's problem: the rotation that best takes one set of directions to another.
 
-Davenport's q-method: the unit quaternion that maximises :math:`q^T K q` is the eigenvector of the largest
-eigenvalue of the symmetric 4x4 matrix K.
+Three methods for one problem. Davenport's q-method: the unit quaternion that maximises :math:`q^T K q` is the
+eigenvector of the largest eigenvalue of the symmetric 4x4 matrix K. The singular value decomposition: the rotation
+nearest to the profile matrix B, the weighted sum of the outer products. The Euler axis by cross products (ESOQ2): the
+largest eigenvalue from the characteristic polynomial of K, then axis and angle in closed form.
 """
 
 from __future__ import annotations
+
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +20,26 @@ from giantlike.core.outcomes import Failure, Reason
 MAX_SIGMA_RAD = 0.5
 """An attitude that is less certain than this about any axis is no attitude."""
 
+_NEWTON_STEPS = 30
+
+
+class WahbaMethod(StrEnum):
+    """How Wahba's problem is solved; all methods minimise the same sum."""
+
+    Q_METHOD = "q_method"
+    """Eigenvector of Davenport's matrix: the most robust."""
+    SVD = "svd"
+    """Singular values of the profile matrix."""
+    ESOQ2 = "esoq2"
+    """Axis and angle in closed form: no decomposition. A narrow field costs it digits of the roll."""
+
 
 def solve_wahba(
-    vectors_inertial: ArrayLike, vectors_camera: ArrayLike, sigma_rad: ArrayLike
+    vectors_inertial: ArrayLike,
+    vectors_camera: ArrayLike,
+    sigma_rad: ArrayLike,
+    *,
+    method: WahbaMethod = WahbaMethod.Q_METHOD,
 ) -> tuple[Rotation, Float] | Failure:
     r"""Attitude from pairs of directions, each weighted by its inverse variance.
 
@@ -30,6 +51,7 @@ def solve_wahba(
         Unit vectors a_i (inertial) and b_i (camera axes) of the same stars, n >= 2.
     sigma_rad : (n,) or scalar, rad
         Standard deviation of the angle between a_i and b_i, per axis across the line of sight.
+    method : WahbaMethod
 
     Returns
     -------
@@ -69,7 +91,7 @@ def solve_wahba(
             f"{n} directions leave the rotation about one axis free to {max(weakest, 1e-30) ** -0.5:.2g} rad: "
             "they lie along one line, or are too uncertain",
         )
-    rotation = Rotation.from_quat(davenport_quaternions(a[None], b[None], weights[None])[0])
+    rotation = _rotation(a, b, weights, method)
     covariance: Float = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return rotation, covariance
 
@@ -95,6 +117,65 @@ def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weight
         Quaternions camera_from_inertial, scalar last.
     """
     profile = np.einsum("mi,mij,mik->mjk", weights, vectors_camera, vectors_inertial)  # sum of w b a^T
+    quaternions: Float = np.linalg.eigh(_davenport(profile))[1][:, :, -1]
+    return quaternions
+
+
+def _rotation(a: Float, b: Float, weights: Float, method: WahbaMethod) -> Rotation:
+    if method is WahbaMethod.Q_METHOD:
+        return Rotation.from_quat(davenport_quaternions(a[None], b[None], weights[None])[0])
+    profile = np.einsum("i,ij,ik->jk", weights / weights.sum(), b, a)
+    if method is WahbaMethod.SVD:
+        left, _, right = np.linalg.svd(profile)
+        proper = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
+        return Rotation.from_matrix(left @ proper @ right)
+    return _esoq2(profile)
+
+
+def _esoq2(profile: Float) -> Rotation:
+    """Rotation of a profile matrix (3, 3) of unit weight, by axis and angle.
+
+    With t the trace of B, S = B + B^T and z its antisymmetric part, ``K q = l q`` for ``q = (e sin, cos)`` of half the
+    angle reads ``(l - t) cos = z.e sin`` and ``M e = 0``, ``M = (l - t) ((l + t) I - S) - z z^T``: the axis e is the
+    cross product of two rows of M. That fails for no rotation, so the inertial axes are first turned by half a turn
+    about that of their axes which leaves the largest angle: the one of the smallest trace.
+    """
+    flips = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    flip = flips[np.argmin(flips @ np.diag(profile))]
+    turned = profile * flip
+    davenport = _davenport(turned[None])[0]
+    largest = _largest_eigenvalue(davenport)
+    trace, z = davenport[3, 3], davenport[:3, 3]
+    matrix = (largest - trace) * ((largest + trace) * np.eye(3) - turned - turned.T) - np.outer(z, z)
+    crosses = np.stack([np.cross(matrix[i], matrix[j]) for i, j in ((0, 1), (1, 2), (2, 0))])
+    axis = crosses[np.argmax(np.linalg.norm(crosses, axis=1))]
+    axis = axis / np.linalg.norm(axis)
+    found = Rotation.from_quat([*((largest - trace) * axis), z @ axis])
+    result: Rotation = found * Rotation.from_matrix(np.diag(flip))
+    return result
+
+
+def _largest_eigenvalue(davenport: Float) -> float:
+    """Largest root of the characteristic polynomial of (4, 4) without trace, by Newton's method from above.
+
+    Of unit weight it is at most 1, and Newton's method falls to it from there without overshooting.
+    """
+    square = davenport @ davenport
+    quadratic = -float(np.trace(square)) / 2.0
+    linear = -float(np.trace(square @ davenport)) / 3.0
+    constant = float(np.linalg.det(davenport))
+    root = 1.0
+    for _ in range(_NEWTON_STEPS):
+        value = ((root * root + quadratic) * root + linear) * root + constant
+        slope = (4.0 * root * root + 2.0 * quadratic) * root + linear
+        if not (value > 0.0 and slope > 0.0):  # rounding: the root is reached
+            break
+        root -= value / slope
+    return root
+
+
+def _davenport(profile: Float) -> Float:
+    """Matrices K (m, 4, 4) of profile matrices B (m, 3, 3), for quaternions with the scalar last."""
     trace = np.trace(profile, axis1=1, axis2=2)
     axis = np.stack(
         [
@@ -108,5 +189,4 @@ def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weight
     davenport[:, :3, :3] = profile + np.swapaxes(profile, 1, 2) - trace[:, None, None] * np.eye(3)
     davenport[:, :3, 3] = davenport[:, 3, :3] = axis
     davenport[:, 3, 3] = trace
-    quaternions: Float = np.linalg.eigh(davenport)[1][:, :, -1]
-    return quaternions
+    return davenport

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from giantlike.stars.apriori import Identification, identify_apriori
-from giantlike.stars.attitude import AttitudeSolution, Scale, fit_attitude
+from giantlike.stars.attitude import AttitudeMethod, AttitudeSolution, Scale, fit_attitude
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, StarField
 from giantlike.stars.lost_in_space import identify_lost_in_space
 from giantlike.stars.navigation import StarNavigation
@@ -12,6 +12,7 @@ from giantlike.stars.refine import RefinedAttitude, refine_attitude
 
 __all__ = [
     "EPOCH_WHEN_UNKNOWN",
+    "AttitudeMethod",
     "AttitudeSolution",
     "Identification",
     "RefinedAttitude",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, require
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.processing.wahba import solve_wahba
+from giantlike.processing.wahba import WahbaMethod, solve_wahba
 
 _MAX_STEPS = 20
 _STEP_RAD = 1e-11
@@ -59,6 +61,19 @@ class AttitudeSolution:
     reduced_chi2: float
 
 
+class AttitudeMethod(StrEnum):
+    """How the attitude follows from stars that are identified."""
+
+    WEIGHTED = "weighted"
+    """Gauss-Newton on the pixels, from the q-method: the full covariance of centroid and catalogue of every star."""
+    Q_METHOD = "q_method"
+    """Davenport's q-method: one sigma a star."""
+    SVD = "svd"
+    """Singular value decomposition: one sigma a star."""
+    ESOQ2 = "esoq2"
+    """Axis and angle in closed form: one sigma a star."""
+
+
 class Scale(IntEnum):
     """How much of the camera model is estimated with the attitude; the value counts the parameters."""
 
@@ -77,10 +92,12 @@ def fit_attitude(
     *,
     scale: Scale = Scale.FIXED,
     outlier_sigma: float = 4.0,
+    method: AttitudeMethod = AttitudeMethod.WEIGHTED,
 ) -> AttitudeSolution | Failure:
-    """Attitude that puts stars where they were measured: q-method, then Gauss-Newton on the pixels.
+    """Attitude that puts stars where they were measured.
 
-    Every star is weighted with its full 2x2 covariance. Stars further off than ``outlier_sigma`` are left out, in
+    Every star is weighted with its full 2x2 covariance, or, by the methods that solve Wahba's problem, with the mean of
+    its variances along and across. Stars further off than ``outlier_sigma`` are left out, in
     turns, with the scatter judged by its median. When the residuals of the rest are larger than their covariances
     explain, an error floor common to all stars is added in quadrature until they do, so that the covariance of
     the attitude stays honest and no bright star rules the fit.
@@ -97,16 +114,25 @@ def fit_attitude(
     scale : Scale
         What of the model to estimate too; ``RADIAL`` needs a model with ``k1``.
     outlier_sigma : float
+    method : AttitudeMethod
 
     Returns
     -------
     AttitudeSolution or Failure
         Reasons: degenerate_geometry, not_converged.
 
+    Raises
+    ------
+    InputError
+        ``scale`` is to be estimated by a method that knows directions only.
+
     References
     ----------
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Attitude Estimation.
     """
+    weighted = method is AttitudeMethod.WEIGHTED
+    require(weighted or scale is Scale.FIXED, f"method {method} cannot estimate the scale; use 'weighted'")
+    fit: Fitter = _gauss_newton if weighted else partial(_wahba, WahbaMethod(method))
     vectors = model.unproject(points_px)
     seen: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=1)
     sigma = np.sqrt(np.trace(covariance_px2[seen], axis1=1, axis2=2) / 2.0)
@@ -117,13 +143,31 @@ def fit_attitude(
     )
     if isinstance(start, Failure):
         return start
-    kept = _without_outliers(
-        _State(start[0], model), directions_inertial, points_px, covariance_px2, seen, scale, outlier_sigma
-    )
+    stars = _Stars(directions_inertial, points_px, covariance_px2)
+    kept = _without_outliers(_State(start[0], model), stars, seen, scale, outlier_sigma, fit)
     if isinstance(kept, Failure):
         return kept
     state, used = kept
-    return _solution(state, directions_inertial, points_px, covariance_px2, used, scale)
+    return _solution(state, stars, used, scale, fit)
+
+
+@dataclass(frozen=True, slots=True)
+class _Stars:
+    """Directions (n, 3), measured places (n, 2) px, covariances (n, 2, 2) px^2."""
+
+    directions: Float
+    points_px: Float
+    covariance_px2: Float
+
+    def select(self, which: NDArray[np.bool_]) -> _Stars:
+        return _Stars(self.directions[which], self.points_px[which], self.covariance_px2[which])
+
+    def inflated(self, floor_px: float) -> _Stars:
+        """With an error floor in every covariance."""
+        return _Stars(self.directions, self.points_px, self.covariance_px2 + floor_px**2 * np.eye(2))
+
+    def residuals(self, state: _State) -> Float:
+        return self.points_px - state.predict(self.directions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,14 +205,23 @@ class _State:
         return _State(Rotation.from_rotvec(step[:3]) * self.rotation, model)
 
 
-def _gauss_newton(
-    state: _State, directions: Float, points_px: Float, covariance_px2: Float, scale: Scale
-) -> tuple[_State, Float] | Failure:
+Fitter: TypeAlias = Callable[[_State, _Stars, Scale], tuple[_State, Float] | Failure]
+
+
+def _wahba(method: WahbaMethod, state: _State, stars: _Stars, _: Scale) -> tuple[_State, Float] | Failure:
+    """One solution of Wahba's problem; the state and the covariance of its rotation (3, 3)."""
+    jacobian = state.model.unproject_jacobian(stars.points_px)
+    variances = np.einsum("nij,njk,nik->n", jacobian, stars.covariance_px2, jacobian) / 2.0
+    solved = solve_wahba(stars.directions, state.model.unproject(stars.points_px), np.sqrt(variances), method=method)
+    return solved if isinstance(solved, Failure) else (_State(solved[0], state.model), solved[1])
+
+
+def _gauss_newton(state: _State, stars: _Stars, scale: Scale) -> tuple[_State, Float] | Failure:
     """Weighted least squares; the state and the covariance of its parameters (3 + scale,) squared."""
-    weights = np.linalg.inv(covariance_px2)
+    weights = np.linalg.inv(stars.covariance_px2)
     for _ in range(_MAX_STEPS):
-        jacobian = state.jacobian(directions, scale)
-        residuals = points_px - state.predict(directions)
+        jacobian = state.jacobian(stars.directions, scale)
+        residuals = stars.residuals(state)
         if not np.isfinite(residuals).all():
             return Failure(Reason.NOT_CONVERGED, "a star left the region that the camera model can image")
         weighted = np.swapaxes(jacobian, 1, 2) @ weights
@@ -177,38 +230,28 @@ def _gauss_newton(
         units = 1.0 / np.sqrt(np.diag(normal))
         scaled = normal * np.outer(units, units)
         if not np.linalg.cond(scaled) < 1e12:
-            return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(directions)} stars leave a parameter of the fit free")
+            return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(weights)} stars leave a parameter of the fit free")
         step = np.linalg.solve(scaled, gradient * units) * units
         state = state.moved(step)
         if np.abs(step).max() < _STEP_RAD:
             return state, np.linalg.inv(scaled) * np.outer(units, units)
-    return Failure(
-        Reason.NOT_CONVERGED, f"attitude fit of {len(directions)} stars still moves after {_MAX_STEPS} steps"
-    )
+    return Failure(Reason.NOT_CONVERGED, f"attitude fit of {len(weights)} stars still moves after {_MAX_STEPS} steps")
 
 
 def _without_outliers(
-    state: _State,
-    directions: Float,
-    points_px: Float,
-    covariance_px2: Float,
-    used: NDArray[np.bool_],
-    scale: Scale,
-    outlier_sigma: float,
+    state: _State, stars: _Stars, used: NDArray[np.bool_], scale: Scale, outlier_sigma: float, fit: Fitter
 ) -> tuple[_State, NDArray[np.bool_]] | Failure:
     """Fit and leave out what lies further off than the median allows, until that changes nothing."""
     for _ in range(_MAX_ROUNDS):
-        floor = _median_floor(points_px[used] - state.predict(directions[used]), covariance_px2[used])
-        inflated = _inflated(covariance_px2[used], floor)
-        fitted = _gauss_newton(state, directions[used], points_px[used], inflated, scale)
+        chosen = stars.select(used)
+        fitted = fit(state, chosen.inflated(_median_floor(chosen, state)), scale)
         if isinstance(fitted, Failure):
             return fitted
         state, _ = fitted
-        residuals = points_px - state.predict(directions)
-        floor = _median_floor(residuals[used], covariance_px2[used])
-        keep = np.asarray(_squares(residuals, _inflated(covariance_px2, floor)) <= outlier_sigma**2)
+        allowed = stars.inflated(_median_floor(chosen, state))
+        keep = np.asarray(_squares(allowed.residuals(state), allowed.covariance_px2) <= outlier_sigma**2)
         if 2 * int(keep.sum()) < 4 + scale:
-            return Failure(Reason.NOT_CONVERGED, f"{int(keep.sum())} of {len(points_px)} stars agree with one attitude")
+            return Failure(Reason.NOT_CONVERGED, f"{int(keep.sum())} of {len(keep)} stars agree with one attitude")
         if np.array_equal(keep, used):
             break
         used = keep
@@ -216,38 +259,33 @@ def _without_outliers(
 
 
 def _solution(
-    state: _State, directions: Float, points_px: Float, covariance_px2: Float, used: NDArray[np.bool_], scale: Scale
+    state: _State, stars: _Stars, used: NDArray[np.bool_], scale: Scale, fit: Fitter
 ) -> AttitudeSolution | Failure:
     """Last fit, on the stars that are left: as they are weighted if chi-square allows, else with an error floor."""
+    chosen = stars.select(used)
     freedom = 2 * int(used.sum()) - 3 - scale
-    fitted = _gauss_newton(state, directions[used], points_px[used], covariance_px2[used], scale)
+    fitted = fit(state, chosen, scale)
     if isinstance(fitted, Failure):
         return fitted
-    residuals = points_px[used] - fitted[0].predict(directions[used])
-    plain = float(_squares(residuals, covariance_px2[used]).sum())
-    floor, inflated = 0.0, covariance_px2
+    plain = float(_squares(chosen.residuals(fitted[0]), chosen.covariance_px2).sum())
+    floor = 0.0
     if freedom > 0 and float(gammainc(freedom / 2.0, plain / 2.0)) > _NOISE_EXPLAINS:
-        residuals = points_px[used] - state.predict(directions[used])
-        floor = _floor(residuals, covariance_px2[used], lambda squares: float(squares.sum()) / freedom)
-        inflated = _inflated(covariance_px2, floor)
-        fitted = _gauss_newton(state, directions[used], points_px[used], inflated[used], scale)
+        floor = _floor(chosen, state, lambda squares: float(squares.sum()) / freedom)
+        fitted = fit(state, chosen.inflated(floor), scale)
         if isinstance(fitted, Failure):
             return fitted
     state, covariance = fitted
+    variances = np.trace(stars.inflated(floor).covariance_px2, axis1=1, axis2=2) / 2.0
     return AttitudeSolution(
         camera_from_inertial=state.rotation,
         covariance_rad2=covariance[:3, :3],
         model=state.model,
         used=used,
-        predicted_px=state.predict(directions),
-        sigma_px=np.sqrt(np.trace(inflated, axis1=1, axis2=2) / 2.0),
+        predicted_px=state.predict(stars.directions),
+        sigma_px=np.sqrt(variances),
         error_floor_px=floor,
         reduced_chi2=plain / max(freedom, 1),
     )
-
-
-def _inflated(covariance_px2: Float, floor_px: float) -> Float:
-    return covariance_px2 + floor_px**2 * np.eye(2)
 
 
 def _squares(residuals: Float, covariance_px2: Float) -> Float:
@@ -256,14 +294,15 @@ def _squares(residuals: Float, covariance_px2: Float) -> Float:
     return np.where(np.isfinite(squares), squares, np.inf)
 
 
-def _median_floor(residuals: Float, covariance_px2: Float) -> float:
+def _median_floor(stars: _Stars, state: _State) -> float:
     """Error floor, px, that brings the median of the squares to that of chi-square with two degrees of freedom."""
-    return _floor(residuals, covariance_px2, lambda squares: float(np.median(squares)) / _MEDIAN_CHI2)
+    return _floor(stars, state, lambda squares: float(np.median(squares)) / _MEDIAN_CHI2)
 
 
-def _floor(residuals: Float, covariance_px2: Float, measure: Callable[[Float], float]) -> float:
+def _floor(stars: _Stars, state: _State, measure: Callable[[Float], float]) -> float:
     """Error floor, px, at which ``measure`` of the squares falls to one; 0 where it is below without."""
-    variances, axes = np.linalg.eigh(covariance_px2)
+    residuals = stars.residuals(state)
+    variances, axes = np.linalg.eigh(stars.covariance_px2)
     along = np.einsum("nji,nj->ni", axes, residuals) ** 2
 
     def excess(floor_px: float) -> float:
