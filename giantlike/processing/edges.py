@@ -1,0 +1,215 @@
+"""Edges between light and dark: whole pixels found along the direction of sunlight, and what a measured edge is.
+
+The pixels come from :func:`scan_edges`; ``edges_partial_area`` and ``zernike`` then measure the edge in windows about
+them to a fraction of a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
+
+from giantlike.core.arrays import Float, as_finite, require
+
+Mask = NDArray[np.bool_]
+Pixels = NDArray[np.int64]
+
+_MIN_RUN = 3  # lit samples in a row, so that a hot pixel is no edge
+_STEEPEST_WITHIN_PX = 3.0
+_SETTLED_PX = 0.65  # from the middle of the window
+_FAR_PX = 1.1
+_MOVES = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EdgePoints:
+    """Edges measured to a fraction of a pixel.
+
+    Parameters
+    ----------
+    pixels_px : (n, 2) int64, px
+        Middle (x, y) of the window that each was measured in.
+    points_px : (n, 2) float64, px
+        On the edge, nearest to that middle.
+    normals_px : (n, 2) float64, unitless
+        Unit normals, from light to dark.
+    sigma_px : (n,) float64, px
+        Standard deviation along the normal: noise of the pixels, and what the method itself leaves.
+    sigma_normal_rad : (n,) float64, rad
+        Standard deviation of the direction of the normal by noise.
+    contrast_dn : (n,) float64, DN
+        Brightness across the edge, light less dark.
+    """
+
+    pixels_px: Pixels
+    points_px: Float
+    normals_px: Float
+    sigma_px: Float
+    sigma_normal_rad: Float
+    contrast_dn: Float
+
+    def __len__(self) -> int:
+        return len(self.points_px)
+
+    def select(self, which: Mask | NDArray[np.integer]) -> EdgePoints:
+        """The edges that a mask (n,) or indices choose."""
+        return EdgePoints(
+            pixels_px=self.pixels_px[which],
+            points_px=self.points_px[which],
+            normals_px=self.normals_px[which],
+            sigma_px=self.sigma_px[which],
+            sigma_normal_rad=self.sigma_normal_rad[which],
+            contrast_dn=self.contrast_dn[which],
+        )
+
+
+def scan_edges(
+    pixels_dn: Float, usable: Mask, sunlight: ArrayLike, *, threshold_dn: float, blur_sigma_px: float = 0.0
+) -> Pixels:
+    """Find the pixels where sunlight first meets a body: one scan line beside the other, from the lit side.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns) float64, DN
+    usable : (rows, columns) bool
+        Other pixels count as dark.
+    sunlight : (2,), unitless
+        Direction (x, y) in which sunlight travels in the image.
+    threshold_dn : float, DN
+        Pixels above are light: the background and several times its noise.
+    blur_sigma_px : float, px
+        Of the point spread function; edges are looked for so much farther behind the first light.
+
+    Returns
+    -------
+    (n, 2) int64, px
+        Pixels (x, y), each once. On a line the steepest rise near the first three lit samples in a row counts.
+
+    Raises
+    ------
+    InputError
+        Shapes disagree, or the direction is none.
+
+    References
+    ----------
+    .. [1] Inman et al., Artemis I optical navigation system performance, section III.A (scan in the direction of the
+       incoming sunlight for pixel-level limb points).
+    """
+    require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
+    along = as_finite(sunlight, (2,), "sunlight")
+    length = float(np.linalg.norm(along))
+    require(length > 0.0, "sunlight must have a direction in the image")
+    values, places = _lines(np.where(usable, pixels_dn, -np.inf), along / length)
+    lit = values > threshold_dn
+    started = np.all(sliding_window_view(np.pad(lit, ((0, 0), (0, _MIN_RUN - 1))), _MIN_RUN, axis=1), axis=-1)
+    lines = np.flatnonzero(started.any(axis=1))
+    if lines.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    first = np.argmax(started[lines], axis=1)
+    finite = np.where(np.isfinite(values[lines]), values[lines], threshold_dn)
+    rise = np.zeros_like(finite)
+    rise[:, 1:-1] = finite[:, 2:] - finite[:, :-2]
+    reach = math.ceil(_STEEPEST_WITHIN_PX + 2.0 * blur_sigma_px)
+    columns = np.clip(first[:, None] + np.arange(-2, reach + 1), 0, finite.shape[1] - 1)
+    steepest = columns[np.arange(lines.size), np.argmax(np.take_along_axis(rise, columns, axis=1), axis=1)]
+    found = places[lines, steepest]
+    inside = np.all((found >= 0) & (found < [pixels_dn.shape[1], pixels_dn.shape[0]]), axis=1)
+    unique: Pixels = np.unique(found[inside], axis=0)
+    return unique
+
+
+def _lines(values: Float, along: Float) -> tuple[Float, Pixels]:
+    """Nearest pixels on parallel lines one pixel apart: values (k, m), -inf outside, and their places (k, m, 2)."""
+    rows, columns = values.shape
+    reach = math.ceil(0.5 * math.hypot(rows, columns)) + 1
+    across = np.array([-along[1], along[0]])
+    steps = np.arange(-reach, reach + 1, dtype=np.float64)
+    middle = 0.5 * np.array([columns - 1, rows - 1])
+    places = np.floor(middle + 0.5 + steps[:, None, None] * across + steps[None, :, None] * along).astype(np.int64)
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    x, y = np.clip(places[..., 0] + 1, 0, columns + 1), np.clip(places[..., 1] + 1, 0, rows + 1)
+    return padded[y, x], places
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WindowEdges:
+    """What a method finds in windows: one edge each, from the middle of its window.
+
+    Parameters
+    ----------
+    offsets_px : (n, 2) float64, px
+        From the middle to the nearest point of the edge.
+    normals_px : (n, 2) float64, unitless
+        From light to dark.
+    sigma_px, sigma_normal_rad : (n,) float64
+    contrast_dn : (n,) float64, DN
+        NaN where there is no edge.
+    """
+
+    offsets_px: Float
+    normals_px: Float
+    sigma_px: Float
+    sigma_normal_rad: Float
+    contrast_dn: Float
+
+
+def measured_edges(
+    pixels_dn: Float, usable: Mask, seeds_px: Pixels, *, half_px: int, measure: Callable[[Float, Pixels], WindowEdges]
+) -> EdgePoints:
+    """Measure edges in windows about pixels, moving each window to where its edge goes through the middle pixel.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns) float64, DN
+    usable : (rows, columns) bool
+    seeds_px : (n, 2) int64, px
+        Pixels (x, y) within two of an edge.
+    half_px : int, px
+        Windows have ``2 half_px + 1`` pixels a side; those that reach over the frame or bad pixels are left out.
+    measure : callable
+        From windows (n, side, side) and their middles (n, 2) to a :class:`WindowEdges`.
+
+    Returns
+    -------
+    EdgePoints
+        Each middle pixel once.
+    """
+    require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
+    side = 2 * half_px + 1
+    clean = cv2.erode(usable.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0) > 0
+    middles = np.asarray(seeds_px, dtype=np.int64).reshape(-1, 2)
+    for move in range(_MOVES + 1):
+        inside = np.all((middles >= half_px) & (middles < np.array(pixels_dn.shape[::-1]) - half_px), axis=1)
+        middles = np.unique(middles[inside], axis=0)
+        middles = middles[clean[middles[:, 1], middles[:, 0]]]
+        found = measure(_windows(pixels_dn, middles, half_px), middles)
+        off = np.abs(found.offsets_px).max(axis=1, initial=0.0)
+        if move == _MOVES or not bool(np.any(off > _SETTLED_PX)):
+            break
+        near = np.isfinite(off) & (off <= half_px)
+        middles = middles[near] + np.where(off[near, None] > _SETTLED_PX, np.rint(found.offsets_px[near]), 0).astype(
+            np.int64
+        )
+    good = np.isfinite(off) & (off < _FAR_PX) & np.isfinite(found.sigma_px) & (found.contrast_dn > 0)
+    return EdgePoints(
+        pixels_px=middles,
+        points_px=middles + found.offsets_px,
+        normals_px=found.normals_px,
+        sigma_px=found.sigma_px,
+        sigma_normal_rad=found.sigma_normal_rad,
+        contrast_dn=found.contrast_dn,
+    ).select(good)
+
+
+def _windows(pixels_dn: Float, middles_px: Pixels, half_px: int) -> Float:
+    """Squares (n, side, side) of pixels about middles (n, 2) that lie inside."""
+    steps = np.arange(-half_px, half_px + 1)
+    rows = middles_px[:, 1, None, None] + steps[:, None]
+    windows: Float = pixels_dn[rows, middles_px[:, 0, None, None] + steps[None, :]]
+    return windows
