@@ -1,79 +1,83 @@
-"""Accuracy, consistency and speed of the estimators that work on limbs; prints JSON.
+"""Accuracy, consistency and speed of the estimators that work on limbs, beside the Cramer-Rao bound; prints JSON.
 
-Bodies of the template benchmark for limb_matching and a triaxial ellipsoid for ellipsoid_cra, at phase angles from 20
-to 120 degrees, rendered with the law that the estimator knows and with another one. Beside the errors stands the mean
-squared error of the position over its covariance (3 where that is honest) and the band in which 95 % of such means lie.
+Rows of the table of targets: bodies of 300 px (and others with ``--sizes``), phase angles from 20 to 120 degrees, the
+reflectance law that the estimator is told, or another one. ``nees_of_3`` is the mean squared error of the position over
+its covariance, 3 where that is honest; where errors are shared by the draws of one truth, as those of a wrong law are,
+its standard error is that among truths and not the width of the band.
 
-Usage: python benchmarks/estimators_limb.py [draws per size and law]
+Usage: python benchmarks/estimators_limb.py [--draws 12] [--truths 18] [--rows limb_matching] [--sizes 20,30,...]
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from estimators_template import CAMERA, Draw, draw, timed
-from scipy.stats import chi2
+from monte_carlo import PHASES_DEG, Truth, render_cost_s, run_cell, summary, trials, truth_of
 
-from giantlike.core.outcomes import PositionFix
-from giantlike.ray_tracing import Lambert, McEwen, Reflectance
+from giantlike.ray_tracing import LommelSeeliger, McEwen
 from giantlike.relative import EllipsoidCRA, Estimator, LimbMatching, LimbMatchingOptions
-from giantlike.scene import Scene
-from giantlike.shapes import Ellipsoid, Shape
+from giantlike.shapes import Ellipsoid, Shape, irregular_body
 
-PHASES_DEG = (20.0, 40.0, 60.0, 80.0, 100.0, 120.0)
-ELLIPSOID = Ellipsoid(radii_km=np.array([0.3, 0.26, 0.22]))
-KNOWN, OTHER = McEwen(), Lambert()
+TRUE_LAW, OTHER_LAW = McEwen(), LommelSeeliger()
+LARGEST_IN_1024_PX = 600.0
 
 
-def taken(diameter_px: float, law: Reflectance, seed: int, shape: Shape | None) -> Draw:
-    """An image under ``law`` of which the estimator is told the known one."""
-    one = draw(diameter_px, PHASES_DEG[seed % len(PHASES_DEG)], law, seed, shape=shape)
-    target = one.scene.targets[0]
-    return replace(one, scene=Scene(targets=(replace(target, reflectance=KNOWN),)))
+@dataclass(frozen=True)
+class Row:
+    """An estimator and the bodies that it is tried on."""
+
+    name: str
+    estimator: Estimator
+    shapes: Sequence[Shape]
 
 
-def measured(estimator: Estimator, draws: list[Draw]) -> dict[str, object]:
-    errors, ranges, nees, seconds, failed = [], [], [], [], []
-    for one in draws:
-        fix, spent = timed(lambda one=one: estimator.estimate(one.image, CAMERA, one.scene))  # type: ignore[misc]
-        seconds.append(spent)
-        if not isinstance(fix, PositionFix):
-            failed.append(str(fix))
-            continue
-        error_km = fix.position_camera_km - one.body.position_camera_km
-        errors.append(fix.center_px - one.center_px)
-        ranges.append(fix.range_km / one.range_km - 1.0)
-        nees.append(float(error_km @ np.linalg.solve(fix.covariance_camera_km2, error_km)))
-    band = [round(float(chi2.ppf(chance, 3 * len(nees))) / len(nees), 2) for chance in (0.025, 0.975)]
-    return {
-        "draws": len(draws),
-        "failed": failed,
-        "rms_px": np.sqrt(np.mean(np.square(errors), axis=0)).round(4).tolist(),
-        "rms_range": float(f"{np.sqrt(np.mean(np.square(ranges))):.2g}"),
-        "nees_of_3": round(float(np.mean(nees)), 2),
-        "nees_band_95": band,
-        "worst_nees": round(float(np.max(nees)), 1),
-        "median_cpu_s": round(float(np.median(seconds)), 2),
-    }
+ROWS = (
+    Row(
+        "limb_matching",
+        LimbMatching(LimbMatchingOptions(min_diameter_px=15.0)),
+        [irregular_body(seed, facets=50_000) for seed in (1, 2, 3)],
+    ),
+    Row("ellipsoid_cra", EllipsoidCRA(), [Ellipsoid(radii_km=np.array([0.3, 0.26, 0.22]))]),
+)
+
+
+def truths_for(row: Row, diameter_px: float, phases_deg: Sequence[float], count: int) -> list[Truth]:
+    """Truths with the phase angles and shapes in turn."""
+    return [
+        truth_of(
+            row.shapes[number % len(row.shapes)],
+            diameter_px,
+            phases_deg[number % len(phases_deg)],
+            TRUE_LAW,
+            100 + number,
+            size_px=1024 if diameter_px <= LARGEST_IN_1024_PX else 2048,
+        )
+        for number in range(count)
+    ]
 
 
 def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 102
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=12, help="of every truth")
+    parser.add_argument("--truths", type=int, default=18, help="of every cell")
+    parser.add_argument("--rows", default=",".join(row.name for row in ROWS))
+    parser.add_argument("--sizes", default="300", help="mean diameters, px, with commas")
+    parser.add_argument("--by-phase", action="store_true", help="a cell for each phase angle")
+    arguments = parser.parse_args()
     report: dict[str, object] = {}
-    estimators: tuple[tuple[Estimator, Shape | None], ...] = (
-        (LimbMatching(LimbMatchingOptions(min_diameter_px=20.0)), None),
-        (EllipsoidCRA(), ELLIPSOID),
-    )
-    for estimator, shape in estimators:
-        for diameter_px in (30.0, 100.0, 300.0):
-            for name, law in (("exact law", KNOWN), ("other law", OTHER)):
-                draws = [taken(diameter_px, law, seed, shape) for seed in range(count)]
-                key = f"{estimator.name} {diameter_px:g} px, {name}"
-                report[key] = measured(estimator, draws)
-                print(key, json.dumps(report[key]), file=sys.stderr, flush=True)
+    for row in (row for row in ROWS if row.name in arguments.rows.split(",")):
+        for diameter_px in (float(size) for size in arguments.sizes.split(",")):
+            for phases_deg in [(p,) for p in PHASES_DEG] if arguments.by_phase else [PHASES_DEG]:
+                truths = truths_for(row, diameter_px, phases_deg, arguments.truths)
+                label = f"{row.name} {diameter_px:g} px" + (f" {phases_deg[0]:g} deg" if arguments.by_phase else "")
+                for name, told in (("exact law", None), ("other law", OTHER_LAW)):
+                    done = trials(row.estimator, truths, arguments.draws, told=told)
+                    run_cell(f"{label}, {name}", summary(done, truths), report)
+                run_cell(f"{label}, bare render", {"cpu_s": render_cost_s(truths[0])}, report)
     print(json.dumps(report, indent=2))
 
 
