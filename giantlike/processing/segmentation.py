@@ -142,7 +142,8 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
         -1.0,
     )
     best = np.flatnonzero(between >= between.max() * (1.0 - 1e-12))
-    return float(edges[1:-1][best].mean())  # a gap between the classes is cut in its middle
+    gap = best[: int(np.argmax(np.append(np.diff(best), 2) > 1)) + 1]  # bins without values between the classes
+    return float(edges[1:-1][gap].mean())
 
 
 def background_of(values: Float) -> Background:
@@ -261,8 +262,8 @@ def identify_blobs(
     if not found:
         return Failure(
             Reason.NO_SIGNAL,
-            f"{len(expected)} bodies were expected, each within {search_px:g} px of its place; none of {len(blobs)} blobs "
-            "there looks like one of them",
+            f"{len(expected)} bodies were expected, each within {search_px:g} px of its place; the {len(blobs)} blobs of "
+            "light are elsewhere or of other sizes",
         )
     order = sorted(found, key=lambda chosen: found[chosen])
     if len(order) > 1 and found[order[1]] - found[order[0]] < _RIVAL_COST:
