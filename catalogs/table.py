@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, frozen, require
 from giantlike.core.units import RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
+
+_NO_COLORS: Float = np.empty(0)
+_NO_FLAGS: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,6 +42,12 @@ class StarTable:
         Standard deviation of the position per axis at ``epoch_jyear``.
     sigma_pm_mas_yr : (n,) float64, mas/yr
         Standard deviation of the proper motion per axis.
+    color_bp_rp : (n,) float64, optional
+        Gaia BP-RP, NaN where unknown.
+    is_double : (n,) bool, optional
+        Known doubles: the catalogue has a companion within a few arcseconds or says that the star is none alone,
+        or :func:`~giantlike.catalogs.blended` made one of several. Place, motion and magnitude of such a star are
+        good for less than their standard deviations say.
     """
 
     ids: NDArray[np.int64]
@@ -51,15 +62,20 @@ class StarTable:
     color_bv: Float
     sigma_mas: Float
     sigma_pm_mas_yr: Float
+    color_bp_rp: Float = field(default_factory=lambda: _NO_COLORS)
+    is_double: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
 
     def __post_init__(self) -> None:
         n = np.asarray(self.ids).shape
         require(len(n) == 1, f"star table: ids must have shape (n,), got {n}")
-        for field in fields(self):
-            dtype = np.int64 if field.name == "ids" else np.float64
-            column = np.asarray(getattr(self, field.name), dtype=dtype)
-            require(column.shape == n, f"star table: {field.name} must have shape {n}, got {column.shape}")
-            object.__setattr__(self, field.name, frozen(column.view()))
+        if self.color_bp_rp is _NO_COLORS:
+            object.__setattr__(self, "color_bp_rp", np.full(n, np.nan))
+        if self.is_double is _NO_FLAGS:
+            object.__setattr__(self, "is_double", np.zeros(n, dtype=np.bool_))
+        for name, dtype in COLUMN_TYPES.items():
+            column = np.asarray(getattr(self, name), dtype=dtype)
+            require(column.shape == n, f"star table: {name} must have shape {n}, got {column.shape}")
+            object.__setattr__(self, name, frozen(column.view()))
 
     def __len__(self) -> int:
         return int(self.ids.size)
@@ -67,13 +83,25 @@ class StarTable:
     def select(self, index: ArrayLike) -> StarTable:
         """The stars of a mask (n,) or of integer indices (k,), in that order."""
         chosen = np.asarray(index)
-        return StarTable(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+        return StarTable(**{name: getattr(self, name)[chosen] for name in COLUMN_TYPES})
 
     def sigma_rad(self, et: float) -> Float:
         """Standard deviation (n,) per axis, rad, of the directions at ``et``: position and proper motion."""
         years = julian_year(et) - self.epoch_jyear
         sigma: Float = np.hypot(self.sigma_mas, self.sigma_pm_mas_yr * years) * RAD_PER_MAS
         return sigma
+
+
+COLUMN_TYPES: Mapping[str, type[np.generic]] = MappingProxyType(
+    {"ids": np.int64} | {f.name: np.float64 for f in fields(StarTable)[1:-1]} | {"is_double": np.bool_}
+)
+"""The columns of a :class:`StarTable` in their order, and the types of their values."""
+
+
+def joined(tables: Sequence[StarTable]) -> StarTable:
+    """The stars of several tables, one after the other."""
+    require(len(tables) > 0, "joined needs at least one star table")
+    return StarTable(**{name: np.concatenate([getattr(table, name) for table in tables]) for name in COLUMN_TYPES})
 
 
 def julian_year(et: float) -> float:

@@ -224,7 +224,7 @@ def builds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
 def test_the_catalogue_is_built_once_and_then_read_from_the_cache(builds: list[int], tmp_path: Path) -> None:
     first, second = default.default_catalog(), default.default_catalog()
     assert len(builds) == 1
-    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".npz"]
+    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".stars"]
     for name in ("ids", "ra_deg", "magnitude"):
         assert getattr(first.stars, name).tolist() == getattr(second.stars, name).tolist()
 

@@ -1,0 +1,99 @@
+"""Stars that a camera cannot tell apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from giantlike.catalogs.astrometry import apparent_directions
+from giantlike.catalogs.table import COLUMN_TYPES, StarTable, julian_year
+from giantlike.core.arrays import Float, require
+from giantlike.core.frames import radec_from_direction
+from giantlike.core.units import RAD_PER_MAS
+
+_MAGNITUDE = 2.5 / np.log(10.0)
+
+
+def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
+    """Merge stars that are nearer to each other than a camera resolves.
+
+    Each star, the brightest first, takes in all fainter ones within ``radius_rad`` that no brighter one has taken.
+    The merged star has the identifier, colours and radial velocity of the brightest, the flux of all, and at ``et``
+    the place, motion and parallax of the centre of light: what a fit to the blended image finds while the separation
+    is well below the width of the PSF. It is marked as double. Stars alone stay as they are.
+
+    Parameters
+    ----------
+    stars : StarTable
+        n stars.
+    radius_rad : float, rad
+        Two stars nearer than this are seen as one: about the standard deviation of the PSF, times what the
+        detection can separate.
+    et : float, s
+        TDB seconds past J2000 of the image: stars are merged where they are then.
+
+    Returns
+    -------
+    StarTable
+        At most n stars, brightest first.
+
+    Raises
+    ------
+    InputError
+        The radius is not positive.
+
+    Notes
+    -----
+    The merged place is a catalogue place again: its epoch is that of ``et``, so that the other functions can move
+    it, take parallax and aberration from there. The direction of the centre of light is right to second order in the
+    separation; the motions of the members are averaged with their flux as weight.
+    """
+    require(0.0 < radius_rad < np.inf, f"radius_rad must be positive, got {radius_rad}")
+    stars = stars.select(np.argsort(stars.magnitude, kind="stable"))
+    directions = apparent_directions(stars, et)
+    leader = blend_leaders(directions, radius_rad)
+    sizes = np.bincount(leader, minlength=len(stars))
+    mixed = sizes > 1
+    if not mixed.any():
+        return stars
+    flux = np.exp((stars.magnitude[leader] - stars.magnitude) / _MAGNITUDE)  # of the brightest of each blend
+    total = np.bincount(leader, weights=flux, minlength=len(stars))
+    weight = flux / total[leader]
+
+    def mean(values: Float) -> Float:
+        return np.bincount(leader, weights=weight * values, minlength=len(stars))
+
+    columns = {name: np.array(getattr(stars, name)) for name in COLUMN_TYPES}
+    center = np.stack([mean(component) for component in directions.T], axis=-1)
+    ra, dec = radec_from_direction(center[mixed])
+    columns["ra_deg"][mixed], columns["dec_deg"][mixed] = ra, dec
+    columns["epoch_jyear"][mixed] = julian_year(et)
+    for name in ("pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas"):
+        columns[name][mixed] = mean(columns[name])[mixed]
+    variance = np.bincount(leader, weights=(weight * stars.sigma_rad(et) / RAD_PER_MAS) ** 2, minlength=len(stars))
+    drift = np.bincount(leader, weights=(weight * stars.sigma_pm_mas_yr) ** 2, minlength=len(stars))
+    columns["sigma_mas"][mixed], columns["sigma_pm_mas_yr"][mixed] = np.sqrt(variance[mixed]), np.sqrt(drift[mixed])
+    columns["magnitude"][mixed] -= _MAGNITUDE * np.log(total[mixed])
+    columns["is_double"][mixed] = True
+    merged = StarTable(**columns).select(sizes > 0)
+    return merged.select(np.argsort(merged.magnitude, kind="stable"))
+
+
+def blend_leaders(directions: Float, radius_rad: float) -> NDArray[np.intp]:
+    """Which star (n,) each star is merged into, itself if it stays; stars come brightest first.
+
+    Parameters
+    ----------
+    directions : (n, 3) float64, unitless
+        Unit vectors.
+    radius_rad : float, rad
+    """
+    count = len(directions)
+    leader = np.arange(count)
+    chord = 2.0 * np.sin(min(radius_rad, np.pi) / 2.0)
+    pairs = cKDTree(directions).query_pairs(chord, output_type="ndarray") if count else np.empty((0, 2), dtype=np.intp)
+    for bright, faint in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
+        if leader[bright] == bright and leader[faint] == faint:
+            leader[faint] = bright
+    return leader

@@ -1,0 +1,245 @@
+"""The file that a built catalogue is kept in, mapped into memory when it is opened.
+
+Form of a catalogue file (``.stars``), little endian throughout:
+
+========  ==================================================================================
+bytes     content
+========  ==================================================================================
+0-7       ``GLSTARS`` and a zero byte
+8-15      unsigned 64-bit length of the header
+16-       header: JSON, UTF-8
+then      the columns one after the other, each at the next multiple of 64 bytes
+========  ==================================================================================
+
+Keys of the header: ``format`` (2), ``name``, ``band``, ``version`` (text for provenance), ``count`` (stars), ``zones``
+(how the sky is cut, see :mod:`giantlike.catalogs.cells`), ``slow_margin_rad``, ``sources`` (list of names with sha256),
+``sha256`` (of everything after the header), ``size`` (of the whole file), ``constants`` (columns in which all stars are
+equal, with their value; null stands for NaN) and ``columns`` (name, dtype, shape and offset from the start of the file).
+
+The columns are those of :class:`~giantlike.catalogs.StarTable`, angles and ids in 64 bit, the others in single precision,
+in the order of :class:`~giantlike.catalogs.cells.SkyIndex`, and the index itself: ``directions``, ``rank``, ``starts``,
+``fast_margin_rad``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.catalogs.catalog import Column, MemoryCatalog
+from giantlike.catalogs.cells import ZONES, SkyIndex
+from giantlike.catalogs.table import COLUMN_TYPES
+from giantlike.core.atomic import replacing
+from giantlike.core.errors import DataError
+
+SUFFIX = ".stars"
+FORMAT = 2
+_MAGIC = b"GLSTARS\0"
+_ALIGN = 64
+_DOUBLE = ("ra_deg", "dec_deg", "epoch_jyear")
+_DTYPES: Mapping[str, str] = MappingProxyType(
+    {name: "<f8" if name in _DOUBLE else "<f4" for name in COLUMN_TYPES}
+    | {"ids": "<i8", "is_double": "|b1"}
+    | {"directions": "<f4", "rank": "<i4", "starts": "<i8", "fast_margin_rad": "<f8"}
+)
+_INDEX = ("directions", "rank", "starts", "fast_margin_rad")
+_MENDED = "build the catalogue again with `giantlike catalog build`"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """A file that a catalogue was made of.
+
+    Parameters
+    ----------
+    name : str
+        Its name, without folders.
+    sha256 : str
+    """
+
+    name: str
+    sha256: str
+
+
+def is_catalog_file(path: Path) -> bool:
+    """Whether a file begins as a built catalogue does.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(_MAGIC)) == _MAGIC
+    except OSError as error:
+        raise DataError(path, f"cannot be read as a star catalogue: {error.strerror or error}") from error
+
+
+def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[Source] = ()) -> None:
+    """Write a catalogue into one file, whole or not at all.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    arrays, constants = _stored(catalog)
+    header: dict[str, Any] = {
+        "format": FORMAT, "name": catalog.name, "band": catalog.band, "version": catalog.version,
+        "count": len(catalog), "zones": ZONES, "slow_margin_rad": catalog.index.slow_margin_rad,
+        "sources": [{"name": source.name, "sha256": source.sha256} for source in sources],
+        "sha256": "0" * 64, "size": 10**15, "constants": constants,
+        "columns": [
+            {"name": name, "dtype": _DTYPES[name], "shape": list(array.shape), "offset": 10**15}
+            for name, array in arrays.items()
+        ],
+    }  # fmt: skip
+    start = _aligned(16 + len(_encoded(header)))
+    offset = start
+    for entry, array in zip(header["columns"], arrays.values(), strict=True):
+        entry["offset"] = offset
+        offset = _aligned(offset + array.nbytes)
+    header["size"] = offset
+    digest = hashlib.sha256()
+    for block in _blocks(arrays):
+        digest.update(block)
+    header["sha256"] = digest.hexdigest()
+    text = _encoded(header).ljust(start - 16)
+    with replacing(path) as part, part.open("wb") as stream:
+        stream.write(_MAGIC + len(text).to_bytes(8, "little") + text)
+        for block in _blocks(arrays):
+            stream.write(block)
+
+
+def open_catalog(path: str | Path) -> MemoryCatalog:
+    """Open a built catalogue; its columns stay in the file until a cone asks for them.
+
+    Raises
+    ------
+    DataError
+        The file is missing, none of these, of another format, or damaged.
+    """
+    header, raw = _opened(Path(path))
+    arrays = _arrays(Path(path), header, raw)
+    columns: dict[str, Column] = {name: arrays[name] for name in COLUMN_TYPES if name in arrays}
+    for name, value in header["constants"].items():
+        columns[name] = np.nan if value is None else value
+    index = SkyIndex(
+        directions=arrays["directions"],
+        rank=arrays["rank"],
+        starts=arrays["starts"],
+        slow_margin_rad=float(header["slow_margin_rad"]),
+        fast_margin_rad=arrays["fast_margin_rad"],
+    )
+    return MemoryCatalog.of_columns(columns, index, name=header["name"], band=header["band"], version=header["version"])
+
+
+def catalog_header(path: str | Path, *, check: bool = False) -> Mapping[str, Any]:
+    """Return what a built catalogue says of itself; see the module for the keys.
+
+    Parameters
+    ----------
+    path : path-like
+    check : bool
+        Read all of the file and compare its hash.
+
+    Raises
+    ------
+    DataError
+        As for :func:`open_catalog`, or the content does not have the hash that the header says.
+    """
+    header, raw = _opened(Path(path))
+    if check:
+        start = 16 + int.from_bytes(raw[8:16].tobytes(), "little")
+        found = hashlib.sha256(raw[start:].data).hexdigest()
+        if found != header["sha256"]:
+            raise DataError(path, f"is damaged: sha256 is {found}, the header says {header['sha256']}; {_MENDED}")
+    return MappingProxyType(header)
+
+
+def _stored(catalog: MemoryCatalog) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Columns as arrays of the types of the file, and those whose values are all equal."""
+    arrays: dict[str, NDArray[Any]] = {}
+    constants: dict[str, Any] = {}
+    for name, column in catalog.columns.items():
+        values = np.asarray(column, dtype=_DTYPES[name])
+        first = values.flat[0] if values.size else np.zeros(1, values.dtype)[0]
+        same = name != "ids" and bool(np.all((values == first) | ((values != values) & (first != first))))
+        if same:
+            constants[name] = None if first != first else first.item()
+        else:
+            arrays[name] = values
+    for name in _INDEX:
+        arrays[name] = np.asarray(getattr(catalog.index, name), dtype=_DTYPES[name])
+    return arrays, constants
+
+
+def _blocks(arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
+    blocks: list[bytes | memoryview] = []
+    for array in arrays.values():
+        blocks.append(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+        blocks.append(bytes(_aligned(array.nbytes) - array.nbytes))
+    return blocks
+
+
+def _opened(path: Path) -> tuple[dict[str, Any], NDArray[np.uint8]]:
+    """The header, checked for what the reader relies on, and all bytes of the file."""
+    if not is_catalog_file(path):
+        raise DataError(path, f"is no built star catalogue (it does not begin with GLSTARS); {_MENDED}")
+    size = path.stat().st_size
+    raw = np.memmap(path, dtype=np.uint8, mode="r")
+    length = int.from_bytes(raw[8:16].tobytes(), "little") if size >= 16 else size
+    if 16 + length > size:
+        raise DataError(path, f"is cut off within its header, after {size} bytes; {_MENDED}")
+    try:
+        header = json.loads(raw[16 : 16 + length].tobytes())
+        found = header["format"]
+        expected = header["size"]
+        needed = [header[key] for key in ("name", "band", "version", "count", "slow_margin_rad", "sha256", "zones")]
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(path, f"has a damaged header ({type(error).__name__}: {error}); {_MENDED}") from error
+    if found != FORMAT or needed[-1] != ZONES:
+        raise DataError(path, f"is of format {found}, this version reads format {FORMAT}; {_MENDED}")
+    if size != expected:
+        raise DataError(path, f"has {size} bytes where its header says {expected}; {_MENDED}")
+    return header, np.asarray(raw)
+
+
+def _arrays(path: Path, header: Mapping[str, Any], raw: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        count = int(header["count"])
+        for entry in header["columns"]:
+            name, shape, offset = entry["name"], tuple(entry["shape"]), int(entry["offset"])
+            dtype = np.dtype(_DTYPES[name])
+            stop = offset + int(np.prod(shape)) * dtype.itemsize
+            if entry["dtype"] != _DTYPES[name] or not 0 <= offset <= stop <= raw.size:
+                raise ValueError(f"column {name}")
+            arrays[name] = raw[offset:stop].view(dtype).reshape(shape)
+        missing = (set(COLUMN_TYPES) | set(_INDEX)) - set(arrays) - set(header["constants"])
+        if missing:
+            raise ValueError(f"no column {sorted(missing)[0]}")
+        odd = [name for name, array in arrays.items() if name not in _INDEX[2:] and array.shape[-1:] != (count,)]
+        starts = arrays["starts"]
+        if odd or starts[0] != 0 or starts[-1] + arrays["fast_margin_rad"].size != count or (np.diff(starts) < 0).any():
+            raise ValueError(f"the lengths of {odd or 'the index'} do not fit {count} stars")
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(path, f"has a damaged header ({error}); {_MENDED}") from error
+    return arrays
+
+
+def _encoded(header: Mapping[str, Any]) -> bytes:
+    return json.dumps(header).encode()
+
+
+def _aligned(offset: int) -> int:
+    return -(-offset // _ALIGN) * _ALIGN
