@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,16 @@ app = typer.Typer(
 )
 app.add_typer(shape_app)
 app.add_typer(camera_app)
+
+
+class ExportOption(StrEnum):
+    """Formats of ``giantlike export``."""
+
+    CSV = "csv"
+    CK = "ck"
+    AEM = "aem"
+    WCS = "wcs"
+
 
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per CPU.")]
@@ -209,6 +220,53 @@ def report(
     from giantlike.cli.run_command import report_command
 
     return report_command(folder, json=json)
+
+
+@app.command("export")
+@command
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    format_name: Annotated[ExportOption, typer.Option("--format", help="What to write.")],
+    output: Annotated[
+        Path | None, typer.Option(help="New file; for wcs a folder. Default: in the run folder.", metavar="FILE|DIR")
+    ] = None,
+    suspect: Annotated[bool, typer.Option("--suspect", help="Suspect attitudes as well.")] = False,
+    stars_only: Annotated[
+        bool, typer.Option("--stars-only", help="No attitudes carried over from neighbours.")
+    ] = False,
+    max_gap: Annotated[float, typer.Option(help="ck, aem: longest gap to interpolate over, s.")] = 600.0,
+    instrument: Annotated[int | None, typer.Option(help="ck: NAIF code of the camera frame.", metavar="ID")] = None,
+    frame: Annotated[str | None, typer.Option(help="ck, aem: name of the camera frame.", metavar="NAME")] = None,
+    sclk: Annotated[
+        Path | None, typer.Option(help="ck: clock kernel of the spacecraft; default: one is made.", metavar="FILE.tsc")
+    ] = None,
+    object_name: Annotated[str, typer.Option(help="aem: spacecraft.")] = "UNKNOWN",
+    object_id: Annotated[str, typer.Option(help="aem: its international designator.")] = "UNKNOWN",
+    originator: Annotated[str, typer.Option(help="aem: who writes the message.")] = "UNKNOWN",
+    sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 4,
+    json: Json = False,
+) -> ExitCode:
+    """Write the attitudes of a run for other programs.
+
+    csv: quaternions and covariances. ck: SPICE C-kernel of type 3. aem: CCSDS attitude ephemeris. wcs: a FITS header
+    with TAN-SIP world coordinates for each image.
+    """
+    from giantlike.campaign.export import ExportOptions
+    from giantlike.cli.export_command import export_command
+
+    options = ExportOptions(
+        suspect=suspect,
+        stars_only=stars_only,
+        max_gap_s=max_gap,
+        instrument_id=instrument,
+        frame_name=frame,
+        sclk=sclk,
+        object_name=object_name,
+        object_id=object_id,
+        originator=originator,
+        sip_order=sip_order,
+    )
+    return export_command(folder, output, format_name.value, options, json=json)
 
 
 @app.command("demo")

@@ -145,7 +145,7 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
             spiceypy.furnsh(str(path))
         except SpiceyError as error:
             SpiceKernels(tuple(loaded)).unload()
-            raise DataError(path, f"SPICE cannot load this kernel: {_spice_message(error)}") from error
+            raise DataError(path, f"SPICE cannot load this kernel: {spice_message(error)}") from error
         loaded.append(path)
     return SpiceKernels(tuple(loaded))
 
@@ -279,14 +279,14 @@ def _ask(question: Callable[[], Answer], et: float | None, subject: str, advice:
     try:
         return question()
     except (SpiceyError, spiceypy.NotFoundError) as error:
-        message = _spice_message(error)
+        message = spice_message(error)
         if any(name in message for name in _UNKNOWN_NAME):
             advice = "a name is not known: use the NAIF id, or load the kernel that defines it"
         when = "" if et is None else f" at {utc_text(time_from_et(et))} UTC"
         raise CoverageError(f"{subject}{when}: {advice} ({message})") from error
 
 
-def _spice_message(error: Exception) -> str:
+def spice_message(error: Exception) -> str:
     """SPICE's short message and the first sentence of its long one, on one line."""
     short, long = str(getattr(error, "short", "")), " ".join(str(getattr(error, "long", "") or error).split())
     first = long.split(". ")[0].rstrip(".")

@@ -1,0 +1,259 @@
+"""What a finished run hands to other programs: its attitudes in their formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.campaign.calibration import CAMERA_FILE
+from giantlike.campaign.records import AttitudeRecord
+from giantlike.campaign.results import RunResult, load_result
+from giantlike.campaign.store import RunFolder
+from giantlike.core.arrays import require
+from giantlike.core.errors import DataError
+from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
+from giantlike.io.ccsds_aem import write_aem
+from giantlike.io.spice_ck import CkTarget, write_ck
+from giantlike.io.wcs_header import write_wcs
+
+
+class ExportFormat(StrEnum):
+    """Formats of ``giantlike export``."""
+
+    CSV = "csv"
+    """Quaternions and covariances."""
+    CK = "ck"
+    """SPICE C-kernel of type 3."""
+    AEM = "aem"
+    """CCSDS Attitude Ephemeris Message."""
+    WCS = "wcs"
+    """A FITS header with TAN-SIP world coordinates for each image, in a folder."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportOptions:
+    """How attitudes are written.
+
+    Parameters
+    ----------
+    suspect : bool
+        Write attitudes to which a named check objects as well.
+    stars_only : bool
+        Leave out those that were carried over from other images.
+    max_gap_s : float, s
+        CK and AEM: nobody is to interpolate over a longer gap.
+    instrument_id : int, optional
+        CK: NAIF code of the camera frame.
+    frame_name : str, optional
+        CK and AEM: name of the camera frame; default: that of the mission's frame or of the camera.
+    sclk : Path, optional
+        CK: clock kernel of the spacecraft; without it, one is made.
+    object_name, object_id, originator : str
+        AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`.
+    sip_order : int
+        WCS: of the polynomials, 2 to 9.
+    """
+
+    suspect: bool = False
+    stars_only: bool = False
+    max_gap_s: float = 600.0
+    instrument_id: int | None = None
+    frame_name: str | None = None
+    sclk: Path | None = None
+    object_name: str = "UNKNOWN"
+    object_id: str = "UNKNOWN"
+    originator: str = "UNKNOWN"
+    sip_order: int = 4
+
+    def __post_init__(self) -> None:
+        require(self.max_gap_s >= 0, f"max_gap_s must be >= 0, got {self.max_gap_s}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """Files that were written, how many attitudes they hold, and what was left out and why."""
+
+    files: tuple[Path, ...]
+    n_attitudes: int
+    left_out: Mapping[str, int]
+
+
+def export_run(
+    folder: Path, output: Path, format_name: ExportFormat, options: ExportOptions = ExportOptions()
+) -> Exported:
+    """Write the attitudes of a finished run.
+
+    Parameters
+    ----------
+    folder : Path
+        The run folder.
+    output : Path
+        New file (for WCS, a folder).
+    format_name : ExportFormat
+    options : ExportOptions
+
+    Raises
+    ------
+    InputError
+        There is no attitude to write, or an option is missing or out of range.
+    DataError
+        It is no finished run, or a file cannot be written.
+    """
+    result = load_result(folder)
+    camera = camera_of_run(folder)
+    chosen, left_out = _chosen(result, options, needs_epoch=format_name is not ExportFormat.WCS)
+    require(bool(chosen), f"{folder}: no attitude to write ({_said(left_out)})")
+    _make_folder(output if format_name is ExportFormat.WCS else output.parent)
+    files = _WRITERS[format_name](output, camera, chosen, options)
+    return Exported(files=files, n_attitudes=len(chosen), left_out=left_out)
+
+
+def camera_of_run(folder: Path) -> Camera:
+    """The camera whose attitudes a run holds: the calibrated one where the run calibrated.
+
+    Raises
+    ------
+    DataError
+        It is no run folder, or its camera is damaged.
+    """
+    calibrated = folder / CAMERA_FILE
+    if calibrated.exists():
+        return Camera.load(calibrated)
+    table = RunFolder.open(folder).provenance().get("inputs", {}).get("camera")
+    if not isinstance(table, dict):
+        raise DataError(folder, "provenance.json does not hold the camera: run the campaign again")
+    return Camera.from_mapping(table)
+
+
+def attitude_series(records: list[AttitudeRecord]) -> AttitudeSeries:
+    """Series of records that have an attitude and an epoch, in order of time.
+
+    Raises
+    ------
+    InputError
+        There is none, or two images have one epoch.
+    """
+    timed = [(record.et, record, record.attitude) for record in records]
+    known = sorted(
+        ((et, record, attitude) for et, record, attitude in timed if et is not None and attitude is not None),
+        key=lambda item: item[0],
+    )
+    unknown = np.full((3, 3), np.nan).tolist()
+    return AttitudeSeries(
+        et=np.array([et for et, _, _ in known]),
+        camera_from_inertial=Rotation.from_quat(np.reshape([a.quaternion_xyzw for _, _, a in known], (-1, 4))),
+        covariance_rad2=np.reshape([a.covariance_rad2 or unknown for _, _, a in known], (-1, 3, 3)),
+        names=tuple(record.file for _, record, _ in known),
+    )
+
+
+def _chosen(
+    result: RunResult, options: ExportOptions, *, needs_epoch: bool
+) -> tuple[list[AttitudeRecord], dict[str, int]]:
+    chosen, left_out = list[AttitudeRecord](), dict[str, int]()
+    for record in result.attitudes:
+        reason = None
+        if record.attitude is None:
+            reason = "no attitude"
+        elif record.attitude.source == "a_priori":
+            reason = "a priori only"
+        elif record.status == "suspect" and not options.suspect:
+            reason = "suspect"
+        elif options.stars_only and record.attitude.source != "stars":
+            reason = "not from own stars"
+        elif needs_epoch and record.et is None:
+            reason = "no epoch"
+        if reason is None:
+            chosen.append(record)
+        else:
+            left_out[reason] = left_out.get(reason, 0) + 1
+    return chosen, left_out
+
+
+def _said(left_out: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in left_out.items()) or "it holds no images"
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(path, f"cannot make the folder: {error.strerror or error}") from error
+
+
+def _csv(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
+    write_attitude_csv(output, attitude_series(records))
+    return (output,)
+
+
+def _ck(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
+    require(options.instrument_id is not None, "a C-kernel needs --instrument, the NAIF code of the camera frame")
+    assert options.instrument_id is not None
+    series, frame = attitude_series(records), camera.mission_frame
+    if frame is not None:
+        turn = frame.camera_from_mission.inv()
+        matrix = turn.as_matrix()
+        series = AttitudeSeries(
+            et=series.et,
+            camera_from_inertial=turn * series.camera_from_inertial,
+            covariance_rad2=matrix @ series.covariance_rad2 @ matrix.T,
+            names=series.names,
+        )
+    target = CkTarget(instrument_id=options.instrument_id, frame_name=_frame_name(camera, options))
+    comments = [f"{camera.name}, {len(records)} attitudes from star images", "axes: " + target.frame_name]
+    return write_ck(output, series, target, sclk=options.sclk, max_gap_s=options.max_gap_s, comments=comments)
+
+
+def _aem(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
+    write_aem(
+        output,
+        attitude_series(records),
+        object_name=options.object_name,
+        object_id=options.object_id,
+        originator=options.originator,
+        frame=options.frame_name or "INSTRUMENT_1",
+        max_gap_s=options.max_gap_s,
+        comments=(f"camera {camera.name}: +x along columns, +y along rows, +z boresight",),
+    )
+    return (output,)
+
+
+def _wcs(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
+    files = []
+    for record in records:
+        assert record.attitude is not None
+        path = output / f"{Path(record.file).name}.wcs.fits"
+        write_wcs(
+            path,
+            camera.model,
+            columns=camera.columns,
+            rows=camera.rows,
+            camera_from_inertial=Rotation.from_quat(record.attitude.quaternion_xyzw),
+            et=record.et,
+            name=record.file,
+            order=options.sip_order,
+        )
+        files.append(path)
+    return tuple(files)
+
+
+def _frame_name(camera: Camera, options: ExportOptions) -> str:
+    """A name that SPICE takes: given, of the mission's frame, or made of the camera's."""
+    if options.frame_name is not None:
+        return options.frame_name
+    if camera.mission_frame is not None:
+        return camera.mission_frame.name
+    letters = "".join(c if c.isascii() and c.isalnum() else "_" for c in camera.name.upper())
+    return f"GL_{letters}"[:26]
+
+
+_WRITERS: Mapping[ExportFormat, Callable[[Path, Camera, list[AttitudeRecord], ExportOptions], tuple[Path, ...]]] = (
+    MappingProxyType({ExportFormat.CSV: _csv, ExportFormat.CK: _ck, ExportFormat.AEM: _aem, ExportFormat.WCS: _wcs})
+)

@@ -1,0 +1,106 @@
+"""Attitudes of a camera at many times, and the parts of such a series over which one may interpolate."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.time import time_from_et, utc_text
+from giantlike.io.atomic import write_text_atomic
+
+_UPPER = np.triu_indices(3)
+_COLUMNS = (
+    "name", "epoch_utc", "et", "qx", "qy", "qz", "qw",
+    "cov_xx_rad2", "cov_xy_rad2", "cov_xz_rad2", "cov_yy_rad2", "cov_yz_rad2", "cov_zz_rad2",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AttitudeSeries:
+    """Attitudes in order of time.
+
+    Parameters
+    ----------
+    et : (n,) float64, TDB seconds past J2000
+        Increasing; no two are equal.
+    camera_from_inertial : Rotation
+        n of them.
+    covariance_rad2 : (n, 3, 3) float64, rad^2
+        Of the small rotations about the camera axes; not a number where unknown.
+    names : tuple of str
+        Of the images.
+
+    Raises
+    ------
+    InputError
+        It is empty, shapes disagree, or times do not increase (the text names the images).
+    """
+
+    et: Float
+    camera_from_inertial: Rotation
+    covariance_rad2: Float
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        require(count > 0, "no attitude: there is nothing to write")
+        object.__setattr__(self, "et", as_finite(self.et, (count,), "et"))
+        covariance = np.asarray(self.covariance_rad2, dtype=np.float64)
+        require(covariance.shape == (count, 3, 3), f"covariance_rad2 must be ({count}, 3, 3), got {covariance.shape}")
+        require(len(self.camera_from_inertial) == count, f"{count} names, {len(self.camera_from_inertial)} rotations")
+        for index in np.flatnonzero(np.diff(self.et) <= 0.0):
+            first, second = self.names[index], self.names[index + 1]
+            require(False, f"times must increase: {first!r} and {second!r} are at et {self.et[index]:.6f} and before")
+
+    @property
+    def quaternions_xyzw(self) -> Float:
+        """(n, 4) ``camera_from_inertial``, scalar last; neighbours have the same sign."""
+        quaternions = quaternion_xyzw(self.camera_from_inertial)
+        turns = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
+        quaternions[1:][np.cumsum(turns) % 2 == 1] *= -1.0
+        return quaternions
+
+    def segments(self, max_gap_s: float) -> tuple[slice, ...]:
+        """Runs of attitudes whose neighbours are at most ``max_gap_s`` apart: what may be interpolated over.
+
+        >>> import numpy as np
+        >>> still = Rotation.from_rotvec(np.zeros((3, 3)))
+        >>> unknown = np.full((3, 3, 3), np.nan)
+        >>> et = np.array([0.0, 1.0, 9.0])
+        >>> series = AttitudeSeries(et=et, camera_from_inertial=still, covariance_rad2=unknown, names=("a", "b", "c"))
+        >>> series.segments(2.0)
+        (slice(0, 2, None), slice(2, 3, None))
+        """
+        require(max_gap_s >= 0.0, f"max_gap_s must be >= 0, got {max_gap_s}")
+        breaks = (np.flatnonzero(np.diff(self.et) > max_gap_s) + 1).tolist()
+        return tuple(slice(a, b) for a, b in zip([0, *breaks], [*breaks, len(self.et)], strict=True))
+
+
+def write_attitude_csv(path: str | Path, series: AttitudeSeries) -> None:
+    """Write a series as a table: image, UTC, et, quaternion ``camera_from_inertial`` (scalar last), covariance.
+
+    The covariance is the upper triangle by rows, rad^2, about the camera axes; empty where unknown. Numbers keep all
+    their digits.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for name, et, quaternion, covariance in zip(
+        series.names, series.et.tolist(), series.quaternions_xyzw.tolist(), series.covariance_rad2, strict=True
+    ):
+        known = bool(np.isfinite(covariance).all())
+        terms = covariance[_UPPER].tolist() if known else [""] * 6
+        writer.writerow([name, utc_text(time_from_et(et)), repr(et), *map(repr, quaternion), *terms])
+    write_text_atomic(Path(path), text.getvalue())

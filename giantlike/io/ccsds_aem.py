@@ -1,0 +1,96 @@
+"""CCSDS Attitude Ephemeris Messages (AEM) in keyword-value notation.
+
+Source opened: CCSDS 504.0-B-2, Attitude Data Messages, sections 4.2.2 to 4.2.4 (header, metadata, data lines) and annex
+F2 (the quaternion "from frame A to frame B", whose matrix takes coordinates in A to coordinates in B: the conjugate of
+the quaternion of that matrix in the sense of this project).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.time import time_from_et, utc_text
+from giantlike.core.version import VERSION
+from giantlike.io.atomic import write_text_atomic
+from giantlike.io.attitude_series import AttitudeSeries
+
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def write_aem(
+    path: str | Path,
+    series: AttitudeSeries,
+    *,
+    object_name: str = "UNKNOWN",
+    object_id: str = "UNKNOWN",
+    originator: str = "UNKNOWN",
+    frame: str = "INSTRUMENT_1",
+    max_gap_s: float = 600.0,
+    comments: Sequence[str] = (),
+) -> None:
+    """Write attitudes as an AEM, version 2.0, times in UTC.
+
+    Parameters
+    ----------
+    path : path-like
+    series : AttitudeSeries
+    object_name, object_id, originator : str
+        Spacecraft, its international designator, and the organisation that writes the message.
+    frame : str
+        ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
+    max_gap_s : float, s
+        A longer gap starts a new segment: over it nobody is to interpolate.
+    comments : sequence of str
+        Lines for the start of each segment.
+
+    Raises
+    ------
+    InputError
+        A text holds a line break or is empty, or two epochs are the same to the microsecond.
+    DataError
+        The file cannot be written.
+    """
+    for text in (object_name, object_id, originator, frame, *comments):
+        require(bool(text.strip()) and "\n" not in text, f"an AEM needs one line of text here, got {text!r}")
+    epochs = [utc_text(time_from_et(et)) for et in series.et.tolist()]
+    for name, first, second in zip(series.names[1:], epochs, epochs[1:], strict=False):
+        require(first != second, f"{name!r}: an AEM must not repeat the epoch {second}")
+    lines = [
+        "CCSDS_AEM_VERS = 2.0",
+        f"COMMENT written by giantlike {VERSION}",
+        f"CREATION_DATE = {time.strftime('%Y-%m-%dT%H:%M:%S', time.gmtime())}",
+        f"ORIGINATOR = {originator}",
+    ]
+    for part in series.segments(max_gap_s):
+        lines += [
+            "",
+            "META_START",
+            *(f"COMMENT {text}" for text in comments),
+            f"OBJECT_NAME = {object_name}",
+            f"OBJECT_ID = {object_id}",
+            "REF_FRAME_A = ICRF",
+            f"REF_FRAME_B = {frame}",
+            "TIME_SYSTEM = UTC",
+            f"START_TIME = {epochs[part][0]}",
+            f"STOP_TIME = {epochs[part][-1]}",
+            "ATTITUDE_TYPE = QUATERNION",
+            *(["INTERPOLATION_METHOD = LINEAR", "INTERPOLATION_DEGREE = 1"] if len(epochs[part]) > 1 else []),
+            "META_STOP",
+            "",
+            "DATA_START",
+            *_data_lines(epochs[part], series.quaternions_xyzw[part] * _CONJUGATE),
+            "DATA_STOP",
+        ]
+    write_text_atomic(Path(path), "\n".join(lines) + "\n")
+
+
+def _data_lines(epochs: Sequence[str], quaternions: Float) -> list[str]:
+    return [
+        " ".join([epoch, *(f"{value:.16f}" for value in quaternion)])
+        for epoch, quaternion in zip(epochs, quaternions.tolist(), strict=True)
+    ]

@@ -1,0 +1,177 @@
+"""Attitudes as a SPICE C-kernel of type 3, and the clock and frame kernels that make it readable on its own.
+
+The clock has the form of NAIF's fictional clocks (``mex_fake.tsc`` was opened): type 1, running with TDB,
+one coefficient triple. What ``ckw03`` writes is read back by SPICE itself in the tests.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from giantlike.core.arrays import require
+from giantlike.core.errors import DataError
+from giantlike.core.version import VERSION
+from giantlike.io.atomic import write_text_atomic
+from giantlike.io.attitude_series import AttitudeSeries
+from giantlike.io.spice import load_kernels, spice_message
+
+_INERTIAL = "J2000"
+_CLOCK_START_ET = -1577880000.0  # the year 1950
+_TICKS_PER_SECOND = 100_000
+_FRAME_NAME = re.compile(r"[A-Z][A-Z0-9_+-]{0,25}")  # SPICE allows 26 characters
+_SEGMENT_NAME = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CkTarget:
+    """Whose attitude a C-kernel holds.
+
+    Parameters
+    ----------
+    instrument_id : int
+        NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such as -64.
+    frame_name : str
+        Name for the frame kernel: capitals, digits, underscores; at most 26.
+
+    Raises
+    ------
+    InputError
+        The code is no instrument's, or the name is none that SPICE takes.
+    """
+
+    instrument_id: int
+    frame_name: str
+
+    def __post_init__(self) -> None:
+        require(
+            self.instrument_id <= -1000,
+            f"instrument id must be a NAIF code of -1000 or below, such as -64361, got {self.instrument_id}",
+        )
+        require(
+            _FRAME_NAME.fullmatch(self.frame_name) is not None,
+            f"frame name must be up to 26 capitals, digits and underscores, got {self.frame_name!r}",
+        )
+
+    @property
+    def clock_id(self) -> int:
+        """NAIF code of the spacecraft, whose clock counts."""
+        return -(-self.instrument_id // 1000)
+
+
+def write_ck(
+    path: str | Path,
+    series: AttitudeSeries,
+    target: CkTarget,
+    *,
+    sclk: str | Path | None = None,
+    max_gap_s: float = 600.0,
+    comments: Sequence[str] = (),
+) -> tuple[Path, ...]:
+    """Write attitudes as a C-kernel of type 3 (pointing without rates, interpolated at a constant rate).
+
+    Parameters
+    ----------
+    path : path-like
+        New file, ``.bc``; an existing one is replaced.
+    series : AttitudeSeries
+        ``camera_from_inertial``; hand over ``mission_from_inertial`` where the instrument is a mission's own frame.
+    target : CkTarget
+    sclk : path-like, optional
+        The spacecraft's clock kernel. Without it, a clock that runs with TDB is written beside the C-kernel (``.tsc``),
+        and a frame kernel (``.tf``) that defines the camera frame: with the three loaded, and a kernel of leap seconds
+        for texts, SPICE has the frame.
+    max_gap_s : float, s
+        SPICE interpolates between neighbours at most so far apart.
+    comments : sequence of str
+        Lines for the comment area.
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+
+    Raises
+    ------
+    DataError
+        The clock kernel is missing or not this spacecraft's, or a file cannot be written.
+    """
+    import spiceypy
+    from spiceypy.utils.exceptions import SpiceyError
+
+    path = Path(path)
+    written = [path]
+    if sclk is None:
+        sclk = path.with_suffix(".tsc")
+        write_text_atomic(sclk, _clock_kernel(target.clock_id))
+        frame = path.with_suffix(".tf")
+        write_text_atomic(frame, _frame_kernel(target))
+        written += [sclk, frame]
+    parts = series.segments(max_gap_s)
+    try:
+        with load_kernels([Path(sclk).absolute()], path.parent):
+            ticks = np.array([spiceypy.sce2c(target.clock_id, et) for et in series.et.tolist()])
+        path.unlink(missing_ok=True)
+        handle = spiceypy.ckopn(str(path), "giantlike attitudes", 0)
+        try:
+            spiceypy.dafac(handle, [f"giantlike {VERSION}", *(text[:1000] for text in comments)])
+            spiceypy.ckw03(
+                handle, ticks[0], ticks[-1], target.instrument_id, _INERTIAL, False,
+                f"giantlike {target.frame_name}"[:_SEGMENT_NAME], ticks.size, ticks,
+                np.ascontiguousarray(np.roll(series.quaternions_xyzw, 1, axis=1)), np.zeros((ticks.size, 3)),
+                len(parts), np.array([ticks[part.start] for part in parts]),
+            )  # fmt: skip
+        finally:
+            spiceypy.ckcls(handle)
+    except SpiceyError as error:
+        raise DataError(path, f"cannot write the C-kernel: {spice_message(error)}") from error
+    except OSError as error:
+        raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+    return tuple(written)
+
+
+def _clock_kernel(clock_id: int) -> str:
+    """A clock of type 1: seconds of TDB since 1950 and hundred-thousandths."""
+    clock = -clock_id
+    last = 10_000_000_000 * _TICKS_PER_SECOND
+    return f"""KPL/SCLK
+
+A clock that runs with TDB, for the attitudes written by giantlike beside it. It is not the spacecraft's own clock.
+It counts seconds and hundred-thousandths from et {_CLOCK_START_ET:.0f} (TDB seconds past J2000).
+
+\\begindata
+SCLK_KERNEL_ID            = ( @2000-01-01 )
+SCLK_DATA_TYPE_{clock}        = ( 1 )
+SCLK01_TIME_SYSTEM_{clock}    = ( 1 )
+SCLK01_N_FIELDS_{clock}       = ( 2 )
+SCLK01_MODULI_{clock}         = ( 10000000000 {_TICKS_PER_SECOND} )
+SCLK01_OFFSETS_{clock}        = ( 0 0 )
+SCLK01_OUTPUT_DELIM_{clock}   = ( 1 )
+SCLK_PARTITION_START_{clock}  = ( 0.0 )
+SCLK_PARTITION_END_{clock}    = ( {last:.1f} )
+SCLK01_COEFFICIENTS_{clock}   = ( 0.0 {_CLOCK_START_ET:.1f} 1.0 )
+\\begintext
+"""
+
+
+def _frame_kernel(target: CkTarget) -> str:
+    code, name = target.instrument_id, target.frame_name
+    return f"""KPL/FK
+
+The camera frame whose attitudes giantlike wrote: +x along increasing columns, +y along increasing rows, +z boresight,
+unless the camera file names a frame of the mission.
+
+\\begindata
+FRAME_{name} = {code}
+FRAME_{code}_NAME = '{name}'
+FRAME_{code}_CLASS = 3
+FRAME_{code}_CLASS_ID = {code}
+FRAME_{code}_CENTER = {target.clock_id}
+CK_{code}_SCLK = {target.clock_id}
+CK_{code}_SPK = {target.clock_id}
+\\begintext
+"""
