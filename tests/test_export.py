@@ -30,7 +30,7 @@ from giantlike.io.ccsds_aem import write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
 
 ROTATION_RAD = 1e-12  # float64 through a quaternion
-WCS_PX = 0.01  # order 4 polynomials of a lens with 8 px of distortion in the corner
+WCS_PX = 0.01  # order 5 polynomials of a lens with 8 px of distortion in the corner
 START_ET = 600_000_000.0
 TIMES = START_ET + np.array([0.0, 30.0, 60.0, 5000.0, 5030.0])
 TARGET = CkTarget(instrument_id=-999001, frame_name="GL_TEST_CAM")

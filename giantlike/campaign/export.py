@@ -70,7 +70,7 @@ class ExportOptions:
     object_name: str = "UNKNOWN"
     object_id: str = "UNKNOWN"
     originator: str = "UNKNOWN"
-    sip_order: int = 4
+    sip_order: int = 5
 
     def __post_init__(self) -> None:
         require(self.max_gap_s >= 0, f"max_gap_s must be >= 0, got {self.max_gap_s}")

@@ -243,7 +243,7 @@ def export(
     object_name: Annotated[str, typer.Option(help="aem: spacecraft.")] = "UNKNOWN",
     object_id: Annotated[str, typer.Option(help="aem: its international designator.")] = "UNKNOWN",
     originator: Annotated[str, typer.Option(help="aem: who writes the message.")] = "UNKNOWN",
-    sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 4,
+    sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 5,
     json: Json = False,
 ) -> ExitCode:
     """Write the attitudes of a run for other programs.

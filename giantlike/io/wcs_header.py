@@ -31,7 +31,7 @@ def write_wcs(
     camera_from_inertial: Rotation,
     et: float | None = None,
     name: str = "",
-    order: int = 4,
+    order: int = 5,
 ) -> WcsFit:
     """Write world coordinates as a FITS file that is only a header.
 
