@@ -27,24 +27,38 @@ __all__ = [
 ]
 
 
-def load_catalog(name: str | Path = "default") -> MemoryCatalog:
+def load_catalog(name: str | Path = "default", *, band: str | Band | None = None) -> MemoryCatalog:
     """Load a star catalogue.
 
     Parameters
     ----------
     name : str or path-like
-        ``"default"`` for Gaia to G = 10 merged with Hipparcos (magnitudes in Gaia G), else the path of a
-        CSV file with the columns of :class:`StarTable`.
+        ``"default"`` for Gaia to G = 10 merged with Hipparcos (magnitudes in Gaia G), else the path of a file that
+        ``giantlike catalog build`` made, or of a CSV file with the columns of :class:`StarTable`.
+    band : str or Band, optional
+        Give magnitudes in this band; see :meth:`MemoryCatalog.in_band`.
 
     Raises
     ------
     DataError
         The file is missing or damaged.
+    InputError
+        The catalogue's magnitudes cannot be turned into those of the band.
     """
     if str(name) == "default":
         from giantlike.catalogs.default import default_catalog
 
-        return default_catalog()
+        catalog = default_catalog()
+    else:
+        catalog = _of_file(Path(name))
+    return catalog if band is None else catalog.in_band(band)
+
+
+def _of_file(path: Path) -> MemoryCatalog:
+    from giantlike.catalogs.stored import is_catalog_file, open_catalog
+
+    if path.is_file() and is_catalog_file(path):
+        return open_catalog(path)
     from giantlike.catalogs.csv_catalog import read_csv_catalog
 
-    return read_csv_catalog(Path(name))
+    return read_csv_catalog(path)

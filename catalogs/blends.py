@@ -62,7 +62,8 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
     weight = flux / total[leader]
 
     def mean(values: Float) -> Float:
-        return np.bincount(leader, weights=weight * values, minlength=len(stars))
+        sums: Float = np.bincount(leader, weights=weight * values, minlength=len(stars)).astype(np.float64)
+        return sums
 
     columns = {name: np.array(getattr(stars, name)) for name in COLUMN_TYPES}
     center = np.stack([mean(component) for component in directions.T], axis=-1)

@@ -175,6 +175,8 @@ class MemoryCatalog:
         columns = {}
         for name, kind in COLUMN_TYPES.items():
             column = self._columns[name]
-            common = not isinstance(column, np.ndarray)
-            columns[name] = np.full(len(chosen), column, dtype=kind) if common else column[chosen]
+            if isinstance(column, np.ndarray):
+                columns[name] = column[chosen]
+            else:
+                columns[name] = np.full(len(chosen), column, dtype=kind)
         return StarTable(**columns)

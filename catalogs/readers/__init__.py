@@ -1,0 +1,133 @@
+"""Readers of published catalogues; each gives the stars of one file, and :func:`build_catalog` makes a catalogue."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from giantlike.catalogs.catalog import MemoryCatalog
+from giantlike.catalogs.readers.fixed_width import read_hipparcos, read_tycho2
+from giantlike.catalogs.readers.mapped import ColumnMap, column_map, read_gaia, read_mapped, read_usno_gnc
+from giantlike.catalogs.readers.rows import ReadStars
+from giantlike.catalogs.readers.ucac4 import read_ucac4, zone_files
+from giantlike.catalogs.stored import Source
+from giantlike.catalogs.table import StarTable, joined
+from giantlike.core.errors import DataError, InputError
+
+__all__ = ["FORMATS", "Built", "ColumnMap", "build_catalog", "column_map"]
+
+Reader = Callable[..., tuple[ReadStars, str]]
+FORMATS: Mapping[str, Reader] = MappingProxyType(
+    {
+        "hipparcos": read_hipparcos,
+        "tycho2": read_tycho2,
+        "ucac4": read_ucac4,
+        "usno-gnc": read_usno_gnc,
+        "gaia": read_gaia,
+        "table": read_mapped,
+    }
+)
+"""Readers by the names of their formats; each takes the path and ``max_magnitude``, that of tables a column map too."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Built:
+    """A catalogue and what it was made of.
+
+    Parameters
+    ----------
+    catalog : MemoryCatalog
+    sources : tuple of Source
+    left_out : int
+        Entries without a place or a magnitude.
+    repeated : int
+        Entries whose identifier an earlier one has.
+    """
+
+    catalog: MemoryCatalog
+    sources: tuple[Source, ...]
+    left_out: int
+    repeated: int
+
+
+def build_catalog(
+    paths: Sequence[Path],
+    form: str,
+    *,
+    name: str,
+    mapping: ColumnMap | None = None,
+    max_magnitude: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Built:
+    """Read published files and make one catalogue of them.
+
+    All stars are in memory at once, some 400 bytes each at the peak: bound UCAC4 by ``max_magnitude``.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files of one format; for UCAC4 also folders of zone files.
+    form : str
+        A key of :data:`FORMATS`.
+    name : str
+        What to call the catalogue.
+    mapping : ColumnMap, optional
+        For the format ``table``, which needs one.
+    max_magnitude : float, optional
+        Leave out fainter stars.
+    progress : callable, optional
+        Called with the number of files done and of all files.
+
+    Raises
+    ------
+    InputError
+        An unknown format, no files, or a column map where none belongs.
+    DataError
+        A file is missing or damaged, holds no stars, or has magnitudes in another band than the first.
+    """
+    if form not in FORMATS:
+        raise InputError(f"unknown format {form!r}: one of {', '.join(FORMATS)} is needed")
+    if (form == "table") != (mapping is not None):
+        raise InputError("a column map belongs to the format 'table', and that format needs one")
+    files = [file for path in paths for file in (zone_files(path) if form == "ucac4" else [path])]
+    if not files:
+        raise InputError(f"no files to read: {', '.join(str(path) for path in paths) or 'none given'}")
+    read = FORMATS[form] if mapping is None else partial(read_mapped, mapping=mapping)
+    tables: list[StarTable] = []
+    left_out, bands = 0, []
+    for done, file in enumerate(files, start=1):
+        part, band = read(file, max_magnitude=max_magnitude)
+        tables.append(part.stars)
+        left_out += part.left_out
+        bands.append(band)
+        if band != bands[0]:
+            raise DataError(file, f"has magnitudes in {band}, {files[0].name} in {bands[0]}: build two catalogues")
+        if progress is not None:
+            progress(done, len(files))
+    stars = joined(tables)
+    if not len(stars):
+        limit = "" if max_magnitude is None else f" to magnitude {max_magnitude:g}"
+        raise DataError(files[0], f"no stars{limit} in {len(files)} file(s)")
+    first = np.sort(np.unique(stars.ids, return_index=True)[1])
+    repeated = len(stars) - len(first)
+    if repeated:
+        stars = stars.select(first)
+    sources = tuple(Source(name=file.name, sha256=_sha256(file)) for file in files)
+    listed = sources[0].name if len(sources) == 1 else f"{len(sources)} files"
+    digest = hashlib.sha256("".join(source.sha256 for source in sources).encode()).hexdigest()
+    version = f"{form} from {listed}, sha256:{sources[0].sha256 if len(sources) == 1 else digest}"
+    if max_magnitude is not None:
+        version += f", to magnitude {max_magnitude:g}"
+    catalog = MemoryCatalog(stars, name=name, band=bands[0], version=version)
+    return Built(catalog=catalog, sources=sources, left_out=left_out, repeated=repeated)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,177 @@
+"""``giantlike catalog build``, ``query`` and ``info``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
+from giantlike.catalogs.readers import build_catalog, column_map
+from giantlike.catalogs.stored import SUFFIX, catalog_header, is_catalog_file, save_catalog
+from giantlike.catalogs.table import StarTable
+from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.progress import progress_bar
+from giantlike.core.arrays import Float
+from giantlike.core.errors import InputError
+from giantlike.core.frames import direction_from_radec, radec_from_direction
+from giantlike.core.units import RAD_PER_DEG
+
+_SHOWN = 40
+"""So many stars are listed for people unless they ask for more."""
+
+
+def catalog_build(
+    paths: Sequence[Path],
+    *,
+    form: str,
+    settings: Sequence[str],
+    columns: Path | None,
+    band: str | None,
+    name: str | None,
+    max_magnitude: float | None,
+    overwrite: bool,
+    json: bool,
+) -> ExitCode:
+    """Read the sources, write the catalogue, say what came of it."""
+    if len(paths) < 2:
+        raise InputError("SOURCE... OUTPUT are needed: at least one published file, and the new catalogue as the last")
+    *sources, target = paths
+    if target.suffix != SUFFIX:
+        raise InputError(f"{target}: the last name is that of the new catalogue and must end in {SUFFIX}")
+    if target.exists() and not overwrite:
+        raise InputError(f"{target} exists: give --overwrite to replace it")
+    if form != "table" and (settings or columns is not None or band is not None):
+        raise InputError("--column, --columns and --band are for --format table")
+    mapping = column_map(settings, file=columns, band=band) if form == "table" else None
+    with progress_bar() as show:
+        built = build_catalog(
+            sources,
+            form,
+            name=name or target.stem,
+            mapping=mapping,
+            max_magnitude=max_magnitude,
+            progress=lambda done, total: show("reading", done, total),
+        )
+        save_catalog(built.catalog, target, sources=built.sources)
+    if json:
+        told = {"file": str(target), "stars": len(built.catalog), "band": built.catalog.band}
+        print_json(told | {"left_out": built.left_out, "repeated": built.repeated, "version": built.catalog.version})
+    else:
+        typer.echo(f"wrote {target}: {len(built.catalog)} stars, magnitudes in {built.catalog.band}")
+        if built.left_out:
+            typer.echo(f"left out {built.left_out} entries without a place or a magnitude")
+        if built.repeated:
+            typer.echo(f"left out {built.repeated} entries whose identifier an earlier one has")
+    return ExitCode.DONE
+
+
+def catalog_query(
+    name: str,
+    *,
+    ra_deg: float,
+    dec_deg: float,
+    radius_deg: float,
+    max_magnitude: float | None,
+    epoch: float | None,
+    band: str | None,
+    limit: int | None,
+    json: bool,
+) -> ExitCode:
+    """List the stars that are in a cone at an epoch, at their catalogue epochs by default."""
+    if not 0.0 < radius_deg <= 180.0:
+        raise InputError(f"--radius must be in (0, 180] degrees, got {radius_deg:g}")
+    if not -90.0 <= dec_deg <= 90.0:
+        raise InputError(f"--dec must be in [-90, 90] degrees, got {dec_deg:g}")
+    catalog = load_catalog(name, band=band)
+    axis = direction_from_radec(ra_deg, dec_deg)
+    stars = catalog.cone(axis, radius_deg * RAD_PER_DEG, max_magnitude=max_magnitude)
+    if epoch is None:
+        directions = direction_from_radec(stars.ra_deg, stars.dec_deg)
+    else:
+        directions = apparent_directions(stars, et_of_julian_year(epoch))
+    distance_deg = 2.0 * np.degrees(np.arcsin(np.minimum(np.linalg.norm(directions - axis, axis=-1) / 2.0, 1.0)))
+    inside = np.flatnonzero(distance_deg <= radius_deg)
+    shown = inside[:limit]
+    if json:
+        print_json(_rows(stars, directions, distance_deg, shown, epoch))
+        return ExitCode.DONE
+    typer.echo(f"{len(inside)} stars in {catalog.name}, magnitudes in {catalog.band}")
+    if len(shown):
+        typer.echo(f"{'id':>20} {'ra_deg':>14} {'dec_deg':>14} {'mag':>7} {'distance_deg':>12}  double")
+    for row in _rows(stars, directions, distance_deg, shown[: limit or _SHOWN], epoch):
+        typer.echo(
+            f"{row['id']:>20} {row['ra_deg']:>14.8f} {row['dec_deg']:>14.8f} {row['magnitude']:>7.3f} "
+            f"{row['distance_deg']:>12.6f}  {'yes' if row['is_double'] else ''}".rstrip()
+        )
+    if limit is None and len(inside) > _SHOWN:
+        typer.echo(f"... and {len(inside) - _SHOWN} fainter ones: give --limit or --json")
+    return ExitCode.DONE
+
+
+def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
+    """Say what a catalogue holds."""
+    catalog = load_catalog(name)
+    stars = catalog.stars
+    told: dict[str, Any] = {
+        "catalog": name,
+        "name": catalog.name,
+        "version": catalog.version,
+        "stars": len(catalog),
+        "band": catalog.band,
+        "magnitudes": [float(stars.magnitude.min()), float(np.median(stars.magnitude)), float(stars.magnitude.max())],
+        "epochs": [float(stars.epoch_jyear.min()), float(stars.epoch_jyear.max())],
+        "with_proper_motion": int(((stars.pm_ra_mas_yr != 0.0) | (stars.pm_dec_mas_yr != 0.0)).sum()),
+        "with_parallax": int((stars.parallax_mas > 0.0).sum()),
+        "with_radial_velocity": int((stars.radial_velocity_km_s != 0.0).sum()),
+        "with_color": int((np.isfinite(stars.color_bv) | np.isfinite(stars.color_bp_rp)).sum()),
+        "doubles": int(stars.is_double.sum()),
+        "sources": [],
+        "checked": False,
+    }
+    path = Path(name)
+    if name != "default" and is_catalog_file(path):
+        told |= {"sources": catalog_header(path, check=check)["sources"], "checked": check}
+    elif check:
+        raise InputError(f"{name}: only built catalogues have a hash to check")
+    if json:
+        print_json(told)
+        return ExitCode.DONE
+    for key, value in told.items():
+        if key != "sources":
+            typer.echo(f"{key.replace('_', ' '):<22}{_text(value)}")
+    for source in told["sources"]:
+        typer.echo(f"{'source':<22}{source['name']} sha256:{source['sha256']}")
+    return ExitCode.DONE
+
+
+def _rows(
+    stars: StarTable,
+    directions: Float,
+    distance_deg: Float,
+    chosen: Sequence[int] | np.ndarray[Any, Any],
+    epoch: float | None,
+) -> list[dict[str, Any]]:
+    """One object of the JSON list for each star; what is not known is None."""
+    ra, dec = radec_from_direction(directions)
+    rows = []
+    for k in chosen:
+        row: dict[str, Any] = {"id": int(stars.ids[k]), "ra_deg": float(ra[k]), "dec_deg": float(dec[k])}
+        row["epoch_jyear"] = float(stars.epoch_jyear[k]) if epoch is None else epoch
+        for key in ("magnitude", "pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas", "radial_velocity_km_s"):
+            row[key] = float(getattr(stars, key)[k])
+        for key in ("color_bv", "color_bp_rp"):
+            value = float(getattr(stars, key)[k])
+            row[key] = value if np.isfinite(value) else None
+        row |= {"is_double": bool(stars.is_double[k]), "distance_deg": float(distance_deg[k])}
+        rows.append(row)
+    return rows
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return " ".join(f"{number:g}" for number in value)
+    return str(value)
