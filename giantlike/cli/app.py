@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from giantlike.cli.camera_app import camera_app
+from giantlike.cli.catalog_app import catalog_app
 from giantlike.cli.outcome import ExitCode, command
 from giantlike.cli.shape_app import shape_app
 
@@ -24,6 +25,7 @@ app = typer.Typer(
 )
 app.add_typer(shape_app)
 app.add_typer(camera_app)
+app.add_typer(catalog_app)
 
 
 class ExportOption(StrEnum):
@@ -139,7 +141,7 @@ def stars(
         bool, typer.Option("--lost-in-space", help="Search the whole sky where the a priori attitude does not help.")
     ] = False,
     max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalogue star.")] = None,
-    catalog: Annotated[str, typer.Option(help="default, or a catalogue in CSV.")] = "default",
+    catalog: Annotated[str, typer.Option(help="default, a built catalogue, or one in CSV.")] = "default",
     hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
     json: Json = False,
 ) -> ExitCode:
@@ -267,6 +269,25 @@ def export(
         sip_order=sip_order,
     )
     return export_command(folder, output, format_name.value, options, json=json)
+
+
+@app.command("interlock")
+@command
+def interlock(
+    first: Annotated[Path, typer.Argument(metavar="FIRST", help="Run folder, or a table of attitudes.")],
+    second: Annotated[Path, typer.Argument(metavar="SECOND", help="The other sensor's.")],
+    output: Annotated[Path, typer.Option(help="Folder of what comes out.", metavar="DIR")] = Path("interlock"),
+    tolerance: Annotated[float, typer.Option(help="Largest difference in time of a pair, s.")] = 0.05,
+    json: Json = False,
+) -> ExitCode:
+    """Estimate how two cameras, or a camera and a star tracker, lie with respect to each other.
+
+    Attitudes of the same time are paired. A table of attitudes has the columns of giantlike export
+    --format csv.
+    """
+    from giantlike.cli.interlock_command import interlock_command
+
+    return interlock_command(first, second, output, tolerance_s=tolerance, json=json)
 
 
 @app.command("demo")

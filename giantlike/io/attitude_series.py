@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.frames import quaternion_xyzw
-from giantlike.core.time import time_from_et, utc_text
+from giantlike.core.time import et_from_time, time_from_et, utc_text
 from giantlike.io.atomic import write_text_atomic
+from giantlike.io.csv_rows import CsvRow, read_csv_rows
 
 _UPPER = np.triu_indices(3)
-_COLUMNS = (
-    "name", "epoch_utc", "et", "qx", "qy", "qz", "qw",
-    "cov_xx_rad2", "cov_xy_rad2", "cov_xz_rad2", "cov_yy_rad2", "cov_yz_rad2", "cov_zz_rad2",
-)  # fmt: skip
+_QUATERNION = ("qx", "qy", "qz", "qw")
+_COVARIANCE = ("cov_xx_rad2", "cov_xy_rad2", "cov_xz_rad2", "cov_yy_rad2", "cov_yz_rad2", "cov_zz_rad2")
+_COLUMNS = ("name", "epoch_utc", "et", *_QUATERNION, *_COVARIANCE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,3 +104,46 @@ def write_attitude_csv(path: str | Path, series: AttitudeSeries) -> None:
         terms = covariance[_UPPER].tolist() if known else [""] * 6
         writer.writerow([name, utc_text(time_from_et(et)), repr(et), *map(repr, quaternion), *terms])
     write_text_atomic(Path(path), text.getvalue())
+
+
+def read_attitude_csv(path: str | Path) -> AttitudeSeries:
+    """Read a table of attitudes, a star tracker's for example, in any order of time.
+
+    The columns are those of :func:`write_attitude_csv`; ``epoch_utc`` or ``et`` and the quaternion are needed, ``name``
+    and the covariance may be absent or empty.
+
+    Raises
+    ------
+    DataError
+        The file is missing or damaged, or a cell is: the text says which.
+    InputError
+        There is no row, or two rows have one time.
+    """
+    rows = read_csv_rows(path, _COLUMNS, _QUATERNION)
+    parts = sorted((_parsed(row) for row in rows), key=lambda part: part[0])
+    return AttitudeSeries(
+        et=np.array([et for et, _, _, _ in parts]),
+        camera_from_inertial=Rotation.from_quat(
+            np.reshape([rotation.as_quat() for _, rotation, _, _ in parts], (-1, 4))
+        ),
+        covariance_rad2=np.reshape([covariance for _, _, covariance, _ in parts], (-1, 3, 3)),
+        names=tuple(name for _, _, _, name in parts),
+    )
+
+
+def _parsed(row: CsvRow) -> tuple[float, Rotation, Float, str]:
+    et, epoch = row.number("et"), row.utc("epoch_utc")
+    rotation, terms = row.rotation(_QUATERNION), row.vector(_COVARIANCE)
+    if et is None:
+        if epoch is None:
+            raise row.error("epoch_utc", "epoch_utc or et is needed")
+        et = et_from_time(epoch)
+    if rotation is None:
+        raise row.error("qx", "a quaternion is needed")
+    covariance = np.full((3, 3), np.nan)
+    if terms is not None:
+        covariance[_UPPER] = terms
+        covariance.T[_UPPER] = terms
+        if not np.linalg.eigvalsh(covariance)[0] > 0.0:
+            raise row.error("cov_xx_rad2", "the covariance must be positive definite")
+    return et, rotation, covariance, row.text("name") or f"line {row.line}"

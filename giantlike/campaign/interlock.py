@@ -1,0 +1,213 @@
+"""The interlock of two sensors over a campaign: how one camera lies with respect to another, or to a star tracker."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from giantlike.calibration.alignment import AlignmentFix, interlock
+from giantlike.campaign.export import attitude_series
+from giantlike.campaign.results import load_result
+from giantlike.core.arrays import Float, require
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.outcomes import Failure
+from giantlike.core.time import time_from_et, utc_text
+from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.io.atomic import write_text_atomic
+from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class InterlockResult:
+    """Alignment of two sensors from pairs of attitudes taken at the same time.
+
+    Parameters
+    ----------
+    alignment : AlignmentFix
+        ``second_from_first``.
+    et : (n,) float64, TDB seconds past J2000
+        Of the first sensor.
+    names : tuple of (str, str)
+        What was paired.
+    rotation_angles_rad : (n,) float64, rad
+        Angle of ``second_from_first``, pair by pair.
+    sigma_rad : (n, 3) float64, rad
+        Standard deviations of each pair about the axes of the second sensor.
+    unpaired : int
+        Attitudes of the first sensor without one of the second at their time.
+    """
+
+    alignment: AlignmentFix
+    et: Float
+    names: tuple[tuple[str, str], ...]
+    rotation_angles_rad: Float
+    sigma_rad: Float
+    unpaired: int
+
+    def summary(self) -> dict[str, Any]:
+        """What ``interlock.json`` holds."""
+        fix = self.alignment
+        used = fix.used
+        spread = np.std(fix.residuals_rad[used], axis=0, ddof=1) if used.sum() > 1 else np.full(3, np.nan)
+        angles = self.rotation_angles_rad[used]
+        return {
+            "n_pairs": len(self.et),
+            "n_used": int(used.sum()),
+            "n_unpaired": self.unpaired,
+            "second_from_first_xyzw": quaternion_xyzw(fix.rotation).tolist(),
+            "rotation_angle_deg": float(np.degrees(fix.rotation.magnitude())),
+            "rotation_angle_std_arcsec": _arcsec([float(np.std(angles, ddof=1)) if len(angles) > 1 else np.nan])[0],
+            "boresight_angle_deg": float(np.degrees(np.arccos(np.clip(fix.rotation.as_matrix()[2, 2], -1.0, 1.0)))),
+            "sigma_arcsec": dict(zip(_AXES, _arcsec(np.sqrt(np.diag(fix.covariance_rad2))), strict=True)),
+            "scatter_arcsec": dict(zip(_AXES, _arcsec(spread), strict=True)),
+            "reduced_chi2": fix.reduced_chi2,
+        }
+
+
+def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> InterlockResult:
+    """Interlock of two sensors.
+
+    Parameters
+    ----------
+    first, second : Path
+        Run folders (their star attitudes that are not suspect are taken), or tables of attitudes as
+        :func:`~giantlike.io.attitude_series.read_attitude_csv` reads them.
+    tolerance_s : float, s
+        Attitudes at most so far apart in time are a pair; what the sensors turn in between is an error.
+
+    Raises
+    ------
+    InputError
+        Nothing can be paired, or too few pairs agree.
+    DataError
+        A file is damaged, or a covariance is missing.
+    """
+    require(tolerance_s >= 0, f"tolerance_s must be >= 0, got {tolerance_s}")
+    one, other = _series(first), _series(second)
+    pairs = _pairs(one.et, other.et, tolerance_s)
+    if not pairs:
+        nearest = float(np.abs(one.et - other.et[_nearest(one.et, other.et)]).min())
+        raise InputError(
+            f"{first} and {second}: no two attitudes within {tolerance_s:g} s, the nearest are {nearest:.6g} s apart"
+        )
+    left, right = (np.array(indices) for indices in zip(*pairs, strict=True))
+    for path, series, indices in ((first, one, left), (second, other, right)):
+        for index in indices:
+            if not np.isfinite(series.covariance_rad2[index]).all():
+                raise DataError(path, f"{series.names[index]}: the covariance is needed to weight the pair")
+    fix = interlock(
+        one.camera_from_inertial[left],
+        one.covariance_rad2[left],
+        other.camera_from_inertial[right],
+        other.covariance_rad2[right],
+    )
+    if isinstance(fix, Failure):
+        raise InputError(f"{first} and {second}: {fix.detail}")
+    between = other.camera_from_inertial[right] * one.camera_from_inertial[left].inv()
+    turn = between.as_matrix()
+    covariance = other.covariance_rad2[right] + turn @ one.covariance_rad2[left] @ np.swapaxes(turn, 1, 2)
+    return InterlockResult(
+        alignment=fix,
+        et=one.et[left],
+        names=tuple((one.names[i], other.names[j]) for i, j in pairs),
+        rotation_angles_rad=np.asarray(between.magnitude()),
+        sigma_rad=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)),
+        unpaired=len(one.et) - len(pairs),
+    )
+
+
+def write_interlock(result: InterlockResult, folder: Path) -> tuple[Path, ...]:
+    """Write ``interlock.json``, ``interlock.csv`` (pair by pair) and ``interlock.svg`` (residuals over time).
+
+    Raises
+    ------
+    DataError
+        A file cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(folder, f"cannot make the folder: {error.strerror or error}") from error
+    files = tuple(folder / f"interlock.{suffix}" for suffix in ("json", "csv", "svg"))
+    write_text_atomic(files[0], json.dumps(result.summary(), indent=1, allow_nan=False) + "\n")
+    write_text_atomic(files[1], _table(result))
+    write_text_atomic(files[2], _figure(result))
+    return files
+
+
+def _series(path: Path) -> AttitudeSeries:
+    if not path.is_dir():
+        return read_attitude_csv(path)
+    records = [
+        record
+        for record in load_result(path).attitudes
+        if record.status == "ok" and record.attitude is not None and record.attitude.source == "stars"
+    ]
+    timed = [record for record in records if record.et is not None]
+    require(bool(timed), f"{path}: the run has no attitude from stars with an epoch")
+    return attitude_series(timed)
+
+
+def _pairs(first_et: Float, second_et: Float, tolerance_s: float) -> list[tuple[int, int]]:
+    """Indices that are each other's nearest in time, within the tolerance."""
+    to_second, to_first = _nearest(first_et, second_et), _nearest(second_et, first_et)
+    return [
+        (i, j)
+        for i, j in enumerate(to_second.tolist())
+        if to_first[j] == i and abs(first_et[i] - second_et[j]) <= tolerance_s
+    ]
+
+
+def _nearest(times: Float, others: Float) -> NDArray[np.intp]:
+    """For each time the index of the nearest of ``others``, both increasing."""
+    after = np.clip(np.searchsorted(others, times), 1, max(len(others) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(others) - 1)
+    return np.where(times - others[before] <= others[after] - times, before, after)
+
+
+def _table(result: InterlockResult) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = [f"{what}_{axis}_arcsec" for what in ("residual", "sigma") for axis in _AXES]
+    writer.writerow(["first", "second", "epoch_utc", "used", "rotation_angle_deg", *columns])
+    fix = result.alignment
+    for k, (first, second) in enumerate(result.names):
+        values = [*fix.residuals_rad[k] * ARCSEC_PER_RAD, *result.sigma_rad[k] * ARCSEC_PER_RAD]
+        epoch = utc_text(time_from_et(float(result.et[k])))
+        angle = float(np.degrees(result.rotation_angles_rad[k]))
+        writer.writerow([first, second, epoch, int(fix.used[k]), repr(angle), *(f"{value:.6g}" for value in values)])
+    return text.getvalue()
+
+
+def _figure(result: InterlockResult) -> str:
+    from giantlike.plotting import Series, series_figure, svg_text
+
+    fix = result.alignment
+    hours = (result.et - result.et[0]) / 3600.0
+    series = Series(
+        label="pairs",
+        at=hours,
+        values=fix.residuals_rad * ARCSEC_PER_RAD,
+        sigma=result.sigma_rad * ARCSEC_PER_RAD,
+        suspect=~fix.used,
+    )
+    panels = [f"about {axis}, arcsec" for axis in _AXES]
+    start = utc_text(time_from_et(float(result.et[0])))
+    figure = series_figure([series], panels, f"hours from {start} UTC", "Interlock: pairs minus their weighted mean")
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + svg_text(figure, "interlock")
+
+
+def _arcsec(values_rad: ArrayLike) -> list[float | None]:
+    """Arc seconds; None where there is no number, as JSON has it."""
+    return [value if np.isfinite(value) else None for value in (np.asarray(values_rad) * ARCSEC_PER_RAD).tolist()]
