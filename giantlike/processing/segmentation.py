@@ -262,8 +262,8 @@ def identify_blobs(
     if not found:
         return Failure(
             Reason.NO_SIGNAL,
-            f"{len(expected)} bodies were expected, each within {search_px:g} px of its place; the {len(blobs)} blobs of "
-            "light are elsewhere or of other sizes",
+            f"{len(expected)} bodies were expected, each within {search_px:g} px of its place; the {len(blobs)} blobs "
+            "of light are elsewhere or of other sizes",
         )
     order = sorted(found, key=lambda chosen: found[chosen])
     if len(order) > 1 and found[order[1]] - found[order[0]] < _RIVAL_COST:
