@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         TableEphemeris,
     )
     from giantlike.image import Image
-    from giantlike.relative import CrossCorrelation, EllipsoidCRA, LimbMatching, Unresolved
+    from giantlike.relative import CrossCorrelation, EllipsoidCRA, LimbMatching, Moment, SigmoidLimb, Unresolved
     from giantlike.scene import Scene, Target
     from giantlike.stars import StarNavigation, StarOptions
 
@@ -41,7 +41,7 @@ _HOMES = {
     "giantlike.core.outcomes": ("AttitudeFix", "CenterFix", "Failure", "PositionFix", "Quality", "Reason"),
     "giantlike.ephemeris": ("ApparentGeometry", "DistantLight", "FixedEphemeris", "SpiceEphemeris", "TableEphemeris"),
     "giantlike.image": ("Image",),
-    "giantlike.relative": ("CrossCorrelation", "EllipsoidCRA", "LimbMatching", "Unresolved"),
+    "giantlike.relative": ("CrossCorrelation", "EllipsoidCRA", "LimbMatching", "Moment", "SigmoidLimb", "Unresolved"),
     "giantlike.scene": ("Scene", "Target"),
     "giantlike.stars": ("StarNavigation", "StarOptions"),
 }
@@ -65,11 +65,13 @@ __all__ = [
     "Image",
     "InputError",
     "LimbMatching",
+    "Moment",
     "OpNavError",
     "PositionFix",
     "Quality",
     "Reason",
     "Scene",
+    "SigmoidLimb",
     "SpiceEphemeris",
     "StarNavigation",
     "StarOptions",

@@ -9,14 +9,18 @@ from giantlike.relative.cross_correlation import CrossCorrelation, CrossCorrelat
 from giantlike.relative.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.estimator import Estimator
 from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
+from giantlike.relative.moment import Moment, MomentOptions
+from giantlike.relative.sigmoid_limb import SigmoidLimb, SigmoidLimbOptions
 from giantlike.relative.unresolved import Unresolved, UnresolvedOptions
 
 ESTIMATORS: Mapping[str, Callable[..., Estimator]] = MappingProxyType(
     {
         Unresolved.name: Unresolved,
+        Moment.name: Moment,
         CrossCorrelation.name: CrossCorrelation,
         LimbMatching.name: LimbMatching,
         EllipsoidCRA.name: EllipsoidCRA,
+        SigmoidLimb.name: SigmoidLimb,
     }
 )
 """Estimator classes by the name that they have in campaign files and tables; each takes its options or nothing."""
@@ -30,6 +34,10 @@ __all__ = [
     "Estimator",
     "LimbMatching",
     "LimbMatchingOptions",
+    "SigmoidLimb",
+    "SigmoidLimbOptions",
+    "Moment",
+    "MomentOptions",
     "Unresolved",
     "UnresolvedOptions",
 ]

@@ -15,11 +15,21 @@ from giantlike.image import Image
 from giantlike.processing.correlated_fit import correlated_solution, generalised_solution
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
-from giantlike.relative.horizon import CraMethod, Figure, christian_robinson, cone_weights, horizon_residuals
+from giantlike.relative.horizon import (
+    Altitude,
+    CraMethod,
+    Figure,
+    altitude_design,
+    christian_robinson,
+    cone_weights,
+    horizon_residuals,
+)
 from giantlike.relative.limb_fix import LimbSearch, SettledLimb, position_fix, settle_limb
 from giantlike.relative.limb_observation import LimbScanOptions
+from giantlike.relative.sigmoid_fit import cell_points, fit_horizon
+from giantlike.relative.sigmoid_scan import HorizonScan, settle_horizon, settled_limb
 from giantlike.scene import Scene
-from giantlike.shapes import PlacedEllipsoid, TriangleMesh
+from giantlike.shapes import Ellipsoid, PlacedEllipsoid, TriangleMesh
 
 _RELIEF_LENGTH = 0.3
 """Correlation length of relief along the limb over the radius; measured on asteroid models and on made-up bodies."""
@@ -49,7 +59,14 @@ class EllipsoidCRAOptions:
         Larger residuals, beyond what relief explains, are a failure.
     large_rms_px : float, px
         Larger residuals, beyond what relief explains, get a flag.
+    limb_altitude_km : float, km
+        What is seen as the limb stands so high above the shape: haze, an atmosphere.
+    altitude_sigma_km : float, km
+        Standard deviation of that; where it is not zero the altitude is estimated with the position.
+    horizon : HorizonScan
+        How the horizon of an ellipsoid is measured.
     scan : LimbScanOptions
+        How the limb of a mesh is measured.
     """
 
     method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD
@@ -61,6 +78,9 @@ class EllipsoidCRAOptions:
     outlier_mad: float = 4.0
     max_rms_px: float = 5.0
     large_rms_px: float = 1.0
+    limb_altitude_km: float = 0.0
+    altitude_sigma_km: float = 0.0
+    horizon: HorizonScan = field(default_factory=HorizonScan)
     scan: LimbScanOptions = field(default_factory=LimbScanOptions)
 
     def __post_init__(self) -> None:
@@ -70,6 +90,11 @@ class EllipsoidCRAOptions:
             math.isfinite(self.max_relief) and self.max_relief > 0, f"max_relief must be > 0, got {self.max_relief}"
         )
         self.search(0.0)  # checks the values
+        self.altitude()
+
+    def altitude(self) -> Altitude:
+        """What is known of the altitude of the limb."""
+        return Altitude(self.limb_altitude_km, self.altitude_sigma_km)
 
     def search(self, relief_px: float) -> LimbSearch:
         """The part of the options that every estimator on limbs has, for a body of some relief."""
@@ -88,10 +113,11 @@ class EllipsoidCRAOptions:
 class EllipsoidCRA:
     """Full position of a body from the horizon of its ellipsoid.
 
-    The lit limb is measured as in limb matching, with the ellipsoid as template (or a blurred step, where no
-    reflectance law is trusted: ``scan.edges``); its points then go through the Christian-Robinson algorithm. A mesh is
-    replaced by its best-fit ellipsoid, flagged ``SHAPE_APPROXIMATED``; its relief is then in the covariance, as errors
-    that neighbours on the limb share.
+    The lit horizon is measured in short cells, by the profile that the ellipsoid has across it in closed form, its
+    brightness free in every cell (with ``horizon.edges`` a step no reflectance law is needed); its points then go
+    through the Christian-Robinson algorithm. A mesh is replaced by its best-fit ellipsoid, flagged
+    ``SHAPE_APPROXIMATED``, and its limb measured as in limb matching (``scan``); its relief is then in the covariance,
+    as errors that neighbours on the limb share.
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside the horizon.
@@ -140,6 +166,8 @@ class EllipsoidCRA:
         if isinstance(inputs, Failure):
             return inputs
         shape = inputs.geometry.target.shape
+        if isinstance(shape, Ellipsoid):
+            return _smooth_fix(inputs, shape, self.options)
         placed = shape.best_fit_ellipsoid
         relief_km = relief_sigma_km(shape, placed) if isinstance(shape, TriangleMesh) else 0.0
         relief = relief_km / shape.mean_radius_km
@@ -149,7 +177,7 @@ class EllipsoidCRA:
                 f"the shape departs from its best-fit ellipsoid by {relief:.1%} of its radius (rms), allowed "
                 f"{self.options.max_relief:.1%}: use limb_matching or raise max_relief",
             )
-        body = _ellipsoid_body(inputs, placed)
+        body = _ellipsoid_body(inputs, placed, self.options.altitude())
         relief_px = apparent_radius_px(camera, inputs.predicted_px, relief_km, inputs.geometry.range_km)
         search = self.options.search(relief_px)
         limb = settle_limb(inputs, body, search=search, scan=self.options.scan)
@@ -168,11 +196,37 @@ def relief_sigma_km(shape: TriangleMesh, placed: PlacedEllipsoid) -> float:
     return float(np.sqrt(np.average(distance**2, weights=shape.areas_km2)))
 
 
-def _ellipsoid_body(inputs: EstimatorInputs, placed: PlacedEllipsoid) -> Body:
-    """The ellipsoid in the place of the shape."""
+def _smooth_fix(inputs: EstimatorInputs, shape: Ellipsoid, options: EllipsoidCRAOptions) -> PositionFix | Failure:
+    """Position of a body that is an ellipsoid."""
+    geometry, model, search, altitude = inputs.geometry, inputs.camera.model, options.search(0.0), options.altitude()
+    figure = altitude.above(Figure(radii_km=shape.radii_km, camera_from_axes=geometry.camera_from_body))
+    view = settle_horizon(inputs, figure, geometry.position_camera_km, search=search, scan=options.horizon)
+    if isinstance(view, Failure):
+        return view
+    points_px, sigma_px = cell_points(view), view.fits.sigma_px[view.keep]
+    center_km = christian_robinson(points_px, model, figure, method=options.method, sigma_px=sigma_px)
+    if isinstance(center_km, Failure):
+        return inputs.fail(center_km.reason, center_km.detail)
+    weights = None
+    if options.method is not CraMethod.MAXIMUM_LIKELIHOOD:
+        weights = cone_weights(points_px, model, figure, center_km)
+    fitted = fit_horizon(view, model, figure, center_km, altitude, weights=weights)
+    fix = position_fix(
+        inputs,
+        settled_limb(inputs, view, options.horizon),
+        position_camera_km=fitted.position_camera_km,
+        covariance_camera_km2=fitted.covariance_camera_km2,
+        residuals_px=fitted.residuals_px,
+        search=search,
+    )
+    return fitted.told(fix) if isinstance(fix, PositionFix) else fix
+
+
+def _ellipsoid_body(inputs: EstimatorInputs, placed: PlacedEllipsoid, altitude: Altitude) -> Body:
+    """The ellipsoid in the place of the shape, as high as its limb."""
     geometry = inputs.geometry
     return Body(
-        shape=placed.ellipsoid,
+        shape=Ellipsoid(radii_km=placed.ellipsoid.radii_km + altitude.altitude_km),
         reflectance=geometry.target.reflectance,
         camera_from_body=geometry.camera_from_body * placed.body_from_axes,
         position_camera_km=geometry.position_camera_km + _center_camera_km(inputs, placed),
@@ -196,12 +250,15 @@ def _fix(
     """The Christian-Robinson algorithm on the limb as measured."""
     model = inputs.camera.model
     points_px, sigma_px = limb.observation.observed_px[limb.keep], limb.observation.sigma_px[limb.keep]
-    figure = Figure(radii_km=placed.ellipsoid.radii_km, camera_from_axes=body.camera_from_body)
+    seen = Figure(radii_km=placed.ellipsoid.radii_km, camera_from_axes=body.camera_from_body)
+    figure = options.altitude().above(seen)
     center_km = christian_robinson(points_px, model, figure, method=options.method, sigma_px=sigma_px)
     if isinstance(center_km, Failure):
         return inputs.fail(center_km.reason, center_km.detail)
     residuals, design, _ = horizon_residuals(points_px, model, figure, center_km)
     scatter = _scatter_px2(residuals, design, sigma_px, points_px, search.relief_px, inputs.radius_px, options)
+    lift = altitude_design(points_px, model, figure, center_km)
+    scatter += options.altitude_sigma_km**2 * np.outer(lift, lift)
     weights = None
     if options.method is not CraMethod.MAXIMUM_LIKELIHOOD:
         weights = cone_weights(points_px, model, figure, center_km)

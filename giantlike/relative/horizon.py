@@ -21,6 +21,7 @@ MIN_POINTS = 4
 _FOOT_STEPS = 4
 _MAX_STEPS = 25
 _STEP_PX = 1e-7
+_ALTITUDE_STEP = 1e-4  # of the smallest radius
 _COLLINEAR_PX = 1e-6  # rounding of pixel coordinates
 
 
@@ -62,6 +63,72 @@ class Figure:
     def shape_matrix(self) -> Float:
         """The matrix A (3, 3), 1/km^2, camera axes: points of the surface about its centre have ``x.A.x == 1``."""
         result: Float = self.to_sphere.T @ self.to_sphere
+        return result
+
+    def cone(self, position_camera_km: Float) -> tuple[Float, Float]:
+        """The vector A s (3,) and the matrix M (3, 3) of the body at s, km: rays x that graze it have ``x.M.x == 0``.
+
+        ``x.M.x`` is positive for rays that meet the body; ``M = A s s.A - (s.A.s - 1) A``.
+
+        Raises
+        ------
+        InputError
+            The camera is inside the ellipsoid.
+        """
+        pull = self.shape_matrix @ position_camera_km
+        strength = float(position_camera_km @ pull)
+        where = np.asarray(position_camera_km).tolist()
+        require(strength > 1.0, f"the camera must be outside the ellipsoid, got a centre at {where} km")
+        return pull, np.outer(pull, pull) - (strength - 1.0) * self.shape_matrix
+
+
+@dataclass(frozen=True, slots=True)
+class Altitude:
+    """How high above the surface the limb is seen, by an atmosphere or haze.
+
+    Parameters
+    ----------
+    altitude_km : float, km
+    sigma_km : float, km
+        Standard deviation; 0 where the altitude is known.
+    """
+
+    altitude_km: float = 0.0
+    sigma_km: float = 0.0
+
+    def __post_init__(self) -> None:
+        require(bool(np.isfinite(self.altitude_km)), f"limb_altitude_km must be finite, got {self.altitude_km}")
+        require(
+            bool(np.isfinite(self.sigma_km)) and self.sigma_km >= 0.0,
+            f"altitude_sigma_km must be >= 0, got {self.sigma_km}",
+        )
+
+    def above(self, figure: Figure) -> Figure:
+        """The ellipsoid that is seen in place of a body."""
+        return Figure(radii_km=figure.radii_km + self.altitude_km, camera_from_axes=figure.camera_from_axes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelRays:
+    """Directions of pixels and how they turn with the pixel.
+
+    Parameters
+    ----------
+    directions : (n, 3) float64, unitless, camera axes
+    by_pixel : (n, 3, 2) float64, 1/px
+    """
+
+    directions: Float
+    by_pixel: Float
+
+    @classmethod
+    def through(cls, points_px: Float, model: CameraModel) -> PixelRays:
+        """Rays of the points (n, 2), px."""
+        return cls(model.unproject(points_px), model.unproject_jacobian(points_px))
+
+    def moved(self, offsets_px: Float) -> Float:
+        """Directions (n, 3), not unit, of the pixels moved by offsets (n, 2), px."""
+        result: Float = self.directions + (self.by_pixel @ offsets_px[..., None])[..., 0]
         return result
 
 
@@ -177,7 +244,29 @@ def horizon_residuals(
     .. [1] Thrasher et al., eqs. 14, 15 and 18; eq. 18 has the sign opposite to the derivative taken here.
     """
     position = as_finite(position_camera_km, (3,), "position_camera_km")
-    return _residuals(_Rays.through(_points(points_px), model), figure, position)
+    return ray_residuals(PixelRays.through(_points(points_px), model), figure, position)
+
+
+def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike) -> Float:
+    """Outward motion (n,) of the horizon, px/km, with all radii of an ellipsoid.
+
+    It is nearly that with a shorter range, times range over radius: what is not known of the altitude of a limb is
+    lost for the range, unless the ellipsoid is seen from so near that the two differ.
+
+    Parameters
+    ----------
+    points_px : (n, 2), px
+        On the horizon.
+    model : CameraModel
+    figure : Figure
+    position_camera_km : (3,), km, camera axes
+    """
+    rays = PixelRays.through(_points(points_px), model)
+    position = as_finite(position_camera_km, (3,), "position_camera_km")
+    step = _ALTITUDE_STEP * float(figure.radii_km.min())
+    low, high = (ray_residuals(rays, Altitude(step * sign).above(figure), position)[0] for sign in (-1.0, 1.0))
+    result: Float = (low - high) / (2.0 * step)
+    return result
 
 
 def horizon_covariance(
@@ -257,50 +346,30 @@ def _total_least_squares(cone: Float, metric: Float) -> Float:
     return result
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rays:
-    """Directions (n, 3) of pixels and their derivative (n, 3, 2) with the pixel."""
-
-    directions: Float
-    by_pixel: Float
-
-    @classmethod
-    def through(cls, points_px: Float, model: CameraModel) -> _Rays:
-        return cls(model.unproject(points_px), model.unproject_jacobian(points_px))
-
-    def moved(self, offsets_px: Float) -> Float:
-        """Directions (n, 3), not unit, of the pixels moved by offsets (n, 2)."""
-        result: Float = self.directions + (self.by_pixel @ offsets_px[..., None])[..., 0]
-        return result
-
-
-def _residuals(rays: _Rays, figure: Figure, position_km: Float) -> tuple[Float, Float, Float]:
-    """What :func:`horizon_residuals` returns."""
-    shape = figure.shape_matrix
-    pull = shape @ position_km
-    strength = float(position_km @ pull)
-    require(strength > 1.0, f"the camera must be outside the ellipsoid, got a centre at {position_km.tolist()} km")
-    conic = np.outer(pull, pull) - (strength - 1.0) * shape
+def ray_residuals(rays: PixelRays, figure: Figure, position_camera_km: Float) -> tuple[Float, Float, Float]:
+    """What :func:`horizon_residuals` returns, for pixels whose rays are at hand."""
+    pull, conic = figure.cone(position_camera_km)
     foot = np.zeros((len(rays.directions), 2))
     for _ in range(_FOOT_STEPS):
         directions = rays.moved(foot)
         half = directions @ conic
-        gradient = 2.0 * np.einsum("ni,nij->nj", half, rays.by_pixel)
+        gradient = 2.0 * (half[:, None, :] @ rays.by_pixel)[:, 0]
         value = np.einsum("ni,ni->n", half, directions)
         foot = foot - (value / np.sum(gradient**2, axis=1))[:, None] * gradient
     slope = np.linalg.norm(gradient, axis=1)
     normals = -gradient / slope[:, None]  # the form is positive inside
-    along, across = directions @ pull, np.einsum("ij,ij->i", directions @ shape, directions)
-    by_position = 2.0 * (along[:, None] * (directions @ shape) - across[:, None] * pull)
+    shaped = directions @ figure.shape_matrix
+    along, across = directions @ pull, np.einsum("ij,ij->i", shaped, directions)
+    by_position = 2.0 * (along[:, None] * shaped - across[:, None] * pull)
     return np.einsum("ij,ij->i", -foot, normals), by_position / slope[:, None], normals
 
 
 def _refined(points_px: Float, model: CameraModel, figure: Figure, start_km: Float, sigma_px: Float) -> Float | Failure:
     """Gauss-Newton on the distances in the image."""
     position = start_km
-    rays = _Rays.through(points_px, model)
+    rays = PixelRays.through(points_px, model)
     for _ in range(_MAX_STEPS):
-        residuals, jacobian, _ = _residuals(rays, figure, position)
+        residuals, jacobian, _ = ray_residuals(rays, figure, position)
         known = np.isfinite(residuals)
         if known.sum() < MIN_POINTS:
             break

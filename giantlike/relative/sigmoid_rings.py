@@ -1,0 +1,74 @@
+"""Rings in the equator of a body: which limb they hide or darken, and which pixels they cover."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, require
+
+Mask = NDArray[np.bool_]
+
+_TURNS = 720
+_NEAREST = 1e-3  # of the distance to the body: rings nearer to the camera's plane than this are not drawn
+
+
+@dataclass(frozen=True, slots=True)
+class Rings:
+    """A flat annulus in the plane of the first two principal axes of a body.
+
+    Parameters
+    ----------
+    inner_km, outer_km : float, km
+        Radii.
+    """
+
+    inner_km: float
+    outer_km: float
+
+    def __post_init__(self) -> None:
+        require(
+            math.isfinite(self.outer_km) and 0.0 < self.inner_km < self.outer_km,
+            f"rings need 0 < inner < outer radius in km, got {self.inner_km:g} and {self.outer_km:g}",
+        )
+
+    def hide(
+        self, points_km: Float, center_km: Float, camera_from_axes: Rotation, *, sun_direction_camera: Float
+    ) -> Mask:
+        """Which points (n, 3), km, camera axes, of a body at ``center_km`` lie behind the rings or in their shadow."""
+        to_axes = camera_from_axes.inv()
+        points = to_axes.apply(points_km - center_km)
+        toward_camera = to_axes.apply(-points_km)
+        toward_sun = to_axes.apply(sun_direction_camera.copy())
+        return self._crossed(points, toward_camera) | self._crossed(points, np.broadcast_to(toward_sun, points.shape))
+
+    def cover(self, camera: Camera, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
+        """Pixels (rows, columns) of the camera on which the rings lie, before or behind the body, and a margin."""
+        turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
+        circle = np.stack([np.cos(turns), np.sin(turns), np.zeros(_TURNS)], axis=-1)
+        area = np.zeros((camera.rows, camera.columns), dtype=np.uint8)
+        edges = [center_km + camera_from_axes.apply(radius * circle) for radius in (self.inner_km, self.outer_km)]
+        inner, outer = (camera.model.project(np.where(e[:, 2:] > _NEAREST * center_km[2], e, np.nan)) for e in edges)
+        for start in range(_TURNS):
+            corners = np.stack([inner[start], outer[start], outer[start - 1], inner[start - 1]])
+            if np.isfinite(corners).all() and np.abs(corners).max() < 1e5:
+                cv2.fillConvexPoly(area, np.rint(corners).astype(np.int32), 1)
+        size = 2 * math.ceil(widened_px) + 1
+        grown = cv2.dilate(area, np.ones((size, size), np.uint8))
+        result: Mask = grown > 0
+        return result
+
+    def _crossed(self, points: Float, directions: Float) -> Mask:
+        """Whether half-lines from points (n, 3) along directions (n, 3), principal axes, meet the annulus."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            length = -points[:, 2] / directions[:, 2]
+            meets = points + length[:, None] * directions
+        radius = np.linalg.norm(meets[:, :2], axis=1)
+        result: Mask = (length > 0.0) & (radius > self.inner_km) & (radius < self.outer_km)
+        return result
