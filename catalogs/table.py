@@ -83,6 +83,8 @@ class StarTable:
     def select(self, index: ArrayLike) -> StarTable:
         """The stars of a mask (n,) or of integer indices (k,), in that order."""
         chosen = np.asarray(index)
+        if chosen.size == 0 and chosen.dtype != np.bool_:
+            chosen = chosen.astype(np.intp)
         return StarTable(**{name: getattr(self, name)[chosen] for name in COLUMN_TYPES})
 
     def sigma_rad(self, et: float) -> Float:
