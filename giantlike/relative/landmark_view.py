@@ -1,0 +1,215 @@
+"""Which landmarks a camera can make use of: in the frame, in sight, lit, neither too oblique nor too small."""
+
+from __future__ import annotations
+
+import math
+import threading
+import weakref
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, require, unit
+from giantlike.core.units import RAD_PER_DEG
+from giantlike.ray_tracing import Body
+from giantlike.ray_tracing.body import sun_in_body
+from giantlike.ray_tracing.tracer import Tracer, tracer_for
+from giantlike.shapes import LevelsOfDetail, Shape, TriangleMesh
+from giantlike.shapes.landmarks import LandmarkCatalog
+
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+
+_GRID = 5  # points along each side of a landmark whose sight and light are looked at
+_LIFT = 0.005  # of the size: how far over the ground rays start
+_MAX_HIDDEN = 0.1
+_LEAST_INSIDE = 0.6  # of the points in the frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VisibilityOptions:
+    """What makes a landmark useful.
+
+    Parameters
+    ----------
+    max_incidence_deg, max_emission_deg : float, deg
+        Largest angles of the Sun and of the camera from the normal of a landmark.
+    max_shadowed : float
+        Largest part of a landmark in the shadow of other ground.
+    min_size_px : float, px
+        Least width, foreshortened.
+    max_size_px : float, px
+        Of larger ones only the middle is used.
+    max_landmarks : int
+        If more can be used, those with the strongest texture, well spread over the image.
+    """
+
+    max_incidence_deg: float = 75.0
+    max_emission_deg: float = 65.0
+    max_shadowed: float = 0.4
+    min_size_px: float = 10.0
+    max_size_px: float = 64.0
+    max_landmarks: int = 40
+
+    def __post_init__(self) -> None:
+        for name in ("max_incidence_deg", "max_emission_deg"):
+            value = getattr(self, name)
+            require(0.0 < value < 90.0, f"{name} must be in (0, 90), got {value}")
+        require(0.0 <= self.max_shadowed <= 1.0, f"max_shadowed must be in [0, 1], got {self.max_shadowed}")
+        require(self.min_size_px >= 5.0, f"min_size_px must be >= 5, got {self.min_size_px}")
+        require(self.max_size_px >= self.min_size_px, f"max_size_px must be >= min_size_px, got {self.max_size_px}")
+        require(self.max_landmarks >= 3, f"max_landmarks must be >= 3, got {self.max_landmarks}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SeenLandmarks:
+    """Landmarks that can be used, and what became of the others.
+
+    Parameters
+    ----------
+    numbers : (k,) int64
+        Places in the catalogue.
+    predicted_px : (k, 2) float64, px
+    size_px : (k,) float64, px
+        Foreshortened width.
+    outside, oblique, hidden, dark, small : int
+        How many are out of the frame, too oblique, behind other ground, not lit, too small.
+    """
+
+    numbers: Indices
+    predicted_px: Float
+    size_px: Float
+    outside: int
+    oblique: int
+    hidden: int
+    dark: int
+    small: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.numbers.size} landmarks can be used; {self.outside} are out of the frame, {self.oblique} too "
+            f"oblique, {self.hidden} hidden, {self.dark} dark, {self.small} too small"
+        )
+
+
+class LandmarkViewer:
+    """Landmarks with the ground around them; says for any pose which can be seen.
+
+    Parameters
+    ----------
+    catalog : LandmarkCatalog
+    shape : Shape
+        Of the target; it hides and shades landmarks where it is a mesh.
+    """
+
+    def __init__(self, catalog: LandmarkCatalog, shape: Shape) -> None:
+        self.points_body_km: Float = np.array([landmark.point_body_km for landmark in catalog.landmarks])
+        self.normals_body: Float = np.array([landmark.normal_body for landmark in catalog.landmarks])
+        self.sizes_km: Float = np.array([landmark.size_km for landmark in catalog.landmarks])
+        self.textures: Float = np.array([landmark.texture for landmark in catalog.landmarks])
+        grids = [landmark.grid_body_km(_GRID) for landmark in catalog.landmarks]
+        self._owner: Indices = np.repeat(np.arange(len(grids)), [len(grid) for grid in grids])
+        mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
+        self._tracer: Tracer | None = tracer_for(mesh) if isinstance(mesh, TriangleMesh) else None
+        self._ground = self._lifted(np.concatenate(grids))
+
+    def _lifted(self, points: Float) -> Float:
+        """Points of the maps (g, 3), moved up where they would start under the shape."""
+        up = self.normals_body[self._owner]
+        lift = _LIFT * self.sizes_km[self._owner]
+        if self._tracer is not None:
+            reach = self.sizes_km[self._owner, None] * up
+            hits = self._tracer.intersect(points + reach, -up)
+            over = np.einsum("ij,ij->i", hits.points_km - points, up)
+            near = np.isfinite(over) & (np.abs(over) < self.sizes_km[self._owner])
+            lift = lift + np.where(near, np.maximum(over, 0.0), 0.0)
+        result: Float = points + lift[:, None] * up
+        return result
+
+    def seen(
+        self,
+        body: Body,
+        model: CameraModel,
+        *,
+        sun_direction_camera: Float,
+        columns: int,
+        rows: int,
+        options: VisibilityOptions,
+    ) -> SeenLandmarks:
+        """Landmarks that an image of ``columns`` by ``rows`` px can be matched with, for one pose of the body."""
+        camera_km, sun = body.camera_body_km, sun_in_body(body, sun_direction_camera)
+        predicted = model.project(body.to_camera(self.points_body_km) + body.position_camera_km)
+        to_camera = camera_km - self.points_body_km
+        range_km = np.linalg.norm(to_camera, axis=1)
+        cos_emission = np.einsum("ij,ij->i", self.normals_body, to_camera) / range_km
+        cos_incidence = self.normals_body @ sun
+        facing = cos_emission > math.cos(options.max_emission_deg * RAD_PER_DEG)
+        lit = cos_incidence > math.cos(options.max_incidence_deg * RAD_PER_DEG)
+        ground_px = model.project(body.to_camera(self._ground) + body.position_camera_km)
+        inside = self._share(_inside(ground_px, columns, rows))
+        framed = (inside >= _LEAST_INSIDE) & _inside(predicted, columns, rows)
+        size_px = self.sizes_km * cos_emission / range_km * model.focal_length_px
+        large = size_px >= options.min_size_px
+        hidden, dark = np.zeros((2, len(predicted)), dtype=bool)
+        look = np.flatnonzero((framed & facing & lit & large)[self._owner])
+        if self._tracer is not None and look.size:
+            ground = self._ground[look]
+            for which, toward, limit in (
+                (hidden, unit(camera_km - ground), _MAX_HIDDEN),
+                (dark, np.broadcast_to(sun, ground.shape), options.max_shadowed),
+            ):
+                blocked = np.zeros(self._owner.size, dtype=bool)
+                blocked[look] = self._tracer.occluded(ground, toward)
+                which[:] = self._share(blocked) > limit
+        useful = np.flatnonzero(framed & facing & lit & large & ~hidden & ~dark)
+        useful = self._spread(useful, predicted, options.max_landmarks)
+        return SeenLandmarks(
+            numbers=useful,
+            predicted_px=predicted[useful],
+            size_px=size_px[useful],
+            outside=int(np.sum(facing & ~framed)),
+            oblique=int(np.sum(~facing)),
+            hidden=int(np.sum(hidden)),
+            dark=int(np.sum(facing & framed & (~lit | dark))),
+            small=int(np.sum(facing & framed & lit & ~large)),
+        )
+
+    def _share(self, marked: Mask) -> Float:
+        """Part (n,) of the points of each landmark that is marked (g,)."""
+        count = len(self.points_body_km)
+        totals = np.bincount(self._owner, minlength=count)
+        result: Float = np.bincount(self._owner, weights=marked, minlength=count) / np.maximum(totals, 1)
+        return result
+
+    def _spread(self, numbers: Indices, predicted_px: Float, count: int) -> Indices:
+        """At most ``count`` landmarks, each the one with the most texture times distance from those before it."""
+        if numbers.size <= count:
+            return numbers
+        pixels, worth = predicted_px[numbers], self.textures[numbers]
+        taken = [int(np.argmax(worth))]
+        distance = np.linalg.norm(pixels - pixels[taken[0]], axis=1)
+        while len(taken) < count:
+            taken.append(int(np.argmax(distance * worth)))
+            distance = np.minimum(distance, np.linalg.norm(pixels - pixels[taken[-1]], axis=1))
+        return np.sort(numbers[taken])
+
+
+_VIEWERS: weakref.WeakKeyDictionary[LandmarkCatalog, dict[str, LandmarkViewer]] = weakref.WeakKeyDictionary()
+_VIEWERS_LOCK = threading.Lock()
+
+
+def viewer_for(catalog: LandmarkCatalog, shape: Shape) -> LandmarkViewer:
+    """Return the viewer of a catalogue on a shape, made once and kept with the catalogue."""
+    with _VIEWERS_LOCK:
+        viewers = _VIEWERS.setdefault(catalog, {})
+        if shape.sha256 not in viewers:
+            viewers[shape.sha256] = LandmarkViewer(catalog, shape)
+        return viewers[shape.sha256]
+
+
+def _inside(pixels: Float, columns: int, rows: int) -> Mask:
+    """Which pixels (n, 2) lie on a detector."""
+    result: Mask = np.all((pixels >= -0.5) & (pixels <= [columns - 0.5, rows - 0.5]), axis=-1)
+    return result

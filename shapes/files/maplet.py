@@ -1,0 +1,84 @@
+"""Maplets of stereophotoclinometry (SPC): binary files of heights and albedo, MAPFILES/NAME.MAP."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.errors import DataError, InputError
+from giantlike.shapes.local_map import LocalMap
+
+_RECORD = 72
+_ALBEDO_STEP = 0.01
+_MAX_HALF_SIZE = 4096
+_SKEW = 1e-3  # axes in single precision are square to 1e-7; what is worse than this is damage
+
+
+def read_maplet(path: Path) -> LocalMap:
+    """Read an SPC maplet.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    LocalMap
+        x along Ux, y along Uy, z along Uz; NaN where the file has no height. Named after the file.
+
+    Raises
+    ------
+    DataError
+        The file is missing, cut short or damaged.
+
+    Notes
+    -----
+    Bytes count from 1. Of the first 72: 7-10 the scale, km per pixel; 11-12 the half size q, of 2q + 1 by 2q + 1
+    pixels, its low byte first; 16-27 the place of the middle, km, body-fixed; 28-39, 40-51, 52-63 the unit vectors Ux,
+    Uy, Uz; 64-67 the step of the heights; floats are single precision, high byte first. Then three bytes for each
+    pixel: height over its step (signed, high byte first) and albedo times 100; albedo 0 means that there is nothing.
+    Heights are in units of the scale. Pixels run along Uy first, then along Ux [2]_ [3]_.
+
+    References
+    ----------
+    .. [1] Palmer, Campbell, Mittan: SPC wiki, "MAPFILES", https://web.psi.edu/spc_wiki/MAPFILES.
+    .. [2] Palmer: SPC-Web-tools, phasei.f (reads and writes maplets), https://github.com/ericepalmer/SPC-Web-tools.
+    .. [3] NASA GIANT: giant/utilities/stereophotoclinometry.py, which takes pixels in the same order.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DataError(path, f"cannot read the maplet: {error.strerror or error}") from error
+    if len(content) < _RECORD:
+        raise DataError(path, f"needed a maplet of at least {_RECORD} bytes, got {len(content)}")
+    (scale_km,) = struct.unpack_from(">f", content, 6)
+    (half,) = struct.unpack_from("<H", content, 10)
+    numbers = np.array(struct.unpack_from(">13f", content, 15))
+    center, axes, step = numbers[:3], numbers[3:12].reshape(3, 3).T, float(numbers[12])
+    side = 2 * half + 1
+    if content[:6] == b"DOUBLE":
+        raise DataError(path, "the maplet says that it is in double precision: SPC knows single precision only")
+    if not (np.isfinite(numbers).all() and np.isfinite(scale_km) and scale_km > 0.0 and 1 <= half <= _MAX_HALF_SIZE):
+        raise DataError(path, f"no maplet: scale {scale_km:g} km, half size {half}, or a number that is not finite")
+    if np.abs(axes.T @ axes - np.eye(3)).max() > _SKEW or np.linalg.det(axes) < 0.0:
+        raise DataError(path, "the axes of the maplet are not three unit vectors square to each other, right-handed")
+    if len(content) < _RECORD + 3 * side * side:
+        raise DataError(path, f"needed {side} x {side} pixels, {_RECORD + 3 * side * side} bytes, got {len(content)}")
+    pixels = np.frombuffer(content, dtype=[("height", ">i2"), ("albedo", "u1")], count=side * side, offset=_RECORD)
+    grid = pixels.reshape(side, side).T  # rows along y = Uy, columns along x = Ux
+    there = grid["albedo"] > 0
+    heights = np.where(there, grid["height"].astype(np.float64) * step * scale_km, np.nan)
+    try:
+        return LocalMap(
+            center_body_km=center,
+            body_from_map=Rotation.from_matrix(axes),
+            heights_km=heights,
+            spacing_km=float(scale_km),
+            albedo=np.where(there, grid["albedo"] * _ALBEDO_STEP, 1.0),
+            name=path.stem,
+        )
+    except InputError as error:
+        raise DataError(path, str(error)) from error

@@ -1,0 +1,237 @@
+"""Landmarks: places on a body that an image can be matched with, each a local map, and catalogues of them in files."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import zipfile
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, frozen, require
+from giantlike.core.atomic import replacing
+from giantlike.core.errors import DataError, InputError
+from giantlike.shapes.files.maplet import read_maplet
+from giantlike.shapes.local_map import LocalMap
+
+CATALOG_SUFFIX = ".npz"
+MAPLET_SUFFIX = ".map"
+_FORMAT, _VERSION = "giantlike landmarks", 1
+_DAMAGE = (ValueError, LookupError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
+
+
+@dataclass(frozen=True, eq=False)
+class Landmark:
+    """A place on a body.
+
+    Parameters
+    ----------
+    map : LocalMap
+        Heights, and albedo if it is known; its z axis is the normal of the place.
+    texture : float
+        How much there is to match: rms tilt of the surface, rad, and rms relative albedo, added in squares.
+    """
+
+    map: LocalMap
+    texture: float
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.texture < math.inf, f"texture must be >= 0 and finite, got {self.texture}")
+
+    @property
+    def name(self) -> str:
+        """Name of the map."""
+        return self.map.name
+
+    @cached_property
+    def point_body_km(self) -> Float:
+        """The landmark's place (3,), km, body axes: over the middle of the map, at its mean height."""
+        return frozen(self.map.to_body(np.array([0.0, 0.0, float(np.nanmean(self.map.heights_km))])))
+
+    @cached_property
+    def normal_body(self) -> Float:
+        """Unit normal (3,) of the place, body axes."""
+        return frozen(self.map.body_from_map.as_matrix()[:, 2].copy())
+
+    @property
+    def size_km(self) -> float:
+        """Length of the shorter side, km."""
+        return 2.0 * min(self.map.half_extent_km)
+
+    def grid_body_km(self, count: int) -> Float:
+        """Points (k, 3), km, body axes, of the surface: at most ``count`` by ``count`` spread over the map."""
+        rows, columns = (
+            np.unique(np.linspace(0, n - 1, min(count, n)).round().astype(np.int64)) for n in self.map.heights_km.shape
+        )
+        heights = self.map.heights_km[np.ix_(rows, columns)]
+        half_x, half_y = self.map.half_extent_km
+        x, y = np.meshgrid(columns * self.map.spacing_km - half_x, rows * self.map.spacing_km - half_y)
+        points = np.stack([x, y, heights], axis=-1).reshape(-1, 3)
+        return self.map.to_body(points[np.isfinite(points[:, 2])])
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkCatalog:
+    """Landmarks of one body.
+
+    Parameters
+    ----------
+    landmarks : tuple of Landmark
+    body_name : str
+        What body they are of; empty where nobody said.
+    shape_sha256 : str
+        Hash of the shape that they were taken from; empty for maps from elsewhere.
+
+    Raises
+    ------
+    InputError
+        There is none, or two have one name.
+    """
+
+    landmarks: tuple[Landmark, ...]
+    body_name: str = ""
+    shape_sha256: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "landmarks", tuple(self.landmarks))
+        names = [landmark.name for landmark in self.landmarks]
+        require(len(names) > 0, "a catalogue needs at least one landmark")
+        require(len(set(names)) == len(names), "two landmarks of a catalogue have one name")
+
+    def __len__(self) -> int:
+        return len(self.landmarks)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of all maps, hexadecimal."""
+        total = hashlib.sha256()
+        for landmark in self.landmarks:
+            local = landmark.map
+            total.update(f"{local.name} {local.spacing_km!r}".encode())
+            for array in (local.center_body_km, local.body_from_map.as_matrix(), local.heights_km, local.albedo):
+                total.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+        return total.hexdigest()
+
+
+def load_landmarks(path: Path) -> LandmarkCatalog:
+    """Read a catalogue of landmarks.
+
+    Parameters
+    ----------
+    path : Path
+        A catalogue (.npz) that :func:`save_landmarks` wrote, an SPC maplet (.MAP), or a folder of maplets.
+
+    Raises
+    ------
+    InputError
+        The file is of another kind.
+    DataError
+        It is missing or damaged.
+    """
+    path = Path(path)
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() == MAPLET_SUFFIX)
+        if not files:
+            raise DataError(path, "the folder holds no maplet (.MAP)")
+        return LandmarkCatalog(tuple(landmark_of(read_maplet(file)) for file in files))
+    if path.suffix.lower() == MAPLET_SUFFIX:
+        return LandmarkCatalog((landmark_of(read_maplet(path)),))
+    if path.suffix.lower() != CATALOG_SUFFIX:
+        raise InputError(f"{path}: landmarks are a {CATALOG_SUFFIX} catalogue, a .MAP file or a folder of them")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return _catalog_of(archive)
+    except FileNotFoundError as error:
+        raise DataError(path, "there is no such file") from error
+    except _DAMAGE as error:
+        raise DataError(path, f"damaged catalogue of landmarks: {' '.join(str(error).split())[:200]}") from error
+
+
+def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = False) -> None:
+    """Write a catalogue of landmarks.
+
+    Parameters
+    ----------
+    catalog : LandmarkCatalog
+    path : Path
+        Ends in .npz.
+    overwrite : bool
+
+    Raises
+    ------
+    InputError
+        The file exists, or has another ending.
+
+    Notes
+    -----
+    A compressed numpy archive without pickle: ``format``, ``version``, ``body_name`` and ``shape_sha256``; for n
+    landmarks ``names``, ``centers_body_km`` (n, 3), ``body_from_map`` (n, 4; quaternions, scalar last), ``spacing_km``
+    (n,), ``texture`` (n,), ``shapes`` (n, 2; rows and columns of the maps), all maps one after the other in
+    ``heights_km`` (float32, NaN where there is none) and, for those with ``has_albedo`` (n,), in ``albedo``.
+    """
+    if path.suffix.lower() != CATALOG_SUFFIX:
+        raise InputError(f"{path}: a catalogue of landmarks ends in {CATALOG_SUFFIX}")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path} exists; give --overwrite to replace it")
+    maps = [landmark.map for landmark in catalog.landmarks]
+    painted = [local.albedo for local in maps if local.albedo is not None]
+    arrays: dict[str, Any] = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "body_name": catalog.body_name,
+        "shape_sha256": catalog.shape_sha256,
+        "names": np.array([local.name for local in maps]),
+        "centers_body_km": np.stack([local.center_body_km for local in maps]),
+        "body_from_map": np.stack([local.body_from_map.as_quat() for local in maps]),
+        "spacing_km": np.array([local.spacing_km for local in maps]),
+        "texture": np.array([landmark.texture for landmark in catalog.landmarks]),
+        "shapes": np.array([local.heights_km.shape for local in maps]),
+        "heights_km": np.concatenate([local.heights_km.ravel() for local in maps]).astype(np.float32),
+        "has_albedo": np.array([local.albedo is not None for local in maps]),
+        "albedo": np.concatenate([np.zeros(0), *[albedo.ravel() for albedo in painted]]).astype(np.float32),
+    }
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def landmark_of(local: LocalMap) -> Landmark:
+    """A map as a landmark, with its texture measured."""
+    along_y, along_x = np.gradient(local.heights_km, local.spacing_km)
+    tilts = np.stack([along_x, along_y])
+    tilts = tilts[:, np.isfinite(tilts).all(axis=0)]
+    roughness = float(np.sum(np.var(np.arctan(tilts), axis=1))) if tilts.size else 0.0
+    contrast = 0.0
+    if local.albedo is not None and float(local.albedo.mean()) > 0.0:
+        contrast = float(np.var(local.albedo[np.isfinite(local.heights_km)]) / np.mean(local.albedo) ** 2)
+    return Landmark(local, math.sqrt(roughness + contrast))
+
+
+def _catalog_of(archive: Any) -> LandmarkCatalog:
+    """Landmarks of an open archive; whatever is wrong with it raises."""
+    if "format" not in archive or str(archive["format"]) != _FORMAT:
+        raise ValueError("the archive holds no landmarks")
+    if (version := int(archive["version"])) != _VERSION:
+        raise ValueError(f"needed version {_VERSION} of the format, got {version}: update giantlike")
+    shapes: NDArray[np.int64] = archive["shapes"].astype(np.int64)
+    sizes, painted = np.prod(shapes, axis=1), archive["has_albedo"].astype(bool)
+    heights = np.split(archive["heights_km"].astype(np.float64), np.cumsum(sizes)[:-1])
+    albedo = iter(np.split(archive["albedo"].astype(np.float64), np.cumsum(sizes[painted])[:-1]))
+    landmarks = []
+    for k, name in enumerate(archive["names"].tolist()):
+        local = LocalMap(
+            center_body_km=archive["centers_body_km"][k],
+            body_from_map=Rotation.from_quat(archive["body_from_map"][k]),
+            heights_km=heights[k].reshape(shapes[k]),
+            spacing_km=float(archive["spacing_km"][k]),
+            albedo=next(albedo).reshape(shapes[k]) if painted[k] else None,
+            name=str(name),
+        )
+        landmarks.append(Landmark(local, float(archive["texture"][k])))
+    return LandmarkCatalog(tuple(landmarks), str(archive["body_name"]), str(archive["shape_sha256"]))
