@@ -20,7 +20,7 @@ ET = et_of_julian_year(2025.0)
 def _sun_like(count: int = 3) -> StarTable:
     one = np.ones(count)
     return StarTable(
-        ids=np.arange(count) + 1, ra_deg=10.0 * np.arange(count, dtype=np.float64), dec_deg=0 * one, pm_ra_mas_yr=0 * one,
+        ids=np.arange(count) + 1, ra_deg=10.0 * np.cumsum(one), dec_deg=0 * one, pm_ra_mas_yr=0 * one,
         pm_dec_mas_yr=0 * one, parallax_mas=0 * one, radial_velocity_km_s=0 * one, epoch_jyear=2016.0 * one,
         magnitude=np.array([5.0, 5.1, 5.2][:count]), color_bv=np.array([0.65, np.nan, np.nan][:count]),
         sigma_mas=one, sigma_pm_mas_yr=one, color_bp_rp=np.array([0.82, 0.82, np.nan][:count]),

@@ -1,0 +1,94 @@
+"""``giantlike catalog build``, ``query`` and ``info``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from giantlike.cli.catalog_app import catalog_app
+
+TABLE = "HD,RA,DE,Vmag,pm\n11,10.0,20.0,4.5,3600\n12,10.2,20.0,6.5,0\n13,190.0,-20.0,5.5,0\n"
+COLUMNS = ["ids=HD", "ra_deg=RA", "dec_deg=DE", "magnitude=Vmag", "pm_dec_mas_yr=pm"]
+
+
+def _run(*arguments: object, code: int = 0) -> str:
+    result = CliRunner().invoke(catalog_app, [str(argument) for argument in arguments])
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def _build(folder: Path, *more: object, code: int = 0) -> str:
+    source = folder / "stars.csv"
+    source.write_text(TABLE)
+    options = [part for column in COLUMNS for part in ("--column", column)]
+    return _run("build", source, folder / "made.stars", "--format", "table", "--band", "V", *options, *more, code=code)
+
+
+def test_a_catalogue_is_built_and_asked(tmp_path: Path) -> None:
+    assert "3 stars, magnitudes in V" in _build(tmp_path)
+    made = tmp_path / "made.stars"
+    rows: list[dict[str, Any]] = json.loads(_run("query", made, "--ra", 10, "--dec", 20, "--radius", 1, "--json"))
+    assert [row["id"] for row in rows] == [11, 12]
+    assert rows[0]["magnitude"] == 4.5
+    assert rows[0]["color_bv"] is None
+    assert rows[1]["distance_deg"] == pytest.approx(0.18794, abs=1e-4)
+    bright = json.loads(_run("query", made, "--ra", 10, "--dec", 20, "--radius", 1, "--max-magnitude", 5, "--json"))
+    assert [row["id"] for row in bright] == [11]
+
+
+def test_stars_are_moved_to_the_epoch_asked_for(tmp_path: Path) -> None:
+    _build(tmp_path)
+    made = tmp_path / "made.stars"
+    asked = ("query", made, "--ra", 10, "--dec", 20, "--radius", 0.05, "--json")
+    assert json.loads(_run(*asked))[0]["dec_deg"] == pytest.approx(20.0, abs=1e-9)
+    later = json.loads(_run(*asked, "--epoch", 2040))
+    assert later[0]["dec_deg"] == pytest.approx(20.04, abs=1e-7)  # 3.6 arcsec a year for 40 years
+    assert later[0]["epoch_jyear"] == 2040.0
+    assert json.loads(_run(*asked, "--epoch", 2060)) == []
+
+
+def test_people_get_a_list_with_a_heading(tmp_path: Path) -> None:
+    _build(tmp_path)
+    text = _run("query", tmp_path / "made.stars", "--ra", 10, "--dec", 20, "--radius", 1, "--limit", 1)
+    assert text.splitlines()[0] == "2 stars in made, magnitudes in V"
+    assert len(text.splitlines()) == 3
+
+
+def test_info_names_the_sources_and_checks_the_hash(tmp_path: Path) -> None:
+    _build(tmp_path, "--name", "mine")
+    made = tmp_path / "made.stars"
+    told = json.loads(_run("info", made, "--check", "--json"))
+    assert (told["name"], told["stars"], told["band"], told["checked"]) == ("mine", 3, "V", True)
+    assert told["magnitudes"] == [4.5, 5.5, 6.5]
+    assert told["sources"][0]["name"] == "stars.csv"
+    assert "sha256:" in _run("info", made)
+    content = bytearray(made.read_bytes())
+    content[-100] ^= 1
+    made.write_bytes(content)
+    assert "damaged" in _run("info", made, "--check", code=2)
+
+
+def test_mistakes_end_in_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    _build(tmp_path)
+    made, source = tmp_path / "made.stars", tmp_path / "stars.csv"
+    assert "--overwrite" in _build(tmp_path, code=2)
+    _build(tmp_path, "--overwrite")
+    for arguments, message in (
+        (("build", source, "--format", "table"), "SOURCE... OUTPUT"),
+        (("build", source, tmp_path / "made.db", "--format", "table"), "must end in .stars"),
+        (("build", source, tmp_path / "b.stars", "--format", "gaia", "--column", "ra_deg=RA"), "--format table"),
+        (("build", source, tmp_path / "b.stars", "--format", "gaia"), "has no column 'source_id'"),
+        (("query", made, "--ra", 1, "--dec", 91, "--radius", 1), "--dec"),
+        (("query", made, "--ra", 1, "--dec", 1, "--radius", 0), "--radius"),
+        (("query", made, "--ra", 1, "--dec", 1, "--radius", 1, "--band", "K"), "no relation is known"),
+        (("query", tmp_path / "none.stars", "--ra", 1, "--dec", 1, "--radius", 1), "cannot be read"),
+        (("info", source, "--check"), "unknown column"),
+    ):
+        output = _run(*arguments, code=2)
+        assert message in output
+        assert output.count("\n") == 1
+    assert not (tmp_path / "b.stars").exists()
