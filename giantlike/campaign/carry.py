@@ -13,6 +13,7 @@ from giantlike.campaign.measure import attitude_fields, attitude_value, rotation
 from giantlike.campaign.records import Attitude, AttitudeRecord, Problem
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import AttitudeSource
+from giantlike.stars.rates import AngularRates, read_rates
 from giantlike.stars.transfer import StarAttitude, TransferMethod, TransferOptions, transfer_attitude
 
 _NOT_FOUND = {"attitude": None, "ra_deg": None, "dec_deg": None, "roll_deg": None, "fov_deg": None}
@@ -36,7 +37,8 @@ def carry_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> li
         return list(records)
     options = campaign.stars.transfer
     donors = [(record, star) for record in records if (star := _star(record)) is not None]
-    if options.method is TransferMethod.PROPAGATE:
+    rates = None if campaign.stars.rates is None else read_rates(campaign.stars.rates)
+    if options.method is TransferMethod.PROPAGATE and rates is None:
         donors = [donor for donor in donors if donor[1].apriori is not None] or donors
     donors.sort(key=lambda donor: donor[1].et)
     times = [star.et for _, star in donors]
@@ -45,7 +47,7 @@ def carry_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> li
         if record.readable and not record.star_image:
             after = 0 if record.et is None else bisect.bisect_right(times, record.et)
             neighbours = donors[max(after - 1, 0) : after + 1]
-            carried.append(_carried(campaign, record, neighbours, options))
+            carried.append(_carried(campaign, record, neighbours, options, rates))
         else:
             carried.append(record)
     return carried
@@ -81,11 +83,13 @@ def _carried(
     record: AttitudeRecord,
     donors: Sequence[tuple[AttitudeRecord, StarAttitude]],
     options: TransferOptions,
+    rates: AngularRates | None,
 ) -> AttitudeRecord:
     if record.et is None:
         problem = Problem(reason=Reason.NO_EPOCH, detail=f"{record.file}: no epoch, so it has no neighbours in time")
         return record.model_copy(update=_NOT_FOUND | {"transferred": True, "status": "failed", "problem": problem})
-    outcome = transfer_attitude(record.et, [star for _, star in donors], apriori=_apriori(record), options=options)
+    stars = [star for _, star in donors]
+    outcome = transfer_attitude(record.et, stars, apriori=_apriori(record), rates=rates, options=options)
     if isinstance(outcome, Failure):
         problem = Problem(reason=outcome.reason, detail=f"{record.file}: {outcome.detail}")
         return record.model_copy(update=_NOT_FOUND | {"transferred": True, "status": "failed", "problem": problem})

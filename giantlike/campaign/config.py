@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.calibration import CalibrationCriteria, CalibrationOptions
 from giantlike.calibration.star_images import start_model
 from giantlike.camera import Camera
-from giantlike.campaign.options import options_from_mapping
+from giantlike.campaign.options import options_from_mapping, with_files_found
 from giantlike.campaign.schema import (
     CalibrationSection,
     CampaignFile,
@@ -37,7 +37,8 @@ from giantlike.shapes import Ellipsoid, Shape, load_shape
 from giantlike.shapes.files.formats import read_file
 from giantlike.shapes.load import guessed_units
 from giantlike.stars.options import StarOptions
-from giantlike.stars.transfer import TransferOptions
+from giantlike.stars.rates import read_rates
+from giantlike.stars.transfer import TransferMethod, TransferOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,13 +71,14 @@ class SpiceSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarsSetup:
-    """Star processing: catalogue name or path, options, and how star images serve the others."""
+    """Star processing: catalogue name or path, options, and how star images serve the others (with which rates)."""
 
     catalog: str
     options: StarOptions
     detection: DetectionOptions
     long_exposure_s: float | None
     transfer: TransferOptions
+    rates: Path | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -331,7 +333,22 @@ def _stars(path: Path, section: StarsSection) -> StarsSetup:
         detection=detection,
         long_exposure_s=section.long_exposure_s,
         transfer=transfer,
+        rates=_rates(path, section),
     )
+
+
+def _rates(path: Path, section: StarsSection) -> Path | None:
+    """Table of angular rates; refused where the transfer does not ask for one."""
+    if section.rates is None:
+        return None
+    if section.transfer is not TransferMethod.PROPAGATE:
+        raise InputError(f"stars.rates: goes with transfer = 'propagate', not {str(section.transfer)!r}")
+    file = existing_file(path, "stars.rates", section.rates)
+    try:
+        read_rates(file)
+    except DataError as error:
+        raise InputError(f"stars.rates: {error}") from error
+    return file
 
 
 def _calibration(section: CalibrationSection, camera: Camera) -> CalibrationSetup:
@@ -363,7 +380,7 @@ def _target(path: Path, where: str, section: TargetSection) -> TargetSetup:
                 raise InputError(f"{where}.{key}: unknown estimator {name!r}; there are {there}")
     # Options of estimators that do not run are checked as well: they are there to be switched on.
     checked = {
-        name: _estimator(name, section.options.get(name, {}), f"{where}.options.{name}")
+        name: _estimator(path, name, section.options.get(name, {}), f"{where}.options.{name}")
         for name in (*section.estimators, *section.options)
     }
     if len(set(section.estimators)) < len(section.estimators):
@@ -380,9 +397,10 @@ def _target(path: Path, where: str, section: TargetSection) -> TargetSetup:
     )
 
 
-def _estimator(name: str, table: Mapping[str, Any], where: str) -> Estimator:
+def _estimator(path: Path, name: str, table: Mapping[str, Any], where: str) -> Estimator:
     kind: Any = ESTIMATORS[name]  # each class takes options of a type of its own
-    estimator: Estimator = kind(options_from_mapping(type(kind().options), table, where))
+    options = options_from_mapping(type(kind().options), table, where)
+    estimator: Estimator = kind(with_files_found(options, path.parent, where))
     return estimator
 
 

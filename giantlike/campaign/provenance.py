@@ -35,6 +35,7 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
         "image_files": [image.key for image in campaign.images],
         "camera": campaign.camera.to_mapping(),
         "geometry_sha256": None if campaign.geometry_file is None else file_sha256(campaign.geometry_file),
+        "rates_sha256": None if stars is None or stars.rates is None else file_sha256(stars.rates),
         "kernels_sha256": {} if bench.kernels is None else _by_name(bench.kernels.sha256()),
         "shapes_sha256": {name: shape.sha256 for name, shape in bench.shapes.items()},
         "catalog": None if bench.navigation is None else bench.navigation.catalog.version,
@@ -99,8 +100,10 @@ def _by_name(hashes: Mapping[str, str]) -> dict[str, str]:
 
 
 def _plain(options: Any) -> dict[str, Any]:
-    """Option dataclasses as JSON has them; values that JSON lacks become text."""
-    values = dataclasses.asdict(options)
+    """Option dataclasses as JSON has them; values that JSON lacks become text, files their names."""
+    values = {
+        key: value.name if isinstance(value, Path) else value for key, value in dataclasses.asdict(options).items()
+    }
     return {key: value if isinstance(value, bool | int | str | None) else repr(value) for key, value in values.items()}
 
 

@@ -42,7 +42,8 @@ class StarsSection(Section):
     """``[stars]``: catalogue, identification, and how star images serve the others.
 
     ``options`` takes any option of :class:`giantlike.stars.StarOptions` that has no key of its own here,
-    ``detection`` any of :class:`giantlike.processing.detect.DetectionOptions`.
+    ``detection`` any of :class:`giantlike.processing.detect.DetectionOptions`. ``rates`` is a table of angular rates
+    for ``transfer = "propagate"`` (:func:`giantlike.stars.rates.read_rates`).
     """
 
     catalog: str = "default"
@@ -50,6 +51,7 @@ class StarsSection(Section):
     lost_in_space: bool = False
     long_exposure_s: float | None = Field(default=None, gt=0)
     transfer: TransferMethod = TransferMethod.INTERPOLATE
+    rates: str | None = None
     max_gap_s: float | None = None
     drift_arcsec_per_sqrt_s: float = 0.1
     max_disagreement_deg: float = 1.0

@@ -19,6 +19,7 @@ from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
+from giantlike.stars.rates import AngularRates
 
 
 class TransferMethod(StrEnum):
@@ -27,7 +28,7 @@ class TransferMethod(StrEnum):
     REPLACE = "replace"
     """Not at all: the nearest star solution as it is."""
     PROPAGATE = "propagate"
-    """As the a priori attitudes say: the nearest star solution times their relative rotation."""
+    """As rates say (a gyro's), or else the a priori attitudes (a CK's): the nearest star solution, turned."""
     INTERPOLATE = "interpolate"
     """At a constant rate between the star solutions before and after; the nearest where one side is missing."""
 
@@ -116,6 +117,7 @@ def transfer_attitude(
     stars: Sequence[StarAttitude],
     *,
     apriori: Rotation | None = None,
+    rates: AngularRates | None = None,
     options: TransferOptions = TransferOptions(),
 ) -> TransferredAttitude | Failure:
     """Attitude at a time from star solutions at other times.
@@ -127,13 +129,16 @@ def transfer_attitude(
     stars : sequence of StarAttitude
         In any order.
     apriori : Rotation, optional
-        A priori ``camera_from_inertial`` at ``et``; ``propagate`` needs it, the others check against it.
+        A priori ``camera_from_inertial`` at ``et``; ``propagate`` needs it unless there are rates, and every method
+        checks against it.
+    rates : AngularRates, optional
+        ``propagate`` turns the camera by them instead of by the a priori attitudes.
 
     Returns
     -------
     TransferredAttitude or Failure
-        ``NO_ATTITUDE`` where no star solution is near enough, where ``propagate`` lacks a priori attitudes, or
-        where these tell another turn than the method assumes.
+        ``NO_ATTITUDE`` where no star solution is near enough, where ``propagate`` lacks a priori attitudes or the rates
+        do not reach, or where a priori attitudes tell another turn than the method assumes.
 
     Notes
     -----
@@ -147,32 +152,47 @@ def transfer_attitude(
 
     The random walk of the options adds ``q gap``, between two solutions ``q gap_1 gap_2 / (gap_1 + gap_2)``.
     """
-    propagate = options.method is TransferMethod.PROPAGATE
+    propagate = options.method is TransferMethod.PROPAGATE and rates is None
     if propagate and apriori is None:
-        return Failure(Reason.NO_ATTITUDE, "transfer 'propagate' needs an a priori attitude of this image")
+        return Failure(Reason.NO_ATTITUDE, "transfer 'propagate' needs rates, or an a priori attitude of this image")
     usable = [
         index
         for index, star in enumerate(stars)
         if abs(star.et - et) <= options.max_gap_s and not (propagate and star.apriori is None)
     ]
     if not usable:
-        return Failure(Reason.NO_ATTITUDE, _nothing_near(et, stars, options))
+        return Failure(Reason.NO_ATTITUDE, _nothing_near(et, stars, options, needs_apriori=propagate))
     before = max((i for i in usable if stars[i].et <= et), key=lambda i: stars[i].et, default=None)
     after = min((i for i in usable if stars[i].et > et), key=lambda i: stars[i].et, default=None)
     if options.method is TransferMethod.INTERPOLATE and before is not None and after is not None:
         result = _between(et, stars, before, after, options)
     else:
         nearest = min(usable, key=lambda i: (abs(stars[i].et - et), stars[i].et))
-        result = _from_one(et, stars, nearest, apriori if propagate else None, options)
+        relative = _relative(et, stars[nearest], apriori, rates, options)
+        if isinstance(relative, Failure):
+            return relative
+        result = _from_one(et, stars, nearest, relative, options)
     refusal = _disagreement(result, stars, apriori, options)
     return result if refusal is None else refusal
 
 
+def _relative(
+    et: float, star: StarAttitude, apriori: Rotation | None, rates: AngularRates | None, options: TransferOptions
+) -> Rotation | Failure:
+    """How the camera turned since a star solution, as the method assumes."""
+    if options.method is TransferMethod.PROPAGATE:
+        if rates is not None:
+            return rates.turn(star.et, et)
+        if apriori is not None and star.apriori is not None:
+            told: Rotation = apriori * star.apriori.inv()
+            return told
+    return Rotation.identity()
+
+
 def _from_one(
-    et: float, stars: Sequence[StarAttitude], index: int, apriori: Rotation | None, options: TransferOptions
+    et: float, stars: Sequence[StarAttitude], index: int, relative: Rotation, options: TransferOptions
 ) -> TransferredAttitude:
     star = stars[index]
-    relative = Rotation.identity() if apriori is None or star.apriori is None else apriori * star.apriori.inv()
     turn = relative.as_matrix()
     gap = abs(star.et - et)
     return TransferredAttitude(
@@ -242,12 +262,11 @@ def _disagreement(
     return None
 
 
-def _nothing_near(et: float, stars: Sequence[StarAttitude], options: TransferOptions) -> str:
+def _nothing_near(et: float, stars: Sequence[StarAttitude], options: TransferOptions, *, needs_apriori: bool) -> str:
     if not stars:
         return "no star image of this run has a solution to take the attitude from"
-    propagate = options.method is TransferMethod.PROPAGATE
-    gaps = [abs(star.et - et) for star in stars if not (propagate and star.apriori is None)]
+    gaps = [abs(star.et - et) for star in stars if not (needs_apriori and star.apriori is None)]
     if not gaps:
-        return "transfer 'propagate' needs a priori attitudes of the star images"
+        return "transfer 'propagate' needs rates, or a priori attitudes of the star images"
     nearest = min(gaps)
     return f"the nearest star solution is {nearest:.6g} s away, further than max_gap_s = {options.max_gap_s:g}"

@@ -1,0 +1,95 @@
+"""Angular rates, a gyro's for example, and the turns that they add up to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.errors import DataError
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.time import et_from_time
+from giantlike.io.csv_rows import CsvRow, read_csv_rows
+
+_RATE = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AngularRates:
+    """Rates of a camera with respect to inertial axes, linear in time between samples.
+
+    Parameters
+    ----------
+    et : (n,) float64, TDB seconds past J2000
+        Increasing, n >= 2.
+    rates_rad_s : (n, 3) float64, rad/s
+        About the camera axes, positive by the right hand: the sense in which the camera itself turns.
+    """
+
+    et: Float
+    rates_rad_s: Float
+
+    def __post_init__(self) -> None:
+        count = len(np.asarray(self.et))
+        require(count >= 2, f"angular rates need at least 2 samples, got {count}")
+        object.__setattr__(self, "et", as_finite(self.et, (count,), "et"))
+        object.__setattr__(self, "rates_rad_s", as_finite(self.rates_rad_s, (count, 3), "rates_rad_s"))
+        require(bool((np.diff(self.et) > 0).all()), "times of angular rates must increase")
+
+    def turn(self, from_et: float, to_et: float) -> Rotation | Failure:
+        """Rotation ``camera(to_et) from camera(from_et)``: vectors in camera axes then to those in camera axes now.
+
+        Each interval between samples turns about its mean rate, with the commutator of its ends (Magnus series to
+        second order), so that the error falls with the fourth power of the interval.
+
+        Returns
+        -------
+        Rotation or Failure
+            ``NO_ATTITUDE`` where the samples do not reach both times.
+        """
+        start, stop = min(from_et, to_et), max(from_et, to_et)
+        if not (self.et[0] <= start and stop <= self.et[-1]):
+            detail = f"angular rates reach from et {self.et[0]:.3f} to {self.et[-1]:.3f}, not {start:.3f} to {stop:.3f}"
+            return Failure(Reason.NO_ATTITUDE, detail)
+        inside = self.et[(self.et > start) & (self.et < stop)]
+        times = np.concatenate([[start], inside, [stop]])
+        rates = np.stack([np.interp(times, self.et, axis) for axis in self.rates_rad_s.T], axis=1)
+        steps = np.diff(times)[:, None]
+        before, after = rates[:-1], rates[1:]
+        turns = (before + after) / 2.0 * steps - np.cross(before, after) * steps**2 / 12.0
+        result = Rotation.identity()
+        for turn in turns:
+            result = Rotation.from_rotvec(-turn) * result
+        return result if from_et <= to_et else result.inv()
+
+
+def read_rates(path: str | Path) -> AngularRates:
+    """Read a table of angular rates, in any order of time.
+
+    Columns: ``epoch_utc`` or ``et`` (TDB seconds past J2000), and ``rate_x_rad_s``, ``rate_y_rad_s``, ``rate_z_rad_s``
+    about the camera axes.
+
+    Raises
+    ------
+    DataError
+        The file is missing or damaged, has fewer than two rows, or two rows have one time.
+    """
+    rows = sorted((_sample(row) for row in read_csv_rows(path, ("epoch_utc", "et", *_RATE), _RATE)), key=lambda s: s[0])
+    et = np.array([time for time, _ in rows])
+    if len(rows) < 2 or not bool((np.diff(et) > 0).all()):
+        raise DataError(Path(path), f"angular rates need at least 2 rows of different times, got {len(rows)} rows")
+    return AngularRates(et=et, rates_rad_s=np.stack([rate for _, rate in rows]))
+
+
+def _sample(row: CsvRow) -> tuple[float, Float]:
+    et, epoch, rate = row.number("et"), row.utc("epoch_utc"), row.vector(_RATE)
+    if rate is None:
+        raise row.error(_RATE[0], "a rate is needed")
+    if et is None:
+        if epoch is None:
+            raise row.error("epoch_utc", "epoch_utc or et is needed")
+        et = et_from_time(epoch)
+    return et, rate
