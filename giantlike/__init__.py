@@ -28,7 +28,15 @@ if TYPE_CHECKING:
         TableEphemeris,
     )
     from giantlike.image import Image
-    from giantlike.relative import CrossCorrelation, EllipsoidCRA, LimbMatching, Moment, SigmoidLimb, Unresolved
+    from giantlike.relative import (
+        CrossCorrelation,
+        EllipsoidCRA,
+        LimbMatching,
+        Moment,
+        SigmoidLimb,
+        SurfaceFeatures,
+        Unresolved,
+    )
     from giantlike.scene import Scene, Target
     from giantlike.stars import StarNavigation, StarOptions
 
@@ -41,7 +49,15 @@ _HOMES = {
     "giantlike.core.outcomes": ("AttitudeFix", "CenterFix", "Failure", "PositionFix", "Quality", "Reason"),
     "giantlike.ephemeris": ("ApparentGeometry", "DistantLight", "FixedEphemeris", "SpiceEphemeris", "TableEphemeris"),
     "giantlike.image": ("Image",),
-    "giantlike.relative": ("CrossCorrelation", "EllipsoidCRA", "LimbMatching", "Moment", "SigmoidLimb", "Unresolved"),
+    "giantlike.relative": (
+        "CrossCorrelation",
+        "EllipsoidCRA",
+        "LimbMatching",
+        "Moment",
+        "SigmoidLimb",
+        "SurfaceFeatures",
+        "Unresolved",
+    ),
     "giantlike.scene": ("Scene", "Target"),
     "giantlike.stars": ("StarNavigation", "StarOptions"),
 }
@@ -75,6 +91,7 @@ __all__ = [
     "SpiceEphemeris",
     "StarNavigation",
     "StarOptions",
+    "SurfaceFeatures",
     "TableEphemeris",
     "Target",
     "Unresolved",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
@@ -48,6 +49,33 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
         return kind(**values)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
+
+
+def with_files_found(options: Options, folder: Path, where: str) -> Options:
+    """Return options whose paths count from a folder.
+
+    Parameters
+    ----------
+    options : dataclass
+        Its fields that hold a ``Path`` name files or folders.
+    folder : Path
+        That of the campaign file.
+    where : str
+        How errors call the table.
+
+    Raises
+    ------
+    InputError
+        One of them is not there.
+    """
+    paths = {}
+    for field in dataclasses.fields(options):  # type: ignore[arg-type]
+        value = getattr(options, field.name)
+        if isinstance(value, Path):
+            paths[field.name] = folder / value
+            if not paths[field.name].exists():
+                raise InputError(f"{where}.{field.name}: there is no {value.as_posix()!r} ({paths[field.name]})")
+    return dataclasses.replace(options, **paths) if paths else options  # type: ignore[type-var]
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:

@@ -11,6 +11,7 @@ from giantlike.relative.estimator import Estimator
 from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.moment import Moment, MomentOptions
 from giantlike.relative.sigmoid_limb import SigmoidLimb, SigmoidLimbOptions
+from giantlike.relative.surface_features import LandmarkFix, SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.unresolved import Unresolved, UnresolvedOptions
 
 ESTIMATORS: Mapping[str, Callable[..., Estimator]] = MappingProxyType(
@@ -21,6 +22,7 @@ ESTIMATORS: Mapping[str, Callable[..., Estimator]] = MappingProxyType(
         LimbMatching.name: LimbMatching,
         EllipsoidCRA.name: EllipsoidCRA,
         SigmoidLimb.name: SigmoidLimb,
+        SurfaceFeatures.name: SurfaceFeatures,
     }
 )
 """Estimator classes by the name that they have in campaign files and tables; each takes its options or nothing."""
@@ -32,12 +34,15 @@ __all__ = [
     "EllipsoidCRA",
     "EllipsoidCRAOptions",
     "Estimator",
+    "LandmarkFix",
     "LimbMatching",
     "LimbMatchingOptions",
     "SigmoidLimb",
     "SigmoidLimbOptions",
     "Moment",
     "MomentOptions",
+    "SurfaceFeatures",
+    "SurfaceFeaturesOptions",
     "Unresolved",
     "UnresolvedOptions",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -44,8 +45,8 @@ class SurfaceFeaturesOptions:
 
     Parameters
     ----------
-    landmarks : str
-        File of landmarks: a catalogue (.npz), a maplet (.MAP), or a folder of maplets. Without one they are chosen on
+    landmarks : Path, optional
+        Landmarks: a catalogue (.npz), a maplet (.MAP), or a folder of maplets. Without one they are chosen on
         the shape of the target, if it is a mesh.
     search_px : int, px
         How far from the prediction to look at first, along each axis.
@@ -69,7 +70,7 @@ class SurfaceFeaturesOptions:
     visibility : VisibilityOptions
     """
 
-    landmarks: str = ""
+    landmarks: Path | None = None
     search_px: int = 40
     search_range: float = 0.03
     attitude_sigma_deg: float = 0.0
@@ -159,7 +160,6 @@ class SurfaceFeatures:
 
     def __init__(self, options: SurfaceFeaturesOptions | None = None) -> None:
         self.options = options or SurfaceFeaturesOptions()
-        self._catalog: LandmarkCatalog | None = None
 
     def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> LandmarkFix | Failure:
         """Find a target of ``scene`` in ``image``.
@@ -198,16 +198,19 @@ class SurfaceFeatures:
 
     def _landmarks(self, inputs: EstimatorInputs) -> LandmarkCatalog | Failure:
         """The landmarks of the file, read once, or those of the target's mesh."""
-        if self.options.landmarks:
-            if self._catalog is None:
-                self._catalog = load_landmarks(Path(self.options.landmarks))
-            return self._catalog
+        if self.options.landmarks is not None:
+            return _read_once(str(self.options.landmarks.resolve()))
         shape = inputs.geometry.target.shape
         mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
         if not isinstance(mesh, TriangleMesh):
             detail = f"landmarks need a mesh or a file of landmarks, the target is a {type(shape).__name__}"
             return Failure(Reason.WRONG_SHAPE, detail)
         return landmarks_of(mesh)
+
+
+@lru_cache(maxsize=4)
+def _read_once(path: str) -> LandmarkCatalog:
+    return load_landmarks(Path(path))
 
 
 class _Search:
