@@ -36,7 +36,8 @@ class Landmark:
     map : LocalMap
         Heights, and albedo if it is known; its z axis is the normal of the place.
     texture : float
-        How much there is to match: rms tilt of the surface, rad, and rms relative albedo, added in squares.
+        How much there is to match: rms tilt of the surface, rad, off an even bend, and rms relative albedo, added in
+        squares.
     """
 
     map: LocalMap
@@ -203,10 +204,12 @@ def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = Fa
 
 def landmark_of(local: LocalMap) -> Landmark:
     """A map as a landmark, with its texture measured."""
-    along_y, along_x = np.gradient(local.heights_km, local.spacing_km)
-    tilts = np.stack([along_x, along_y])
-    tilts = tilts[:, np.isfinite(tilts).all(axis=0)]
-    roughness = float(np.sum(np.var(np.arctan(tilts), axis=1))) if tilts.size else 0.0
+    tilts = np.arctan(np.stack([np.gradient(local.heights_km, local.spacing_km, axis=axis) for axis in (0, 1)]))
+    known = np.isfinite(tilts).all(axis=0)
+    rows, columns = np.nonzero(known)
+    bend = np.column_stack([np.ones(rows.size), rows, columns])  # an even bend shades evenly: nothing to match
+    left = tilts[:, known].T - bend @ np.linalg.lstsq(bend, tilts[:, known].T, rcond=None)[0]
+    roughness = float(np.sum(left**2)) / max(rows.size, 1)
     contrast = 0.0
     if local.albedo is not None and float(local.albedo.mean()) > 0.0:
         contrast = float(np.var(local.albedo[np.isfinite(local.heights_km)]) / np.mean(local.albedo) ** 2)

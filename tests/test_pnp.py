@@ -176,4 +176,4 @@ def test_misuse_is_said_in_words() -> None:
         ({"attitude_sigma_rad": -1.0}, "attitude_sigma_rad"),
     ):
         with pytest.raises(InputError, match=needle):
-            PnpOptions(**options)  # type: ignore[arg-type]
+            PnpOptions(**options)

@@ -132,3 +132,34 @@ def render(
         phase_deg=phase, longitude_deg=sub_observer[0], latitude_deg=sub_observer[1], size_px=size, law=reflectance
     )
     return shape_render(source, target, units=units, view=view, overwrite=overwrite, json=json)
+
+
+@shape_app.command("landmarks")
+@command
+def landmarks(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Shape file, SPC maplet (.MAP) or folder of maplets.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT.npz", help="New catalogue of landmarks.")],
+    units: UnitsOption = Units.KM,
+    count: Annotated[int | None, typer.Option(metavar="N", help="How many landmarks, at most.  [default: 150]")] = None,
+    size_km: Annotated[
+        float | None, typer.Option(metavar="KM", help="Side of a landmark.  [default: a fifth of the mean radius]")
+    ] = None,
+    samples: Annotated[
+        int | None, typer.Option(metavar="N", help="Heights along each side of a landmark.  [default: 33]")
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> ExitCode:
+    """Choose landmarks for surface_features: places with strong relief or albedo, spread over the shape."""
+    from giantlike.cli.shape_landmarks import shape_landmarks
+
+    return shape_landmarks(
+        source,
+        target,
+        units=units,
+        count=count,
+        size_km=size_km,
+        samples=samples,
+        overwrite=overwrite,
+        json=json,
+    )

@@ -36,6 +36,7 @@ _LOW_SCORE = 0.6
 _LARGE_RESIDUALS_PX = 0.5
 _NEAR_SEARCH_LIMIT = 0.9
 _SETTLED_SIGMA = 0.3
+_DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders
 _LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
 
 
@@ -208,6 +209,22 @@ class SurfaceFeatures:
         return landmarks_of(mesh)
 
 
+def _moved(body: Body, pose: PnpFix, share: float) -> Body:
+    """A body moved towards a pose, by a share of the way."""
+    turn = (pose.camera_from_body * body.camera_from_body.inv()).as_rotvec()
+    return replace(
+        body,
+        position_camera_km=body.position_camera_km + share * (pose.position_camera_km - body.position_camera_km),
+        camera_from_body=Rotation.from_rotvec(share * turn) * body.camera_from_body,
+    )
+
+
+def _within_noise(before: Body, pose: PnpFix) -> bool:
+    """Whether the last step was small against the standard deviation of the position, along every direction."""
+    step = pose.position_camera_km - before.position_camera_km
+    return float(step @ np.linalg.solve(pose.covariance[:3, :3], step)) < _SETTLED_SIGMA**2
+
+
 @lru_cache(maxsize=4)
 def _read_once(path: str) -> LandmarkCatalog:
     return load_landmarks(Path(path))
@@ -242,17 +259,10 @@ class _Search:
             found = self._found(body, patches, first=iteration == 0)
             if isinstance(found, Failure):
                 return found
-            before, moved = (
-                body,
-                replace(
-                    body,
-                    position_camera_km=found.pose.position_camera_km,
-                    camera_from_body=found.pose.camera_from_body,
-                ),
-            )
+            before, moved = body, _moved(body, found.pose, 1.0 if iteration < _DAMPED_AFTER else 0.5)
             change_px = self._change_px(body, moved, seen)
             body = moved
-            if iteration > 0 and (change_px < self.options.tolerance_px or self._within_noise(before, found.pose)):
+            if iteration > 0 and (change_px < self.options.tolerance_px or _within_noise(before, found.pose)):
                 return self._fix(body, found)
             seen = self._seen(body) if iteration == 0 else self._again(body, seen)
         detail = f"the pose still moves by {change_px:.3f} px after {self.options.max_iterations} renders"
@@ -353,11 +363,6 @@ class _Search:
         arms = np.minimum(arms, levers)
         result: Float = 1.5 + self.options.search_range * arms + min(turn, _FREE_TURN_RAD) * levers
         return np.minimum(result, self.options.search_px)
-
-    def _within_noise(self, before: Body, pose: PnpFix) -> bool:
-        """Whether the last step was small against the standard deviation of the position, along every direction."""
-        step = pose.position_camera_km - before.position_camera_km
-        return float(step @ np.linalg.solve(pose.covariance[:3, :3], step)) < _SETTLED_SIGMA**2
 
     def _change_px(self, before: Body, after: Body, seen: SeenLandmarks) -> float:
         moved = self._projected(after)[seen.numbers] - self._projected(before)[seen.numbers]
