@@ -178,5 +178,5 @@ class MemoryCatalog:
             if isinstance(column, np.ndarray):
                 columns[name] = column[chosen]
             else:
-                columns[name] = np.full(len(chosen), column, dtype=kind)
+                columns[name] = np.broadcast_to(np.asarray(column, dtype=kind), len(chosen))
         return StarTable(**columns)

@@ -61,18 +61,18 @@ class SkyIndex:
         """Stars (k,) in a cone around a unit vector (3,), the fast ones last."""
         reach = radius_rad + self.slow_margin_rad + ABERRATION_RAD + _ROUNDING_RAD
         slow = int(self.starts[-1])
-        runs = [np.arange(first, stop) for first, stop in _runs(axis, reach, self.starts) if stop > first]
-        fast = np.arange(slow, slow + self.fast_margin_rad.size)
-        stars = np.concatenate([*runs, fast])
+        limits_of_runs = [*_runs(axis, reach, self.starts).tolist(), [slow, slow + self.fast_margin_rad.size]]
+        runs = [slice(first, stop) for first, stop in limits_of_runs if stop > first]
+        stars = np.concatenate([np.empty(0, np.intp), *(np.arange(run.start, run.stop) for run in runs)])
         squared = np.zeros(stars.size, dtype=np.float32)
         for row, component in zip(self.directions, axis.astype(np.float32), strict=True):
-            difference = row[stars]
+            difference = np.concatenate([np.empty(0, np.float32), *(row[run] for run in runs)])
             difference -= component
             difference *= difference
             squared += difference
         limits = np.full(stars.size, _chord_squared(reach), dtype=np.float32)
         wide = radius_rad + self.fast_margin_rad + ABERRATION_RAD + _ROUNDING_RAD
-        limits[stars.size - fast.size :] = _chord_squared(wide)
+        limits[stars.size - self.fast_margin_rad.size :] = _chord_squared(wide)
         return stars[squared <= limits]
 
 
