@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from giantlike.image import Image
     from giantlike.relative import (
         CrossCorrelation,
+        EllipseFit,
         EllipsoidCRA,
         LimbMatching,
         Moment,
@@ -51,6 +52,7 @@ _HOMES = {
     "giantlike.image": ("Image",),
     "giantlike.relative": (
         "CrossCorrelation",
+        "EllipseFit",
         "EllipsoidCRA",
         "LimbMatching",
         "Moment",
@@ -72,6 +74,7 @@ __all__ = [
     "DataError",
     "Detector",
     "DistantLight",
+    "EllipseFit",
     "EllipsoidCRA",
     "EstimationError",
     "Failure",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from giantlike.relative.cross_correlation import CrossCorrelation, CrossCorrelationOptions
+from giantlike.relative.ellipse_fit import EllipseFit, EllipseFitOptions
 from giantlike.relative.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.estimator import Estimator
 from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
@@ -21,6 +22,7 @@ ESTIMATORS: Mapping[str, Callable[..., Estimator]] = MappingProxyType(
         CrossCorrelation.name: CrossCorrelation,
         LimbMatching.name: LimbMatching,
         EllipsoidCRA.name: EllipsoidCRA,
+        EllipseFit.name: EllipseFit,
         SigmoidLimb.name: SigmoidLimb,
         SurfaceFeatures.name: SurfaceFeatures,
     }
@@ -31,6 +33,8 @@ __all__ = [
     "ESTIMATORS",
     "CrossCorrelation",
     "CrossCorrelationOptions",
+    "EllipseFit",
+    "EllipseFitOptions",
     "EllipsoidCRA",
     "EllipsoidCRAOptions",
     "Estimator",
