@@ -346,11 +346,13 @@ def _total_least_squares(cone: Float, metric: Float) -> Float:
     return result
 
 
-def ray_residuals(rays: PixelRays, figure: Figure, position_camera_km: Float) -> tuple[Float, Float, Float]:
-    """What :func:`horizon_residuals` returns, for pixels whose rays are at hand."""
+def ray_residuals(
+    rays: PixelRays, figure: Figure, position_camera_km: Float, *, steps: int = _FOOT_STEPS
+) -> tuple[Float, Float, Float]:
+    """What :func:`horizon_residuals` returns, for pixels whose rays are at hand, after some Newton steps."""
     pull, conic = figure.cone(position_camera_km)
     foot = np.zeros((len(rays.directions), 2))
-    for _ in range(_FOOT_STEPS):
+    for _ in range(steps):
         directions = rays.moved(foot)
         half = directions @ conic
         gradient = 2.0 * (half[:, None, :] @ rays.by_pixel)[:, 0]

@@ -21,6 +21,7 @@ from giantlike.relative.sigmoid_profile import HorizonArc, Indices, ProfileTable
 Mask = NDArray[np.bool_]
 
 _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
+_FOOT_STEPS = 3
 _RIDGE = 1e-12
 _REFITS = 2
 _MIN_FREEDOM = 5
@@ -148,9 +149,10 @@ def limb_pixels(
     nodes = np.repeat(np.arange(len(arc.points_px)), across.size * pieces)
     inside = np.all((pixels >= 0) & (pixels < [usable.shape[1], usable.shape[0]]), axis=1)
     pixels, nodes = pixels[inside], nodes[inside]
-    first = _firsts(pixels[:, 1] * usable.shape[1] + pixels[:, 0], usable.size)
+    first = _firsts(pixels)
     pixels, nodes = pixels[first], nodes[first]
-    outward, _, _ = ray_residuals(PixelRays.through(pixels.astype(np.float64), model), figure, position_camera_km)
+    rays = PixelRays(model.unproject(pixels.astype(np.float64)), arc.rays.by_pixel[nodes])
+    outward, _, _ = ray_residuals(rays, figure, position_camera_km, steps=_FOOT_STEPS)
     near = (np.abs(outward) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
     if not near.any():
         return None
@@ -277,10 +279,12 @@ def _in_cells(
     )
 
 
-def _firsts(keys: Indices, size: int) -> Indices:
-    """Index of one occurrence of each key below ``size``, in the order of the keys."""
-    where = np.full(size, -1, dtype=np.int64)
+def _firsts(pixels: Indices) -> Indices:
+    """One occurrence of each of the pixels (n, 2)."""
+    if len(pixels) == 0:
+        return np.zeros(0, dtype=np.int64)
+    corner = pixels - pixels.min(axis=0)
+    keys = corner[:, 1] * (corner[:, 0].max() + 1) + corner[:, 0]
+    where = np.zeros(int(keys.max()) + 1, dtype=np.int64)
     where[keys] = np.arange(keys.size)
-    chosen = np.zeros(keys.size, dtype=bool)
-    chosen[where[keys]] = True
-    return np.flatnonzero(chosen)
+    return np.flatnonzero(where[keys] == np.arange(keys.size))

@@ -13,6 +13,9 @@ from giantlike.processing.correlated_fit import correlated_solution, generalised
 from giantlike.relative.horizon import Altitude, Figure, altitude_design, horizon_residuals
 from giantlike.relative.sigmoid_scan import HorizonView
 
+_EXPLAINED_SIGMAS = 2.5
+"""Scatter of cells, and the product of neighbours, that pixel noise reaches once in a hundred times."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HorizonFit:
@@ -79,15 +82,15 @@ def fit_horizon(
 
     Notes
     -----
-    The cells err by pixel noise and by what neighbours share (albedo, relief), found from their scatter; by the blur
-    and the law, which all of them share and whose covariance the profiles give; and by the altitude.
+    The cells err by pixel noise; by what neighbours share (albedo, relief), found from their scatter where noise does
+    not explain that; by the blur and the law, which all of them share and whose covariance the profiles give; and by
+    the altitude.
     """
     points = cell_points(view)
     residuals, design, _ = horizon_residuals(points, model, figure, position_camera_km)
     sigma = view.fits.sigma_px[view.keep]
-    scatter = correlated_solution(residuals, design, sigma, points, min_length=_spacing_px(points))
     common = view.fits.shared[view.keep]
-    covariance = scatter.residual_covariance(sigma, points) + common @ view.shared()[1] @ common.T
+    covariance = _scatter_px2(residuals, design, sigma, points) + common @ view.shared()[1] @ common.T
     lift = altitude_design(points, model, figure, position_camera_km)
     covariance += altitude.sigma_km**2 * np.outer(lift, lift)
     step, position_covariance = generalised_solution(residuals, design, covariance, weights=weights)
@@ -102,6 +105,22 @@ def fit_horizon(
         altitude_km=raised,
         altitude_sigma_km=sigma_km,
     )
+
+
+def _scatter_px2(residuals: Float, design: Float, sigma: Float, points: Float) -> Float:
+    """Covariance (n, n) of the cells' own errors: pixel noise, and more where their scatter or its waves show it."""
+    whitened = design / sigma[:, None]
+    scale = np.linalg.norm(whitened, axis=0)
+    basis, _ = np.linalg.qr(whitened / scale)
+    left = residuals / sigma
+    left = left - basis @ (basis.T @ left)
+    freedom = left.size - 3
+    scatter = (float(left @ left) / freedom - 1.0) / np.sqrt(2.0 / freedom)
+    waves = float(left[1:] @ left[:-1]) / np.sqrt(left.size)
+    if max(scatter, waves) < _EXPLAINED_SIGMAS:
+        return np.diag(sigma**2)
+    fit = correlated_solution(residuals, design, sigma, points, min_length=_spacing_px(points))
+    return fit.residual_covariance(sigma, points)
 
 
 def _altitude(left: Float, design: Float, covariance: Float, lift: Float, altitude: Altitude) -> tuple[float, float]:

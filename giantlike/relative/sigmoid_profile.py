@@ -23,12 +23,12 @@ from giantlike.shapes.limbs import limb_ellipse
 
 Indices = NDArray[np.int64]
 
-_OVERVIEW, _LEAST_NODES, _MOST_NODES = 720, 180, 1200
+_OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 180, 1200
 _NODE_PX = 2.0
-_DEPTHS, _DEPTH_WEIGHTS = np.polynomial.legendre.leggauss(40)
+_DEPTHS, _DEPTH_WEIGHTS = np.polynomial.legendre.leggauss(36)
 _REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
 _TABLE_STEP = 0.35  # of the width of the blur
-_LIT_DEPTH_PX = 2.0
+_LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +67,10 @@ class HorizonArc:
     def tangents_px(self) -> Float:
         """Unit vectors (k, 2) along the horizon."""
         return np.stack([-self.normals_px[:, 1], self.normals_px[:, 0]], axis=-1)
+
+    def thinned(self, cell_px: float, every: int) -> HorizonArc:
+        """One cell of ``every`` so many."""
+        return self.only((self.along_px / cell_px).astype(np.int64) % every == 0)
 
     def only(self, chosen: NDArray[np.bool_]) -> HorizonArc:
         """The points that are ``chosen`` (k,)."""
@@ -160,12 +164,6 @@ class ProfileTable:
         slope = _hermite(near[1], far[1], self.step_px * near[2], self.step_px * far[2], t)
         return value, slope, (1.0 - t) * near[2] + t * far[2]
 
-    @property
-    def inside(self) -> Float:
-        """Brightness (k,) two pixels inside the horizon, relative to the law's own scale."""
-        result: Float = self.values[0, :, round((-_LIT_DEPTH_PX - self.first_px) / self.step_px), 0]
-        return result
-
 
 def profile_table(
     arc: HorizonArc,
@@ -221,6 +219,19 @@ def profile_table(
     values = np.stack([np.moveaxis(basis @ kernel, 0, -1) for kernel in kernels])  # (4, k, m, p)
     values = values[:3] + (0.5 * bend * width_px**2)[:, None, None] * values[1:]
     return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values)
+
+
+def brightness_inside(
+    arc: HorizonArc, figure: Figure, position_camera_km: Float, *, sun_direction_camera: Float, law: Reflectance
+) -> Float:
+    """Mean brightness (k,) of the first pixels inside a horizon, by the law's own scale.
+
+    On the horizon itself the cosine of incidence says little: with the Sun behind the camera it is zero all around,
+    however bright the limb.
+    """
+    inward = -(arc.rays.by_pixel @ arc.normals_px[..., None])[..., 0]
+    light, _ = _surface(arc, figure, position_camera_km, _LIT_DEPTHS_PX, inward, sun_direction_camera, law)
+    return np.asarray(light.mean(axis=1), dtype=np.float64)
 
 
 def blur_width_px(psf_variance_px2: float) -> float:

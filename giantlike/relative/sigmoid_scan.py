@@ -6,7 +6,7 @@ Shared by ``ellipsoid_cra`` and ``sigmoid_limb``, which turn what the cells say 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,11 +16,11 @@ from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb_scan import search_limb
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
 from giantlike.relative.horizon import Figure
-from giantlike.relative.limb_fix import LimbSearch, SettledLimb, next_motion_px
+from giantlike.relative.limb_fix import LimbSearch, SettledLimb
 from giantlike.relative.limb_lines import LimbLines
 from giantlike.relative.limb_observation import EdgeModel, LimbObservation
 from giantlike.relative.sigmoid_cells import CellFits, LimbPixels, Mask, fit_cells, limb_pixels
-from giantlike.relative.sigmoid_profile import HorizonArc, ProfileTable, blur_width_px, horizon_arc, profile_table
+from giantlike.relative.sigmoid_profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
 from giantlike.relative.sigmoid_rings import Rings
 
 _COARSE_POINTS = 120
@@ -31,6 +31,9 @@ _LAW_SIGMA = 0.3
 _STEP_LAW_SIGMA = 2.0
 _FIRST_BLUR_PX2 = 2.0
 """Variance added to the blur while the horizon is known to a pixel or two only: wider profiles catch from farther."""
+_FIRST_CELLS = 24
+_PATIENCE = 3  # iterations after which steps are halved: the cells used can alternate
+_STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _UNKNOWN_PSF_PX2, _UNKNOWN_PSF_SIGMA_PX2, _LEAST_PSF_PX2 = 0.8, 2.0, 0.01
 _CELL_RADII = 0.25  # longest cell over the apparent radius
 _MIN_FILLED = 0.6
@@ -152,7 +155,10 @@ class HorizonView:
 def settle_horizon(
     inputs: EstimatorInputs, figure: Figure, position_camera_km: Float, *, search: LimbSearch, scan: HorizonScan
 ) -> HorizonView | Failure:
-    """Find the horizon of an ellipsoid as a whole, then measure it and move the body until it stands still.
+    """Find the horizon of an ellipsoid as a whole, then measure it and move the body until it nearly stands still.
+
+    What is left is for the solution that comes after: its profiles are linear in the shift to second order, so that a
+    last step of s px leaves errors of s^2 over the width of the blur, about a pixel.
 
     Parameters
     ----------
@@ -177,21 +183,23 @@ def settle_horizon(
         view = _observed(inputs, figure, position, variance_px2, nominal_px2, search, scan)
         if isinstance(view, Failure):
             return view
-        step, shared = _step(view)
-        before_px, moved_px = moved_px, float(np.max(np.abs(view.design[view.keep] @ step)))
-        settled = iteration > 1 and next_motion_px(before_px, moved_px) < search.tolerance_px
-        settled |= iteration > 1 and moved_px < 0.3 * _worst_sigma_px(view)
-        if settled and abs(shared[0]) < 0.5 * variance_px2:
+        known = inputs.psf_sigma_px is not None
+        step, shared = _step(view, stiff=known and iteration < _STIFF_STEPS)
+        moved_px = float(np.max(np.abs(view.design[view.keep] @ step)))
+        settled = moved_px**2 < search.tolerance_px or moved_px < _worst_sigma_px(view, step)
+        if iteration > _PATIENCE:
+            step, shared = 0.5 * step, 0.5 * shared
+        if settled and iteration > 0 and (known or abs(shared[0]) < 0.5 * variance_px2):
             return view
         limit = 0.1 * float(np.linalg.norm(position))
         position = position + step * min(1.0, limit / max(float(np.linalg.norm(step)), 1e-300))
-        variance_px2 = nominal_px2 if iteration == 0 else max(variance_px2 + shared[0], _LEAST_PSF_PX2)
+        variance_px2 = nominal_px2 if known or iteration == 0 else max(variance_px2 + shared[0], _LEAST_PSF_PX2)
         if not float(position @ figure.shape_matrix @ position) > 1.0:
             break
     return inputs.fail(
         Reason.NOT_CONVERGED,
-        f"the horizon still moved by {moved_px:.2g} px after {iteration + 1} iterations, "
-        f"needed {search.tolerance_px:g} px",
+        f"the horizon still moved by {moved_px:.2g} px after {iteration + 1} iterations, needed "
+        f"{math.sqrt(search.tolerance_px):.2g} px",
     )
 
 
@@ -233,10 +241,10 @@ def settled_limb(inputs: EstimatorInputs, view: HorizonView, scan: HorizonScan) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LitHorizon:
-    """The part of a horizon that is lit and in the frame, and the profiles across it."""
+    """The part of a horizon that is lit and in the frame, and how bright it is inside."""
 
     arc: HorizonArc
-    table: ProfileTable
+    light: Float
     cut_by_frame: bool
 
 
@@ -244,10 +252,10 @@ def _located(
     inputs: EstimatorInputs, figure: Figure, position_km: Float, search: LimbSearch, scan: HorizonScan
 ) -> Float | Failure:
     """Position (3,) at which the contrast across the lit horizon is largest."""
-    lit = _lit_arc(inputs, figure, position_km, search.search_px, scan, _UNKNOWN_PSF_PX2)
+    lit = _lit_arc(inputs, figure, position_km, search.search_px, scan)
     if isinstance(lit, Failure):
         return lit
-    arc, table = lit.arc, lit.table
+    arc = lit.arc
     chosen = np.unique(np.linspace(0, len(arc.points_px) - 1, _COARSE_POINTS).round().astype(np.int64))
     model = inputs.camera.model
     center_px = model.project(position_km)
@@ -257,7 +265,7 @@ def _located(
         inputs.usable,
         arc.points_px[chosen],
         arc.normals_px[chosen],
-        table.inside[chosen],
+        lit.light[chosen],
         center_px,
         search_px=search.search_px,
         search_scale=search.search_range,
@@ -278,7 +286,7 @@ def _located(
 
 
 def _lit_arc(
-    inputs: EstimatorInputs, figure: Figure, position_km: Float, reach_px: float, scan: HorizonScan, psf_px2: float
+    inputs: EstimatorInputs, figure: Figure, position_km: Float, reach_px: float, scan: HorizonScan
 ) -> _LitHorizon | Failure:
     """The part of the horizon that is lit and in the frame (or not farther outside than ``reach_px``)."""
     whole = horizon_arc(inputs.camera.model, figure, position_km)
@@ -292,19 +300,9 @@ def _lit_arc(
             f"none of the predicted outline ({size[0]:.0f} x {size[1]:.0f} px) lies in the frame of "
             f"{inputs.camera.columns} x {inputs.camera.rows}: the surface fills the frame or lies beside it",
         )
-    sun = inputs.geometry.sun_direction_camera
-    law = inputs.geometry.target.reflectance
-    table = profile_table(
-        whole,
-        figure,
-        position_km,
-        sun_direction_camera=sun,
-        law=law,
-        width_px=blur_width_px(psf_px2),
-        window_px=scan.window_px,
-        powers=_LAW_POWERS + 1,
-    )
-    chosen = inside & (table.inside > _MIN_BRIGHTNESS * table.inside.max())
+    sun, law = inputs.geometry.sun_direction_camera, inputs.geometry.target.reflectance
+    light = brightness_inside(whole, figure, position_km, sun_direction_camera=sun, law=law)
+    chosen = inside & (light > _MIN_BRIGHTNESS * light.max())
     if not chosen.any():
         phase_deg = math.degrees(inputs.geometry.phase_angle_rad)
         return inputs.fail(
@@ -320,7 +318,7 @@ def _lit_arc(
             return inputs.fail(Reason.NO_LIMB, "rings or their shadow cover all of the lit limb in the frame")
     return _LitHorizon(
         arc=whole.only(chosen),
-        table=replace(table, values=table.values[:, chosen]),
+        light=light[chosen],
         cut_by_frame=not (whole.complete and bool(inputs.camera.contains(whole.points_px).all())),
     )
 
@@ -335,16 +333,24 @@ def _observed(
     scan: HorizonScan,
 ) -> HorizonView | Failure:
     """Measure the horizon in cells about a position that is good to a pixel or two."""
-    lit = _lit_arc(inputs, figure, position_km, 0.0, scan, psf_px2)
+    lit = _lit_arc(inputs, figure, position_km, 0.0, scan)
     if isinstance(lit, Failure):
         return lit
-    arc, table = lit.arc, lit.table
-    first = psf_px2 >= nominal_px2 + _FIRST_BLUR_PX2
-    if scan.edges is EdgeModel.STEP:
-        table = _without_law(inputs, arc, figure, position_km, psf_px2, scan)
-    if first:
-        table = replace(table, values=table.values[..., :2])  # a stiff profile, until the horizon is known better
     cell_px = max(min(scan.cell_px, _CELL_RADII * inputs.radius_px), 3.0)
+    first = psf_px2 >= nominal_px2 + _FIRST_BLUR_PX2  # few cells and a stiff profile, until the horizon is known better
+    arc = lit.arc
+    if first:
+        arc = arc.thinned(cell_px, math.ceil(len(arc.points_px) * arc.spacing_px / cell_px / _FIRST_CELLS))
+    table = profile_table(
+        arc,
+        figure,
+        position_km,
+        sun_direction_camera=inputs.geometry.sun_direction_camera,
+        law=inputs.geometry.target.reflectance if scan.edges is EdgeModel.TEMPLATE else None,
+        width_px=blur_width_px(psf_px2),
+        window_px=scan.window_px,
+        powers=2 if first else scan.powers + 1,
+    )
     pixels = limb_pixels(
         arc,
         inputs.camera.model,
@@ -382,21 +388,6 @@ def _observed(
     )
 
 
-def _without_law(
-    inputs: EstimatorInputs, arc: HorizonArc, figure: Figure, position_km: Float, psf_px2: float, scan: HorizonScan
-) -> ProfileTable:
-    return profile_table(
-        arc,
-        figure,
-        position_km,
-        sun_direction_camera=inputs.geometry.sun_direction_camera,
-        law=None,
-        width_px=blur_width_px(psf_px2),
-        window_px=scan.window_px,
-        powers=scan.powers + 1,
-    )
-
-
 def _judged(pixels: LimbPixels, fits: CellFits, max_unexplained: float) -> tuple[Mask, dict[str, int]]:
     """Which cells are good, and how many are not for which reason (the first that applies)."""
     complete = (pixels.filled > _MIN_FILLED) & np.isfinite(fits.chi2)
@@ -416,12 +407,12 @@ def _judged(pixels: LimbPixels, fits: CellFits, max_unexplained: float) -> tuple
     return keep, rejected
 
 
-def _step(view: HorizonView) -> tuple[Float, Float]:
-    """Step (3,) of the position, km, and of blur and law (2,), from all cells kept together."""
+def _step(view: HorizonView, *, stiff: bool) -> tuple[Float, Float]:
+    """Step (3,) of the position, km, and of blur and law (2,), by all cells together; these two stay if ``stiff``."""
     design = np.concatenate([view.design, view.fits.shared], axis=1)[view.keep] / view.fits.sigma_px[view.keep, None]
     information, pull = view.fits.about_shared(view.keep)
     normal = design.T @ design
-    normal[3:, 3:] += information + view.prior * view.noise_scale2
+    normal[3:, 3:] += information + view.prior * view.noise_scale2 + (_STIFF if stiff else 0.0) * np.eye(2)
     right = design.T @ (view.fits.raw_shift_px / view.fits.sigma_px)[view.keep]
     right[3:] += pull + view.prior_pull * view.noise_scale2
     scale = np.sqrt(np.diagonal(normal))
@@ -429,10 +420,12 @@ def _step(view: HorizonView) -> tuple[Float, Float]:
     return solution[:3], solution[3:]
 
 
-def _worst_sigma_px(view: HorizonView) -> float:
-    """How uncertain the horizon is where it is fixed worst, px, by pixel noise alone."""
-    leverage = np.linalg.qr(view.design[view.keep] / view.fits.sigma_px[view.keep, None])[0]
-    return float(np.max(np.linalg.norm(leverage, axis=1) * view.fits.sigma_px[view.keep]))
+def _worst_sigma_px(view: HorizonView, step_km: Float) -> float:
+    """How uncertain the horizon is where it is fixed worst, px, by the scatter of the cells alone."""
+    design = view.design[view.keep]
+    left = view.fits.raw_shift_px[view.keep] - design @ step_km
+    leverage = np.linalg.qr(design)[0]
+    return float(np.std(left) * np.max(np.linalg.norm(leverage, axis=1)))
 
 
 def _clear(inputs: EstimatorInputs, figure: Figure, position_km: Float, scan: HorizonScan) -> Mask:
