@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from giantlike.image import Image
     from giantlike.relative import (
+        Auto,
         CrossCorrelation,
         EllipseFit,
         EllipsoidCRA,
@@ -51,6 +52,7 @@ _HOMES = {
     "giantlike.ephemeris": ("ApparentGeometry", "DistantLight", "FixedEphemeris", "SpiceEphemeris", "TableEphemeris"),
     "giantlike.image": ("Image",),
     "giantlike.relative": (
+        "Auto",
         "CrossCorrelation",
         "EllipseFit",
         "EllipsoidCRA",
@@ -68,6 +70,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "ApparentGeometry",
     "AttitudeFix",
+    "Auto",
     "Camera",
     "CenterFix",
     "CrossCorrelation",

@@ -38,6 +38,12 @@ class ExportOption(StrEnum):
 
 
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
+Sequence = Annotated[
+    bool,
+    typer.Option(
+        "--sequence", help="Images of one camera and other stars each: remove the fixed pattern, compare the images."
+    ),
+]
 Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per CPU.")]
 
 
@@ -142,6 +148,7 @@ def stars(
     ] = False,
     max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalogue star.")] = None,
     catalog: Annotated[str, typer.Option(help="default, a built catalogue, or one in CSV.")] = "default",
+    sequence: Sequence = False,
     hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
     json: Json = False,
 ) -> ExitCode:
@@ -159,6 +166,7 @@ def stars(
         lost_in_space=lost_in_space,
         max_magnitude=max_magnitude,
         catalog=catalog,
+        sequence=sequence,
         hdu=int(hdu) if hdu is not None and hdu.isdecimal() else hdu,
         json=json,
     )
@@ -176,6 +184,7 @@ def detect(
     ] = None,
     min_snr: Annotated[float, typer.Option(help="Leave out what is fainter.")] = 0.0,
     threshold: Annotated[float, typer.Option(help="Detection limit in units of the noise.", metavar="SIGMA")] = 5.0,
+    sequence: Sequence = False,
     hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
     json: Json = False,
 ) -> ExitCode:
@@ -191,6 +200,7 @@ def detect(
         psf_sigma_px=psf_sigma,
         min_snr=min_snr,
         threshold_sigma=threshold,
+        sequence=sequence,
         hdu=int(hdu) if hdu is not None and hdu.isdecimal() else hdu,
         json=json,
     )
@@ -210,6 +220,18 @@ def render(
     from giantlike.cli.render_command import render_command
 
     return render_command(scene, output=output, overwrite=overwrite, json=json)
+
+
+@app.command("estimators")
+@command
+def estimators(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show the options of this one.")] = None,
+    json: Json = False,
+) -> ExitCode:
+    """List what finds a body in an image, or show one estimator with its options and their defaults."""
+    from giantlike.cli.estimators_command import estimators_command
+
+    return estimators_command(name, json=json)
 
 
 @app.command("report")

@@ -77,7 +77,11 @@ class Quality(enum.Flag):
     """The motion of the spacecraft is not known: the attitude holds stellar aberration, some 20 arcsec at 1 au."""
     EPOCH_UNKNOWN = enum.auto()
     """No epoch: stars were taken where the catalogue has them, at J2016.0."""
-    SUSPECT = LOW_SCORE | MANY_REJECTED | FAR_FROM_PREDICTION | LARGE_RESIDUALS | AMBIGUOUS
+    DISAGREEMENT = enum.auto()
+    """Two independent estimators differ by more than their covariances explain."""
+    UNCHECKED = enum.auto()
+    """No independent estimator found the body, so nothing confirms the fix."""
+    SUSPECT = LOW_SCORE | MANY_REJECTED | FAR_FROM_PREDICTION | LARGE_RESIDUALS | AMBIGUOUS | DISAGREEMENT
 
     @property
     def suspect(self) -> bool:

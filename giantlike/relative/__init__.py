@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+from giantlike.relative.auto import Auto, AutoOptions
 from giantlike.relative.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.ellipse_fit import EllipseFit, EllipseFitOptions
 from giantlike.relative.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
@@ -25,12 +26,15 @@ ESTIMATORS: Mapping[str, Callable[..., Estimator]] = MappingProxyType(
         EllipseFit.name: EllipseFit,
         SigmoidLimb.name: SigmoidLimb,
         SurfaceFeatures.name: SurfaceFeatures,
+        Auto.name: Auto,
     }
 )
 """Estimator classes by the name that they have in campaign files and tables; each takes its options or nothing."""
 
 __all__ = [
     "ESTIMATORS",
+    "Auto",
+    "AutoOptions",
     "CrossCorrelation",
     "CrossCorrelationOptions",
     "EllipseFit",

@@ -1,0 +1,199 @@
+"""The estimator that chooses: what it takes for which body, and how it is checked."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from giantlike.camera import Camera
+from giantlike.cli.app import app
+from giantlike.core.arrays import Float
+from giantlike.core.errors import InputError
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.image import Image
+from giantlike.relative import ESTIMATORS, Auto, AutoOptions, Estimator
+from giantlike.relative.auto import agreement_of, choose
+from giantlike.scene import Scene
+from giantlike.shapes import Ellipsoid, TriangleMesh
+from giantlike.shapes.generate import irregular_body
+from tests.limb_images import NEES_LIMIT, body_image
+
+MOON = Ellipsoid(radii_km=np.array([1.1, 1.0, 0.95]))
+
+
+@pytest.fixture(scope="module")
+def rock() -> TriangleMesh:
+    return irregular_body(5, radii_km=(1.2, 1.0, 0.9), facets=3000)
+
+
+def _sound(fix: CenterFix, center_px: Float) -> None:
+    error = fix.center_px - center_px
+    assert error @ np.linalg.solve(fix.covariance_px2, error) < NEES_LIMIT
+
+
+@pytest.mark.parametrize(
+    ("diameter_px", "is_ellipsoid", "in_frame", "limb_px", "first"),
+    [
+        (1.0, False, 1.0, 0.0, "unresolved"),
+        (20.0, False, 1.0, 30.0, "cross_correlation"),
+        (300.0, False, 1.0, 500.0, "cross_correlation"),
+        (300.0, True, 1.0, 500.0, "ellipsoid_cra"),
+        (1500.0, False, 0.2, 400.0, "limb_matching"),
+        (1500.0, True, 0.2, 400.0, "ellipsoid_cra"),
+        (3000.0, False, 0.0, 0.0, "surface_features"),
+    ],
+)
+def test_what_is_taken_follows_from_size_shape_and_limb(
+    diameter_px: float, is_ellipsoid: bool, in_frame: float, limb_px: float, first: str
+) -> None:
+    choice = choose(diameter_px=diameter_px, is_ellipsoid=is_ellipsoid, in_frame=in_frame, limb_px=limb_px)
+    assert choice.estimators[0] == first
+    assert f"{diameter_px:.3g} px" in choice.because
+    assert set(choice.checks) - {first}
+
+
+def test_an_ellipsoid_whose_limb_is_not_in_the_frame_cannot_be_found() -> None:
+    case = body_image(MOON, 1, phase_deg=30.0, radius_px=900.0)
+    outcome = Auto().estimate(case.image, case.camera, case.scene)
+    assert isinstance(outcome, Failure)
+    assert outcome.reason is Reason.NO_LIMB
+    assert "no landmarks" in outcome.detail
+
+
+@pytest.mark.parametrize(("radius_px", "chosen"), [(1.0, "unresolved"), (12.0, "cross_correlation")])
+def test_small_bodies_are_found_by_their_light_and_checked_by_its_moment(
+    rock: TriangleMesh, radius_px: float, chosen: str
+) -> None:
+    case = body_image(rock, 2, phase_deg=50.0, radius_px=radius_px).believed(off_px=(3.0, -2.0))
+    fix = Auto().estimate(case.image, case.camera, case.scene)
+    assert isinstance(fix, CenterFix)
+    assert (fix.estimator, fix.provenance["chosen"], fix.provenance["checked_by"]) == ("auto", chosen, "moment")
+    _sound(fix, case.center_px)
+
+
+def test_an_irregular_body_is_found_by_its_light_and_checked_by_its_limb(rock: TriangleMesh) -> None:
+    case = body_image(rock, 3, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
+    fix = Auto().estimate(case.image, case.camera, case.scene)
+    assert isinstance(fix, PositionFix)
+    assert (fix.provenance["chosen"], fix.provenance["checked_by"]) == ("cross_correlation", "limb_matching")
+    assert float(fix.provenance["agreement"]) > AutoOptions().false_alarm
+    assert not fix.flags.suspect
+    assert case.nees(fix) < NEES_LIMIT
+
+
+def test_an_ellipsoid_is_found_by_its_horizon_and_checked_by_its_light() -> None:
+    case = body_image(MOON, 4, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
+    fix = Auto().estimate(case.image, case.camera, case.scene)
+    assert isinstance(fix, PositionFix)
+    assert (fix.provenance["chosen"], fix.provenance["checked_by"]) == ("ellipsoid_cra", "cross_correlation")
+    assert case.nees(fix) < NEES_LIMIT
+
+
+def test_an_image_of_nothing_is_a_failure_that_names_what_was_tried() -> None:
+    case = body_image(MOON, 6, phase_deg=60.0)
+    noise = np.random.default_rng(1).normal(100.0, 5.0, (400, 400)).round().astype(np.uint16)
+    outcome = Auto().estimate(
+        Image(pixels=noise, camera_from_inertial=case.image.camera_from_inertial, name="dark"), case.camera, case.scene
+    )
+    assert isinstance(outcome, Failure)
+    assert "dark: BODY: auto: 160 px wide" in outcome.detail
+    assert "cross_correlation" in outcome.detail
+
+
+class _Said:
+    """An estimator that gives what it was told."""
+
+    name: ClassVar[str] = "said"
+    options = None
+
+    def __init__(self, outcome: CenterFix | Failure) -> None:
+        self._outcome = outcome
+
+    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> CenterFix | Failure:
+        return self._outcome
+
+
+def _fix(center_px: tuple[float, float], flags: Quality = Quality.NONE) -> CenterFix:
+    return CenterFix(
+        estimator="said", target="BODY", center_px=np.array(center_px), covariance_px2=np.diag([0.01, 0.01]),
+        predicted_px=np.zeros(2), residuals=np.zeros(3), n_used=3, n_rejected=0, score=1.0, flags=flags,
+    )  # fmt: skip
+
+
+class _Told(Auto):
+    """The choice for a rock of 160 px, with estimators that are told what to give."""
+
+    def __init__(self, **outcomes: CenterFix | Failure) -> None:
+        super().__init__()
+        self.outcomes = outcomes
+
+    def _estimator(self, name: str) -> Estimator:
+        return _Said(self.outcomes.get(name, Failure(Reason.NO_LIMB, f"{name} found nothing")))
+
+
+def _told(rock: TriangleMesh, **outcomes: CenterFix | Failure) -> CenterFix | Failure:
+    case = body_image(rock, 7, phase_deg=50.0)
+    return _Told(**outcomes).estimate(case.image, case.camera, case.scene)
+
+
+def test_a_disagreement_beyond_the_covariances_makes_the_fix_suspect(rock: TriangleMesh) -> None:
+    agreed = _told(rock, cross_correlation=_fix((10.0, 10.0)), limb_matching=_fix((10.2, 10.0)))
+    assert isinstance(agreed, CenterFix)
+    assert not agreed.flags.suspect
+    apart = _told(rock, cross_correlation=_fix((10.0, 10.0)), limb_matching=_fix((11.0, 10.0)))
+    assert isinstance(apart, CenterFix)
+    assert apart.flags & Quality.DISAGREEMENT
+    assert apart.flags.suspect
+    assert apart.center_px.tolist() == [10.0, 10.0]
+
+
+def test_what_rests_on_something_else_checks_before_what_rests_on_the_same(rock: TriangleMesh) -> None:
+    fix = _told(rock, cross_correlation=_fix((0, 0)), moment=_fix((9, 9)), limb_matching=_fix((0, 0)))
+    assert isinstance(fix, CenterFix)
+    assert fix.provenance["checked_by"] == "limb_matching"
+    second_best = _told(rock, cross_correlation=_fix((0, 0)), moment=_fix((0, 0)))
+    assert isinstance(second_best, CenterFix)
+    assert second_best.provenance["checked_by"] == "moment"
+
+
+def test_a_fix_that_nothing_confirms_says_so_without_being_suspect(rock: TriangleMesh) -> None:
+    fix = _told(rock, cross_correlation=_fix((0, 0)))
+    assert isinstance(fix, CenterFix)
+    assert fix.flags == Quality.UNCHECKED
+    assert "checked_by" not in fix.provenance
+
+
+def test_a_fix_to_which_its_own_checks_object_gives_way_to_the_next(rock: TriangleMesh) -> None:
+    fix = _told(rock, cross_correlation=_fix((0, 0), Quality.LOW_SCORE), limb_matching=_fix((0.1, 0)))
+    assert isinstance(fix, CenterFix)
+    assert fix.provenance["chosen"] == "limb_matching"
+    only = _told(rock, cross_correlation=_fix((0, 0), Quality.LOW_SCORE))
+    assert isinstance(only, CenterFix)
+    assert only.provenance["chosen"] == "cross_correlation"
+
+
+def test_agreement_is_the_chance_of_a_larger_difference() -> None:
+    # Two axes of sigma sqrt(0.02): a difference of 3 of them on one axis is as likely as exp(-9 / 2).
+    assert agreement_of(_fix((0, 0)), _fix((3 * 0.02**0.5, 0))) == pytest.approx(np.exp(-4.5), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"unresolved_px": 0.0}, {"unresolved_px": 50.0}, {"min_limb_px": 0.0}, {"false_alarm": 0.5}]
+)
+def test_options_out_of_range_are_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        AutoOptions(**bad)
+
+
+def test_the_command_lists_every_estimator_with_its_options() -> None:
+    listed = json.loads(CliRunner().invoke(app, ["estimators", "--json"]).stdout)
+    assert [one["name"] for one in listed] == list(ESTIMATORS)
+    assert all(one["summary"].endswith(".") and one["options"] for one in listed)
+    shown = CliRunner().invoke(app, ["estimators", "limb_matching"])
+    assert shown.exit_code == 0
+    assert "search_px = 40" in shown.stdout
+    assert CliRunner().invoke(app, ["estimators", "magic"]).exit_code == 2
