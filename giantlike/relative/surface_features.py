@@ -281,7 +281,7 @@ class _Search:
         if seen.numbers.size >= options.min_landmarks:
             return seen
         reason = Reason.TOO_FEW_MATCHES
-        if seen.numbers.size == 0 and seen.dark > 0:
+        if seen.numbers.size == 0 and seen.dark > 0 and seen.small == 0:
             reason = Reason.NOT_LIT
         elif seen.numbers.size == 0 and seen.outside > 0:
             reason = Reason.OUT_OF_FRAME
