@@ -14,12 +14,14 @@ import typer
 from giantlike.camera import Camera
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
+from giantlike.cli.sequence_input import sequence_pattern, without_pattern
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
+from giantlike.processing.sequence import FixedPattern, compare_sequence
 
 _SHOWN = 20
 """Detections of an image that the table for people shows."""
@@ -39,6 +41,8 @@ class DetectRequest:
         Detections of a lower signal to noise ratio are left out.
     hdu : int or str, optional
         Of FITS files.
+    sequence : bool
+        The images are of one camera: a fixed pattern is removed, and detections are compared.
     options : DetectionOptions
     """
 
@@ -46,6 +50,7 @@ class DetectRequest:
     psf_sigma_px: float | None = None
     min_snr: float = 0.0
     hdu: int | str | None = None
+    sequence: bool = False
     options: DetectionOptions = field(default_factory=DetectionOptions)
 
     def __post_init__(self) -> None:
@@ -53,8 +58,13 @@ class DetectRequest:
         require(sigma is None or 0 <= sigma <= 20, f"--psf-sigma must be in [0, 20] px, got {sigma}")
         require(math.isfinite(self.min_snr) and self.min_snr >= 0, f"--min-snr must be >= 0, got {self.min_snr}")
 
-    def search(self, image: Image) -> Detections | Failure:
-        """Sources of one image.
+    @property
+    def detector(self) -> Detector:
+        """That of the camera, or one of which nothing is known."""
+        return Detector() if self.camera is None else self.camera.detector
+
+    def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> Detections | Failure:
+        """Sources of one image, after the pattern of its sequence is removed.
 
         Raises
         ------
@@ -69,14 +79,14 @@ class DetectRequest:
         sigma = self.psf_sigma_px
         if sigma is None and camera is not None and camera.psf is not None:
             sigma = camera.psf.sigma_px
-        found = detect_sources(
+        image, detector = without_pattern(image, self.detector, pattern)
+        return detect_sources(
             image.pixels,
-            detector=Detector() if camera is None else camera.detector,
+            detector=detector,
             psf_sigma_px=sigma,
             mask=image.mask,
             options=self.options,
         )
-        return found.select(found.snr >= self.min_snr) if isinstance(found, Detections) else found
 
 
 def detect_command(
@@ -88,12 +98,7 @@ def detect_command(
         options=DetectionOptions(threshold_sigma=threshold_sigma),
         **request,
     )
-    results = []
-    with progress_bar() as progress:
-        for number, path in enumerate(images):
-            progress("detecting", number, len(images))
-            results.append(_searched(path, wanted))
-        progress("detecting", len(images), len(images))
+    results = _all_searched(images, wanted)
     if json:
         print_json(results)
     else:
@@ -102,21 +107,39 @@ def detect_command(
     return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
 
 
-def _searched(path: Path, wanted: DetectRequest) -> dict[str, Any]:
+def _all_searched(images: Sequence[Path], wanted: DetectRequest) -> list[dict[str, Any]]:
+    """The JSON list."""
+    pattern = sequence_pattern(images, hdu=wanted.hdu, detector=wanted.detector) if wanted.sequence else None
+    outcomes = []
+    with progress_bar() as progress:
+        for number, path in enumerate(images):
+            progress("detecting", number, len(images))
+            outcomes.append(_searched(path, wanted, pattern))
+        progress("detecting", len(images), len(images))
+    if wanted.sequence:
+        compared = iter(compare_sequence([found for found in outcomes if isinstance(found, Detections)]))
+        outcomes = [next(compared) if isinstance(found, Detections) else found for found in outcomes]
+    return [_result(path, outcome, wanted) for path, outcome in zip(images, outcomes, strict=True)]
+
+
+def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> Detections | Failure:
+    try:
+        return wanted.search(Image.open(path, hdu=wanted.hdu), pattern)
+    except OpNavError as error:
+        return Failure(Reason.UNREADABLE_IMAGE, str(error))
+
+
+def _result(path: Path, outcome: Detections | Failure, wanted: DetectRequest) -> dict[str, Any]:
     """One object of the JSON list; what is not known is None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None, "detail": ""}
     values |= {"psf_sigma_px": None, "noise_dn": None, "detections": []}
-    try:
-        found = wanted.search(Image.open(path, hdu=wanted.hdu))
-    except OpNavError as error:
-        return values | {"reason": str(Reason.UNREADABLE_IMAGE), "detail": str(error)}
-    if isinstance(found, Failure):
-        return values | {"reason": str(found.reason), "detail": found.detail}
+    if isinstance(outcome, Failure):
+        return values | {"reason": str(outcome.reason), "detail": outcome.detail}
     return values | {
         "status": "ok",
-        "psf_sigma_px": found.psf_sigma_px,
-        "noise_dn": found.noise_dn,
-        "detections": _rows(found),
+        "psf_sigma_px": outcome.psf_sigma_px,
+        "noise_dn": outcome.noise_dn,
+        "detections": _rows(outcome.select(outcome.snr >= wanted.min_snr)),
     }
 
 

@@ -14,11 +14,14 @@ from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
+from giantlike.cli.sequence_input import sequence_pattern, without_pattern
 from giantlike.core.arrays import require
+from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
 from giantlike.core.frames import pointing_deg
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
+from giantlike.processing.sequence import FixedPattern
 from giantlike.stars import StarNavigation, StarOptions
 
 _NUMBERS = MappingProxyType(
@@ -46,6 +49,7 @@ class StarsRequest:
     lost_in_space: bool
     max_magnitude: float | None
     hdu: int | str | None
+    sequence: bool = False
 
     def __post_init__(self) -> None:
         require((self.camera is None) != (self.fov_deg is None), "give either --camera CAMERA.toml or --fov DEG")
@@ -74,11 +78,13 @@ def stars_command(
     wanted = StarsRequest(camera=None if camera_file is None else Camera.load(camera_file), **request)
     options = wanted.options()
     stars = load_catalog(catalog)
+    detector = Detector() if wanted.camera is None else wanted.camera.detector
+    pattern = sequence_pattern(images, hdu=wanted.hdu, detector=detector) if wanted.sequence else None
     results = []
     with progress_bar() as progress:
         for number, path in enumerate(images):
             progress("solving stars", number, len(images))
-            results.append(_solve(path, stars, wanted, options))
+            results.append(_solve(path, stars, wanted, options, pattern))
         progress("solving stars", len(images), len(images))
     if json:
         print_json(results)
@@ -88,7 +94,13 @@ def stars_command(
     return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
 
 
-def _solve(path: Path, catalog: StarCatalog, wanted: StarsRequest, options: StarOptions) -> dict[str, Any]:
+def _solve(
+    path: Path,
+    catalog: StarCatalog,
+    wanted: StarsRequest,
+    options: StarOptions,
+    pattern: FixedPattern | Failure | None,
+) -> dict[str, Any]:
     """One object of the JSON list; what is not known is None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None} | dict.fromkeys(_NUMBERS)
     values |= {"detail": "", "flags": []}
@@ -98,6 +110,8 @@ def _solve(path: Path, catalog: StarCatalog, wanted: StarsRequest, options: Star
         if camera is None:
             assert wanted.fov_deg is not None
             camera = Camera.from_fov(wanted.fov_deg, image.columns, image.rows)
+        image, detector = without_pattern(image, camera.detector, pattern)
+        camera = replace(camera, detector=detector)
         if image.camera_from_inertial is None:
             options = replace(options, lost_in_space=True)
         outcome = StarNavigation(camera, catalog, options).solve(image)

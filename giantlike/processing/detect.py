@@ -35,18 +35,19 @@ from giantlike.processing.centroid import (
 )
 from giantlike.processing.detections import DetectionFlag, Detections
 from giantlike.processing.matched_filter import FilteredImage, Image32, matched_filter, noise_between, recorded_width_px
+from giantlike.processing.particles import CORE_WIDTHS, core_of, find_few_pixels
 
 _FIRST_PSF_SIGMA_PX = 1.0
 _PSF_ROUNDS = 3
 _PSF_SETTLED = 0.2  # a filter off by this in ln sigma loses 1 % of the signal to noise
 _PSF_STARS = 50
+_PSF_MOST_TRIED = 1000
 _PSF_MIN_SIGNIFICANCE = 12.0
 _PSF_WIDTH_PRIOR = 1.0
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 _QUANTISATION_DN = 1.0 / math.sqrt(12.0)
 _FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in single precision
 
-_CORE_WIDTHS = 2.0  # radius of what counts as the core of a source, in recorded star widths
 _EXTENDED_AREA = 4.0  # times the area that a star of the same peak has above the threshold
 _EXTENDED_AREA_MARGIN_PX = 12
 _EXTENDED_WIDTH = 2.0  # recorded widths of a star
@@ -305,26 +306,43 @@ def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> NDArray[np
 
 
 def _estimate_psf(frame: _Frame, found: _Candidates, psf_sigma_px: float) -> float:
-    """Median fitted width of the most significant isolated, unsaturated, compact sources."""
-    usable = found.alone & ~found.extended & (found.significance > _PSF_MIN_SIGNIFICANCE)
-    found = found.select(usable).select(slice(4 * _PSF_STARS))
-    patches = cut_patches(frame.pixels, frame.bad, found.peaks_px, _half_patch_px(psf_sigma_px), frame.saturation_dn)
-    whole = np.flatnonzero(patches.valid.all(axis=(1, 2)) & ~patches.saturated.any(axis=(1, 2)))[:_PSF_STARS]
-    if not whole.size:
-        return psf_sigma_px
-    fits = fit_stars(
-        patches.select(whole),
-        flux_dn=found.flux_dn[whole],
-        noise_dn=found.noise_dn[whole],
-        psf_sigma_px=psf_sigma_px,
-        gain_e_per_dn=frame.gain_e_per_dn,
-        width_prior=_PSF_WIDTH_PRIOR,
-        isolated=True,
-    )
-    widths = fits.width_px[fits.converged]
-    stars = widths[widths > _HOT_PIXEL_WIDTH_PX]
-    widths = stars if stars.size else widths
-    return max(float(np.median(widths)), MIN_PSF_SIGMA_PX) if widths.size else psf_sigma_px
+    """Median fitted width of the most significant isolated, unsaturated, compact sources that may be stars."""
+    found = found.select(found.alone & ~found.extended & (found.significance > _PSF_MIN_SIGNIFICANCE))
+    stars: list[float] = []
+    sharper: list[float] = []
+    for start in range(0, min(len(found), _PSF_MOST_TRIED), 2 * _PSF_STARS):
+        some = found.select(slice(start, start + 2 * _PSF_STARS))
+        patches = cut_patches(frame.pixels, frame.bad, some.peaks_px, _half_patch_px(psf_sigma_px), frame.saturation_dn)
+        whole = np.flatnonzero(patches.valid.all(axis=(1, 2)) & ~patches.saturated.any(axis=(1, 2)))
+        whole = whole[: _PSF_STARS - len(stars)]
+        if not whole.size:
+            continue
+        patches, some = patches.select(whole), some.select(whole)
+        fits = fit_stars(
+            patches,
+            flux_dn=some.flux_dn,
+            noise_dn=some.noise_dn,
+            psf_sigma_px=psf_sigma_px,
+            gain_e_per_dn=frame.gain_e_per_dn,
+            width_prior=_PSF_WIDTH_PRIOR,
+            isolated=True,
+        )
+        few = find_few_pixels(
+            patches,
+            fits.points_px,
+            widths_px=fits.width_px,
+            background_dn=fits.background_dn,
+            noise_dn=some.noise_dn,
+            gain_e_per_dn=frame.gain_e_per_dn,
+            psf_sigma_px=psf_sigma_px,
+        )
+        wide = fits.converged & (fits.width_px > _HOT_PIXEL_WIDTH_PX) & ~few.not_star
+        stars.extend(fits.width_px[wide])
+        sharper.extend(fits.width_px[fits.converged & ~wide])
+        if len(stars) >= _PSF_STARS:
+            break
+    widths = stars or sharper
+    return max(float(np.median(widths)), MIN_PSF_SIGMA_PX) if widths else psf_sigma_px
 
 
 def _half_patch_px(psf_sigma_px: float) -> int:
@@ -346,8 +364,7 @@ def _measure(frame: _Frame, found: _Candidates, psf_sigma_px: float, noise_dn: f
     points = np.where(failed[:, None], found.peaks_px, fits.points_px)
     covariance = np.where(failed[:, None, None], width**2 * np.eye(2), fits.covariance_px2)
     flux = np.where(failed, found.flux_dn, fits.flux_dn)
-    dx, dy = patches.offsets_px(points)
-    core = np.hypot(dy[:, :, None], dx[:, None, :]) <= _CORE_WIDTHS * width + 0.5
+    core = core_of(patches, points, psf_sigma_px)
     peak = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
     flags = _flags(frame, found, patches, fits, points, core, psf_sigma_px)
     order = np.argsort(-flux, kind="stable")
@@ -380,7 +397,7 @@ def _flags(
     width = recorded_width_px(psf_sigma_px)
     failed = ~fits.converged
     saturated = (core & patches.saturated).any(axis=(1, 2))
-    margin = _CORE_WIDTHS * width - 0.5
+    margin = CORE_WIDTHS * width - 0.5
     last = np.array([columns, rows]) - 1.0 - margin
     cut = ((points_px < margin) | (points_px > last)).any(axis=1)
     masked = np.zeros(len(points_px), dtype=bool)
@@ -392,7 +409,16 @@ def _flags(
     long = patches.longest_axis(points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
     long &= ~saturated  # a plateau has no shape
     usual = _usual_width_px(fits, ~saturated & ~wide & ~long, psf_sigma_px)
-    sharp = (fits.width_px < _SHARP_WIDTH * usual) & (usual >= _SHARP_MIN_PSF_PX) & ~saturated
+    few = find_few_pixels(
+        patches,
+        points_px,
+        widths_px=np.full(len(points_px), usual),
+        background_dn=fits.background_dn,
+        noise_dn=found.noise_dn,
+        gain_e_per_dn=frame.gain_e_per_dn,
+        psf_sigma_px=psf_sigma_px,
+    )
+    sharp = (few.not_star | (fits.width_px < _SHARP_WIDTH * usual)) & (usual >= _SHARP_MIN_PSF_PX) & ~saturated
     blended = np.zeros(len(points_px), dtype=bool)
     blended[neighbour_pairs(points_px, patches.reach_px)[:, 0]] = True
     result = np.zeros(len(points_px), dtype=np.uint16)
@@ -402,6 +428,7 @@ def _flags(
         (DetectionFlag.CUT_BY_FRAME, cut),
         (DetectionFlag.EXTENDED, found.extended | wide | long),
         (DetectionFlag.SHARP, sharp & ~failed),
+        (DetectionFlag.COSMIC_RAY, sharp & few.not_star & (few.n_pixels > 1)),
         (DetectionFlag.BLENDED, blended | ~found.alone),
         (DetectionFlag.FIT_FAILED, failed),
     ):

@@ -45,7 +45,13 @@ class DetectionFlag(enum.IntFlag):
         return tuple(str(flag.name).lower() for flag in DetectionFlag if flag in self)
 
 
-NOT_A_STAR = DetectionFlag.EXTENDED | DetectionFlag.SHARP | DetectionFlag.FIT_FAILED
+NOT_A_STAR = (
+    DetectionFlag.EXTENDED
+    | DetectionFlag.SHARP
+    | DetectionFlag.FIT_FAILED
+    | DetectionFlag.COSMIC_RAY
+    | DetectionFlag.HOT_PIXEL
+)
 """Flags of detections that are of no use as stars; see :attr:`Detections.clean`."""
 
 

@@ -1,0 +1,49 @@
+"""``--sequence``: images of one camera, whose fixed pattern is removed before they are looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from giantlike.cli.outcome import say
+from giantlike.core.arrays import require
+from giantlike.core.detector import Detector
+from giantlike.core.errors import OpNavError
+from giantlike.core.outcomes import Failure
+from giantlike.image import Image
+from giantlike.processing.sequence import FixedPattern, fixed_pattern, saturation_of
+
+_MOST_IMAGES = 25
+
+
+def sequence_pattern(paths: Sequence[Path], *, hdu: int | str | None, detector: Detector) -> FixedPattern | Failure:
+    """Fixed pattern of the readable images among ``paths``; a failure is also said on stderr.
+
+    Raises
+    ------
+    InputError
+        Fewer than two can be read, or their sizes differ.
+    """
+    arrays = []
+    for k in np.unique(np.linspace(0, len(paths) - 1, _MOST_IMAGES).round().astype(int)):
+        try:
+            arrays.append(Image.open(paths[k], hdu=hdu).pixels)
+        except OpNavError:
+            continue  # it is named where the image itself is processed
+    require(len(arrays) >= 2, f"--sequence needs at least two readable images, got {len(arrays)}")
+    pattern = fixed_pattern(arrays, detector=detector)
+    if isinstance(pattern, Failure):
+        say(f"giantlike: no fixed pattern is removed: {pattern.detail}")
+    return pattern
+
+
+def without_pattern(image: Image, detector: Detector, pattern: FixedPattern | Failure | None) -> tuple[Image, Detector]:
+    """Return an image without the pattern and its hot pixels, and a detector that knows where its pixels saturate."""
+    if not isinstance(pattern, FixedPattern):
+        return image, detector
+    limit = saturation_of(image.pixels.dtype, detector.saturation_dn)
+    pixels = pattern.removed_from(image.pixels, saturation_dn=detector.saturation_dn)
+    return replace(image, pixels=pixels, mask=image.mask | pattern.hot), replace(detector, saturation_dn=limit)
