@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, require
 
 _ITERATIONS = 20
+_REST = 0.01
+"""Motion of the residuals, over the least sigma, below which robust weights need no more iterations."""
 _MAD_TO_SIGMA = 1.4826
 _TUKEY_LIMIT = 1.5
 """Where a weight reaches zero, over the limit for outliers."""
@@ -81,16 +83,20 @@ def robust_solution(
     weights = np.ones_like(residuals)
     left = residuals
     for _ in range(_ITERATIONS):
-        solution = _weighted(residuals, design, weights)
+        solution, before = _weighted(residuals, design, weights), left
         left = residuals - design @ solution
+        if _same(left, before, floor):
+            break
         weights = 1.0 / np.maximum(np.abs(left), floor + _robust_sigma(left))
     for _ in range(_ITERATIONS):
         total = np.sqrt(sigma**2 + _robust_sigma(left) ** 2)
         biweight = np.maximum(1.0 - (left / (_TUKEY_LIMIT * outlier_mad * total)) ** 2, 0.0) ** 2
         if np.count_nonzero(biweight) <= design.shape[1]:
             break
-        solution = _weighted(residuals, design, biweight / total**2)
+        solution, before = _weighted(residuals, design, biweight / total**2), left
         left = residuals - design @ solution
+        if _same(left, before, floor):
+            break
     keep: NDArray[np.bool_] = np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + _robust_sigma(left) ** 2)
     return solution, keep
 
@@ -135,31 +141,30 @@ def correlated_solution(
     sigma : (n,) float64
         Independent noise as predicted; its scale is estimated.
     points : (n, d) float64
-        Where the residuals were taken: those close together err together.
+        Where the residuals were taken, one after the other along a line: those close together err together.
     min_length : float
         Shortest correlation length considered, unit of ``points``.
 
     Notes
     -----
     The residuals' covariance is modelled as ``s^2 (diag(sigma^2) + q m exp(-distance / length))``, m the mean of
-    ``sigma^2``. For a grid of ratios q and lengths, s^2 is found by restricted maximum likelihood, which knows that
-    the solution has absorbed part of the long waves; the solutions are averaged with the likelihoods as weights,
-    their disagreement added to the covariance.
+    ``sigma^2`` and the distance that along the points: a process without memory but of its last value, which a
+    Kalman filter takes apart in one pass. For a grid of ratios q and lengths, s^2 is found by restricted maximum
+    likelihood, which knows that the solution has absorbed part of the long waves; the solutions are averaged with the
+    likelihoods as weights, their disagreement added to the covariance.
     """
     n, k = design.shape
     require(n > k + 1, f"needed more than {k + 1} residuals, got {n}")
-    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     scale = np.linalg.norm(design / sigma[:, None], axis=0)
-    y, x = residuals / sigma, design / sigma[:, None] / scale
-    mean_variance = float(np.mean(sigma**2))
-    longest = max(float(distances.max()), 2.0 * min_length)
+    typical = float(np.sqrt(np.mean(sigma**2)))
+    longest = max(extent, 2.0 * min_length)
     lengths = np.exp(np.arange(np.log(min_length), np.log(longest), np.log(_LENGTH_STEP)))
-    parts = []
-    for length in lengths:
-        kernel = mean_variance * np.exp(-distances / length) / np.outer(sigma, sigma)
-        values, vectors = np.linalg.eigh(kernel)
-        parts.append(_restricted_likelihoods(vectors.T @ y, vectors.T @ x, np.maximum(values, 0.0)))
-    likelihood, solutions, covariances, variances = (np.concatenate(part) for part in zip(*parts, strict=True))
+    ratios, grid = (part.ravel() for part in np.meshgrid(_RATIOS, lengths))  # one length after the other
+    values = np.concatenate([residuals[:, None], design / scale], axis=1) / typical
+    white, log_determinant = _whitened(values, (sigma / typical) ** 2, np.exp(-steps[:, None] / grid), ratios)
+    likelihood, solutions, covariances, noise = _restricted_likelihoods(white, log_determinant)
     chance = np.exp(likelihood - likelihood.max())
     chance /= chance.sum()
     mean = chance @ solutions
@@ -169,35 +174,60 @@ def correlated_solution(
     return CorrelatedFit(
         solution=mean / scale,
         covariance=covariance / np.outer(scale, scale),
-        noise_scale=float(np.sqrt(chance @ variances[:, 0])),
-        correlated_sigma=float(np.sqrt(chance @ variances[:, 1] * mean_variance)),
+        noise_scale=float(np.sqrt(chance @ noise)),
+        correlated_sigma=typical * float(np.sqrt(chance @ (ratios * noise))),
         correlation_length=float(lengths[np.argmax(by_length)]),
     )
 
 
-def _restricted_likelihoods(y: Float, x: Float, values: Float) -> tuple[Float, Float, Float, Float]:
-    """For every ratio: log likelihood (g,), solution (g, k), covariance (g, k, k), the two variances (g, 2).
+def _whitened(values: Float, noise: Float, memory: Float, ratios: Float) -> tuple[Float, Float]:
+    """Columns of values made independent, of variance 1, under g covariances; and log determinants (g,) of those.
 
-    Everything is in the basis where the kernel is diagonal with ``values``; variances in units of the mean variance.
+    Noise of variance ``noise`` (n,) is added to a part of variance ``ratios`` (g,) whose correlation from one value to
+    the next is ``memory`` (n - 1, g): a Kalman filter, whose innovations are what is returned, (g, n, columns).
     """
-    freedom = y.size - x.shape[1]
-    variance = 1.0 + _RATIOS[:, None] * values  # (g, n)
-    weighted = x / variance[:, :, None]
-    normal = np.einsum("gni,nj->gij", weighted, x)
-    solution = np.linalg.solve(normal, np.einsum("gni,n->gi", weighted, y)[..., None])[..., 0]
-    left = y - solution @ x.T
-    noise = np.maximum(np.sum(left**2 / variance, axis=1) / freedom, _LEAST_SCALE)
-    likelihood = -0.5 * (freedom * np.log(noise) + np.log(variance).sum(axis=1) + np.linalg.slogdet(normal)[1])
-    covariance = np.linalg.inv(normal) * noise[:, None, None]
-    return likelihood, solution, covariance, np.stack([noise, _RATIOS * noise], axis=-1)
+    white = np.empty((len(values), ratios.size, values.shape[1]))
+    state, variance, log_determinant = np.zeros(white.shape[1:]), ratios.copy(), np.zeros(ratios.size)
+    for number, row in enumerate(values):
+        total = variance + noise[number]
+        surprise = row - state
+        white[number] = surprise / np.sqrt(total)[:, None]
+        log_determinant += np.log(total)
+        if number < len(memory):
+            keep = memory[number]
+            state = keep[:, None] * (state + (variance / total)[:, None] * surprise)
+            variance = ratios + keep**2 * (variance * noise[number] / total - ratios)
+    return np.swapaxes(white, 0, 1), log_determinant
+
+
+def _restricted_likelihoods(white: Float, log_determinant: Float) -> tuple[Float, Float, Float, Float]:
+    """For every covariance: log likelihood (g,), solution (g, k), its covariance (g, k, k), variance scale (g,).
+
+    ``white`` (g, n, 1 + k) are residuals and design made independent.
+    """
+    y, x = white[..., 0], white[..., 1:]
+    freedom = y.shape[1] - x.shape[2]
+    across = np.swapaxes(x, 1, 2)
+    normal = across @ x
+    solution = np.linalg.solve(normal, across @ y[..., None])
+    left = y - (x @ solution)[..., 0]
+    noise: Float = np.maximum(np.einsum("gn,gn->g", left, left) / freedom, _LEAST_SCALE)
+    likelihood = -0.5 * (freedom * np.log(noise) + log_determinant + np.linalg.slogdet(normal)[1])
+    covariance: Float = np.linalg.inv(normal) * noise[:, None, None]
+    return likelihood, solution[..., 0], covariance, noise
 
 
 def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
-    root = np.sqrt(weights)
     scale = np.linalg.norm(design, axis=0)
-    solution = np.linalg.lstsq(design / scale * root[:, None], residuals * root, rcond=None)[0]
-    result: Float = solution / scale
+    x = design / scale
+    weighted = x * weights[:, None]
+    result: Float = np.linalg.lstsq(weighted.T @ x, weighted.T @ residuals, rcond=None)[0] / scale
     return result
+
+
+def _same(left: Float, before: Float, floor: float) -> bool:
+    """Whether residuals have come to rest."""
+    return float(np.max(np.abs(left - before))) < _REST * floor
 
 
 def _robust_sigma(residuals: Float) -> float:

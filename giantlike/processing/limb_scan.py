@@ -8,7 +8,7 @@ with the profile expected there.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,12 +28,15 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
 _COARSE_BLUR_PX = 1.0
-_COARSE_STEP_PX = 2.0
-_COARSE_OFFSET_PX = 2.0
+_COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # of the radius
+_FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
+_SKY_STEP = 5  # pixels from one to the next that the level of the sky is found from
+_COARSE_OFFSET_PX = 1.5
+_COARSE_POINTS = 80  # that the first step needs
 _COARSE_NOISE_SIGMAS = 4.0
 _RIVAL_PX = 2.0
 _RIVAL_CORRELATION = 0.98
-_REFINEMENTS = 3
+_REFINEMENTS = 2
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
 
@@ -152,7 +155,9 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     places = points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
     coordinates = np.moveaxis(places[..., ::-1], -1, 0)
     values = map_coordinates(pixels_dn, coordinates, order=3, mode="nearest", prefilter=False)
-    clean = cv2.erode(usable.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=1) > 0
+    clean = usable
+    if not usable.all():
+        clean = cv2.erode(usable.view(np.uint8), np.ones((5, 5), np.uint8), borderValue=1).view(np.bool_)
     return Scans(points_px, normals_px, offsets_px, values, _inside(places, usable.shape, 1.0) & _at(clean, places))
 
 
@@ -214,10 +219,14 @@ def match_profiles(
     rival = np.max(np.where(far & _local_maxima(correlation), correlation, -1.0), axis=1)
     data = windows[lines, lag]
     shift = np.zeros(lag.size)
+    columns = _design(expected, offsets, part, step)
+    variance, weights = _weights(data, columns, variance_dn2, model_error)
     for _ in range(_REFINEMENTS):
+        solution = _solve(columns, data, weights)
+        shift = np.clip(shift + _quotient(solution), -step, step)
         columns = _design(_moved(expected, shift / step), offsets, part, step)
-        fit = _fit(data, columns, offsets, variance_dn2, model_error)
-        shift = np.clip(shift + fit.shift_px, -step, step)
+    fit = _fit(data, columns, offsets, variance, weights)
+    shift = np.clip(shift + fit.shift_px, -step, step)
     height = np.abs(fit.gain_dn) * np.ptp(profile, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         unexplained = fit.rms_dn / height
@@ -288,8 +297,8 @@ def search_limb(
         To about a pixel.
     """
     radius_px = float(np.max(np.linalg.norm(points_px - center_px, axis=1)))
-    offset_px = min(_COARSE_OFFSET_PX, 0.25 * radius_px)
-    grown = 1.0 + search_scale
+    step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
+    coarsest, grown = step, 1.0 + search_scale
     low = np.floor(np.min(center_px + grown * (points_px - center_px), axis=0) - search_px - 8.0)
     high = np.ceil(np.max(center_px + grown * (points_px - center_px), axis=0) + search_px + 8.0)
     rows, columns = pixels_dn.shape
@@ -297,20 +306,31 @@ def search_limb(
     x1, y1 = np.clip(high, 0, [columns - 1, rows - 1]).astype(int) + 1
     corner = np.array([x0, y0])
     crop, good = pixels_dn[y0:y1, x0:x1], usable[y0:y1, x0:x1]
-    sky = float(np.percentile(crop[good], 1.0)) if good.any() else 0.0
-    dark_sky = np.where(good, crop - sky, 0.0)
-    blurred = cv2.GaussianBlur(dark_sky, (0, 0), _COARSE_BLUR_PX).astype(np.float32)
-    arms = points_px - corner, normals_px, weights, center_px - corner
-    search = _ContrastSearch(blurred, good, *arms, offset_px, noise_dn)
-    steps = int(np.ceil(search_px / _COARSE_STEP_PX))
-    scale_steps = int(np.ceil(search_scale * radius_px / _COARSE_STEP_PX))
-    scale_step = search_scale / max(scale_steps, 1)
-    shifts = np.arange(-steps, steps + 1, dtype=np.float64) * _COARSE_STEP_PX
-    sizes = 1.0 + np.arange(-scale_steps, scale_steps + 1, dtype=np.float64) * scale_step
-    first = search.best(np.zeros(2), shifts, sizes)
-    fine = np.arange(-4, 5, dtype=np.float64) * 0.25
-    scales = np.unique(np.clip(first.scale + fine * scale_step, 1.0 - search_scale, 1.0 + search_scale))
-    return search.best(first.shift_px, _COARSE_STEP_PX * fine, scales)
+    sky = float(np.percentile(crop[good][::_SKY_STEP], 1.0)) if good.any() else 0.0
+    dark_sky = np.where(good, crop - sky, 0.0).astype(np.float32)
+    pad = int(np.ceil(search_px)) + 8
+    scales = _around(1.0, search_scale, int(np.ceil(search_scale * radius_px / step)))
+    best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
+    shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
+    scale_step = search_scale / max(scales.size // 2, 1)
+    while True:
+        blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32)
+        offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
+        thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
+        arms = points_px[thin] - corner, normals_px[thin], weights[thin], center_px - corner
+        search = _ContrastSearch(blurred, good, *arms, offset_px, noise_dn, pad)
+        found = search.best(best.shift_px, shifts, scales, steepest=step < coarsest)
+        best = found if step == coarsest else replace(found, contrast=best.contrast)
+        if step <= _LEAST_STEP_PX:
+            return best
+        shifts = _around(0.0, step, _FINER)
+        scales = np.clip(_around(best.scale, scale_step, _FINER), 1.0 - search_scale, 1.0 + search_scale)
+        scales, scale_step, step = np.unique(scales), scale_step / _FINER, step / _FINER
+
+
+def _around(middle: float, reach: float, steps: int) -> Float:
+    """Values from ``middle - reach`` to ``middle + reach`` in so many steps to either side."""
+    return middle + np.arange(-steps, steps + 1, dtype=np.float64) * (reach / max(steps, 1))
 
 
 class _ContrastSearch:
@@ -326,49 +346,55 @@ class _ContrastSearch:
         center: Float,
         offset_px: float,
         noise_dn: float,
+        pad: int,
     ) -> None:
-        self._values = np.pad(image, 1).ravel()
-        self._good = np.pad(good, 1).ravel()
-        self._size = np.array(image.shape[::-1]) + 2
+        self._pad = pad
+        self._values, self._good = np.pad(image, pad).ravel(), np.pad(good, pad).ravel()
+        self._size = np.array(image.shape[::-1]) + 2 * pad
         self._arms, self._normals, self._center = points - center, normals * offset_px, center
         self._weights = (weights / weights.mean()).astype(np.float32)
         self._floor = np.float32(_COARSE_NOISE_SIGMAS * noise_dn + 1e-6)
 
-    def best(self, about_px: Float, shifts_px: Float, scales: Float) -> CoarseLimb:
-        """The place of highest contrast among a square of shifts about one, for every scale."""
+    def best(self, about_px: Float, shifts_px: Float, scales: Float, *, steepest: bool) -> CoarseLimb:
+        """The place of highest contrast among a square of shifts about one, for every scale.
+
+        Or of the largest difference across, which is sharper but rises with every bright edge.
+        """
         x, y = np.meshgrid(shifts_px, shifts_px)
         shifts = about_px + np.stack([x.ravel(), y.ravel()], axis=-1)
         found = []
         for scale in scales:
-            contrast = self._contrast(shifts, float(scale))
-            winner = int(np.argmax(contrast))
-            found.append((float(contrast[winner]), float(scale), winner))
-        contrast_best, scale_best, winner = max(found)
+            contrast, difference = self._contrast(shifts, float(scale))
+            value = difference if steepest else contrast
+            winner = int(np.argmax(value))
+            found.append((float(value[winner]), float(scale), winner, float(contrast[winner])))
+        _, scale_best, winner, contrast_best = max(found)
         return CoarseLimb(shift_px=shifts[winner], scale=scale_best, contrast=contrast_best)
 
-    def _contrast(self, shifts: Float, scale: float) -> Float:
-        """Mean contrast (k,) at shifts (k, 2); outlines that lie mostly outside the image count as if half inside."""
+    def _contrast(self, shifts: Float, scale: float) -> tuple[Float, Float]:
+        """Mean contrast (k,) at shifts (k, 2), and mean difference, DN.
+
+        Outlines that lie mostly outside the image count as if half inside.
+        """
         middle = self._center + scale * self._arms
         inner, outer = self._index(middle - self._normals, shifts), self._index(middle + self._normals, shifts)
         valid = self._good[inner] & self._good[outer]
         light, dark = self._values[inner], self._values[outer]
-        contrast = (light - dark) / (np.abs(light) + np.abs(dark) + self._floor)
+        difference = light - dark
+        contrast = difference / (np.abs(light) + np.abs(dark) + self._floor)
         weights = valid * self._weights
         weight = weights.sum(axis=1)
-        total = np.einsum("kn,kn->k", contrast, weights)
-        result: Float = total / np.maximum(weight, 0.5 * max(float(weight.max()), 1.0))
-        return result
+        weight = np.maximum(weight, 0.5 * max(float(weight.max()), 1.0))
+        return np.einsum("kn,kn->k", contrast, weights) / weight, np.einsum("kn,kn->k", difference, weights) / weight
 
     def _index(self, points: Float, shifts: Float) -> NDArray[np.intp]:
-        """Flat index (k, n) of the pixels nearest to points (n, 2) moved by shifts (k, 2); 0, a bad one, if outside."""
+        """Flat index (k, n) of the pixels nearest to points (n, 2) moved by shifts (k, 2), or as near as the border."""
         columns, rows = (
-            np.rint(points[:, i] + 1.0).astype(np.int32) + np.rint(shifts[:, i, None]).astype(np.int32)
+            np.clip(np.rint(points[:, i] + shifts[:, i, None]).astype(np.intp) + self._pad, 0, self._size[i] - 1)
             for i in range(2)
         )
-        if not bool(np.all(shifts == np.rint(shifts))):
-            columns, rows = (np.rint(points[:, i] + shifts[:, i, None] + 1.0).astype(np.int32) for i in range(2))
-        inside = (columns > 0) & (columns < self._size[0]) & (rows > 0) & (rows < self._size[1])
-        return np.where(inside, rows * self._size[0] + columns, 0)
+        index: NDArray[np.intp] = rows * self._size[0] + columns
+        return index
 
 
 def _inside(places_px: Float, shape: tuple[int, ...], margin_px: float = 0.0) -> Mask:
@@ -436,38 +462,55 @@ class _Fit:
     rms_dn: Float
 
 
-def _fit(
-    data: Float, columns: Float, offsets: Float, variance_dn2: Callable[[Float], Float], model_error: float
-) -> _Fit:
-    """Weighted fit of data (n, w) by columns (n, w, 4)."""
-    first = _solve(columns, data, np.ones_like(data))[0]
+def _weights(
+    data: Float, columns: Float, variance_dn2: Callable[[Float], Float], model_error: float
+) -> tuple[Float, Float]:
+    """Noise variance (n, w) of data (n, w), DN^2, from an unweighted fit, and weights that allow for model error."""
+    first = _solve(columns, data, np.ones_like(data))
     bright = np.maximum(np.einsum("nwk,nk->nw", columns[..., :2], first[:, :2]), 0.0)
     variance = variance_dn2(bright)
-    weights = 1.0 / (variance + (model_error * bright.max(axis=1, keepdims=True)) ** 2)
-    solution, operator = _solve(columns, data, weights)
-    stiff, _ = _solve(columns[..., :3], data, weights)
+    return variance, 1.0 / (variance + (model_error * bright.max(axis=1, keepdims=True)) ** 2)
+
+
+def _fit(data: Float, columns: Float, offsets: Float, variance: Float, weights: Float) -> _Fit:
+    """Weighted fit of data (n, w) of given noise variance by columns (n, w, 4)."""
+    operator = _gain(columns, weights)
+    solution = np.einsum("nkw,nw->nk", operator, data)
+    stiff = _solve(columns[..., :3], data, weights)
     apart = offsets[:, None] - offsets
     correlation = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
     noise = operator[:, 2] * np.sqrt(variance)
-    sigma = np.sqrt(np.einsum("nw,wv,nv->n", noise, correlation, noise))
+    sigma = np.sqrt(np.einsum("nw,nw->n", noise @ correlation, noise))
     left = data - np.einsum("nwk,nk->nw", columns, solution)
+    shift = _quotient(solution)
     with np.errstate(divide="ignore", invalid="ignore"):
-        shift, stiff_shift = solution[:, 2] / solution[:, 0], stiff[:, 2] / stiff[:, 0]
         sigma = sigma / np.abs(solution[:, 0])
     return _Fit(
         gain_dn=solution[:, 0],
-        shift_px=np.nan_to_num(shift),
+        shift_px=shift,
         sigma_px=np.where(np.isfinite(sigma), sigma, np.inf),
-        without_slope_px=np.nan_to_num(stiff_shift - shift),
+        without_slope_px=_quotient(stiff) - shift,
         rms_dn=np.sqrt(np.mean(left**2, axis=1)),
     )
 
 
-def _solve(columns: Float, data: Float, weights: Float) -> tuple[Float, Float]:
-    """Batched weighted least squares: solution (n, k) and the matrix (n, k, w) that gives it."""
+def _quotient(solution: Float) -> Float:
+    """Shift (n,), px, of solutions (n, k): that of the outward column over the gain; 0 where there is no gain."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(solution[:, 2] / solution[:, 0], posinf=0.0, neginf=0.0)
+
+
+def _solve(columns: Float, data: Float, weights: Float) -> Float:
+    """Batched weighted least squares (n, k)."""
+    result: Float = np.einsum("nkw,nw->nk", _gain(columns, weights), data)
+    return result
+
+
+def _gain(columns: Float, weights: Float) -> Float:
+    """The matrices (n, k, w) that give the solutions of weighted least squares."""
     weighted = np.swapaxes(columns * weights[..., None], 1, 2)
     normal = weighted @ columns
-    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
-    scaled = normal / (scale[:, :, None] * scale[:, None, :])
-    gain = np.linalg.solve(scaled + 1e-12 * np.eye(scaled.shape[1]), weighted / scale[:, :, None]) / scale[:, :, None]
-    return (gain @ data[..., None])[..., 0], gain
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))[..., None]
+    inverse = np.linalg.inv(normal / (scale * np.swapaxes(scale, 1, 2)) + 1e-12 * np.eye(normal.shape[1]))
+    result: Float = (inverse / scale) @ (weighted / scale)
+    return result

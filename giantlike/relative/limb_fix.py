@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,13 @@ from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.processing.correlated_fit import generalised_solution, robust_solution
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
-from giantlike.relative.limb_lines import LimbLines
 from giantlike.relative.limb_observation import LimbObservation, LimbScanOptions, locate_limb, observe_limb
 
 Mask = NDArray[np.bool_]
 
 SHORT_ARC_SHARE = 0.25
 _FIRST_SEARCH_PX = 3.0
+_FIRST_LINES, _FIRST_RAYS = 100, 2  # the rough place needs no more
 _PATIENCE = 3
 """Iterations after which steps are halved, and one that noise explains ends the fit: the lines used can alternate."""
 _RELIEF_TOLERANCE = 0.1
@@ -129,19 +129,24 @@ def settle_limb(
     SettledLimb or Failure
         ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
     """
-    position = locate_limb(inputs, body, search_px=search.search_px, search_range=search.search_range, options=scan)
-    if isinstance(position, Failure):
-        return position
+    located = locate_limb(inputs, body, search_px=search.search_px, search_range=search.search_range, options=scan)
+    if isinstance(located, Failure):
+        return located
+    position = located.position_camera_km
     moved_px = math.inf
-    lines: LimbLines | None = None
     for iteration in range(search.max_iterations):
-        extra_px = 3.0 * search.relief_px + (_FIRST_SEARCH_PX if iteration == 0 else 0.0)
+        first = iteration == 0
+        extra_px = 3.0 * search.relief_px + (_FIRST_SEARCH_PX if first else 0.0)
         observation = observe_limb(
-            inputs, body.at(position), scan, lines=lines, extra_px=extra_px, relief=search.relief_px > 0.0
+            inputs,
+            body.at(position),
+            replace(scan, rays_per_pixel_side=_FIRST_RAYS) if first else scan,
+            lines=located.lines.thinned(_FIRST_LINES) if first else located.lines,
+            extra_px=extra_px,
+            relief=search.relief_px > 0.0,
         )
         if isinstance(observation, Failure):
             return observation
-        lines = observation.lines if iteration > 0 else None  # the first are those of the rough place
         design = limb_design(observation.normals_px, inputs.camera.model.project_jacobian(observation.limb_camera_km))
         step, keep = robust_solution(observation.shift_px, design, observation.sigma_px, outlier_mad=search.outlier_mad)
         step = _limited(step, position) * (1.0 if iteration <= _PATIENCE else 0.5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from giantlike.relative.limb_template import outline_brightness
 Mask = NDArray[np.bool_]
 
 _OVERVIEW_ANGLES = 360
-_MIN_BRIGHTNESS = 0.1  # over the brightest place: darker limb tells little beside the rest
+_MIN_BRIGHTNESS = 0.1  # over the brightest place along it: darker limb tells little beside the rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,7 +29,7 @@ class LimbLines:
     angles_rad : (k,) float64, rad
         From +x towards +y.
     brightness : (k,) float64
-        Just inside the outline, over the brightest place of the body.
+        Just inside the outline, over the brightest place along it.
     spacing_px : float, px
         Between neighbours, along the limb.
     perimeter_px : float, px
@@ -44,6 +44,16 @@ class LimbLines:
     perimeter_px: float
     cut_by_frame: bool
 
+    def thinned(self, count: int) -> LimbLines:
+        """About so many of the lines, evenly chosen; all where there are fewer."""
+        step = max(self.angles_rad.size // count, 1)
+        return replace(
+            self,
+            angles_rad=self.angles_rad[::step],
+            brightness=self.brightness[::step],
+            spacing_px=step * self.spacing_px,
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PredictedLimb:
@@ -57,7 +67,7 @@ class PredictedLimb:
     normals_px : (n, 2) float64, unitless
         Outward normals in the image.
     brightness : (n,) float64
-        Just inside, over the brightest place of the body.
+        Just inside, over the brightest place along the outline.
     """
 
     points_px: Float
@@ -66,57 +76,118 @@ class PredictedLimb:
     brightness: Float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OutlineSurvey:
+    """The whole outline of a body where it is predicted.
+
+    Parameters
+    ----------
+    outline : Silhouette
+        In even steps of the angle.
+    brightness : (k,) float64
+        Just inside the outline, over the brightest place along it.
+    """
+
+    outline: Silhouette
+    brightness: Float
+
+    def between(self, lines: LimbLines) -> PredictedLimb:
+        """The limb where ``lines`` meet it, between the points of the survey: good to a pixel or so."""
+        points, normals, points_km = (
+            np.stack(
+                [np.interp(lines.angles_rad, self.outline.angles_rad, v, period=2.0 * np.pi) for v in values.T], -1
+            )
+            for values in (self.outline.points_px, self.outline.normals_px, self.outline.points_camera_km)
+        )
+        known = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
+        return PredictedLimb(
+            points_px=points[known],
+            points_camera_km=points_km[known],
+            normals_px=normals[known],
+            brightness=lines.brightness[known],
+        )
+
+    def moved_px(self, center_px: Float, scale: float) -> Float:
+        """Points (k, 2) of the outline moved and grown, which is good to a pixel or so."""
+        result: Float = center_px + scale * (self.outline.points_px - self.outline.center_px)
+        return result
+
+
+def survey_outline(inputs: EstimatorInputs, body: Body) -> OutlineSurvey:
+    """Trace the outline of a body all around and look how bright it is."""
+    angles = np.arange(_OVERVIEW_ANGLES) * (2.0 * np.pi / _OVERVIEW_ANGLES)
+    sun = inputs.geometry.sun_direction_camera
+    outline = trace_silhouette(body, inputs.camera.model, angles, sun_direction_camera=sun)
+    brightness = outline_brightness(
+        outline.points_px,
+        outline.normals_px,
+        body,
+        inputs.camera,
+        sun_direction_camera=sun,
+        radius_px=inputs.radius_px,
+    )
+    return OutlineSurvey(outline=outline, brightness=brightness)
+
+
 def plan_lines(
     inputs: EstimatorInputs, body: Body, *, max_lines: int, spacing_px: float, reach_px: float
+) -> LimbLines | Failure:
+    """Lay lines across the lit limb of a body: :func:`survey_outline` and :func:`lay_lines`."""
+    return lay_lines(
+        inputs, survey_outline(inputs, body), max_lines=max_lines, spacing_px=spacing_px, reach_px=reach_px
+    )
+
+
+def lay_lines(
+    inputs: EstimatorInputs,
+    survey: OutlineSurvey,
+    *,
+    max_lines: int,
+    spacing_px: float,
+    reach_px: float,
+    center_px: Float | None = None,
+    scale: float = 1.0,
 ) -> LimbLines | Failure:
     """Lay lines across the lit limb.
 
     Parameters
     ----------
     inputs : EstimatorInputs
-    body : Body
+    survey : OutlineSurvey
     max_lines : int
     spacing_px : float, px
         Along the limb; longer where ``max_lines`` would not do.
     reach_px : float, px
         How far outside the frame the limb still counts; negative: how far inside it must be.
+    center_px : (2,) float64, px, optional
+        Where the body is now, and with what ``scale``; None is where it was surveyed.
+    scale : float
 
     Returns
     -------
     LimbLines or Failure
         ``NO_LIMB`` or ``NOT_LIT``, with numbers.
     """
-    angles = np.arange(_OVERVIEW_ANGLES) * (2.0 * np.pi / _OVERVIEW_ANGLES)
-    sun = inputs.geometry.sun_direction_camera
-    overview = trace_silhouette(body, inputs.camera.model, angles, sun_direction_camera=sun)
-    chord = np.linalg.norm(np.roll(overview.points_px, -1, axis=0) - overview.points_px, axis=1)
-    inside = overview.valid & inputs.camera.contains(overview.points_px, margin_px=-reach_px)
-    near = inside | np.roll(inside, 1) | np.roll(inside, -1)
-    brightness = outline_brightness(
-        np.where(near[:, None], overview.points_px, np.nan),
-        overview.normals_px,
-        body,
-        inputs.camera.model,
-        sun_direction_camera=sun,
-        radius_px=inputs.radius_px,
-    )
-    wanted = brightness > _MIN_BRIGHTNESS
-    wanted &= inside
+    outline, camera = survey.outline, inputs.camera
+    points = survey.moved_px(outline.center_px if center_px is None else center_px, scale)
+    chord = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    inside = outline.valid & camera.contains(points, margin_px=-reach_px)
+    wanted = inside & (survey.brightness > _MIN_BRIGHTNESS)
     if not wanted.any():
-        return _nothing_seen(inputs, overview, inside)
+        return _nothing_seen(inputs, outline, inside)
     wanted |= np.roll(wanted, 1) | np.roll(wanted, -1)
     length = np.where(wanted, np.nan_to_num(chord), 0.0)
     total_px = float(length.sum())
     count = int(np.clip(total_px / spacing_px, 8, max_lines))
     along = np.concatenate([[0.0], np.cumsum(length)])
     places = (np.arange(count) + 0.5) * total_px / count
-    chosen = np.interp(places, along, np.append(angles, 2.0 * np.pi))
+    chosen = np.interp(places, along, np.append(outline.angles_rad, 2.0 * np.pi))
     return LimbLines(
         angles_rad=chosen,
-        brightness=np.interp(chosen, angles, brightness, period=2.0 * np.pi),
+        brightness=np.interp(chosen, outline.angles_rad, survey.brightness, period=2.0 * np.pi),
         spacing_px=total_px / count,
         perimeter_px=float(np.nansum(chord)),
-        cut_by_frame=not bool(inputs.camera.contains(overview.points_px).all()),
+        cut_by_frame=not bool(camera.contains(points).all()),
     )
 
 

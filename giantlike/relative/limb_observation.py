@@ -31,7 +31,7 @@ from giantlike.processing.limb_scan import (
 )
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
-from giantlike.relative.limb_lines import LimbLines, plan_lines, trace_lines
+from giantlike.relative.limb_lines import LimbLines, lay_lines, plan_lines, survey_outline, trace_lines
 from giantlike.relative.limb_template import render_near
 
 Mask = NDArray[np.bool_]
@@ -44,7 +44,7 @@ _MAX_NOISE_PX = 0.5
 _MIN_WIDTH_PX = 0.3
 _BRIGHTNESS_ERROR = 1.0
 """Error of the limb by a wrong reflectance law over the shift that freeing the slope of the brightness makes."""
-_RAYS_ALONG_RADIUS, _MAX_RAYS = 160.0, 8
+_FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12  # larger bodies need no more than the options say
 
 
 class EdgeModel(StrEnum):
@@ -76,19 +76,19 @@ class LimbScanOptions:
     step_px : float, px
         Between samples on a line.
     rays_per_pixel_side : int
-        Of the rendered template; small bodies get more.
+        Of the rendered template where the outline lies; small bodies get more.
     min_contrast : float
         Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
     """
 
     edges: EdgeModel = EdgeModel.TEMPLATE
     spacing_px: float = 1.5
-    max_lines: int = 300
+    max_lines: int = 400
     min_lines: int = 12
     window_px: float = 5.0
     local_search_px: float = 4.0
     step_px: float = 0.5
-    rays_per_pixel_side: int = 3
+    rays_per_pixel_side: int = 5
     min_contrast: float = 0.35
 
     def __post_init__(self) -> None:
@@ -106,6 +106,11 @@ class LimbScanOptions:
             f"rays_per_pixel_side must be in [1, 16], got {self.rays_per_pixel_side}",
         )
         require(0.0 < self.min_contrast < 1.0, f"min_contrast must be in (0, 1), got {self.min_contrast}")
+
+    @property
+    def reach_px(self) -> float:
+        """How far outside the frame limb still counts, px: negative, as profiles need their window."""
+        return -(self.window_px + 2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,9 +164,25 @@ class LimbObservation:
         return result
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LocatedLimb:
+    """Where the outline as a whole was found.
+
+    Parameters
+    ----------
+    position_camera_km : (3,) float64, km, camera axes
+        Of the body, good to about a pixel of the limb.
+    lines : LimbLines
+        Across the lit limb there.
+    """
+
+    position_camera_km: Float
+    lines: LimbLines
+
+
 def locate_limb(
     inputs: EstimatorInputs, body: Body, *, search_px: float, search_range: float, options: LimbScanOptions
-) -> Float | Failure:
+) -> LocatedLimb | Failure:
     """Find the outline of a body as a whole, about a prediction that may be off.
 
     Parameters
@@ -177,15 +198,14 @@ def locate_limb(
 
     Returns
     -------
-    (3,) float64, km, camera axes, or Failure
-        Position of the body, good to about a pixel of the limb.
+    LocatedLimb or Failure
+        ``NO_LIMB``, ``NOT_LIT`` or ``OUT_OF_FRAME``, with numbers.
     """
-    lines = plan_lines(inputs, body, max_lines=_COARSE_LINES, spacing_px=1.0, reach_px=search_px)
-    if isinstance(lines, Failure):
-        return lines
-    limb = trace_lines(inputs, body, lines, reach_px=search_px)
-    if isinstance(limb, Failure):
-        return limb
+    survey = survey_outline(inputs, body)
+    predicted = lay_lines(inputs, survey, max_lines=_COARSE_LINES, spacing_px=1.0, reach_px=search_px)
+    if isinstance(predicted, Failure):
+        return predicted
+    limb = survey.between(predicted)
     model = inputs.camera.model
     center_px = body.center_px(model)
     noise_dn = float(np.sqrt(inputs.camera.detector.variance_dn2(np.zeros(1))[0]))
@@ -208,10 +228,20 @@ def locate_limb(
             f"{float(inputs.pixels_dn[inputs.usable].max()):.4g} DN over bias, noise in the dark is {noise_dn:.3g}",
         )
     range_km = float(np.linalg.norm(body.position_camera_km)) / coarse.scale
-    position, _ = position_of_center(model, center_px + coarse.shift_px, range_km, np.zeros((3, 3)))
+    found_px = center_px + coarse.shift_px
+    position, _ = position_of_center(model, found_px, range_km, np.zeros((3, 3)))
     if not np.isfinite(position).all():
         return inputs.fail(Reason.OUT_OF_FRAME, "the limb was found where the camera model images nothing")
-    return position
+    lines = lay_lines(
+        inputs,
+        survey,
+        max_lines=options.max_lines,
+        spacing_px=options.spacing_px,
+        reach_px=options.reach_px,
+        center_px=found_px,
+        scale=coarse.scale,
+    )
+    return lines if isinstance(lines, Failure) else LocatedLimb(position_camera_km=position, lines=lines)
 
 
 def observe_limb(
@@ -244,15 +274,14 @@ def observe_limb(
         ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``, with numbers.
     """
     search_px = options.local_search_px + extra_px
-    reach_px = -(options.window_px + 2.0)
     if lines is None:
         planned = plan_lines(
-            inputs, body, max_lines=options.max_lines, spacing_px=options.spacing_px, reach_px=reach_px
+            inputs, body, max_lines=options.max_lines, spacing_px=options.spacing_px, reach_px=options.reach_px
         )
         if isinstance(planned, Failure):
             return planned
         lines = planned
-    limb = trace_lines(inputs, body, lines, reach_px=reach_px)
+    limb = trace_lines(inputs, body, lines, reach_px=options.reach_px)
     if isinstance(limb, Failure):
         return limb
     offsets = line_offsets(options.window_px + search_px, options.step_px)
@@ -324,7 +353,7 @@ def _expected(
         inputs.camera,
         sun_direction_camera=inputs.geometry.sun_direction_camera,
         psf=GaussianPsf(sigma_px=psf_sigma_px),
-        rays_per_pixel_side=max(options.rays_per_pixel_side, _rays_for(inputs.radius_px)),
+        rays_per_pixel_side=_rays_for(inputs.radius_px, options),
     )
     if isinstance(brightness, Failure):
         return inputs.fail(brightness.reason, brightness.detail)
@@ -332,9 +361,10 @@ def _expected(
     return scan_lines(brightness, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn
 
 
-def _rays_for(radius_px: float) -> int:
+def _rays_for(radius_px: float, options: LimbScanOptions) -> int:
     """Rays along a pixel that a body of some radius should get: few pixels on the limb average few rays."""
-    return min(math.ceil(_RAYS_ALONG_RADIUS / radius_px), _MAX_RAYS)
+    more = max(_FEW_RAYS_RADIUS_PX / radius_px, 1.0)
+    return max(min(math.ceil(more * options.rays_per_pixel_side), _MAX_RAYS), options.rays_per_pixel_side)
 
 
 def _judge(match: ProfileMatch, *, loose: bool) -> tuple[Mask, dict[str, int]]:

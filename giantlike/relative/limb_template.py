@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
 
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_floats
+from giantlike.core.arrays import Float, as_floats, unit
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.ray_tracing import Body, RenderOptions, render
+from giantlike.ray_tracing import Body, RenderOptions
+from giantlike.ray_tracing.render import viewed
+from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.trace import View, sunlight
+from giantlike.ray_tracing.tracer import Sight
+from giantlike.ray_tracing.window import Tile
+from giantlike.shapes import TriangleMesh
 
-_TILE_PX = 48
-_FOOTPRINT_PX = 3.0  # of the B-spline that samples the template
-_OVERVIEW_RADIUS_PX = 48.0  # of the body where only its brightness along the outline is wanted
-_OVERVIEW_BLUR_PX = 0.6
-_OVERVIEW_DEPTH_PX = 1.0
-_MAX_OVERVIEW_PX = 400
+_TILE_PX = 16
+_FOOTPRINT_PX = 2  # of the B-spline that samples the template, from the nearest pixel
+_UNEVEN = 0.1  # difference between neighbouring rays over the brightest
+_COARSER = 6.0  # rays along a pixel where light is uneven over those elsewhere
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_DEPTHS, _ASIDES = np.array([0.005, 0.015, 0.025, 0.035]), np.array([-0.015, 0.0, 0.015])  # over the radius
+_PSF_REACH_SIGMA = 3.5  # beyond and half a pixel lies a ten-thousandth of the light
+_ONE_RAY = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
+_ANYWHERE = RenderOptions(rays_per_pixel_side=1, min_rays_across=1, margin_px=4096)  # also beside the frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,56 +110,66 @@ def render_near(
     Parameters
     ----------
     places_px : (..., 2) float64, px
-        Where the brightness is needed; what lies more than a tile away from all of them stays 0.
+        Where the brightness is needed; what lies more than a few pixels away from all of them stays 0.
     body : Body
     camera : Camera
     sun_direction_camera : (3,) float64, unitless, camera axes
     psf : GaussianPsf
     rays_per_pixel_side : int
+        Where light is uneven, as where the outline lies; elsewhere a sixth of that will do.
 
     Returns
     -------
     (rows, columns) float64 or Failure
-        ``NOT_LIT`` or ``OUT_OF_FRAME`` when no light falls on any of the tiles.
+        ``NOT_LIT`` or ``OUT_OF_FRAME`` when no light falls on any of the places.
+
+    Notes
+    -----
+    The light of a ray is spread over the pixels as that of its cell, cell, point spread and pixel together and exactly,
+    as by :func:`giantlike.ray_tracing.render`. Where in its cell a ray goes differs from row to row, so that an outline
+    along the rows does not meet all of a row's rays at once.
     """
+    size = camera.columns, camera.rows
+    view = viewed(body, camera.model, sun_direction_camera, psf, size, _ONE_RAY)
+    if isinstance(view, Failure):
+        return view
+    reach = math.ceil(_PSF_REACH_SIGMA * psf.sigma_px + 0.5)
+    pixels = _pixels_near(places_px.reshape(-1, 2), size, reach)
+    if len(pixels) == 0:
+        return Failure(Reason.OUT_OF_FRAME, "nothing to render lies in the frame")
+    rays = _ray_axes(view.model, pixels) @ view.body.camera_from_body.as_matrix()
+    light = _light(view, rays, math.ceil(rays_per_pixel_side / _COARSER))
+    uneven = _uneven(pixels, light)
+    if not light.any():
+        return Failure(Reason.NOT_LIT, "the body is dark wherever it was rendered")
+    first = pixels.min(axis=0) - reach
+    columns, rows = (pixels.max(axis=0) + reach + 1 - first).tolist()
+    patch = _spread(pixels[~uneven] - first, light[~uneven], (rows, columns), psf, reach)
+    light = _light(view, rays[uneven], rays_per_pixel_side)
+    patch += _spread(pixels[uneven] - first, light, (rows, columns), psf, reach)
     frame = np.zeros((camera.rows, camera.columns))
-    problem: Failure | None = Failure(Reason.OUT_OF_FRAME, "nothing to render lies in the frame")
-    for x, y in _tiles(places_px.reshape(-1, 2), camera).tolist():
-        columns, rows = min(_TILE_PX, camera.columns - x), min(_TILE_PX, camera.rows - y)
-        template = render(
-            body,
-            WindowModel(camera.model, np.array([x, y], dtype=np.float64)),
-            sun_direction_camera=sun_direction_camera,
-            psf=psf,
-            columns=columns,
-            rows=rows,
-            options=RenderOptions(rays_per_pixel_side=rays_per_pixel_side),
-        )
-        if isinstance(template, Failure):
-            problem = template if problem is not None else None
-            continue
-        problem = None
-        frame[y : y + rows, x : x + columns] = template.placed(columns, rows)
-    return frame if problem is None else problem
+    (left, top), (right, bottom) = np.maximum(first, 0), np.minimum(first + np.array([columns, rows]), size)
+    frame[top:bottom, left:right] = patch[top - first[1] : bottom - first[1], left - first[0] : right - first[0]]
+    return frame
 
 
 def outline_brightness(
     points_px: Float,
     normals_px: Float,
     body: Body,
-    model: CameraModel,
+    camera: Camera,
     *,
     sun_direction_camera: Float,
     radius_px: float,
 ) -> Float:
-    """How bright a body is just inside its outline, a fiftieth of its radius deep.
+    """How bright a body is just inside its outline: mean over a square of a twenty-fifth of its radius.
 
     Parameters
     ----------
     points_px, normals_px : (n, 2) float64
         The outline and its outward normals; points that are not finite get 0.
     body : Body
-    model : CameraModel
+    camera : Camera
     sun_direction_camera : (3,) float64, unitless, camera axes
     radius_px : float, px
         Apparent radius of the body.
@@ -157,42 +177,141 @@ def outline_brightness(
     Returns
     -------
     (n,) float64
-        Over the brightest place of the body near these points; 0 everywhere where none of it is lit.
+        Over the largest of the values; 0 everywhere where none of the places is lit.
 
     Notes
     -----
     On the outline itself the cosine of the incidence angle says little: with the Sun behind the camera it is zero all
     around, however bright the limb.
     """
-    brightness = np.zeros(len(points_px))
-    good = np.isfinite(points_px).all(axis=1) & np.isfinite(normals_px).all(axis=1)
-    if not good.any():
-        return brightness
-    low, high = points_px[good].min(axis=0), points_px[good].max(axis=0)
-    scale = max(radius_px / _OVERVIEW_RADIUS_PX, float(np.max(high - low)) / _MAX_OVERVIEW_PX)
-    corner = low - 4.0 * scale
-    columns, rows = (np.ceil((high - corner) / scale).astype(int) + 5).tolist()
-    template = render(
-        body,
-        WindowModel(model, corner, scale),
-        sun_direction_camera=sun_direction_camera,
-        psf=GaussianPsf(sigma_px=_OVERVIEW_BLUR_PX),
-        columns=columns,
-        rows=rows,
-        options=RenderOptions(rays_per_pixel_side=2, min_rays_across=64),
+    across = np.stack([-normals_px[:, 1], normals_px[:, 0]], axis=-1)
+    depth, aside = np.meshgrid(_DEPTHS, _ASIDES)
+    steps = aside.ravel()[:, None] * across[:, None] - depth.ravel()[:, None] * normals_px[:, None]
+    directions = np.zeros((len(points_px), depth.size, 4))
+    directions[..., :3] = body.to_body(camera.model.unproject(points_px[:, None] + radius_px * steps))
+    view = viewed(body, camera.model, sun_direction_camera, None, (camera.columns, camera.rows), _ANYWHERE)
+    if isinstance(view, Failure):
+        return np.zeros(len(points_px))
+    light = np.mean(_traced(view, directions.reshape(-1, 4)).reshape(len(points_px), -1), axis=1)
+    result: Float = light / max(float(light.max()), 1e-300)
+    return result
+
+
+def _pixels_near(places_px: Float, size_px: tuple[int, int], reach_px: int) -> NDArray[np.int64]:
+    """Pixels (n, 2) whose light falls near places (k, 2): those in the frame, and as many beyond as it takes."""
+    margin = _FOOTPRINT_PX + reach_px
+    index = np.rint(places_px).astype(np.int64)
+    index = index[np.all((index >= 0) & (index < size_px), axis=1)]
+    if len(index) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    corner = index.min(axis=0) - margin
+    width, height = (index.max(axis=0) + margin + 1 - corner).tolist()
+    near = np.zeros((height, width), dtype=np.uint8)
+    near[index[:, 1] - corner[1], index[:, 0] - corner[0]] = 1
+    rows, columns = np.nonzero(cv2.dilate(near, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)))
+    pixels: NDArray[np.int64] = np.stack([columns, rows], axis=-1) + corner
+    inside = np.all((pixels >= -reach_px) & (pixels < np.array(size_px) + reach_px), axis=1)
+    return pixels[inside]
+
+
+def _uneven(pixels: NDArray[np.int64], light: Float) -> NDArray[np.bool_]:
+    """Which of the pixels (n, 2) are unevenly bright, by rays (n, k) in them and in the pixels around."""
+    first = pixels.min(axis=0)
+    x, y = (pixels - first).T
+    shape = int(y.max()) + 1, int(x.max()) + 1
+    most, least = np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
+    most[y, x], least[y, x] = light.max(axis=1), light.min(axis=1)
+    around = np.ones((3, 3), np.uint8)
+    range_around = cv2.dilate(most, around) - cv2.erode(least, around)
+    uneven: NDArray[np.bool_] = range_around[y, x] > _UNEVEN * float(light.max())
+    return uneven
+
+
+def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:
+    """Directions of pixels (n, 2), camera axes: the centre's, and how it changes along x and along y, (n, 3, 3).
+
+    Through the directions of nine places in each tile of the frame: a camera model is a parabola over so few pixels,
+    to 1e-5 px where the focal length is a thousand. Where the model has no direction at one of those, each pixel's own
+    is taken.
+    """
+    tile = pixels // _TILE_PX
+    first, span = tile.min(axis=0), np.ptp(tile, axis=0) + 1
+    place = (tile[:, 1] - first[1]) * span[0] + tile[:, 0] - first[0]
+    used = np.flatnonzero(np.bincount(place))
+    which = np.searchsorted(used, place)
+    tiles = np.stack([used % span[0], used // span[0]], axis=-1) + first
+    nodes = np.stack(np.meshgrid(*2 * (np.array([0.0, 0.5, 1.0]),), indexing="ij"), axis=-1) * _TILE_PX
+    known = model.unproject(tiles[:, None, None] * float(_TILE_PX) + nodes)  # (tiles, 3 along x, 3 along y, 3)
+    within = (pixels - tiles[which] * _TILE_PX) / _TILE_PX
+    value, slope = _parabolas(within)
+    own = known[which]
+    along = np.einsum("na,nabc->nbc", value[:, 0], own)
+    axes = np.empty((len(pixels), 3, 3))
+    axes[:, 0] = np.einsum("nb,nbc->nc", value[:, 1], along)
+    axes[:, 1] = np.einsum("nb,nbc->nc", value[:, 1], np.einsum("na,nabc->nbc", slope[:, 0], own)) / _TILE_PX
+    axes[:, 2] = np.einsum("nb,nbc->nc", slope[:, 1], along) / _TILE_PX
+    lost = np.flatnonzero(~np.isfinite(axes).all(axis=(1, 2)))
+    if lost.size:
+        axes[lost, 0] = model.unproject(pixels[lost].astype(np.float64))
+        axes[lost, 1:] = np.swapaxes(model.unproject_jacobian(pixels[lost].astype(np.float64)), 1, 2)
+    return axes
+
+
+def _parabolas(t: Float) -> tuple[Float, Float]:
+    """Lagrange polynomials (..., 3) through 0, 1/2 and 1 at ``t`` (...,), and their derivatives."""
+    value = np.stack([(2.0 * t - 1.0) * (t - 1.0), 4.0 * t * (1.0 - t), t * (2.0 * t - 1.0)], axis=-1)
+    slope = np.stack([4.0 * t - 3.0, 4.0 - 8.0 * t, 4.0 * t - 1.0], axis=-1)
+    return value, slope
+
+
+def _light(view: View, axes: Float, per_side: int) -> Float:
+    """Brightness of ``per_side`` squared rays to each pixel (n, rays).
+
+    ``axes`` (n, 3, 3) are those of :func:`_ray_axes` in body axes. Rays count the cells of a pixel row by row.
+    """
+    place = (np.arange(per_side) + 0.5) / per_side - 0.5
+    turn = (np.argsort(np.argsort(np.arange(per_side) * _GOLDEN % 1.0)) + 0.5) / per_side**2 - 0.5 / per_side
+    x, y = place[None, :] + turn[:, None], place[:, None] + turn[None, :]
+    steps = np.stack([np.ones(per_side**2), x.ravel(), y.ravel()], axis=-1)
+    directions = np.zeros((len(axes) * per_side**2, 4))
+    directions[:, :3] = unit(np.einsum("rk,nkc->nrc", steps, axes).reshape(-1, 3))
+    return _traced(view, directions).reshape(-1, per_side**2)
+
+
+def _traced(view: View, directions: Float) -> Float:
+    """Brightness (n,) along unit directions (n, 4), body axes."""
+    sight = view.body.tracer.sight(view.camera_body_km, directions)
+    light = np.zeros(len(directions))
+    albedo, law = _albedo(view.body, sight), view.body.reflectance
+    for sun in sunlight(view, Tile(0, 1, 0, len(directions)), sight, directions):
+        value = law(sun.cos_incidence, sight.cos_emission.take(sun.seen), sun.phase_rad)
+        light[sight.rays.take(sun.seen)] = value if albedo is None else value * albedo.take(sun.seen)
+    return light
+
+
+def _albedo(body: Body, sight: Sight) -> Float | None:
+    """Relative albedo (k,) of what is seen; None where it is 1 throughout."""
+    shape = body.shape
+    if shape.albedo is None:
+        return None
+    points, facets = sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64)
+    return shape.albedo.at(
+        points, facets, shape.barycentric(points, facets) if isinstance(shape, TriangleMesh) else None
     )
-    if isinstance(template, Failure):
-        return brightness
-    light = template.placed(columns, rows)
-    at = (points_px[good] - corner) / scale
-    x, y = (at - _OVERVIEW_DEPTH_PX * normals_px[good]).T
-    brightness[good] = map_coordinates(light, [y, x], order=1, mode="nearest") / light.max()
-    return brightness
 
 
-def _tiles(places_px: Float, camera: Camera) -> NDArray[np.int64]:
-    """Corners (k, 2) of the tiles that hold the places, with what is needed around each."""
-    reach = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]]) * _FOOTPRINT_PX
-    corners = np.floor((places_px[:, None] + reach) / _TILE_PX).astype(np.int64).reshape(-1, 2)
-    inside = np.all((corners >= 0) & (corners * _TILE_PX < [camera.columns, camera.rows]), axis=1)
-    return np.unique(corners[inside], axis=0) * _TILE_PX
+def _spread(pixels: NDArray[np.int64], light: Float, shape: tuple[int, int], psf: GaussianPsf, reach: int) -> Float:
+    """The light (n, rays) of pixels (n, 2), each of them once and ``reach`` from the border, as an image of a shape."""
+    image = np.zeros(shape)
+    per_side, width = math.isqrt(light.shape[1]), 2 * reach + 1
+    share = Cells(0, per_side, per_side).spread(-reach, width, psf.sigma_px).toarray()  # (width, per_side)
+    rows = light.reshape(-1, per_side, per_side) @ share.T  # by rows of rays and pixels across
+    corner = pixels[:, 1] * shape[1] + pixels[:, 0] - reach
+    for number in range(per_side):
+        sideways = np.zeros(shape)
+        flat = sideways.reshape(-1)
+        for across in range(width):
+            flat[corner + across] += rows[:, number, across]
+        down = np.ascontiguousarray(share[::-1, number])
+        image += cv2.sepFilter2D(sideways, -1, np.ones(1), down, borderType=cv2.BORDER_CONSTANT)
+    return image
