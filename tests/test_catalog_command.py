@@ -51,6 +51,36 @@ def test_stars_are_moved_to_the_epoch_asked_for(tmp_path: Path) -> None:
     assert json.loads(_run(*asked, "--epoch", 2060)) == []
 
 
+def test_a_users_stars_take_the_place_of_those_of_the_first_catalogue(tmp_path: Path) -> None:
+    _build(tmp_path)
+    mine = tmp_path / "mine.csv"
+    mine.write_text("ids,ra_deg,dec_deg,magnitude,epoch_jyear\n77,10.0,20.025,4.4,2025.0\n13,50.0,50.0,8.0,2025.0\n")
+    both = tmp_path / "both.stars"
+    told = json.loads(_run("join", tmp_path / "made.stars", mine, both, "--json"))
+    assert (told["stars"], told["replaced"], told["band"]) == (4, 1, "V")
+    near = json.loads(_run("query", both, "--ra", 10, "--dec", 20, "--radius", 1, "--json"))
+    assert [(row["id"], row["magnitude"]) for row in near] == [(77, pytest.approx(4.4, abs=1e-6)), (12, 6.5)]
+    other = json.loads(_run("query", both, "--ra", 50, "--dec", 50, "--radius", 1, "--json"))
+    assert [row["id"] for row in other] == [-1]  # 13 is another star already
+    assert json.loads(_run("info", both, "--json"))["sources"][1]["name"] == "mine.csv"
+    assert "SOURCE" not in _run("join", mine, code=2)
+
+
+@pytest.mark.real_data
+def test_the_two_stars_of_the_lorri_images_are_joined_as_a_users_table(tmp_path: Path, data_dir: Path) -> None:
+    """The published table has no magnitudes and no identifiers; Proxima is in the default catalogue too."""
+    made, both = tmp_path / "lorri.stars", tmp_path / "both.stars"
+    source = data_dir / "stars" / "lorri_stars.csv"
+    _run("build", source, made, "--format", "table", "--column", "magnitude=11", "--band", "Gaia G")
+    told = json.loads(_run("join", "default", made, both, "--json"))
+    assert told["replaced"] == 1
+    wolf = json.loads(_run("query", both, "--ra", 164.1, "--dec", 7.0, "--radius", 0.01, "--epoch", 2016, "--json"))
+    assert [row["id"] for row in wolf] == [2]
+    proxima = json.loads(_run("query", both, "--ra", 217.392, "--dec", -62.676, "--radius", 0.002, "--json"))
+    assert [row["id"] for row in proxima] == [1]
+    assert proxima[0]["parallax_mas"] == pytest.approx(768.0665, abs=1e-3)
+
+
 def test_people_get_a_list_with_a_heading(tmp_path: Path) -> None:
     _build(tmp_path)
     text = _run("query", tmp_path / "made.stars", "--ra", 10, "--dec", 20, "--radius", 1, "--limit", 1)

@@ -77,6 +77,28 @@ def build(
     )
 
 
+@catalog_app.command("join")
+@command
+def join(
+    catalogs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="CATALOG... OUTPUT", help="default, built or CSV catalogues, then the new one (.stars)."
+        ),
+    ],
+    name: Annotated[str | None, typer.Option(help="What to call the catalogue; default: name of the output.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUTPUT where it exists.")] = False,
+    json: Json = False,
+) -> ExitCode:
+    """Put catalogues together, such as stars of one's own on top of the default.
+
+    Where two have the same star, within 3 arcsec, the later one has it. Magnitudes are in the band of the first.
+    """
+    from giantlike.cli.catalog_command import catalog_join
+
+    return catalog_join(catalogs, name=name, overwrite=overwrite, json=json)
+
+
 @catalog_app.command("query")
 @command
 def query(

@@ -1,7 +1,8 @@
-"""``giantlike catalog build``, ``query`` and ``info``."""
+"""``giantlike catalog build``, ``join``, ``query`` and ``info``."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ import numpy as np
 import typer
 
 from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
+from giantlike.catalogs.join import join_catalogs
 from giantlike.catalogs.readers import build_catalog, column_map
-from giantlike.catalogs.stored import SUFFIX, catalog_header, is_catalog_file, save_catalog
+from giantlike.catalogs.stored import SUFFIX, Source, catalog_header, is_catalog_file, save_catalog
 from giantlike.catalogs.table import StarTable
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
@@ -40,10 +42,7 @@ def catalog_build(
     if len(paths) < 2:
         raise InputError("SOURCE... OUTPUT are needed: at least one published file, and the new catalogue as the last")
     *sources, target = paths
-    if target.suffix != SUFFIX:
-        raise InputError(f"{target}: the last name is that of the new catalogue and must end in {SUFFIX}")
-    if target.exists() and not overwrite:
-        raise InputError(f"{target} exists: give --overwrite to replace it")
+    _target(target, overwrite)
     if form != "table" and (settings or columns is not None or band is not None):
         raise InputError("--column, --columns and --band are for --format table")
     mapping = column_map(settings, file=columns, band=band) if form == "table" else None
@@ -66,6 +65,23 @@ def catalog_build(
             typer.echo(f"left out {built.left_out} entries without a place or a magnitude")
         if built.repeated:
             typer.echo(f"left out {built.repeated} entries whose identifier an earlier one has")
+    return ExitCode.DONE
+
+
+def catalog_join(names: Sequence[str], *, name: str | None, overwrite: bool, json: bool) -> ExitCode:
+    """Load the catalogues, write one of them all."""
+    if len(names) < 2:
+        raise InputError("CATALOG... OUTPUT are needed: at least one catalogue, and the new one as the last")
+    target = _target(Path(names[-1]), overwrite)
+    catalogs = [load_catalog(one) for one in names[:-1]]
+    made = join_catalogs(catalogs, name=name or target.stem)
+    sources = [source for one in names[:-1] for source in _sources(one)]
+    save_catalog(made, target, sources=sources)
+    if json:
+        told = {"file": str(target), "stars": len(made), "band": made.band, "version": made.version}
+        print_json(told | {"replaced": sum(len(one) for one in catalogs) - len(made)})
+    else:
+        typer.echo(f"wrote {target}: {len(made)} stars, magnitudes in {made.band}")
     return ExitCode.DONE
 
 
@@ -146,6 +162,25 @@ def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
     for source in told["sources"]:
         typer.echo(f"{'source':<22}{source['name']} sha256:{source['sha256']}")
     return ExitCode.DONE
+
+
+def _target(path: Path, overwrite: bool) -> Path:
+    """The path of a new catalogue, which must be called so and not be there."""
+    if path.suffix != SUFFIX:
+        raise InputError(f"{path}: the last name is that of the new catalogue and must end in {SUFFIX}")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path} exists: give --overwrite to replace it")
+    return path
+
+
+def _sources(name: str) -> list[Source]:
+    """What a catalogue file was made of, or the file itself; nothing for the default, whose version says it."""
+    path = Path(name)
+    if name == "default":
+        return []
+    if is_catalog_file(path):
+        return [Source(**source) for source in catalog_header(path)["sources"]]
+    return [Source(name=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())]
 
 
 def _rows(

@@ -1,0 +1,72 @@
+"""One catalogue of several: a user's own stars on top of a published catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from giantlike.catalogs.astrometry import apparent_directions
+from giantlike.catalogs.catalog import MemoryCatalog
+from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
+from giantlike.core.arrays import require
+from giantlike.core.units import RAD_PER_ARCSEC
+
+SAME_STAR_ARCSEC = 3.0
+"""Stars of two catalogues that are this near each other at the epoch of the later one are the same star."""
+UNNAMED_BAND = "user"
+"""Magnitudes in this band are taken as if they were in that of the first catalogue."""
+
+
+def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCatalog:
+    """Put catalogues together; where two have the same star, the later one has it.
+
+    Stars are the same that are within ``SAME_STAR_ARCSEC`` at the epoch of the later one. A later star whose
+    identifier belongs to another star gets a negative number below all others. Magnitudes are turned into the band of
+    the first catalogue; those of a user's table without a band are taken as they are.
+
+    Parameters
+    ----------
+    catalogs : sequence of MemoryCatalog
+    name : str
+
+    Raises
+    ------
+    InputError
+        No catalogue, or a band that cannot be turned into that of the first.
+    """
+    require(len(catalogs) > 0, "join_catalogs needs at least one catalogue")
+    first, *others = catalogs
+    stars = first.stars
+    for other in others:
+        added = (other if other.band == UNNAMED_BAND else other.in_band(first.band)).stars
+        rest = stars.select(~_found_in(stars, added))
+        stars = joined([rest, _renumbered(added, rest)])
+    version = " + ".join(catalog.version for catalog in catalogs)
+    return MemoryCatalog(stars, name=name, band=first.band, version=version)
+
+
+def _found_in(stars: StarTable, others: StarTable) -> NDArray[np.bool_]:
+    """Which stars (n,) one of the others is."""
+    found = np.zeros(len(stars), dtype=np.bool_)
+    for epoch in np.unique(others.epoch_jyear):
+        et = et_of_julian_year(float(epoch))
+        some = others.select(others.epoch_jyear == epoch)
+        tree = cKDTree(apparent_directions(some, et))
+        distance, _ = tree.query(apparent_directions(stars, et), distance_upper_bound=SAME_STAR_ARCSEC * RAD_PER_ARCSEC)
+        found |= np.isfinite(distance)
+    return found
+
+
+def _renumbered(stars: StarTable, taken: StarTable) -> StarTable:
+    """The stars, with other identifiers where ``taken`` has them."""
+    twice = np.isin(stars.ids, taken.ids)
+    if not twice.any():
+        return stars
+    lowest = min(int(stars.ids.min()), int(taken.ids.min()), 0)
+    ids = np.array(stars.ids)
+    ids[twice] = lowest - 1 - np.arange(int(twice.sum()))
+    return replace(stars, ids=ids)
