@@ -99,6 +99,10 @@ class MemoryCatalog:
         """All stars, in the order of :attr:`index`: about by declination, the fast ones last."""
         return self._table(np.arange(len(self)))
 
+    def column(self, name: str) -> NDArray[Any]:
+        """The values (n,) of one column of all stars, in the order of :attr:`index` and as they are kept."""
+        return np.broadcast_to(np.asarray(self._columns[name]), len(self))
+
     def __len__(self) -> int:
         return len(self._index.rank)
 
@@ -152,10 +156,11 @@ class MemoryCatalog:
         steps = band_between(self._band, band)
         if not steps:
             return self
-        stars = self.stars
-        magnitude = stars.magnitude
+        magnitude, bp_rp, bv = (
+            np.asarray(self.column(name), dtype=np.float64) for name in ("magnitude", "color_bp_rp", "color_bv")
+        )
         for step in steps:
-            magnitude = step.magnitude(magnitude, color_bp_rp=stars.color_bp_rp, color_bv=stars.color_bv)
+            magnitude = step.magnitude(magnitude, color_bp_rp=bp_rp, color_bv=bv)
         rank = np.empty(len(self), dtype=np.int32)
         rank[np.argsort(magnitude, kind="stable")] = np.arange(len(self), dtype=np.int32)
         index = SkyIndex(

@@ -131,20 +131,22 @@ def catalog_query(
 def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
     """Say what a catalogue holds."""
     catalog = load_catalog(name)
-    stars = catalog.stars
+    magnitude, epoch = catalog.column("magnitude"), catalog.column("epoch_jyear")
+    moving = (catalog.column("pm_ra_mas_yr") != 0.0) | (catalog.column("pm_dec_mas_yr") != 0.0)
+    colored = np.isfinite(catalog.column("color_bv")) | np.isfinite(catalog.column("color_bp_rp"))
     told: dict[str, Any] = {
         "catalog": name,
         "name": catalog.name,
         "version": catalog.version,
         "stars": len(catalog),
         "band": catalog.band,
-        "magnitudes": [float(stars.magnitude.min()), float(np.median(stars.magnitude)), float(stars.magnitude.max())],
-        "epochs": [float(stars.epoch_jyear.min()), float(stars.epoch_jyear.max())],
-        "with_proper_motion": int(((stars.pm_ra_mas_yr != 0.0) | (stars.pm_dec_mas_yr != 0.0)).sum()),
-        "with_parallax": int((stars.parallax_mas > 0.0).sum()),
-        "with_radial_velocity": int((stars.radial_velocity_km_s != 0.0).sum()),
-        "with_color": int((np.isfinite(stars.color_bv) | np.isfinite(stars.color_bp_rp)).sum()),
-        "doubles": int(stars.is_double.sum()),
+        "magnitudes": [float(magnitude.min()), float(np.median(magnitude)), float(magnitude.max())],
+        "epochs": [float(epoch.min()), float(epoch.max())],
+        "with_proper_motion": int(moving.sum()),
+        "with_parallax": int((catalog.column("parallax_mas") > 0.0).sum()),
+        "with_radial_velocity": int((catalog.column("radial_velocity_km_s") != 0.0).sum()),
+        "with_color": int(colored.sum()),
+        "doubles": int(catalog.column("is_double").sum()),
         "sources": [],
         "checked": False,
     }
