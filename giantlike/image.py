@@ -102,7 +102,7 @@ class Image:
         object.__setattr__(self, "metadata", dict(self.metadata))
 
     @classmethod
-    def open(cls, path: str | Path, *, hdu: int | str | None = None) -> Image:
+    def open(cls, path: str | Path, *, hdu: int | str | None = None, bottom_up: bool = False) -> Image:
         """Read a FITS, PNG, TIFF, JPEG or VICAR file.
 
         Parameters
@@ -110,13 +110,17 @@ class Image:
         path : path-like
         hdu : int or str, optional
             Number or name of the FITS extension; the first with an image by default.
+        bottom_up : bool
+            Turn the rows around on reading, for files whose first row is the bottom of the picture (telescope images
+            often are): as stored they show the sky mirrored, and no attitude can say so. Pixel coordinates then count
+            in the image as it is turned.
 
         Raises
         ------
         DataError
             The file is missing, damaged or of a format that is not supported.
         """
-        file = read_image_file(path, hdu=hdu)
+        file = read_image_file(path, hdu=hdu, bottom_up=bottom_up)
         return cls(
             pixels=file.pixels,
             mask=file.mask,

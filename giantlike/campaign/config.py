@@ -136,6 +136,7 @@ class Campaign:
     images : tuple of ImageEntry
         In input order: patterns as given, files of a pattern by name.
     hdu : int or str or None
+    bottom_up : bool
     geometry_file : Path or None
     geometry : mapping of str to ImageGeometry
         What the geometry table says, by image key.
@@ -156,6 +157,7 @@ class Campaign:
     output: Path
     images: tuple[ImageEntry, ...]
     hdu: int | str | None
+    bottom_up: bool
     geometry_file: Path | None
     geometry: Mapping[str, ImageGeometry]
     camera: Camera
@@ -236,6 +238,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         output=folder / content.campaign.output,
         images=images,
         hdu=hdu,
+        bottom_up=content.images.bottom_up,
         geometry_file=geometry_file,
         geometry=geometry,
         camera=camera,

@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.config import Campaign, ImageEntry, SpiceSetup, TargetSetup
 from giantlike.core.arrays import Float, require, unit
-from giantlike.core.errors import DataError
+from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import Image, ObserverState
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.io.spice import CoverageError, attitude, orientation, spk_state
+from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape
 
@@ -44,7 +45,7 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
     InputError
         The image has another size than the camera.
     """
-    image = dataclasses.replace(Image.open(entry.path, hdu=campaign.hdu), name=entry.key)
+    image = dataclasses.replace(Image.open(entry.path, hdu=campaign.hdu, bottom_up=campaign.bottom_up), name=entry.key)
     camera = campaign.camera
     require(
         (image.columns, image.rows) == (camera.columns, camera.rows),
@@ -61,15 +62,31 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
         )
         if known.camera_from_inertial is not None:
             image = image.with_attitude(known.camera_from_inertial)
-    if campaign.spice is None:
-        return PreparedImage(image, ())
-    return _with_spice(image, campaign.spice)
+    notes: tuple[str, ...] = ()
+    if campaign.spice is not None:
+        image, notes = _with_spice(image, campaign.spice)
+    if image.camera_from_inertial is None and has_world_coordinates(image.metadata):
+        image, more = _with_world_coordinates(image, campaign)
+        notes += more
+    return PreparedImage(image, notes)
 
 
-def _with_spice(image: Image, spice: SpiceSetup) -> PreparedImage:
+def _with_world_coordinates(image: Image, campaign: Campaign) -> tuple[Image, tuple[str, ...]]:
+    """The attitude that a plate solver left in the header, as a priori."""
+    try:
+        told = attitude_of_wcs(
+            image.metadata, campaign.camera.model, columns=image.columns, rows=image.rows, bottom_up=campaign.bottom_up
+        )
+    except InputError as error:
+        return image, (f"no a priori attitude from world coordinates: {error}",)
+    note = f"a priori attitude from world coordinates, which the camera meets to {told.rms_px:.2g} px"
+    return image.with_attitude(told.camera_from_inertial), (note,)
+
+
+def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]]:
     et = image.et
     if et is None:
-        return PreparedImage(image, ("no epoch, so SPICE tells nothing of this image",))
+        return image, ("no epoch, so SPICE tells nothing of this image",)
     notes: list[str] = []
     if image.observer is None:
         try:
@@ -83,7 +100,7 @@ def _with_spice(image: Image, spice: SpiceSetup) -> PreparedImage:
             image = image.with_attitude(spice.camera_from_frame * attitude(spice.frame, et))
         except DataError as error:
             notes.append(f"no a priori attitude: {error}")
-    return PreparedImage(image, tuple(notes))
+    return image, tuple(notes)
 
 
 def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:

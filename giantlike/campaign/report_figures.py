@@ -105,7 +105,7 @@ def overlay(result: RunResult, record: AttitudeRecord) -> dict[str, Any]:
     observations = [] if body is None else body.observations
     content: dict[str, Any] = {"record": record, "observations": observations, "picture": None, "problem": None}
     try:
-        pixels = Image.open(result.folder / record.path, hdu=result.hdu).pixels
+        pixels = Image.open(result.folder / record.path, hdu=result.hdu, bottom_up=result.bottom_up).pixels
     except OpNavError as error:
         return content | {"problem": str(error)}
     colors = center_colors(result)

@@ -31,6 +31,8 @@ class RunResult:
         One per image that shows a body; limb points and outlines stay in the run folder.
     hdu : int or str or None
         Which extension of FITS files was read.
+    bottom_up : bool
+        Whether rows were turned around.
     max_overlays : int
         How many images the report shows.
     warnings : tuple of str
@@ -45,6 +47,7 @@ class RunResult:
     attitudes: tuple[AttitudeRecord, ...]
     bodies: tuple[ObservationsRecord, ...]
     hdu: int | str | None
+    bottom_up: bool
     max_overlays: int
     warnings: tuple[str, ...]
     time_s: float
@@ -104,6 +107,7 @@ def load_result(path: Path) -> RunResult:
         bodies=tuple(folder.load_all(ObservationsRecord)),
         name=run["name"],
         hdu=run["hdu"],
+        bottom_up=run.get("bottom_up", False),
         max_overlays=run["max_overlays"],
         warnings=tuple(run["warnings"]),
         time_s=run["time_s"],

@@ -106,6 +106,7 @@ def run_campaign(
         attitudes=tuple(attitudes),
         bodies=tuple(records),
         hdu=campaign.hdu,
+        bottom_up=campaign.bottom_up,
         max_overlays=campaign.max_overlays,
         warnings=campaign.warnings,
         time_s=time.perf_counter() - start,
@@ -152,6 +153,7 @@ def _finish(folder: RunFolder, result: RunResult) -> None:
     run = {
         "name": result.name,
         "hdu": result.hdu,
+        "bottom_up": result.bottom_up,
         "max_overlays": result.max_overlays,
         "warnings": result.warnings,
         "time_s": round(result.time_s, 3),

@@ -19,11 +19,15 @@ class CampaignSection(Section):
 
 
 class ImagesSection(Section):
-    """``[images]``: patterns of image files, a geometry table, and which extension of a FITS file to read."""
+    """``[images]``: patterns of image files, a geometry table, and which extension of a FITS file to read.
+
+    ``bottom_up`` turns the rows of files whose first row is the bottom of the picture.
+    """
 
     files: list[str] = Field(min_length=1)
     geometry: str | None = None
     hdu: Any = None
+    bottom_up: bool = False
 
 
 class SpiceSection(Section):

@@ -76,7 +76,7 @@ class ImageFile:
     path: Path
 
 
-def read_image_file(path: str | Path, *, hdu: int | str | None = None) -> ImageFile:
+def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up: bool = False) -> ImageFile:
     """Read an image file; its content, not its name, decides the format.
 
     Parameters
@@ -86,6 +86,9 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None) -> ImageF
         its image, or a raw image with such a label beside it (same name, ``.LBL``). Files may be gzipped.
     hdu : int or str, optional
         For FITS: index or EXTNAME of the HDU; the first with a 2-D image by default.
+    bottom_up : bool
+        The first stored row is the bottom of the picture, as telescopes store the sky: turn the rows around, so that
+        the picture is not mirrored. Row y of the result is row ``rows - 1 - y`` of the file.
 
     Returns
     -------
@@ -109,7 +112,11 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None) -> ImageF
         warnings.simplefilter(
             "ignore"
         )  # astropy and erfa: what harms the pixels is checked for; odd cards and years do not
-        return _read_image(given, hdu)
+        file = _read_image(given, hdu)
+    if not bottom_up:
+        return file
+    pixels, mask = (frozen(np.ascontiguousarray(array[::-1])) for array in (file.pixels, file.mask))
+    return replace(file, pixels=pixels, mask=mask)
 
 
 def _read_image(path: Path, hdu: int | str | None) -> ImageFile:

@@ -1,17 +1,23 @@
-"""Attitudes as FITS headers with world coordinates (TAN-SIP), one file per image, as plate solvers write them."""
+"""Attitudes to and from FITS headers with world coordinates (TAN-SIP), as plate solvers write them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.errors import DataError
+from giantlike.camera_models.convert import frame_grid
+from giantlike.core.errors import DataError, InputError
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.version import VERSION
-from giantlike.io.camera_sip import sip_header
+from giantlike.io.camera_sip import camera_of_sip, sip_header
+
+_NODES = 21
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,3 +86,54 @@ def write_wcs(
     except OSError as error:
         raise DataError(Path(path), f"cannot be written: {error.strerror or error}") from error
     return WcsFit(max_px=fitted.max_px, rms_px=fitted.rms_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WcsAttitude:
+    """Attitude that world coordinates tell of an image.
+
+    Parameters
+    ----------
+    camera_from_inertial : Rotation
+    rms_px : float, px
+        How far, root mean square over the frame, the camera model then is from the world coordinates.
+    """
+
+    camera_from_inertial: Rotation
+    rms_px: float
+
+
+def attitude_of_wcs(
+    header: Mapping[str, Any], model: CameraModel, *, columns: int, rows: int, bottom_up: bool = False
+) -> WcsAttitude:
+    """Attitude at which a camera model sees the sky where TAN or TAN-SIP world coordinates put it.
+
+    Parameters
+    ----------
+    header : mapping of str to value
+        FITS keywords, such as ``image.metadata``.
+    model : CameraModel
+    columns, rows : int
+    bottom_up : bool
+        Whether the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
+
+    Raises
+    ------
+    InputError
+        There are no such world coordinates, or they show the sky mirrored with the rows as they were read.
+    """
+    said = camera_of_sip(header, columns=columns, rows=rows)
+    if said.camera.rows_reversed != bottom_up:
+        advice = "read the image with bottom_up" if said.camera.rows_reversed else "read it as stored"
+        raise InputError(f"by its world coordinates the image shows the sky mirrored: {advice}")
+    points_px = frame_grid(columns, rows, nodes=_NODES).reshape(-1, 2)
+    inertial = said.camera_from_inertial.inv().apply(said.camera.model.unproject(points_px))
+    attitude, _ = Rotation.align_vectors(model.unproject(points_px), inertial)
+    residuals = model.project(attitude.apply(inertial)) - points_px
+    rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+    return WcsAttitude(camera_from_inertial=attitude, rms_px=rms)
+
+
+def has_world_coordinates(header: Mapping[str, Any]) -> bool:
+    """Whether a header has TAN or TAN-SIP world coordinates."""
+    return str(header.get("CTYPE1", "")).startswith("RA---TAN") and "CRVAL1" in header
