@@ -98,21 +98,18 @@ def sighting(path: Path, star: str, star_id: int, catalog: MemoryCatalog, publis
 def sightings(folder: Path) -> list[Sighting]:
     """All frames of the folder, against the published measurements."""
     catalog, ids = near_stars(folder / "lorri_stars.csv")
-    rows = csv.DictReader((folder / "lorri_measured.csv").read_text().splitlines())
-    return [
-        sighting(
-            folder / row["file"], row["star"], ids[row["star"]], catalog, np.array([row["x_px"], row["y_px"]], float)
-        )
-        for row in rows
-    ]
+    found = []
+    for row in csv.DictReader((folder / "lorri_measured.csv").read_text().splitlines()):
+        published_px = np.array([float(row["x_px"]), float(row["y_px"])])
+        found.append(sighting(folder / row["file"], row["star"], ids[row["star"]], catalog, published_px))
+    return found
 
 
 def main() -> None:
     if len(sys.argv) != 2:
         raise SystemExit(__doc__)
-    print(
-        f"{'frame':<34}{'star':<13}{'measured, px':>20}{'- published':>16}{'- predicted':>16}{'parallax, px':>15}{'sigmas':>8}"
-    )
+    heads = ("measured, px", "- published", "- predicted", "parallax, px", "sigmas")
+    print(f"{'frame':<34}{'star':<13}{heads[0]:>20}{heads[1]:>16}{heads[2]:>16}{heads[3]:>15}{heads[4]:>8}")
     for one in sightings(Path(sys.argv[1])):
         moved = float(np.linalg.norm(one.predicted_px - one.without_parallax_px))
         cells = (one.measured_px, one.measured_px - one.published_px, one.measured_px - one.predicted_px)
