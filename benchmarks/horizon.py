@@ -83,8 +83,11 @@ def bias(draws: int) -> dict[str, object]:
     arc = horizon_arc(model, figure, truth)
     assert not isinstance(arc, Failure)
     angles = np.arctan2(*(arc.points_px - model.project(truth)).T[::-1])
-    for half_arc_deg in (90.0, 60.0, 40.0):
-        points = arc.points_px[np.abs(angles) < math.radians(half_arc_deg)]
+    turns = np.linspace(-math.radians(80.0), math.radians(80.0), 1000)
+    radius = float(np.mean(np.linalg.norm(arc.points_px - model.project(truth), axis=1)))
+    dense = model.project(truth) + radius * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    arcs = {160.0: dense} | {2.0 * d: arc.points_px[np.abs(angles) < math.radians(d)] for d in (90.0, 60.0, 40.0)}
+    for arc_deg, points in arcs.items():
         random = np.random.default_rng(1)
         errors: dict[str, list[float]] = {method: [] for method in CraMethod}
         for _ in range(draws):
@@ -93,7 +96,7 @@ def bias(draws: int) -> dict[str, object]:
                 found = christian_robinson(noisy, model, figure, method=method, sigma_px=0.1)
                 assert not isinstance(found, Failure), found
                 errors[method].append(float(np.linalg.norm(found)) - PASS_KM)
-        report[f"{2 * half_arc_deg:g} deg of limb, {len(points)} points"] = {
+        report[f"{arc_deg:g} deg of limb, {len(points)} points"] = {
             method: {
                 "bias_km": round(float(np.mean(some)), 2),
                 "standard_error_km": round(float(np.std(some)) / math.sqrt(draws), 2),
@@ -104,7 +107,7 @@ def bias(draws: int) -> dict[str, object]:
     return report
 
 
-def as_flown(image: Image, camera: Camera, sunlight: Float) -> Float | None:
+def as_flown(image: Image, camera: Camera, sunlight: Float) -> Float:
     """The non-iterative algorithm as paper 000 has it: edges from the side of the Sun, then least squares."""
     pixels = image.pixels.astype(np.float64)
     usable = np.ones(pixels.shape, dtype=bool)
@@ -117,11 +120,10 @@ def as_flown(image: Image, camera: Camera, sunlight: Float) -> Float | None:
     points = edges.points_px[outward]
     for _ in range(2):
         found = christian_robinson(points, camera.model, figure, method=CraMethod.LEAST_SQUARES)
-        if isinstance(found, Failure):
-            return None
+        assert not isinstance(found, Failure), found
         residuals, _, _ = horizon_residuals(points, camera.model, figure, found)
         points = points[np.abs(residuals - np.median(residuals)) < 0.5]
-    return found
+    return np.asarray(found)
 
 
 def pass_image(number: int, jitter_px: float) -> tuple[Image, Scene, Float]:
@@ -131,7 +133,12 @@ def pass_image(number: int, jitter_px: float) -> tuple[Image, Scene, Float]:
     position = PASS_KM * camera.model.unproject(center)
     phase = math.radians(PASS_PHASE_DEG)
     sun = np.array([-math.sin(phase), 0.0, -math.cos(phase)])
-    body = Body(shape=Ellipsoid(radii_km=np.full(3, MOON_KM)), position_camera_km=position, reflectance=LunarLambert())
+    body = Body(
+        shape=Ellipsoid(radii_km=np.full(3, MOON_KM)),
+        camera_from_body=Rotation.identity(),
+        position_camera_km=position,
+        reflectance=LunarLambert(),
+    )
     template = render(
         body,
         camera.model,
@@ -162,7 +169,6 @@ def moon_pass(images: int) -> dict[str, object]:
             image, scene, known = pass_image(number, jitter_px)
             flown = as_flown(image, camera, np.array([1.0, 0.0]))
             fixes = [estimator.estimate(image, camera, scene) for estimator in (SigmoidLimb(), EllipsoidCRA())]
-            assert flown is not None
             assert all(isinstance(fix, PositionFix) for fix in fixes), fixes
             positions = [flown, *(fix.position_camera_km for fix in fixes if isinstance(fix, PositionFix))]
             for name, position in zip(found, positions, strict=True):

@@ -223,12 +223,14 @@ def _cell_fits(
     gain: Float,
 ) -> CellFits:
     """Put together; cells that say nothing get hardly any information instead of none."""
+    poor = good.sum(axis=1) < free + 3 + _MIN_FREEDOM  # rounding alone may be left of their information
+    information = np.where(poor[:, None, None], _RIDGE * np.eye(3), information)
     least = _RIDGE * np.maximum(np.trace(information, axis1=1, axis2=2), 1e-30)
     information = information + least[:, None, None] * np.eye(3)
     explained = np.einsum("ci,ci->c", pull, np.linalg.solve(information, pull[..., None])[..., 0])
     free = free + 3
     remains = np.maximum((weights * left**2).sum(axis=1) - explained, 0.0)
-    chi2 = np.where(good.sum(axis=1) >= free + _MIN_FREEDOM, remains / np.maximum(good.sum(axis=1) - free, 1), np.inf)
+    chi2 = np.where(poor, np.inf, remains / np.maximum(good.sum(axis=1) - free, 1))
     dark_noise = 1.0 / np.sqrt(weights.max(axis=1))
     rms = np.sqrt(remains / weights.sum(axis=1))
     return CellFits(

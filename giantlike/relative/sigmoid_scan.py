@@ -26,7 +26,7 @@ from giantlike.relative.sigmoid_rings import Rings
 _COARSE_POINTS = 120
 _MIN_BRIGHTNESS = 0.1  # of the brightest horizon: darker one tells little beside the rest
 _LAW_POWERS, _STEP_POWERS = 2, 3
-_LAW_SIGMA = 0.3
+_LAW_SIGMA = 0.2
 """How much a smooth reflectance law may add to another at the square of the cosine of emission, over the first."""
 _STEP_LAW_SIGMA = 2.0
 _FIRST_BLUR_PX2 = 2.0
