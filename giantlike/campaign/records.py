@@ -46,13 +46,17 @@ class Attitude(_Record):
 
 
 class StarMatches(_Record):
-    """Stars of one solution, for residual plots and overlays: (n, 2) px, (n,) px and magnitudes."""
+    """Stars of one solution, for residual plots and overlays: (n, 2) px, (n,) px and magnitudes.
+
+    ``rejected_px`` are the places (m, 2) of matches thrown out.
+    """
 
     star_ids: list[int]
     observed_px: Matrix
     predicted_px: Matrix
     sigma_px: Vector
     magnitudes: Vector
+    rejected_px: Matrix = []
 
 
 class AttitudeRecord(_Record):

@@ -122,6 +122,7 @@ def _star_marks(record: AttitudeRecord) -> StarMarks | None:
         detected_px=_points(record.detected_px),
         matched_px=_points([] if stars is None else stars.observed_px),
         predicted_px=_points([] if stars is None else stars.predicted_px),
+        rejected_px=_points([] if stars is None else stars.rejected_px),
     )
 
 

@@ -265,6 +265,7 @@ def _star_fields(navigation: StarNavigation, image: Image) -> dict[str, Any]:
             predicted_px=rows(fix.predicted_px),
             sigma_px=fix.sigma_px.tolist(),
             magnitudes=fix.magnitudes.tolist(),
+            rejected_px=rows(fix.rejected_px),
         ),
     }
     return fields

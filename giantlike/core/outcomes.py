@@ -144,6 +144,8 @@ class AttitudeFix:
         Focal length along x of the camera model used (the refined one, where the scale was estimated too).
     fov_deg : float, deg
         Field of view along x of the camera model used: ``2 atan(columns / (2 fx))``.
+    rejected_px : (n_rejected, 2) float64, px
+        Measured centroids of the matches thrown out.
     flags : Quality
     provenance : mapping of str to str
         Versions and hashes of what the fix was made from.
@@ -162,6 +164,7 @@ class AttitudeFix:
     false_match_probability: float
     focal_length_px: float
     fov_deg: float
+    rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
     flags: Quality = Quality.NONE
     provenance: Mapping[str, str] = field(default_factory=dict)
 

@@ -23,6 +23,7 @@ MARKS = MappingProxyType(
         "matched star": "#3ddc97",
         "detected, not used": "#ffb347",
         "where the solution puts catalogue stars": "#6ec6ff",
+        "match thrown out": "#ff4d4d",
         "a priori outline and centre": "#b9a7ff",
         "limb points used": "#ffe066",
     }
@@ -49,11 +50,14 @@ class StarMarks:
         Everything that was detected.
     matched_px, predicted_px : (m, 2)
         Identified stars as measured, and where the solution puts them.
+    rejected_px : (k, 2)
+        Matches that were thrown out.
     """
 
     detected_px: Float
     matched_px: Float
     predicted_px: Float
+    rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,13 +175,14 @@ def _panels(count: int, width_in: float, height_in: float) -> tuple[Figure, list
 
 
 def _draw_stars(axis: Axes, stars: StarMarks) -> None:
-    matched_color, other_color, predicted_color = list(MARKS.values())[:3]
+    matched_color, other_color, predicted_color, rejected_color = list(MARKS.values())[:4]
     used = set(map(tuple, stars.matched_px.tolist()))
     other = stars.detected_px[[tuple(point) not in used for point in stars.detected_px.tolist()]]
     size = float(np.clip(80.0 / np.sqrt(max(len(used), 1)), 3.5, 9.0))
     ring: Any = {"linestyle": "none", "marker": "o", "markerfacecolor": "none", "markeredgewidth": 0.7}
     axis.plot(*other.T, **ring, color=other_color, markersize=0.6 * size)
     axis.plot(*stars.matched_px.T, **ring, color=matched_color, markersize=size)
+    axis.plot(*stars.rejected_px.T, "x", color=rejected_color, markersize=0.8 * size, markeredgewidth=0.9)
     axis.plot(*stars.predicted_px.T, "+", color=predicted_color, markersize=0.5 * size, markeredgewidth=0.6)
 
 
