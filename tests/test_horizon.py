@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
+from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
 from giantlike.relative.horizon import (
+    Altitude,
     CraMethod,
     Figure,
+    altitude_design,
     christian_robinson,
     horizon_covariance,
     horizon_residuals,
@@ -26,7 +30,7 @@ TRACED_PX = 2e-6
 JACOBIAN_PX_KM = 1e-7  # central differences of a horizon of order 0.1 px/km
 COVARIANCE_RATIO = 0.13  # 1,000 draws leave 4.5 % of one variance, 2.6 % of the mean of three: five sigma
 STANDARD_ERRORS = 5.0
-BIAS_DRAWS, COVARIANCE_DRAWS = 1500, 1000
+BIAS_DRAWS, COVARIANCE_DRAWS, ALTITUDE_DRAWS = 1500, 1000, 300
 
 DISTORTED = BrownModel(fx_px=2500.0, fy_px=2490.0, cx_px=510.0, cy_px=500.0, k1=-0.3, p1=2e-4)
 MOON = Figure(radii_km=np.array([1737.4, 1737.4, 1737.4]), camera_from_axes=Rotation.identity())
@@ -121,3 +125,51 @@ def test_too_few_points_or_points_of_no_ellipse_are_refused() -> None:
     same = christian_robinson(np.tile(points[:1], (10, 1)), DISTORTED, TRIAXIAL)
     assert isinstance(same, Failure)
     assert same.reason is Reason.DEGENERATE_GEOMETRY
+
+
+def test_the_motion_of_the_horizon_with_the_altitude_is_its_derivative() -> None:
+    low = horizon(DISTORTED, TRIAXIAL, PLACE, np.linspace(0, 6.2, 25))
+    step_km = 0.5
+    high = Altitude(step_km).above(TRIAXIAL)
+    raised = horizon_residuals(low, DISTORTED, high, PLACE)[0] / -step_km
+    assert_allclose(altitude_design(low, DISTORTED, TRIAXIAL, PLACE), raised, rtol=0, atol=1e-4)
+
+
+def test_a_sphere_higher_by_its_altitude_and_farther_in_proportion_looks_the_same() -> None:
+    """So what is not known of the altitude of a limb goes into the range, one to one in proportion."""
+    truth = np.array([0.0, 0.0, 252_400.0])
+    points = horizon(ORION, MOON, truth, np.linspace(0, 6.2, 40))
+    radial = horizon_residuals(points, ORION, MOON, truth)[1] @ (truth / 252_400.0)
+    lift = altitude_design(points, ORION, MOON, truth)
+    assert_allclose(lift * 1737.4, -radial * 252_400.0, rtol=1e-4, atol=0)
+
+
+def test_ranges_from_a_limb_of_uncertain_altitude_scatter_as_stated() -> None:
+    """The Earth's limb, 25 +- 5 km high and another height in every draw, seen as 25 km by the algorithm."""
+    earth = Figure(radii_km=np.array([6378.1, 6378.1, 6356.8]), camera_from_axes=Rotation.from_rotvec([1.2, 0.4, 0.2]))
+    truth = 300_000.0 * ORION.unproject(np.array([1310.0, 960.0]))
+    seen, sigma_km, noise_px = Altitude(25.0, 5.0).above(earth), 5.0, 0.05
+    angles = np.linspace(-1.3, 1.3, 60)
+    rng = np.random.default_rng(31)
+    points = horizon(ORION, seen, truth, angles)
+    _, design, normals = horizon_residuals(points, ORION, seen, truth)
+    lift = altitude_design(points, ORION, seen, truth)
+    gain = np.linalg.pinv(design)
+    stated = gain @ (noise_px**2 * np.eye(60) + sigma_km**2 * np.outer(lift, lift)) @ gain.T
+    squares = []
+    for _ in range(ALTITUDE_DRAWS):
+        shift = sigma_km * rng.normal() * lift + noise_px * rng.normal(size=60)
+        found = christian_robinson(points + shift[:, None] * normals, ORION, seen, sigma_px=noise_px)
+        assert not isinstance(found, Failure)
+        squares.append(float((found - truth) @ np.linalg.solve(stated, found - truth)))
+    low, high = (float(chi2.ppf(chance, 3 * ALTITUDE_DRAWS)) / ALTITUDE_DRAWS for chance in (1e-5, 1.0 - 1e-5))
+    assert low < np.mean(squares) < high
+    sight = truth / 300_000.0
+    known = noise_px**2 * np.linalg.inv(design.T @ design)
+    assert np.sqrt(sight @ (stated - known) @ sight) / 300_000.0 == pytest.approx(5.0 / 6396.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("altitude", "sigma"), [(np.nan, 0.0), (1.0, -1.0), (1.0, np.inf)])
+def test_altitudes_that_make_no_sense_are_refused(altitude: float, sigma: float) -> None:
+    with pytest.raises(InputError, match="altitude"):
+        Altitude(altitude, sigma)
