@@ -417,7 +417,7 @@ def _stars(rng: np.random.Generator, n: int) -> StarTable:
         dec_deg=np.degrees(np.arcsin(rng.uniform(-1, 1, n))),
         pm_ra_mas_yr=rng.normal(0, 3000, n),
         pm_dec_mas_yr=rng.normal(0, 3000, n),
-        parallax_mas=rng.uniform(1, 700, n),
+        parallax_mas=rng.uniform(40, 700, n),  # ERFA warns of stars faster than 1 % of light
         radial_velocity_km_s=rng.normal(0, 100, n),
         epoch_jyear=np.full(n, 2016.0),
         magnitude=np.zeros(n),
