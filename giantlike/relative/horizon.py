@@ -18,7 +18,7 @@ from giantlike.core.arrays import Float, as_finite, as_floats, require
 from giantlike.core.outcomes import Failure, Reason
 
 MIN_POINTS = 4
-_FOOT_STEPS = 4
+_FOOT_STEPS, _NEAR_STEPS = 4, 2
 _MAX_STEPS = 25
 _STEP_PX = 1e-7
 _ALTITUDE_STEP = 1e-4  # of the smallest radius
@@ -371,7 +371,7 @@ def _refined(points_px: Float, model: CameraModel, figure: Figure, start_km: Flo
     position = start_km
     rays = PixelRays.through(points_px, model)
     for _ in range(_MAX_STEPS):
-        residuals, jacobian, _ = ray_residuals(rays, figure, position)
+        residuals, jacobian, _ = ray_residuals(rays, figure, position, steps=_NEAR_STEPS)
         known = np.isfinite(residuals)
         if known.sum() < MIN_POINTS:
             break
