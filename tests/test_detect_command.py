@@ -15,7 +15,7 @@ from giantlike.camera import Camera
 from giantlike.cli.app import app
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.io import write_fits
-from tests.test_detection import GAIN, READ_NOISE_E, exposed, flux_of_snr, paired, spread_points, star_image
+from tests.test_detection import GAIN, NOISE_DN, READ_NOISE_E, exposed, flux_of_snr, paired, spread_points, star_image
 
 KEYS = ["x_px", "y_px", "sigma_x_px", "sigma_y_px", "flux_dn", "snr", "flags", "is_star"]
 SHAPE = (200, 240)
@@ -106,8 +106,76 @@ def test_an_image_of_another_size_than_the_camera_fails_with_both_named(tmp_path
     assert "240x200" in json.loads(result.stdout)[0]["detail"]
 
 
+def test_the_noise_may_come_from_covered_pixels_or_the_detector(tmp_path: Path) -> None:
+    path, _ = stars_in(tmp_path)
+    camera = camera_file(tmp_path)
+    noise = {}
+    for options in (["--noise", "local"], ["--noise", "image"], ["--noise", "detector"]):
+        (image,) = json.loads(giantlike("detect", path, "--camera", camera, *options, "--json").stdout)
+        noise[options[1]] = image["noise_dn"]
+    assert noise["image"] == pytest.approx(noise["local"], rel=0.1)  # 5,000 samples of it, and stars among them
+    assert noise["detector"] == pytest.approx(NOISE_DN, rel=0.03)  # bias 0: the level is known to 0.1 DN
+    region = ["--noise", "covered", "--covered", "0", "0", "30", "30"]
+    result = giantlike("detect", path, "--camera", camera, *region, "--json")
+    assert json.loads(result.stdout)[0]["noise_dn"] == pytest.approx(NOISE_DN, rel=0.15)  # 900 pixels: 2.4 %, 5 sigma
+
+
+def moving_sequence(folder: Path, count: int) -> tuple[list[Path], list[Any]]:
+    """Images of stars that move, on a pattern that does not, with hot pixels."""
+    rng = np.random.default_rng(7)
+    pattern = rng.normal(0.0, 60.0, SHAPE)
+    pattern[30, 40] += 4000.0
+    start = spread_points(SHAPE, 40, 5)
+    paths, places = [], []
+    for k in range(count):
+        points = start + np.array([7.0, -5.0]) * k
+        light = star_image(points, np.full(len(points), flux_of_snr(150.0, 0.8)), 0.8, SHAPE)
+        image = exposed(light + 1000.0, 50 + k) + pattern
+        image[20 + 11 * k, 150] += 3000.0  # a particle
+        paths.append(folder / f"{k}.fits")
+        write_fits(paths[-1], image.astype(np.float32))
+        inside = (points > 5).all(axis=1) & (points < np.array(SHAPE[::-1]) - 5).all(axis=1)
+        places.append(points[inside])
+    return paths, places
+
+
+def test_a_fixed_pattern_is_removed_by_the_sequence(tmp_path: Path) -> None:
+    paths, places = moving_sequence(tmp_path, 5)
+    alone = json.loads(giantlike("detect", paths[2], "--psf-sigma", "0.8", "--json").stdout)[0]
+    result = giantlike("detect", *paths, "--psf-sigma", "0.8", "--sequence", "--json")
+    assert result.exit_code == 0, result.stderr
+    for image, points in zip(json.loads(result.stdout), places, strict=True):
+        assert image["noise_dn"] < 0.7 * alone["noise_dn"]
+        stars = np.array([[row["x_px"], row["y_px"]] for row in image["detections"] if row["is_star"]])
+        assert (paired(stars, points)[0] < 1.0).all()
+        hit = [row for row in image["detections"] if abs(row["x_px"] - 150) < 1 and "cosmic_ray" in row["flags"]]
+        assert hit
+
+
+def test_images_of_one_pointing_keep_their_stars(tmp_path: Path) -> None:
+    paths = [stars_in(tmp_path, f"{k}.fits")[0] for k in range(3)]
+    result = giantlike("detect", *paths, "--psf-sigma", "0.8", "--sequence", "--json")
+    assert result.exit_code == 0
+    assert "no fixed pattern is removed" in result.stderr
+    for image in json.loads(result.stdout):
+        assert sum(row["is_star"] for row in image["detections"]) >= len(stars_in(tmp_path)[1])
+
+
+def test_one_image_is_no_sequence(tmp_path: Path) -> None:
+    result = giantlike("detect", stars_in(tmp_path)[0], "--sequence")
+    assert result.exit_code == 2
+    assert "at least two" in result.stderr
+
+
 @pytest.mark.parametrize(
-    "arguments", [["--psf-sigma", "-1"], ["--min-snr", "-3"], ["--threshold", "0"], ["--camera", "no_such.toml"]]
+    "arguments",
+    [
+        ["--noise", "covered"],
+        ["--psf-sigma", "-1"],
+        ["--min-snr", "-3"],
+        ["--threshold", "0"],
+        ["--camera", "no_such.toml"],
+    ],
 )
 def test_a_users_mistake_is_one_line(tmp_path: Path, arguments: list[str]) -> None:
     path, _ = stars_in(tmp_path)

@@ -37,6 +37,15 @@ class ExportOption(StrEnum):
     WCS = "wcs"
 
 
+class NoiseOption(StrEnum):
+    """Values of ``giantlike.processing.noise.NoiseSource``."""
+
+    LOCAL = "local"
+    IMAGE = "image"
+    COVERED = "covered"
+    DETECTOR = "detector"
+
+
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
 Sequence = Annotated[
     bool,
@@ -184,6 +193,16 @@ def detect(
     ] = None,
     min_snr: Annotated[float, typer.Option(help="Leave out what is fainter.")] = 0.0,
     threshold: Annotated[float, typer.Option(help="Detection limit in units of the noise.", metavar="SIGMA")] = 5.0,
+    noise: Annotated[
+        NoiseOption, typer.Option(help="Where the noise of a pixel is taken from.", case_sensitive=False)
+    ] = NoiseOption.LOCAL,
+    covered: Annotated[
+        tuple[int, int, int, int] | None,
+        typer.Option(help="For --noise covered: pixels without light.", metavar="X Y COLUMNS ROWS"),
+    ] = None,
+    streak: Annotated[
+        bool | None, typer.Option("--streak/--no-streak", help="Stars are lines; by default this is found out.")
+    ] = None,
     sequence: Sequence = False,
     hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
     json: Json = False,
@@ -199,7 +218,7 @@ def detect(
         camera_file=camera,
         psf_sigma_px=psf_sigma,
         min_snr=min_snr,
-        threshold_sigma=threshold,
+        search={"threshold_sigma": threshold, "streak": streak, "noise": noise, "covered": covered},
         sequence=sequence,
         hdu=int(hdu) if hdu is not None and hdu.isdecimal() else hdu,
         json=json,

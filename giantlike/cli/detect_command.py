@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
+from giantlike.processing.noise import NoiseSource
 from giantlike.processing.sequence import FixedPattern, compare_sequence
 
 _SHOWN = 20
@@ -90,12 +91,15 @@ class DetectRequest:
 
 
 def detect_command(
-    images: Sequence[Path], *, camera_file: Path | None, json: bool, threshold_sigma: float, **request: Any
+    images: Sequence[Path], *, camera_file: Path | None, json: bool, search: Mapping[str, Any], **request: Any
 ) -> ExitCode:
-    """Search images and show what is found; ``request`` are fields of :class:`DetectRequest`."""
+    """Search images and show what is found.
+
+    ``search`` are fields of :class:`~giantlike.processing.DetectionOptions`, ``request`` of :class:`DetectRequest`.
+    """
     wanted = DetectRequest(
         camera=None if camera_file is None else Camera.load(camera_file),
-        options=DetectionOptions(threshold_sigma=threshold_sigma),
+        options=DetectionOptions(**(dict(search) | {"noise": NoiseSource(search["noise"])})),
         **request,
     )
     results = _all_searched(images, wanted)
@@ -144,9 +148,9 @@ def _result(path: Path, outcome: Detections | Failure, wanted: DetectRequest) ->
 
 
 def _rows(found: Detections) -> list[dict[str, Any]]:
-    """One object per detection, brightest first."""
+    """One object per detection, brightest first; where the stars are streaks also their ends."""
     sigma = np.sqrt(np.diagonal(found.covariance_px2, axis1=1, axis2=2))
-    return [
+    rows: list[dict[str, Any]] = [
         {
             "x_px": float(point[0]),
             "y_px": float(point[1]),
@@ -161,6 +165,12 @@ def _rows(found: Detections) -> list[dict[str, Any]]:
             found.points_px, sigma, found.flux_dn, found.snr, found.flags, found.clean, strict=True
         )
     ]
+    if found.halves_px is not None and found.half_sigma_px is not None:
+        ends = np.stack([found.points_px - found.halves_px, found.points_px + found.halves_px], axis=1)
+        length = 2.0 * np.hypot(found.halves_px[:, 0], found.halves_px[:, 1])
+        for row, end, long, error in zip(rows, ends, length, 2.0 * found.half_sigma_px, strict=True):
+            row |= {"ends_px": end.tolist(), "length_px": float(long), "sigma_length_px": float(error)}
+    return rows
 
 
 def _print_table(results: Sequence[dict[str, Any]]) -> None:

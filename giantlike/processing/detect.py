@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -33,9 +32,13 @@ from giantlike.processing.centroid import (
     fit_stars,
     neighbour_pairs,
 )
+from giantlike.processing.common_streak import CommonStreak, find_common_streak, measure_streaks
 from giantlike.processing.detections import DetectionFlag, Detections
+from giantlike.processing.frame import Frame, frame_of
 from giantlike.processing.matched_filter import FilteredImage, Image32, matched_filter, noise_between, recorded_width_px
+from giantlike.processing.noise import NoiseSource, Region
 from giantlike.processing.particles import CORE_WIDTHS, core_of, find_few_pixels
+from giantlike.processing.streak import line_shares
 
 _FIRST_PSF_SIGMA_PX = 1.0
 _PSF_ROUNDS = 3
@@ -45,8 +48,9 @@ _PSF_MOST_TRIED = 1000
 _PSF_MIN_SIGNIFICANCE = 12.0
 _PSF_WIDTH_PRIOR = 1.0
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
-_QUANTISATION_DN = 1.0 / math.sqrt(12.0)
-_FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in single precision
+
+_STREAK_MIN_SIGNIFICANCE = 8.0
+_STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # how far a length may be from that of the image
 
 _EXTENDED_AREA = 4.0  # times the area that a star of the same peak has above the threshold
 _EXTENDED_AREA_MARGIN_PX = 12
@@ -73,6 +77,13 @@ class DetectionOptions:
         Fewer connected pixels above the limit are no source; 1 keeps all.
     max_saturated_fraction : float
         An image with a larger share of saturated pixels is refused.
+    noise : NoiseSource
+        Where the noise of a pixel is taken from.
+    covered : (x, y, columns, rows), px, optional
+        Pixels that no light reaches, for ``NoiseSource.COVERED``.
+    streak : bool, optional
+        Whether stars are drawn into lines of one direction and length. By default this is found out; where it is not
+        so although ``True`` was said, the image is refused.
 
     Raises
     ------
@@ -84,6 +95,9 @@ class DetectionOptions:
     max_sources: int = 2000
     min_area_px: int = 1
     max_saturated_fraction: float = 0.5
+    noise: NoiseSource = NoiseSource.LOCAL
+    covered: Region | None = None
+    streak: bool | None = None
 
     def __post_init__(self) -> None:
         require(
@@ -96,18 +110,10 @@ class DetectionOptions:
             0.0 < self.max_saturated_fraction <= 1.0,
             f"max_saturated_fraction must be in (0, 1], got {self.max_saturated_fraction}",
         )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Frame:
-    """An image as the steps need it: as stored, and in single precision near zero for the filter."""
-
-    pixels: NDArray[Any]
-    bad: NDArray[np.bool_] | None
-    flat: Image32
-    saturation_dn: float
-    gain_e_per_dn: float
-    noise_floor_dn: float
+        require(
+            (self.covered is not None) == (self.noise is NoiseSource.COVERED),
+            "noise from covered pixels and their region go together",
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,6 +127,7 @@ class _Candidates:
     area_px: NDArray[np.int64]
     extended: NDArray[np.bool_]
     alone: NDArray[np.bool_]
+    first: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.flux_dn)
@@ -177,63 +184,32 @@ def detect_sources(
         psf_sigma_px is None or (math.isfinite(psf_sigma_px) and psf_sigma_px >= 0),
         f"psf_sigma_px must be finite and >= 0, got {psf_sigma_px}",
     )
-    frame = _frame_of(pixels, mask, detector, options)
+    frame = frame_of(
+        pixels, mask, detector, options.max_saturated_fraction, noise=options.noise, covered=options.covered
+    )
     if isinstance(frame, Failure):
         return frame
     psf, filtered, found = _search(frame, psf_sigma_px, options)
-    noise = noise_between(filtered, frame.bad, found.peaks_px, frame.noise_floor_dn)
+    streak = None if options.streak is False else _common_streak(frame, found, psf_sigma_px)
+    if streak is not None:
+        psf = streak.sigma_px
+        filtered, found = _search_with(frame, psf, options, streak.half_px)
+    elif options.streak:
+        return Failure(Reason.NO_SIGNAL, "the brightest sources do not agree on a streak of one direction and length")
+    noise = frame.noise_dn
+    if noise is None:
+        noise = noise_between(filtered, frame.bad, found.peaks_px, frame.noise_floor_dn)
     noise_dn = float(np.median(noise[::8, ::8]))
     found = found.select(slice(options.max_sources))
     if not len(found):
         return Detections.empty(psf_sigma_px=psf, noise_dn=noise_dn)
     at_peaks = noise[found.peaks_px[:, 1], found.peaks_px[:, 0]].astype(np.float64)
-    return _measure(frame, replace(found, noise_dn=at_peaks), psf, noise_dn)
-
-
-def _frame_of(
-    pixels: ArrayLike, mask: ArrayLike | None, detector: Detector, options: DetectionOptions
-) -> _Frame | Failure:
-    """Check what came in, gather bad pixels, refuse images without information."""
-    array = np.asarray(pixels)
-    require(
-        array.ndim == 2 and array.size > 0 and array.dtype.kind in "iuf",
-        f"pixels must be a 2-D array of real numbers, got {array.dtype} of shape {array.shape}",
-    )
-    bad = np.zeros((0, 0), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-    require(bad.size == 0 or bad.shape == array.shape, f"mask shape {bad.shape} differs from pixels {array.shape}")
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        bad = ~np.isfinite(array) | (bad if bad.size else False)
-        array = np.where(bad, 0, array)
-    masked = bad if bad.any() else None
-    good = array if masked is None else array[~masked]
-    if not good.size:
-        return Failure(Reason.NO_SIGNAL, "every pixel is masked or not finite")
-    low, high = float(good.min()), float(good.max())
-    integer = array.dtype.kind in "iu"
-    saturation = min(detector.saturation_dn, float(np.iinfo(array.dtype).max) if integer else math.inf)
-    saturated = float(np.count_nonzero(good >= saturation)) / good.size if high >= saturation else 0.0
-    if saturated > options.max_saturated_fraction:
-        return Failure(
-            Reason.SATURATED,
-            f"{saturated:.0%} of the pixels are at or above saturation ({saturation:g} DN), "
-            f"at most {options.max_saturated_fraction:.0%} may be: expose shorter",
-        )
-    if low == high:
-        return Failure(Reason.NO_SIGNAL, f"every pixel is {low:g} DN: there is nothing to detect")
-    sample = good[::7, ::7] if good.ndim == 2 else good[::49]
-    whole = integer or bool((sample == np.round(sample)).all())
-    return _Frame(
-        pixels=array,
-        bad=masked,
-        flat=np.subtract(array, np.median(sample), dtype=np.float32),
-        saturation_dn=saturation,
-        gain_e_per_dn=detector.gain_e_per_dn,
-        noise_floor_dn=_QUANTISATION_DN if whole else _FLOAT_FLOOR * (high - low),
-    )
+    found = replace(found, noise_dn=at_peaks)
+    return _measure(frame, found, psf, noise_dn) if streak is None else _measure_lines(frame, found, streak, noise_dn)
 
 
 def _search(
-    frame: _Frame, psf_sigma_px: float | None, options: DetectionOptions
+    frame: Frame, psf_sigma_px: float | None, options: DetectionOptions
 ) -> tuple[float, FilteredImage, _Candidates]:
     """Search with the given width of the PSF or, without one, that of the sources of this image themselves."""
     if psf_sigma_px is not None:
@@ -251,13 +227,37 @@ def _search(
     return psf, filtered, found
 
 
-def _search_with(frame: _Frame, psf_sigma_px: float, options: DetectionOptions) -> tuple[FilteredImage, _Candidates]:
-    """Filter for stars of this width and list the peaks."""
-    filtered = matched_filter(frame.flat, frame.bad, psf_sigma_px=psf_sigma_px, noise_floor_dn=frame.noise_floor_dn)
-    return filtered, _find_peaks(frame, filtered, options)
+def _search_with(
+    frame: Frame, psf_sigma_px: float, options: DetectionOptions, half_streak_px: tuple[float, float] | None = None
+) -> tuple[FilteredImage, _Candidates]:
+    """Filter for stars or streaks of this width and list the peaks."""
+    filtered = matched_filter(
+        frame.flat,
+        frame.bad,
+        psf_sigma_px=psf_sigma_px,
+        noise_floor_dn=frame.noise_floor_dn,
+        half_streak_px=half_streak_px,
+    )
+    if frame.noise_dn is not None:
+        filtered = replace(filtered, noise_dn=np.maximum(frame.noise_dn, np.float32(frame.noise_floor_dn)))
+    found = _find_peaks(frame, filtered, options)
+    return filtered, found if half_streak_px is None else found.select(found.first)
 
 
-def _find_peaks(frame: _Frame, filtered: FilteredImage, options: DetectionOptions) -> _Candidates:
+def _common_streak(frame: Frame, found: _Candidates, psf_sigma_px: float | None) -> CommonStreak | None:
+    bright = found.select(found.first & (found.significance > _STREAK_MIN_SIGNIFICANCE))
+    return find_common_streak(
+        frame.pixels,
+        frame.bad,
+        bright.peaks_px,
+        noise_dn=bright.noise_dn,
+        psf_sigma_px=psf_sigma_px,
+        gain_e_per_dn=frame.gain_e_per_dn,
+        saturation_dn=frame.saturation_dn,
+    )
+
+
+def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions) -> _Candidates:
     """Local maxima of the filtered image above the threshold, with the component that each belongs to."""
     limit = filtered.noise_dn * np.float32(options.threshold_sigma * filtered.response_noise)
     above = cv2.compare(filtered.response, limit, cv2.CMP_GT)
@@ -288,6 +288,7 @@ def _find_peaks(frame: _Frame, filtered: FilteredImage, options: DetectionOption
         area_px=area[component].astype(np.int64),
         extended=extended,
         alone=np.bincount(component, minlength=n_components)[component] == 1,
+        first=first,
     )
     return candidates.select(first | ~(extended | near_saturation))
 
@@ -305,7 +306,7 @@ def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> NDArray[np
     return result
 
 
-def _estimate_psf(frame: _Frame, found: _Candidates, psf_sigma_px: float) -> float:
+def _estimate_psf(frame: Frame, found: _Candidates, psf_sigma_px: float) -> float:
     """Median fitted width of the most significant isolated, unsaturated, compact sources that may be stars."""
     found = found.select(found.alone & ~found.extended & (found.significance > _PSF_MIN_SIGNIFICANCE))
     stars: list[float] = []
@@ -349,7 +350,7 @@ def _half_patch_px(psf_sigma_px: float) -> int:
     return math.ceil(3.0 * recorded_width_px(psf_sigma_px)) + 1
 
 
-def _measure(frame: _Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
+def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
     """Fit all candidates, flag what is odd about them, sort by flux."""
     patches = cut_patches(frame.pixels, frame.bad, found.peaks_px, _half_patch_px(psf_sigma_px), frame.saturation_dn)
     fits = fit_stars(
@@ -383,8 +384,58 @@ def _measure(frame: _Frame, found: _Candidates, psf_sigma_px: float, noise_dn: f
     ).select(order)
 
 
+def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise_dn: float) -> Detections:
+    """Fit a line to all candidates; what is no line as long as that of the image is not a star."""
+    width = recorded_width_px(streak.sigma_px)
+    half = math.ceil(max(abs(h) for h in streak.half_px) + 3.0 * width) + 2
+    patches = cut_patches(frame.pixels, frame.bad, found.peaks_px, half, frame.saturation_dn)
+    fits = measure_streaks(
+        patches, streak=streak, flux_dn=found.flux_dn, noise_dn=found.noise_dn, gain_e_per_dn=frame.gain_e_per_dn
+    )
+    shares = line_shares(patches, fits.centers_px, fits.halves_px, streak.sigma_px)[0]
+    core = shares > 0.1 * shares.max(axis=(1, 2), keepdims=True)
+    light = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
+    expected = 2.0 * math.hypot(*streak.half_px)
+    allowed = np.minimum(_STREAK_LENGTH_SIGMAS * fits.length_sigma_px, expected / 2.0)
+    allowed += _STREAK_LENGTH_RELATIVE * expected
+    x, y = streak.half_px
+    turned = np.abs(x * fits.halves_px[:, 1] - y * fits.halves_px[:, 0]) / (expected / 2.0)
+    unlike = (np.abs(fits.lengths_px - expected) > allowed) | (2.0 * turned > allowed)
+    ends = fits.ends_px
+    last = np.array(frame.pixels.shape[::-1]) - 1.0
+    cut = ((ends < width) | (ends > last - width)).any(axis=(1, 2))
+    flags = np.full(len(found), np.uint16(DetectionFlag.STREAK))
+    for flag, which in (
+        (DetectionFlag.SATURATED, (core & patches.saturated).any(axis=(1, 2))),
+        (DetectionFlag.MASKED, (core & ~patches.valid).any(axis=(1, 2)) & ~cut),
+        (DetectionFlag.CUT_BY_FRAME, cut),
+        (DetectionFlag.EXTENDED, unlike & fits.converged),
+        (DetectionFlag.FIT_FAILED, ~fits.converged),
+    ):
+        flags[which] |= np.uint16(flag)
+    flags[unlike | ~fits.converged] &= ~np.uint16(DetectionFlag.STREAK)
+    power = np.sqrt(np.sum(shares**2, axis=(1, 2)))
+    failed = ~fits.converged
+    covariance = np.where(failed[:, None, None], expected**2 * np.eye(2), fits.covariance_px2[:, :2, :2])
+    return Detections(
+        points_px=np.where(failed[:, None], found.peaks_px, fits.centers_px),
+        covariance_px2=covariance,
+        flux_dn=np.where(failed, found.flux_dn, fits.flux_dn),
+        snr=np.where(failed, found.significance, fits.flux_dn * power / found.noise_dn),
+        peak_dn=np.where(np.isfinite(light), light, 0.0),
+        area_px=found.area_px,
+        background_dn=fits.background_dn,
+        width_px=np.full(len(found), streak.sigma_px),
+        flags=flags,
+        psf_sigma_px=streak.sigma_px,
+        noise_dn=noise_dn,
+        halves_px=fits.halves_px,
+        half_sigma_px=fits.length_sigma_px / 2.0,
+    ).select(np.argsort(-np.where(failed, found.flux_dn, fits.flux_dn), kind="stable"))
+
+
 def _flags(
-    frame: _Frame,
+    frame: Frame,
     found: _Candidates,
     patches: Patches,
     fits: StarFits,

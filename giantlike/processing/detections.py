@@ -84,6 +84,11 @@ class Detections:
         Point spread function used, given or estimated from the image.
     noise_dn : float, DN
         Background noise of a pixel, median over the image.
+    halves_px : (n, 2) float64, px, optional
+        Vector from the middle of a streak to one end, zero where there is no streak; None where streaks were not
+        fitted. The ends are ``points_px`` plus and minus this.
+    half_sigma_px : (n,) float64, px, optional
+        Standard deviation of half the length.
     """
 
     points_px: Float
@@ -97,6 +102,8 @@ class Detections:
     flags: NDArray[np.uint16]
     psf_sigma_px: float
     noise_dn: float
+    halves_px: Float | None = None
+    half_sigma_px: Float | None = None
 
     def __len__(self) -> int:
         return int(self.flags.size)
@@ -133,6 +140,8 @@ class Detections:
             flags=self.flags[which],
             psf_sigma_px=self.psf_sigma_px,
             noise_dn=self.noise_dn,
+            halves_px=None if self.halves_px is None else self.halves_px[which],
+            half_sigma_px=None if self.half_sigma_px is None else self.half_sigma_px[which],
         )
 
     @classmethod

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Scalar
+from giantlike.core.arrays import Float, Scalar
 
 NOISE_BOX_PX = 48
 _IQR_PER_SIGMA = 1.3489795  # interquartile range of a unit normal distribution
@@ -58,9 +58,14 @@ def recorded_width_px(psf_sigma_px: float) -> float:
 
 
 def matched_filter(
-    image: Image32, bad: NDArray[np.bool_] | None, *, psf_sigma_px: float, noise_floor_dn: float
+    image: Image32,
+    bad: NDArray[np.bool_] | None,
+    *,
+    psf_sigma_px: float,
+    noise_floor_dn: float,
+    half_streak_px: tuple[float, float] | None = None,
 ) -> FilteredImage:
-    """Filter an image for stars and measure the noise of the result.
+    """Filter an image for stars, or for streaks of one direction and length, and measure the noise of the result.
 
     Parameters
     ----------
@@ -72,18 +77,26 @@ def matched_filter(
     psf_sigma_px : float, px
     noise_floor_dn : float, DN
         Pixel noise is never taken to be smaller than this.
+    half_streak_px : (float, float), px, optional
+        Vector (x, y) from the middle of a streak to one end; stars by default.
     """
     width = recorded_width_px(psf_sigma_px)
-    half, box_half = math.ceil(_KERNEL_HALF_WIDTHS * width), _box_half_px(width)
+    length = 0.0 if half_streak_px is None else math.hypot(*half_streak_px)
+    half, box_half = math.ceil(_KERNEL_HALF_WIDTHS * width), _box_half_px(width + length / _BOX_HALF_WIDTHS)
     box = (2 * box_half + 1, 2 * box_half + 1)
     if bad is not None:
         image = _filled(image, bad, box)
-    taps = np.exp(-0.5 * (np.arange(-half, half + 1) / width) ** 2)
-    taps /= taps.sum()
-    star = cv2.sepFilter2D(image, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_REFLECT_101)
+    if half_streak_px is None:
+        taps = np.exp(-0.5 * (np.arange(-half, half + 1) / width) ** 2)
+        taps /= taps.sum()
+        star = cv2.sepFilter2D(image, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_REFLECT_101)
+        kernel = np.outer(taps, taps)
+    else:
+        kernel = _line_kernel(half_streak_px, width, half + math.ceil(length))
+        star = cv2.filter2D(image, cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT_101)
     response = np.asarray(cv2.subtract(star, cv2.blur(image, box, borderType=cv2.BORDER_REFLECT_101)), np.float32)
     pedestal = 1.0 / (box[0] * box[1])
-    response_noise = math.sqrt(float(np.sum(np.outer(taps, taps) ** 2)) - pedestal)
+    response_noise = math.sqrt(float(np.sum(kernel**2)) - pedestal)
     grid = NoiseGrid.of(response.shape, width)
     sigma = grid.robust_sigma(response, bad, np.zeros((0, 2), dtype=np.int64), 0)
     if bad is not None:
@@ -93,7 +106,8 @@ def matched_filter(
         noise_dn=grid.spread(np.maximum(sigma / response_noise, noise_floor_dn)),
         response_noise=response_noise,
         # A star as wide as the kernel, anywhere in its pixel: 1 / (4 pi width^2), less the box.
-        flux_per_response=1.0 / (1.0 / (4.0 * math.pi * width**2) - pedestal),
+        flux_per_response=1.0
+        / ((1.0 / (4.0 * math.pi * width**2) if half_streak_px is None else float(np.sum(kernel**2))) - pedestal),
         width_px=width,
     )
 
@@ -117,6 +131,16 @@ def noise_between(
     grid = NoiseGrid.of(filtered.response.shape, filtered.width_px)
     sigma = grid.robust_sigma(filtered.response, bad, sources_px, _box_half_px(filtered.width_px))
     return grid.spread(np.maximum(sigma / filtered.response_noise, noise_floor_dn))
+
+
+def _line_kernel(half_streak_px: tuple[float, float], width_px: float, half: int) -> Float:
+    """Gaussian (k, k) drawn along a line, with the sum 1."""
+    steps = np.linspace(-1.0, 1.0, 2 * math.ceil(2.0 * math.hypot(*half_streak_px) / width_px) + 1)
+    pixels = np.arange(-half, half + 1)
+    across, down = (np.exp(-0.5 * ((pixels - steps[:, None] * h) / width_px) ** 2) for h in half_streak_px)
+    kernel: Float = down.T @ across
+    kernel /= kernel.sum()
+    return kernel
 
 
 def _box_half_px(width_px: float) -> int:

@@ -125,10 +125,11 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
             "a fixed pattern, take images that look at different stars",
         )
     chosen = [arrays[k] for k in np.unique(np.linspace(0, len(arrays) - 1, _MOST_IMAGES).round().astype(int))]
-    pattern = np.empty(arrays[0].shape, dtype=np.float32)
-    strip = max(1, _STRIP_PX // (len(chosen) * pattern.shape[1]))
+    rows, columns = arrays[0].shape[:2]
+    pattern = np.empty((rows, columns), dtype=np.float32)
+    strip = max(1, _STRIP_PX // (len(chosen) * columns))
     middle = (len(chosen) - 1) // 2
-    for first in range(0, len(pattern), strip):
+    for first in range(0, rows, strip):
         stack = np.stack([array[first : first + strip] for array in chosen]).astype(np.float32)
         pattern[first : first + strip] = np.partition(stack, middle, axis=0)[middle]
     pattern -= np.median(pattern)
@@ -218,7 +219,7 @@ def _star_shift_px(here: Detections, there: Detections) -> Float | None:
     if min(len(a), len(b)) < _LEAST_VOTES:
         return None
     differences = (b[None, :, :] - a[:, None, :]).reshape(-1, 2)
-    votes = np.array([len(near) for near in cKDTree(differences).query_ball_point(differences, _VOTE_BIN_PX / 2)])
+    votes = np.asarray(cKDTree(differences).query_ball_point(differences, _VOTE_BIN_PX / 2, return_length=True))
     best = int(votes.argmax())
     near = differences[np.hypot(*(differences - differences[best]).T) < _VOTE_BIN_PX]
     rivals = votes[np.hypot(*(differences - differences[best]).T) > 2 * _VOTE_BIN_PX]
