@@ -8,20 +8,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import f
 
+from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
+from giantlike.campaign.config import Campaign
 from giantlike.campaign.options import options_from_mapping, with_files_found
+from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Quality, Reason
+from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
+from giantlike.io import write_fits
+from giantlike.io.image_files import read_image_file
+from giantlike.io.spice import load_kernels, orientation
 from giantlike.ray_tracing import LommelSeeliger
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.relative import ESTIMATORS, Estimator, LandmarkFix, SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.landmark_build import LandmarkBuildOptions, build_landmarks, landmarks_of
 from giantlike.relative.landmark_view import LandmarkViewer, VisibilityOptions
-from giantlike.shapes import TriangleMesh, irregular_body
+from giantlike.scene import Scene, Target
+from giantlike.shapes import TriangleMesh, irregular_body, load_shape, save_shape
 from giantlike.shapes.landmarks import LandmarkCatalog, save_landmarks
 from tests.limb_images import CAMERA, BodyImage, body_image
 
@@ -213,3 +224,66 @@ def test_it_is_an_estimator_with_options_from_a_campaign_file() -> None:
         with pytest.raises(InputError, match=needle):
             options_from_mapping(SurfaceFeaturesOptions, wrong, "options")
     assert Quality.MANY_REJECTED.suspect
+
+
+def test_a_campaign_file_names_its_landmarks_relative_to_itself(tmp_path: Path) -> None:
+    one = case(1, 35.0)
+    save_landmarks(landmarks_of(rock()), tmp_path / "rock-landmarks.npz")
+    save_shape(rock(), tmp_path / "rock.ply")
+    CAMERA.save(tmp_path / "camera.toml")
+    write_fits(tmp_path / "a.fits", one.image.pixels)
+    table = {
+        "campaign": {"name": "rock", "output": "run"},
+        "images": {"files": ["a.fits"]},
+        "camera": {"file": "camera.toml"},
+        "targets": [
+            {
+                "name": "BODY",
+                "shape": "rock.ply",
+                "units": "km",
+                "estimators": ["surface_features"],
+                "options": {"surface_features": {"landmarks": "rock-landmarks.npz"}},
+            }
+        ],
+    }
+    path = tmp_path / "campaign.toml"
+    path.write_text(tomli_w.dumps(table))
+    (estimator,) = Campaign.load(path).targets[0].estimators
+    assert estimator.options.landmarks == tmp_path / "rock-landmarks.npz"
+    assert isinstance(estimator.estimate(one.image, CAMERA, one.scene), LandmarkFix)
+    path.write_text(tomli_w.dumps(table).replace("rock-landmarks", "no-landmarks"))
+    with pytest.raises(DataError, match=r"options\.surface_features\.landmarks: there is no 'no-landmarks\.npz'"):
+        Campaign.load(path)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", ["m0154651923f6_2p_cif_gbl.fit", "m0157063318f4_2p_iof_gbl.fit"])
+def test_a_shape_coarser_than_the_frame_has_no_landmarks_for_it(data_dir: Path, name: str) -> None:
+    # NEAR at Eros: plates of the shape are 0.5 km wide, the frames show 1.3 km by 1.8 km
+    stored = read_image_file(data_dir / "bodies" / "near_msi" / name)
+    number = {key: float(stored.header[f"NEAR-{key:03d}"]) for key in (18, 19, 20, 21, 22, 23, 24, 25, 27, 28, 29)}
+    axes = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # boresight +X, samples +Z
+    attitude = axes * Rotation.from_quat([number[key] for key in (19, 20, 21, 22)], scalar_first=True)
+    eros_km = np.array([number[key] for key in (27, 28, 29)])
+    et = et_from_time(time_from_utc("1996-02-17T20:43:29")) + number[18]  # mission elapsed time, from launch
+    with load_kernels([str(data_dir / "kernels" / "pck00011.tpc")], base=Path()):
+        turn = orientation("IAU_EROS", et)
+    geometry = ApparentGeometry(
+        position_inertial_km=eros_km - np.array([number[key] for key in (23, 24, 25)]),
+        inertial_from_body=turn,
+        sun_direction_inertial=-eros_km / np.linalg.norm(eros_km),
+    )
+    focal_px = 1.0 / 95.9e-6
+    model = PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=268.0, cy_px=205.5)
+    camera = Camera(name="NEAR MSI", columns=537, rows=412, model=model, psf=GaussianPsf(sigma_px=0.8))
+    scene = Scene(targets=(Target(name="EROS", shape=eros(data_dir), ephemeris=geometry),))
+    image = Image(pixels=stored.pixels, camera_from_inertial=attitude, name=name)
+    failure = SurfaceFeatures().estimate(image, camera, scene)
+    assert isinstance(failure, Failure)
+    assert failure.reason in {Reason.TOO_FEW_MATCHES, Reason.OUT_OF_FRAME}
+    assert "landmarks can be used" in failure.detail
+
+
+@cache
+def eros(data_dir: Path) -> TriangleMesh:
+    return load_shape(data_dir / "shapes" / "eros007790.tab")

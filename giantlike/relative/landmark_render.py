@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Protocol, Self, runtime_checkable
 
@@ -108,6 +109,12 @@ class LandmarkRenderer:
         self._catalog, self._model, self._sun, self._psf = catalog, model, sun_direction_camera, psf
         self._max_size_px, self._rays, self._other_law = max_size_px, rays_per_pixel_side, other_law
         self._meshes: dict[int, TriangleMesh] = {}
+
+    def roughly(self) -> LandmarkRenderer:
+        """Return one with one ray to a pixel and one law: enough to find landmarks by."""
+        rough = copy(self)
+        rough._rays, rough._other_law = 1, False
+        return rough
 
     def patches(self, body: Body, seen: SeenLandmarks) -> tuple[Patch, ...]:
         """Templates of the landmarks seen, without those of which too little can be rendered."""

@@ -255,7 +255,8 @@ class _Search:
         for iteration in range(self.options.max_iterations):
             if isinstance(seen, Failure):
                 return seen
-            patches = self.renderer.patches(body, seen)
+            renderer = self.renderer.roughly() if iteration == 0 else self.renderer
+            patches = renderer.patches(body, seen)
             found = self._found(body, patches, first=iteration == 0)
             if isinstance(found, Failure):
                 return found
