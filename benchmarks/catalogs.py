@@ -1,7 +1,7 @@
 """Speed and completeness of star catalogues; prints JSON.
 
 Run with ``OMP_NUM_THREADS=1 python benchmarks/catalogs.py [--stars N] [--quick]`` (a minute). A synthetic sky of 2.5
-million stars, twice as dense in the plane of the galaxy and ten times as many stars four magnitudes fainter, as
+million stars, twice as dense in the plane of the galaxy and ten times as many of them 2.2 magnitudes fainter, about as
 Tycho-2 has them, is written into a catalogue file and asked for cones in random directions. ``cpu_ms`` is processor
 time of a whole ``cone`` call, which returns all columns, brightest first: the median over directions, each asked a
 second time, so that the pages of the file are in memory. The reference finds the same stars with scipy's ``cKDTree``
