@@ -37,7 +37,7 @@ from giantlike.shapes.landmarks import LandmarkCatalog, save_landmarks
 from tests.limb_images import CAMERA, BodyImage, body_image
 
 RARE = 1e-6
-INDEPENDENT = 15  # landmarks are not many: covariances come from the scatter of about so many residuals
+INDEPENDENT = 10  # few landmarks: covariances come from the scatter of about so many residuals
 NOISE_PX, NOISE_RANGE = 0.06, 6e-4  # four times what 20 landmarks usually state
 
 
@@ -91,7 +91,7 @@ def test_the_position_is_found_from_a_prediction_ten_pixels_and_a_percent_off(se
     fix = estimated(one)
     assert_sound(one, fix)
     assert fix.estimator == "surface_features"
-    assert fix.n_used == len(fix.landmark_names) == len(fix.landmark_px) >= 10
+    assert fix.n_used == len(fix.landmark_names) == len(fix.landmark_px) >= 6
     assert_allclose(fix.residuals.reshape(-1, 2), fix.landmark_px - fix.landmark_predicted_px, rtol=0, atol=0.1)
     assert not fix.flags.suspect
     assert fix.score > 0.8
