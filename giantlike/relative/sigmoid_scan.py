@@ -371,10 +371,7 @@ def _observed(
         keep[keep] = agrees
     if keep.sum() < scan.min_cells:
         return _too_few(inputs, arc, scan, int(keep.sum()), keep.size, rejected)
-    known = inputs.psf_sigma_px is not None
-    psf_sigma_px2 = 2.0 * scan.psf_error * max(nominal_px2, 0.1) if known else _UNKNOWN_PSF_SIGMA_PX2
-    law_sigma = _LAW_SIGMA if scan.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
-    prior = np.diag([psf_sigma_px2**-2, law_sigma**-2])
+    prior, prior_pull = _prior(inputs, psf_px2, nominal_px2, scan)
     return HorizonView(
         arc=arc,
         pixels=pixels,
@@ -384,8 +381,18 @@ def _observed(
         position_camera_km=position_km,
         cut_by_frame=lit.cut_by_frame,
         prior=prior,
-        prior_pull=prior @ [nominal_px2 - psf_px2, 0.0],
+        prior_pull=prior_pull,
     )
+
+
+def _prior(inputs: EstimatorInputs, psf_px2: float, nominal_px2: float, scan: HorizonScan) -> tuple[Float, Float]:
+    """What is known of blur and law before the measurement: information (2, 2), and that times expectation (2,)."""
+    sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
+    if inputs.psf_sigma_px is not None:
+        sigma_px2 = 2.0 * scan.psf_error * max(nominal_px2, 0.1)
+    law_sigma = _LAW_SIGMA if scan.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
+    prior = np.diag([sigma_px2**-2, law_sigma**-2])
+    return prior, prior @ [nominal_px2 - psf_px2, 0.0]
 
 
 def _judged(pixels: LimbPixels, fits: CellFits, max_unexplained: float) -> tuple[Mask, dict[str, int]]:
