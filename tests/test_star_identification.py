@@ -39,7 +39,6 @@ from giantlike.stars import (
     identify_apriori,
     identify_lost_in_space,
 )
-from giantlike.stars.lost_in_space import scaled_model
 from giantlike.stars.matching import (
     chance_of_match,
     confusion_px,
@@ -48,6 +47,7 @@ from giantlike.stars.matching import (
     match_nearest,
 )
 from giantlike.stars.pattern_database import pattern_database
+from giantlike.stars.verification import scaled_model
 from tests.numerical import numerical_jacobian
 
 EPOCH = time_from_utc("2019-01-15T12:00:00")
@@ -212,7 +212,7 @@ def test_an_a_priori_attitude_somewhere_else_is_refused_not_believed(catalog: Me
         image = scene.image.with_attitude(_off(rng, scene.attitude, 30.0))
         outcome = StarNavigation(CAMERA, catalog).solve_detections(image, scene.detections)
         assert isinstance(outcome, Failure)
-        assert outcome.reason in (Reason.TOO_FEW_MATCHES, Reason.AMBIGUOUS)
+        assert outcome.reason is Reason.NO_PATTERN_MATCH
 
 
 def test_equal_input_gives_equal_output(catalog: MemoryCatalog) -> None:
@@ -445,14 +445,20 @@ def test_crowded_points_in_a_crowded_field_are_not_identified(catalog: MemoryCat
         assert isinstance(found, Failure)
 
 
-def test_fields_too_narrow_are_refused_with_the_limit(catalog: MemoryCatalog) -> None:
-    points, covariance = np.random.default_rng(21).uniform(0, 1023, (20, 2)), np.tile(np.eye(2), (20, 1, 1))
-    outcome = identify_lost_in_space(
-        points, covariance, Camera.from_fov(0.3, 1024, 1024), Sky(catalog=catalog), options=StarOptions()
+@pytest.mark.parametrize("apriori", [False, True])
+def test_fields_too_narrow_for_the_catalogue_are_refused_with_the_number_of_its_stars(
+    catalog: MemoryCatalog, apriori: bool
+) -> None:
+    detections = _detections(
+        np.random.default_rng(21).uniform(0, 1023, (20, 2)), np.tile(np.eye(2), (20, 1, 1)), np.linspace(9e3, 1e3, 20)
     )
+    image = Image(pixels=np.zeros((1024, 1024), np.uint8), name="narrow")
+    image = image.with_attitude(Rotation.random(rng=np.random.default_rng(3))) if apriori else image
+    camera = Camera.from_fov(0.3, 1024, 1024)
+    outcome = StarNavigation(camera, catalog, StarOptions(lost_in_space=True)).solve_detections(image, detections)
     assert isinstance(outcome, Failure)
-    assert outcome.reason is Reason.FOV_MISMATCH
-    assert "a priori" in outcome.detail
+    assert outcome.reason is Reason.NO_CATALOG_STARS
+    assert "stars in a field of view of 0.3 degrees" in outcome.detail
 
 
 WIDE: dict[str, CameraModel] = {

@@ -21,7 +21,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
 from giantlike.image import Image
 from giantlike.stars.field import Sky
-from giantlike.stars.lost_in_space import depth_for, scaled_model
+from giantlike.stars.verification import depth_for, scaled_model
 from giantlike.stars.matching import attitudes_of_sky
 from giantlike.stars.navigation import StarNavigation, sky_of
 from giantlike.stars.options import StarOptions

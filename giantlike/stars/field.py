@@ -69,15 +69,19 @@ class Sky:
     observer_velocity_km_s: Float | None = None
     max_magnitude: float | None = None
 
-    def field(self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0) -> StarField:
-        """Stars within the field of view of a camera, and ``margin_px`` around it."""
+    def field(
+        self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0, count: int | None = None
+    ) -> StarField:
+        """Stars within the field of view of a camera, and ``margin_px`` around it; the ``count`` brightest of them."""
         axis = camera_from_inertial.inv().apply(camera.model.unproject(camera.center_px))
         radius = _half_diagonal_rad(camera) * _MARGIN + margin_px / camera.model.focal_length_px
-        return self.cone(axis / np.linalg.norm(axis), min(radius, np.pi))
+        return self.cone(axis / np.linalg.norm(axis), min(radius, np.pi), count=count)
 
-    def cone(self, direction_inertial: ArrayLike, radius_rad: float) -> StarField:
-        """Stars within ``radius_rad`` of a unit vector (3,)."""
+    def cone(self, direction_inertial: ArrayLike, radius_rad: float, *, count: int | None = None) -> StarField:
+        """Stars within ``radius_rad`` of a unit vector (3,); the ``count`` brightest of them."""
         stars = self.catalog.cone(direction_inertial, radius_rad, max_magnitude=self.max_magnitude)
+        if count is not None and count < len(stars):
+            stars = stars.select(np.arange(count))
         et = et_of_julian_year(EPOCH_WHEN_UNKNOWN) if self.et is None else self.et
         directions = apparent_directions(
             stars,

@@ -1,59 +1,46 @@
-"""Star identification without an a priori attitude.
+"""Star identification from the shapes of patterns: anywhere on the sky, or within the error of an a priori attitude.
 
-tetra3rs proposes attitudes from patterns of four stars; whether one of them is right is decided here, by
-matching and fitting all stars of the image with our own catalogue and camera model.
+Triads of detections and the angles between them where the camera is calibrated, quads and their shape where its
+focal length is not known, are looked up in an index of the catalogue; attitudes that many of them share are verified
+by matching and fitting all stars of the image. tetra3rs is asked where quads find nothing.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import tetra3rs
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, unit
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.stars.field import Sky
-from giantlike.stars.matching import attitudes_of_sky
+from giantlike.stars.index_store import sky_index
+from giantlike.stars.matching import attitudes_of_sky, attitudes_within_angle
 from giantlike.stars.options import StarOptions
-from giantlike.stars.pattern_database import MAX_FOV_DEG, MIN_FOV_DEG, pattern_database
-from giantlike.stars.refine import RefinedAttitude, refine_attitude
+from giantlike.stars.pattern_search import Candidates, Hypothesis, Scope, find_candidates, hypotheses
+from giantlike.stars.refine import RefinedAttitude
+from giantlike.stars.searches import searches
+from giantlike.stars.star_index import Pattern, StarIndex, build_index, caps, density_for
+from giantlike.stars.tetra import tetra_hypotheses
+from giantlike.stars.verification import scaled_model, verify
 
-_MATCH_RADIUS = 0.01  # of the field of view, in tetra3rs
-_MATCH_THRESHOLD = 1e-3  # candidates may be weak: each is verified here
-_MAX_PATTERNS = 2_000_000
-_MANY_PATTERN_STARS = _BRIGHTEST = 40
-_DISTORTED_EDGE_ERROR = 0.004  # ratio of pattern edges: a k1 of -0.4 over 14 degrees does so much
-_HALF_EDGE_ERROR = 0.002
-_FIRST_RADIUS = 0.008  # of the image width: distortion that a pinhole of the right focal length leaves
-_SAME_SCALE = 0.005
-_MARGIN = 1.3  # of the frame in which patterns are looked for: distorted images reach over it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PatternCandidate:
-    """An attitude that a pattern of stars suggests.
-
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-        Single precision.
-    scale : float
-        Focal length that fits, over that of the camera.
-    mirrored : bool
-        It holds for the image with its columns reversed.
-    """
-
-    camera_from_inertial: Rotation
-    scale: float
-    mirrored: bool
+_OTHER_SCALE = 0.2
+"""A focal length off by less than this is found when the stated one does not fit."""
+_SCALE_STEP = 0.015
+_TRIAD_PX, _QUAD = 2.0, 0.006  # error of an angle: px, and of the image width
+_TRIED = 6  # hypotheses of each search
+_BRIGHTEST = 40
+_NARROW_RAD = math.radians(0.75)  # half a field of view: below, the catalogue may have too few stars for it
+_SAMPLED_RAD = 0.3  # distance of the places where its stars are counted
+_BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # searches that find most images
+Bools = NDArray[np.bool_]
 
 
 def identify_lost_in_space(
@@ -73,189 +60,248 @@ def identify_lost_in_space(
     Returns
     -------
     RefinedAttitude or Failure
-        Reasons: fov_mismatch (out of range, or stars fit another focal length), too_few_detections,
-        no_pattern_match, mirrored_image.
+        Reasons: too_few_detections, no_catalog_stars (the catalogue has too few for such fields), fov_mismatch (stars
+        fit another focal length), mirrored_image, no_pattern_match.
+
+    References
+    ----------
+    .. [1] The ODIN paper (004 of the specification), Star Identification.
     """
-    fov_deg = _pattern_fov_deg(camera)
-    if fov_deg < MIN_FOV_DEG:
-        return Failure(
-            Reason.FOV_MISMATCH,
-            f"lost-in-space identification works for fields of view from {MIN_FOV_DEG:g} degrees, "
-            f"this camera has {fov_deg:.3g}: give an a priori attitude",
-        )
     needed = max(options.min_matches, 4)
     if len(points_px) < needed:
-        return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {needed} are needed")
-    refuted = 0
-    for candidate in pattern_candidates(points_px, camera, sky, options=options):
-        outcome = _verify(candidate, points_px, covariance_px2, camera, sky, options)
-        if isinstance(outcome, RefinedAttitude) or outcome.reason in (Reason.MIRRORED_IMAGE, Reason.FOV_MISMATCH):
-            return outcome
-        refuted += 1
-    return Failure(
-        Reason.NO_PATTERN_MATCH,
-        f"no pattern of {len(points_px)} detections is found on the sky at a field of view of {camera.fov_deg:.4g} "
-        f"degrees to {100 * options.scale_error:.3g} % ({refuted} candidates were tried and refuted)",
-    )
+        return Failure(
+            Reason.TOO_FEW_DETECTIONS,
+            f"{len(points_px)} detections, {needed} are needed: expose longer or lower the detection threshold",
+        )
+    problem = _Problem(points_px, covariance_px2, camera, sky, options)
+    return _solved_or_explained(problem)
 
 
-def pattern_candidates(
-    points_px: Float, camera: Camera, sky: Sky, *, options: StarOptions
-) -> Iterator[PatternCandidate]:
-    """Attitudes that tetra3rs finds from the brightest detections, in several attempts, lazily.
+def identify_in_cone(
+    points_px: Float,
+    covariance_px2: Float,
+    camera: Camera,
+    sky: Sky,
+    camera_from_inertial: Rotation,
+    *,
+    options: StarOptions,
+) -> RefinedAttitude | Failure:
+    """Find the attitude of an image within ``options.attitude_error_deg`` of an a priori one, about any axis.
 
-    All detections with tight and with loose tolerance on the shape of patterns (an unknown lens distorts them),
-    those of each half of the image (trees, a planet or a limb may fill the other), the brightest alone (hundreds
-    of hot pixels drown a few stars), and patterns from more of all.
+    The same search as on the whole sky, in an index made of the stars that such an image may show.
 
     Parameters
     ----------
-    points_px : (m, 2) float64, px
+    points_px, covariance_px2 : (m, 2), (m, 2, 2) float64
         Detections, brightest first.
     camera : Camera
     sky : Sky
+    camera_from_inertial : Rotation
+        A priori.
     options : StarOptions
+
+    Returns
+    -------
+    RefinedAttitude or Failure
+        Reasons as of :func:`identify_lost_in_space`.
     """
-    fov_deg = _pattern_fov_deg(camera)
-    plane = _undistorted_px(points_px, camera, fov_deg)
-    width = 2.0 * camera.model.focal_length_px * math.tan(math.radians(fov_deg) / 2.0)
-    database = pattern_database(fov_deg)
-    for attempt in _attempts(points_px, camera):
-        subset = plane[attempt.chosen & np.isfinite(plane).all(axis=1)]
-        if len(subset) < 4:
-            continue
-        brightness = np.arange(len(subset), 0, -1.0)  # only the order counts
-        result = database.solve_from_centroids(
-            np.column_stack([subset, brightness]),
-            fov_estimate_deg=fov_deg,
-            image_width=round(width),
-            image_height=round(width * camera.rows / camera.columns),
-            fov_max_error_deg=fov_deg * options.scale_error,
-            match_radius=_MATCH_RADIUS,
-            match_threshold=_MATCH_THRESHOLD,
-            solve_timeout_ms=None,  # bounded by work, so that slow machines find the same
-            max_patterns_checked=_MAX_PATTERNS,
-            pattern_checking_stars=attempt.pattern_stars,
-            match_max_error=attempt.edge_error,
-            observer_velocity_km_s=None if sky.observer_velocity_km_s is None else list(sky.observer_velocity_km_s),
-        )
-        if isinstance(result, tetra3rs.SolveResult):
-            focal = round(width) / (2.0 * math.tan(math.radians(result.fov_deg) / 2.0))
-            yield PatternCandidate(
-                camera_from_inertial=Rotation.from_matrix(result.rotation_matrix_icrs_to_camera),
-                scale=focal / camera.model.focal_length_px,
-                mirrored=result.parity_flip,
+    needed = max(options.min_matches, 4)
+    if len(points_px) < needed:
+        return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {needed} are needed")
+    problem = _Problem(points_px, covariance_px2, camera, sky, options, camera_from_inertial)
+    return _solved_or_explained(problem)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """What :func:`identify_lost_in_space` or :func:`identify_in_cone` was asked."""
+
+    points_px: Float
+    covariance_px2: Float
+    camera: Camera
+    sky: Sky
+    options: StarOptions
+    apriori: Rotation | None = None
+
+    def solve(self, *, brief: bool = False) -> RefinedAttitude | Failure:
+        """Try hypotheses until one is verified; ``brief`` stops where most images are solved."""
+        refuted = 0
+        for hypothesis in self.hypotheses(brief):
+            outcome = verify(
+                hypothesis, self.points_px, self.covariance_px2, self.camera, self.sky, self.options, self.trials
             )
-
-
-def scaled_model(model: CameraModel, scale: float) -> CameraModel:
-    """The model with its focal lengths times ``scale``; a pinhole as a Brown model, whose ``k1`` can be estimated."""
-    values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
-    values |= {name: values[name] * scale for name in ("fx_px", "fy_px", "skew_px")}
-    if isinstance(model, PinholeModel):
-        return BrownModel(**values)
-    return model.with_parameters(list(values.values()))
-
-
-@dataclass(frozen=True, slots=True)
-class _Attempt:
-    """Which detections form patterns, how many of them, and how far edge ratios may be off."""
-
-    chosen: NDArray[np.bool_]
-    pattern_stars: int = 24
-    edge_error: float | None = None  # None: that of the database, 0.001
-
-
-def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
-    everything = np.ones(len(points_px), dtype=bool)
-    yield _Attempt(everything)
-    yield _Attempt(everything, edge_error=_DISTORTED_EDGE_ERROR)
-    x, y = points_px.T
-    middle_x, middle_y = camera.center_px
-    for half in (x < middle_x, x >= middle_x, y < middle_y, y >= middle_y):
-        yield _Attempt(half, edge_error=_HALF_EDGE_ERROR)
-    yield _Attempt(everything & (np.arange(len(points_px)) < _BRIGHTEST))
-    yield _Attempt(everything, pattern_stars=_MANY_PATTERN_STARS)
-
-
-def _pattern_fov_deg(camera: Camera) -> float:
-    """Field of view along x in which patterns are looked for, degrees: what the lens sees, or the inner part of it."""
-    middle = camera.center_px[1]
-    left, right = camera.model.unproject([[-0.5, middle], [camera.columns - 0.5, middle]])
-    seen = math.degrees(math.acos(float(np.clip(left @ right, -1.0, 1.0))))
-    return min(seen, MAX_FOV_DEG) if math.isfinite(seen) else MAX_FOV_DEG
-
-
-def _undistorted_px(points_px: Float, camera: Camera, fov_deg: float) -> Float:
-    """Where a pinhole of the same focal length would see the detections, from its principal point (m, 2).
-
-    NaN well outside the field of view asked for, and of what lies behind the camera.
-    """
-    vectors = camera.model.unproject(points_px)
-    depth = np.where(vectors[:, 2] > 0, vectors[:, 2], np.nan)[:, None]
-    plane = vectors[:, :2] / depth
-    half = math.tan(math.radians(fov_deg) / 2.0) * max(1.0, camera.rows / camera.columns)
-    inside = np.abs(plane).max(axis=1) <= _MARGIN * half
-    result: Float = np.where(inside[:, None], plane * camera.model.focal_length_px, np.nan)
-    return result
-
-
-def _verify(
-    candidate: PatternCandidate,
-    points_px: Float,
-    covariance_px2: Float,
-    camera: Camera,
-    sky: Sky,
-    options: StarOptions,
-) -> RefinedAttitude | Failure:
-    points, covariance = points_px, covariance_px2
-    if candidate.mirrored:
-        flip = np.array([-1.0, 1.0])
-        points = points_px * flip + np.array([2.0 * camera.center_px[0], 0.0])
-        covariance = covariance_px2 * np.outer(flip, flip)
-    if options.estimate_scale:
-        camera = dataclasses.replace(camera, model=scaled_model(camera.model, candidate.scale))
-    outcome = _refine(candidate, points, covariance, camera, sky, options)
-    if isinstance(outcome, RefinedAttitude) and candidate.mirrored:
+            if isinstance(outcome, RefinedAttitude):
+                return outcome
+            refuted += 1
+        where = "on the sky" if self.apriori is None else f"within {self.options.attitude_error_deg:g} degrees"
+        free = f" to {100 * self.options.scale_error:.3g} %" if self.options.estimate_scale else ""
         return Failure(
-            Reason.MIRRORED_IMAGE,
-            f"{len(outcome.matches)} stars match the image with its columns reversed: "
-            "check how it was read or which way its axes go",
+            Reason.NO_PATTERN_MATCH,
+            f"no pattern of {len(self.points_px)} detections is found {where} at a field of view of "
+            f"{self.camera.fov_deg:.4g} degrees{free} ({refuted} candidates were tried and refuted)",
         )
-    if isinstance(outcome, Failure) and not options.estimate_scale and abs(candidate.scale - 1.0) > _SAME_SCALE:
-        free = dataclasses.replace(options, estimate_scale=True)
-        other = _verify(candidate, points_px, covariance_px2, camera, sky, free)
-        if isinstance(other, RefinedAttitude):
-            fov = math.degrees(2.0 * math.atan(camera.columns / 2.0 / other.solution.model.focal_length_px))
+
+    def hypotheses(self, brief: bool) -> Iterator[Hypothesis]:
+        """Attitudes that patterns suggest, lazily, none of them twice."""
+        seen: set[bytes] = set()
+        for hypothesis in self._from_patterns(brief):
+            key = hypothesis.star_ids.tobytes() + hypothesis.detection_indices.tobytes()
+            if key not in seen:
+                seen.add(key)
+                yield hypothesis
+        if self.options.estimate_scale and self.apriori is None and not brief:
+            yield from tetra_hypotheses(self.points_px, self.camera, self.sky, options=self.options)
+
+    def _from_patterns(self, brief: bool) -> Iterator[Hypothesis]:
+        scope = self.scope()
+        vectors = self.vectors(scope)
+        pattern = Pattern.QUAD if self.options.estimate_scale else Pattern.TRIAD
+        least = 2 if brief or pattern is Pattern.TRIAD else 1  # a triad alone has three stars
+        gathered: Candidates | None = None
+        radius = -1.0
+        for number, search in enumerate(searches(vectors[len(vectors) // 2], self.half_fov_rad(), pattern)):
+            if brief and number >= _BRIEF[pattern]:
+                return
+            index = self.index(pattern, search.radius_rad)
+            if len(index) == 0:
+                continue
+            if search.radius_rad != radius:
+                gathered, radius = None, search.radius_rad
+            for group in search.groups:
+                found = find_candidates(index, vectors, group, scope)
+                found = found if self.apriori is None else found.select(self._near(found.matrices))
+                gathered = found if gathered is None else gathered.joined(found)
+            if gathered is not None:
+                shared = hypotheses(gathered, index, vectors, scope, least=least)
+                yield from itertools.islice(shared, _TRIED)
+
+    def scope(self) -> Scope:
+        """Tolerances and focal lengths of the search."""
+        ifov = float(self.camera.ifov_rad())
+        brightest = self.covariance_px2[:_BRIGHTEST]
+        noise = 4.0 * float(np.sqrt(np.median(np.trace(brightest, axis1=1, axis2=2)) / 2.0))
+        error = self.options.scale_error
+        free = self.options.estimate_scale
+        edge_px = max(_QUAD * self.camera.columns if free else _TRIAD_PX, min(noise, 2.0 * self.options.inlier_px))
+        steps = 2 * math.ceil(error / _SCALE_STEP) + 1
+        return Scope(
+            tolerance_rad=edge_px * ifov,
+            half_size_rad=0.7 * _half_diagonal_rad(self.camera),
+            scales=np.linspace(1.0 - error, 1.0 + error, steps) if free else np.ones(1),
+        )
+
+    def vectors(self, scope: Scope) -> Float:
+        """Lines of sight (s, m, 3) of the detections, at each focal length."""
+        model = self.camera.model
+        if len(scope.scales) == 1:
+            return model.unproject(self.points_px)[None]
+        return np.stack([scaled_model(model, float(scale)).unproject(self.points_px) for scale in scope.scales])
+
+    def half_fov_rad(self) -> float:
+        """Half the smaller field of view, along x or y."""
+        middle, (right, bottom) = self.camera.center_px, (self.camera.columns - 0.5, self.camera.rows - 0.5)
+        rays = self.camera.model.unproject([[right, middle[1]], [middle[0], bottom]])
+        cosines = rays @ self.camera.model.unproject(middle)
+        angles = np.arccos(np.clip(cosines[np.isfinite(cosines)], -1.0, 1.0))
+        return float(angles.min(initial=_half_diagonal_rad(self.camera)))
+
+    def index(self, pattern: Pattern, radius_rad: float) -> StarIndex:
+        """Index of the sky, or of the part that the a priori attitude leaves."""
+        catalog, limit = self.sky.catalog, self.sky.max_magnitude
+        if self.apriori is None:
+            return sky_index(catalog, pattern, radius_rad, max_magnitude=limit)
+        axis = self.apriori.inv().apply(self.camera.model.unproject(self.camera.center_px))
+        axis = axis / np.linalg.norm(axis)
+        reach = self.reach_rad()
+        share = (1.0 - math.cos(reach)) / 2.0
+        count = math.ceil(2.0 * share * density_for(radius_rad).stars_wanted(radius_rad)) + _BRIGHTEST
+        field = self.sky.cone(axis, reach, count=count)
+        return build_index(pattern, field.stars.ids, field.directions_inertial, radius_rad, axis=axis, reach_rad=reach)
+
+    def stars_expected(self) -> float:
+        """How many catalogue stars a field of view holds, on average over the sky or near the a priori attitude."""
+        half = self.half_fov_rad()
+        if half > _NARROW_RAD:
+            return math.inf
+        axes, reach = caps(_SAMPLED_RAD), _SAMPLED_RAD / 4.0
+        if self.apriori is not None:
+            axes = self.apriori.inv().apply(self.camera.model.unproject(self.camera.center_px))[None]
+            reach = self.reach_rad()
+        limit = self.sky.max_magnitude
+        found = [len(self.sky.catalog.cone(axis, reach, max_magnitude=limit)) for axis in unit(axes)]
+        return float(np.mean(found)) * 4.0 * half**2 / (2.0 * math.pi * (1.0 - math.cos(reach)))
+
+    def reach_rad(self) -> float:
+        """How far from the a priori boresight a star of the image may be."""
+        return min(_half_diagonal_rad(self.camera) + math.radians(self.options.attitude_error_deg), np.pi)
+
+    def _near(self, matrices: Float) -> Bools:
+        """Which attitudes (k, 3, 3) lie within the error of the a priori one."""
+        assert self.apriori is not None
+        traces = np.einsum("kij,ij->k", matrices, self.apriori.as_matrix())
+        allowed: Bools = traces >= 1.0 + 2.0 * math.cos(math.radians(self.options.attitude_error_deg))
+        return allowed
+
+    def trials(self, radius_px: float) -> float:
+        """How many attitudes (and cameras) there are to choose from."""
+        focal, half = self.camera.model.focal_length_px, float(np.hypot(self.camera.columns, self.camera.rows)) / 2.0
+        error = self.options.scale_error if self.options.estimate_scale else 0.0
+        if self.apriori is None:
+            return attitudes_of_sky(radius_px, focal, half, error)
+        angle = math.radians(self.options.attitude_error_deg)
+        return attitudes_within_angle(radius_px, focal, half, angle, error)
+
+
+def _half_diagonal_rad(camera: Camera) -> float:
+    angle = camera.half_diagonal_rad
+    return angle if math.isfinite(angle) else math.pi / 2.0
+
+
+def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
+    expected = problem.stars_expected()
+    if expected < problem.options.min_matches:
+        limit = problem.sky.max_magnitude
+        return Failure(
+            Reason.NO_CATALOG_STARS,
+            f"the catalogue {problem.sky.catalog.name!r}{'' if limit is None else f' to magnitude {limit:g}'} has "
+            f"{expected:.2g} stars in a field of view of {problem.camera.fov_deg:.3g} degrees, "
+            f"{problem.options.min_matches} are needed: give a deeper one",
+        )
+    outcome = problem.solve()
+    if isinstance(outcome, RefinedAttitude):
+        return outcome
+    cause = _diagnosis(problem)
+    return outcome if cause is None else cause
+
+
+def _diagnosis(problem: _Problem) -> Failure | None:
+    """Why nothing was found, where that can be seen: a mirrored image, or another focal length."""
+    if problem.apriori is None:
+        flip = np.array([-1.0, 1.0])
+        outcome = dataclasses.replace(
+            problem,
+            points_px=problem.points_px * flip + np.array([2.0 * problem.camera.center_px[0], 0.0]),
+            covariance_px2=problem.covariance_px2 * np.outer(flip, flip),
+        ).solve(brief=True)
+        if isinstance(outcome, RefinedAttitude):
             return Failure(
-                Reason.FOV_MISMATCH,
-                f"stars fit a field of view of {fov:.5g} degrees, the camera model has {camera.fov_deg:.5g}",
+                Reason.MIRRORED_IMAGE,
+                f"{len(outcome.matches)} stars match the image with its columns reversed: "
+                "check how it was read or which way its axes go",
             )
-    return outcome
+    return None if problem.options.estimate_scale else _other_camera(problem)
 
 
-def _refine(
-    candidate: PatternCandidate,
-    points_px: Float,
-    covariance_px2: Float,
-    camera: Camera,
-    sky: Sky,
-    options: StarOptions,
-) -> RefinedAttitude | Failure:
-    focal, half = camera.model.focal_length_px, float(np.hypot(camera.columns, camera.rows)) / 2.0
-    scale_error = options.scale_error if options.estimate_scale else 0.0
-    return refine_attitude(
-        sky.field(camera, candidate.camera_from_inertial).brightest(depth_for(len(points_px))),
-        points_px,
-        covariance_px2,
-        camera,
-        candidate.camera_from_inertial,
-        radius_px=max(options.inlier_px, _FIRST_RADIUS * camera.columns),
-        trials=lambda radius_px: attitudes_of_sky(radius_px, focal, half, scale_error),
-        options=options,
+def _other_camera(problem: _Problem) -> Failure | None:
+    """The failure of an image whose stars fit another focal length or distortion."""
+    camera = problem.camera
+    free = dataclasses.replace(problem.options, estimate_scale=True, scale_error=_OTHER_SCALE)
+    outcome = dataclasses.replace(problem, options=free).solve(brief=True)
+    if isinstance(outcome, Failure):
+        return None
+    fov = math.degrees(2.0 * math.atan(camera.columns / 2.0 / outcome.solution.model.focal_length_px))
+    return Failure(
+        Reason.FOV_MISMATCH,
+        f"{len(outcome.matches)} stars fit a field of view of {fov:.5g} degrees, the camera model has "
+        f"{camera.fov_deg:.5g}: correct it, or let focal length and distortion be estimated",
     )
-
-
-def depth_for(n_detections: int) -> int:
-    """How many catalogue stars, brightest first, to hold against so many detections."""
-    return 3 * n_detections + 100

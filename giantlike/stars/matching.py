@@ -14,6 +14,7 @@ from giantlike.core.arrays import Float
 BLEND_PX = 4.0
 """Stars closer than this to each other pull each other's centroid."""
 _SHIFTS = 24
+_DISTORTION = 0.05  # of the image's half size: more than a fit of k1 may take up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,11 +132,26 @@ def log_chance(n_matched: NDArray[np.intp], n_detected: int, chance: Float) -> F
 
 
 def attitudes_of_sky(radius_px: float, focal_length_px: float, half_size_px: float, scale_error: float) -> float:
-    """Number of attitudes on the whole sky (times focal lengths) that differ by a match radius."""
+    """Number of attitudes on the whole sky (times cameras) that differ by a match radius."""
     directions = 4.0 * np.pi * (focal_length_px / radius_px) ** 2
     rolls = max(2.0 * np.pi * half_size_px / radius_px, 1.0)
+    return float(directions * rolls * _cameras(radius_px, half_size_px, scale_error))
+
+
+def attitudes_within_angle(
+    radius_px: float, focal_length_px: float, half_size_px: float, angle_rad: float, scale_error: float
+) -> float:
+    """Number of attitudes (times cameras) that differ by a match radius, within ``angle_rad`` about every axis."""
+    directions = max(2.0 * angle_rad * focal_length_px / radius_px, 1.0) ** 2
+    rolls = max(2.0 * angle_rad * half_size_px / radius_px, 1.0)
+    return float(directions * rolls * _cameras(radius_px, half_size_px, scale_error))
+
+
+def _cameras(radius_px: float, half_size_px: float, scale_error: float) -> float:
+    """Number of focal lengths and radial distortions that move the edge of the image by a match radius."""
     scales = max(2.0 * scale_error * half_size_px / radius_px, 1.0)
-    return float(directions * rolls * scales)
+    bends = max(2.0 * _DISTORTION * half_size_px / radius_px, 1.0) if scale_error > 0.0 else 1.0
+    return scales * bends
 
 
 def attitudes_within(radius_px: float, max_pixel_distance: float) -> float:

@@ -23,10 +23,11 @@ from giantlike.processing.detections import DetectionFlag, Detections
 from giantlike.stars.apriori import identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky
-from giantlike.stars.lost_in_space import depth_for, identify_lost_in_space
+from giantlike.stars.lost_in_space import identify_in_cone, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within
 from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, refine_attitude
+from giantlike.stars.verification import depth_for
 
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # with an a priori attitude, fainter ones are noise or unlisted
 _LARGE_CHI = 5.0
@@ -153,23 +154,29 @@ class StarNavigation:
     ) -> RefinedAttitude | Failure:
         options, camera = self.options, self.camera
         depth = depth_for(len(points_px))
-        wide = sky.field(camera, camera_from_inertial, margin_px=options.max_pixel_distance).brightest(depth)
+        wide = sky.field(camera, camera_from_inertial, margin_px=options.max_pixel_distance, count=depth)
         expected = camera.contains(camera.model.project(camera_from_inertial.apply(wide.directions_inertial)))
         offered = _DETECTIONS_PER_STAR * int(expected.sum()) + _SPARE_DETECTIONS
-        points_px, covariance_px2 = points_px[:offered], covariance_px2[:offered]
-        found = identify_apriori(wide.directions_inertial, points_px, camera, camera_from_inertial, options=options)
+        points, covariance = points_px[:offered], covariance_px2[:offered]
+        found = identify_apriori(wide.directions_inertial, points, camera, camera_from_inertial, options=options)
+        near: RefinedAttitude | Failure
         if isinstance(found, Failure):
-            return found
-        return refine_attitude(
-            sky.field(camera, found.camera_from_inertial).brightest(depth),
-            points_px,
-            covariance_px2,
-            camera,
-            found.camera_from_inertial,
-            radius_px=options.inlier_px,
-            trials=lambda radius_px: attitudes_within(radius_px, options.max_pixel_distance),
-            options=options,
-        )
+            near = found
+        else:
+            near = refine_attitude(
+                sky.field(camera, found.camera_from_inertial, count=depth),
+                points,
+                covariance,
+                camera,
+                found.camera_from_inertial,
+                radius_px=options.inlier_px,
+                trials=lambda radius_px: attitudes_within(radius_px, options.max_pixel_distance),
+                options=options,
+            )
+        if isinstance(near, RefinedAttitude):
+            return near
+        far = identify_in_cone(points_px, covariance_px2, camera, sky, camera_from_inertial, options=options)
+        return far if isinstance(far, RefinedAttitude) else Failure(far.reason, f"{far.detail}; {near.detail}")
 
     def _fix(
         self, image: Image, detections: Detections, usable: NDArray[np.intp], outcome: RefinedAttitude, method: str

@@ -29,7 +29,11 @@ class StarOptions:
     scale_error : float
         Relative error that the rough field of view may have, in (0, 0.2]; used with ``estimate_scale``.
     max_pixel_distance : float, px
-        How far from its predicted place a star may be found with the a priori attitude.
+        How far from its predicted place a star is looked for first with the a priori attitude (RANSAC over nearest
+        neighbours).
+    attitude_error_deg : float, deg
+        How wrong the a priori attitude may be, about any axis, in (0, 180]. Where nearest neighbours do not lead to
+        stars, patterns of stars are looked for among all attitudes within this angle.
     inlier_px : float, px
         Largest distance of a star from its place under the right attitude.
     ransac_iterations : int
@@ -56,6 +60,7 @@ class StarOptions:
     estimate_scale: bool = False
     scale_error: float = 0.05
     max_pixel_distance: float = 100.0
+    attitude_error_deg: float = 5.0
     inlier_px: float = 3.0
     ransac_iterations: int = 300
     seed: int = 20181203
@@ -71,6 +76,10 @@ class StarOptions:
         require(
             math.isfinite(self.max_pixel_distance) and self.max_pixel_distance > 0,
             f"max_pixel_distance must be > 0 px, got {self.max_pixel_distance}",
+        )
+        require(
+            0.0 < self.attitude_error_deg <= 180.0,
+            f"attitude_error_deg must be in (0, 180], got {self.attitude_error_deg}",
         )
         require(math.isfinite(self.inlier_px) and self.inlier_px > 0, f"inlier_px must be > 0 px, got {self.inlier_px}")
         require(self.ransac_iterations >= 1, f"ransac_iterations must be >= 1, got {self.ransac_iterations}")

@@ -29,7 +29,8 @@ from giantlike.stars.options import StarOptions
 _MAX_ROUNDS = 8
 _STARS_FOR_FOCAL_LENGTH = 5
 _STARS_FOR_RADIAL = 12
-_SMALLEST_GATE_PX = 0.5
+SMALLEST_GATE_PX = 0.5
+"""Matches are never held to be closer than this when chance is asked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,7 +191,7 @@ def _judged(
     used: NDArray[np.bool_] = solution.used
     n_used = int(used.sum())
     residuals = points_px[matches.detection_indices[used]] - solution.predicted_px[used]
-    gate = max(float(np.linalg.norm(residuals, axis=1).max()), _SMALLEST_GATE_PX)
+    gate = max(float(np.linalg.norm(residuals, axis=1).max()), SMALLEST_GATE_PX)
     predicted = _predicted_in_frame(field, camera, solution.camera_from_inertial, gate)
     predicted[int(matches.star_indices.max()) + 1 :] = np.nan
     chance = chance_of_match(predicted, points_px, gate, float(camera.columns * camera.rows))

@@ -1,0 +1,234 @@
+"""From the shapes of detections to attitudes: patterns found in an index vote for where the camera looks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.processing.wahba import davenport_quaternions
+from giantlike.stars.quads import describe_quads
+from giantlike.stars.star_index import Pattern, StarIndex, scattered, subsets
+from giantlike.stars.triads import describe_triads
+
+_NARROWEST = 0.1  # of the widest pattern: smaller ones say little
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scope:
+    """What is asked of a search for patterns.
+
+    Parameters
+    ----------
+    tolerance_rad : float, rad
+        By how much an angle between two stars may be off.
+    half_size_rad : float, rad
+        From the middle of the image to its edge: how far a roll moves stars.
+    scales : (s,) float64
+        Focal lengths to allow, over that of the camera, ascending; one of them where it is known.
+    """
+
+    tolerance_rad: float
+    half_size_rad: float
+    scales: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hypothesis:
+    """An attitude that several patterns of detections have in common.
+
+    Parameters
+    ----------
+    camera_from_inertial : Rotation
+        For directions as the index has them.
+    scale : float
+        Focal length, over that of the camera.
+    star_ids : (k,) int64
+    detection_indices : (k,) int
+        Which detections are these stars.
+    votes : int
+        How many patterns agree.
+    """
+
+    camera_from_inertial: Rotation
+    scale: float
+    star_ids: NDArray[np.int64]
+    detection_indices: NDArray[np.intp]
+    votes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Patterns of the image and of the index that look alike, and the attitudes that they suggest.
+
+    ``detections`` and ``stars`` are (k, size); ``matrices`` (k, 3, 3) camera_from_inertial; ``scales`` (k,).
+    """
+
+    detections: NDArray[np.intp]
+    stars: NDArray[np.intp]
+    matrices: Float
+    scales: Float
+
+    def __len__(self) -> int:
+        return len(self.matrices)
+
+    def joined(self, other: Candidates) -> Candidates:
+        """These and others, each once."""
+        both = Candidates(
+            np.concatenate([self.detections, other.detections]),
+            np.concatenate([self.stars, other.stars]),
+            np.concatenate([self.matrices, other.matrices]),
+            np.concatenate([self.scales, other.scales]),
+        )
+        number = scattered(np.concatenate([both.detections, both.stars], axis=1))
+        return both.select(np.sort(np.unique(number, return_index=True)[1]))
+
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Candidates:
+        """Those of a mask (k,) or of indices."""
+        return Candidates(self.detections[chosen], self.stars[chosen], self.matrices[chosen], self.scales[chosen])
+
+
+def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> Candidates:
+    """Patterns among some detections that the index has too.
+
+    Parameters
+    ----------
+    index : StarIndex
+    vectors : (s, m, 3) float64, unitless, camera
+        Lines of sight of m detections, for each of ``scope.scales``.
+    chosen : (k,) int
+        Detections to make patterns of.
+    scope : Scope
+    """
+    sets = chosen[subsets(len(chosen), index.pattern.stars)]
+    if index.pattern is Pattern.QUAD:
+        return _quads(index, vectors, sets, scope)
+    return _triads(index, vectors[len(vectors) // 2], sets, scope)
+
+
+def _triads(index: StarIndex, vectors: Float, triads: NDArray[np.intp], scope: Scope) -> Candidates:
+    tolerance = scope.tolerance_rad
+    sides, ordered, right_handed = describe_triads(vectors, triads)
+    fits = (sides[:, 0] <= index.widest + tolerance) & (sides[:, 0] >= _NARROWEST * index.widest)
+    sides, ordered, right_handed = sides[fits], ordered[fits], right_handed[fits]
+    asked, found = index.find(sides / index.widest, tolerance / index.widest)
+    stars = index.patterns[found].astype(np.intp)
+    theirs, _, their_sense = describe_triads(index.directions, stars)
+    good = (np.abs(theirs - sides[asked]) <= tolerance).all(axis=1)
+    good &= their_sense == right_handed[asked]
+    asked, stars = asked[good], stars[good]
+    detections = ordered[asked]
+    first, second = detections[:, 1], detections[:, 2]  # the ends of the longest side
+    matrices = _from_pairs(
+        vectors[first], vectors[second], index.directions[stars[:, 1]], index.directions[stars[:, 2]]
+    )
+    return Candidates(detections, stars, matrices, np.ones(len(stars)))
+
+
+def _quads(index: StarIndex, vectors: Float, quads: NDArray[np.intp], scope: Scope) -> Candidates:
+    middle = vectors[len(vectors) // 2]
+    codes, ordered, _ = describe_quads(middle, quads)
+    base = np.linalg.norm(middle[ordered[:, 0]] - middle[ordered[:, 1]], axis=1)
+    low, high = scope.scales[0], scope.scales[-1]
+    fits = (base <= index.widest * high) & (base >= _NARROWEST * index.widest * low)
+    codes, ordered, base = codes[fits], ordered[fits], base[fits]
+    tolerance = _quad_tolerance(scope, index)
+    asked, found = index.find(codes, tolerance)
+    stars = index.patterns[found].astype(np.intp)
+    ends = index.directions[stars[:, :2]]
+    scale = base[asked] / np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    edge = scope.tolerance_rad / np.maximum(base[asked], 1e-12)
+    good = (scale >= low * (1.0 - edge)) & (scale <= high * (1.0 + edge))
+    asked, stars, scale = asked[good], stars[good], scale[good]
+    theirs, again, which = describe_quads(index.directions, stars)
+    same = (again == stars[which]).all(axis=1) & (np.abs(theirs - codes[asked[which]]) <= tolerance).all(axis=1)
+    keep = which[same]
+    asked, stars, scale = asked[keep], stars[keep], scale[keep]
+    detections = ordered[asked]
+    node = np.abs(scope.scales[None] - scale[:, None]).argmin(axis=1)
+    seen = vectors[node[:, None], detections[:, :2]]
+    matrices = _from_pairs(seen[:, 0], seen[:, 1], *np.swapaxes(index.directions[stars[:, :2]], 0, 1))
+    return Candidates(detections, stars, matrices, scale)
+
+
+def _quad_tolerance(scope: Scope, index: StarIndex) -> float:
+    """How far codes may be off: the error of an angle, over a pattern of middling width."""
+    return float(min(2.0 * scope.tolerance_rad / index.widest, 0.03))
+
+
+def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
+    """Rotations (k, 3, 3) that take a1 + a2 and a2 - a1 to b1 + b2 and b2 - b1, unit vectors (k, 3)."""
+    frames = []
+    for first, second in ((b1, b2), (a1, a2)):
+        along, across = first + second, second - first
+        along = along / np.linalg.norm(along, axis=1)[:, None]
+        across = across / np.linalg.norm(across, axis=1)[:, None]
+        frames.append(np.stack([along, across, np.cross(along, across)], axis=-1))
+    return np.asarray(frames[0] @ np.swapaxes(frames[1], 1, 2))
+
+
+def hypotheses(
+    candidates: Candidates, index: StarIndex, vectors: Float, scope: Scope, *, least: int
+) -> Iterator[Hypothesis]:
+    """Attitudes that candidates share, those of most candidates first, lazily, of four stars or more each.
+
+    Parameters
+    ----------
+    candidates : Candidates
+    index : StarIndex
+    vectors : (s, m, 3) float64
+        As given to :func:`find_candidates`.
+    scope : Scope
+    least : int
+        How many candidates must agree.
+    """
+    if len(candidates) == 0:
+        return
+    size = np.tan(min(scope.half_size_rad, 1.2))
+    places = [candidates.matrices[:, 2], size * candidates.matrices[:, 0]]
+    if len(scope.scales) > 1:
+        places.append(size * np.log(candidates.scales)[:, None])
+    tree = cKDTree(np.concatenate(places, axis=1))
+    reach = 2.0 * scope.tolerance_rad
+    votes = np.asarray(tree.query_ball_point(tree.data, reach, return_length=True), dtype=np.intp)
+    taken = np.zeros(len(votes), dtype=bool)
+    for peak in np.argsort(-votes, kind="stable"):
+        if votes[peak] < least:
+            return
+        if taken[peak]:
+            continue
+        members = np.asarray(tree.query_ball_point(tree.data[peak], reach), dtype=np.intp)
+        taken[members] = True
+        shared = _shared(candidates, members, index, vectors, scope)
+        if len(shared.star_ids) > 3:
+            yield shared
+
+
+def _shared(
+    candidates: Candidates, members: NDArray[np.intp], index: StarIndex, vectors: Float, scope: Scope
+) -> Hypothesis:
+    """The pairs of some candidates, one star to a detection and the other way, and the attitude of all."""
+    n = len(index.ids)
+    pair, count = np.unique(candidates.detections[members] * n + candidates.stars[members], return_counts=True)
+    pair = pair[np.argsort(-count, kind="stable")]
+    detection, star = pair // n, pair % n
+    once = np.zeros(len(pair), dtype=bool)
+    once[np.unique(detection, return_index=True)[1]] = True
+    only = np.zeros(len(pair), dtype=bool)
+    only[np.unique(star, return_index=True)[1]] = True
+    detection, star = detection[once & only], star[once & only]
+    scale = float(np.median(candidates.scales[members]))
+    seen = vectors[int(np.abs(scope.scales - scale).argmin()), detection]
+    quaternion = davenport_quaternions(index.directions[star][None], seen[None], np.ones((1, len(star))))[0]
+    return Hypothesis(
+        camera_from_inertial=Rotation.from_quat(quaternion),
+        scale=scale,
+        star_ids=index.ids[star],
+        detection_indices=detection,
+        votes=len(members),
+    )

@@ -1,0 +1,238 @@
+"""An index of star patterns: which triads or quads of catalogue stars have a given shape.
+
+The sky is covered with caps; the brightest stars of each cap make patterns. A pattern is a number for the cell of its
+code and the indices of its stars, sorted by cell: a few megabytes, whatever the field of view.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.stars.quads import describe_quads
+from giantlike.stars.triads import describe_triads
+
+_CELLS = {3: 256, 4: 64}  # along each axis of the code
+_CHUNK = 1 << 16
+_MIX = np.array(
+    [
+        0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB, 0xD6E8FEB86659FD93,
+        0xA0761D6478BD642F, 0xE7037ED1A0B428DB, 0x8EBC6AF09C88C6E3, 0x589965CC75374CC3,
+    ],
+    dtype=np.uint64,
+)  # fmt: skip  # odd multipliers that scatter small numbers over 64 bits
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """How many patterns to make: caps ``spacing`` of their radii from each other, ``per_cap`` stars of each."""
+
+    spacing: float
+    per_cap: int
+
+    def stars_wanted(self, radius_rad: float) -> int:
+        """How many stars of the whole sky fill the caps even where stars are few."""
+        return int(10.0 * self.per_cap / radius_rad**2)
+
+
+_DENSITIES = ((2.5, Density(0.75, 9)), (0.9, Density(1.1, 8)), (0.4, Density(1.2, 7)), (0.0, Density(1.3, 7)))
+
+
+class Pattern(StrEnum):
+    """Kind of pattern: the value names files."""
+
+    TRIAD = "triad"
+    """Three stars and the angles between them: the camera is calibrated."""
+    QUAD = "quad"
+    """Four stars and their shape: the focal length is unknown."""
+
+    @property
+    def stars(self) -> int:
+        """Number of stars in a pattern."""
+        return 3 if self is Pattern.TRIAD else 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarIndex:
+    """Patterns of stars, to be asked for by shape.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    radius_rad : float, rad
+        Of the caps; no pattern is wider than two of it.
+    ids : (n,) int64
+        Catalogue identifiers of the stars in patterns.
+    directions : (n, 3) float64, unitless, inertial
+        Where they are.
+    patterns : (m, 3) or (m, 4) uint32
+        Indices of stars, in the order of :func:`describe_triads` or :func:`describe_quads`.
+    cells : (m,) uint32
+        Cell of each pattern's code, ascending.
+    """
+
+    pattern: Pattern
+    radius_rad: float
+    ids: NDArray[np.int64]
+    directions: Float
+    patterns: NDArray[np.uint32]
+    cells: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return int(self.cells.size)
+
+    @property
+    def widest(self) -> float:
+        """Chord of the widest pattern, the unit of triad codes."""
+        return float(2.0 * np.sin(min(self.radius_rad, np.pi / 2.0)))
+
+    def find(self, codes: Float, tolerance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Patterns in the cells that hold codes no further than ``tolerance`` along any axis, and some around.
+
+        Parameters
+        ----------
+        codes : (q, d) float64, in [0, 1]
+        tolerance : float
+
+        Returns
+        -------
+        asked, found : (k,) int
+            Which code, and which pattern.
+        """
+        d = codes.shape[1]
+        n = _CELLS[d]
+        low = np.clip(np.floor((codes - tolerance) * n).astype(np.int64), 0, n - 1)
+        high = np.clip(np.floor((codes + tolerance) * n).astype(np.int64), 0, n - 1)
+        reach = high[:, :-1] - low[:, :-1]
+        steps = np.array(list(itertools.product(range(int(reach.max(initial=0)) + 1), repeat=d - 1)))
+        asked, step = np.nonzero((steps[None] <= reach[:, None]).all(axis=2))
+        row = (low[asked, :-1] + steps[step]) @ (n ** np.arange(d - 1, 0, -1))
+        start = np.searchsorted(self.cells, (row + low[asked, -1]).astype(np.uint32), side="left")
+        stop = np.searchsorted(self.cells, (row + high[asked, -1]).astype(np.uint32), side="right")
+        count = stop - start
+        first = np.cumsum(count) - count
+        found = np.arange(int(count.sum())) - np.repeat(first - start, count)
+        return np.repeat(asked, count), found
+
+
+def density_for(radius_rad: float) -> Density:
+    """Fewer patterns from each part of the sky where the caps are small and many."""
+    return next(density for limit_deg, density in _DENSITIES if np.degrees(radius_rad) >= limit_deg)
+
+
+def build_index(
+    pattern: Pattern,
+    ids: NDArray[np.int64],
+    directions: Float,
+    radius_rad: float,
+    *,
+    axis: ArrayLike = (0.0, 0.0, 1.0),
+    reach_rad: float = np.pi,
+) -> StarIndex:
+    """Index of the patterns that the brightest stars of every cap make.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    ids : (n,) int64
+    directions : (n, 3) float64, unitless, inertial
+        Of stars, brightest first.
+    radius_rad : float, rad
+        Of the caps.
+    axis : (3,) float64, unitless, inertial
+    reach_rad : float, rad
+        Caps are laid around ``axis`` so far; default: on the whole sky.
+    """
+    size, density = pattern.stars, density_for(radius_rad)
+    centers = caps(density.spacing * radius_rad, axis, reach_rad)
+    members = _brightest_in_caps(directions, radius_rad, centers, density.per_cap)
+    combinations = members[:, subsets(density.per_cap, size)].reshape(-1, size)
+    combinations = combinations[combinations[:, -1] < len(directions)]
+    combinations = combinations[np.unique(scattered(combinations), return_index=True)[1]]
+    widest = float(2.0 * np.sin(min(radius_rad, np.pi / 2.0)))
+    parts = [
+        _cells(*_codes(pattern, directions, combinations[start : start + _CHUNK], widest))
+        for start in range(0, max(len(combinations), 1), _CHUNK)
+    ]
+    cell, ordered = (np.concatenate(part) for part in zip(*parts, strict=True))
+    order = np.argsort(cell, kind="stable")
+    used, place = np.unique(ordered, return_inverse=True)
+    return StarIndex(
+        pattern=pattern,
+        radius_rad=radius_rad,
+        ids=ids[used],
+        directions=directions[used],
+        patterns=place.reshape(ordered.shape)[order].astype(np.uint32),
+        cells=cell[order].astype(np.uint32),
+    )
+
+
+@lru_cache(maxsize=32)
+def subsets(n: int, size: int) -> NDArray[np.intp]:
+    """All subsets (m, size) of ``size`` of the numbers below n, each ascending."""
+    return np.array(list(itertools.combinations(range(n), size)), dtype=np.intp).reshape(-1, size)
+
+
+def scattered(rows: NDArray[np.intp]) -> NDArray[np.uint64]:
+    """A number (m,) for each row (m, up to 8): two different rows have the same with a chance of 1e-19."""
+    return rows.astype(np.uint64) @ _MIX[: rows.shape[1]]
+
+
+def caps(spacing_rad: float, axis: ArrayLike = (0.0, 0.0, 1.0), reach_rad: float = np.pi) -> Float:
+    """Directions (n, 3) within ``reach_rad`` of a unit vector (3,), evenly spread (a Fibonacci lattice)."""
+    n = max(int(np.ceil(4.0 * np.pi / spacing_rad**2)), 12)
+    count = min(n, int(np.ceil(n * (1.0 - np.cos(min(reach_rad, np.pi))) / 2.0)) + 1)
+    number = np.arange(count)
+    z = 1.0 - (2.0 * number + 1.0) / n
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * number
+    across = np.sqrt(1.0 - z**2)
+    lattice = np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=-1)
+    return np.asarray(rotation_to(axis).apply(lattice))
+
+
+def rotation_to(axis: ArrayLike) -> Rotation:
+    """A rotation that takes +z to a unit vector (3,)."""
+    x, y, z = np.asarray(axis, dtype=np.float64)
+    turn = np.arctan2(y, x)
+    return Rotation.from_rotvec(np.arctan2(np.hypot(x, y), z) * np.array([-np.sin(turn), np.cos(turn), 0.0]))
+
+
+def _codes(
+    pattern: Pattern, vectors: Float, combinations: NDArray[np.intp], widest: float
+) -> tuple[Float, NDArray[np.intp]]:
+    """Codes (k, d) in [0, 1] and ordered stars (k, size) of patterns."""
+    if pattern is Pattern.QUAD:
+        codes, ordered, _ = describe_quads(vectors, combinations)
+        return codes, ordered
+    sides, ordered, _ = describe_triads(vectors, combinations)
+    return sides / widest, ordered
+
+
+def _cells(codes: Float, ordered: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Cell (k,) of each code, and the stars as they are."""
+    d = codes.shape[1]
+    n = _CELLS[d]
+    cell = np.clip((codes * n).astype(np.int64), 0, n - 1)
+    return cell @ (n ** np.arange(d - 1, -1, -1)), ordered
+
+
+def _brightest_in_caps(directions: Float, radius_rad: float, centers: Float, per_cap: int) -> NDArray[np.intp]:
+    """Indices (caps, per_cap) of the brightest stars in each cap, ascending; ``len(directions)`` for none."""
+    n = len(directions)
+    tree = cKDTree(directions)
+    chord = 2.0 * np.sin(min(radius_rad, np.pi) / 2.0)
+    nearest, _ = tree.query(centers, distance_upper_bound=chord)
+    centers = centers[np.isfinite(nearest)]
+    table = np.full((len(centers), per_cap), n, dtype=np.intp)
+    for row, inside in enumerate(tree.query_ball_point(centers, chord, return_sorted=True)):
+        chosen = inside[:per_cap]
+        table[row, : len(chosen)] = chosen
+    return table

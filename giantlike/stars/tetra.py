@@ -1,0 +1,126 @@
+"""Attitudes that tetra3rs proposes: for identification only, each of them is verified here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import tetra3rs
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float
+from giantlike.stars.field import Sky
+from giantlike.stars.options import StarOptions
+from giantlike.stars.pattern_database import MAX_FOV_DEG, MIN_FOV_DEG, pattern_database
+from giantlike.stars.pattern_search import Hypothesis
+
+_MATCH_RADIUS = 0.01  # of the field of view, in tetra3rs
+_MATCH_THRESHOLD = 1e-3  # candidates may be weak: each is verified
+_MAX_PATTERNS = 2_000_000
+_MANY_PATTERN_STARS = _BRIGHTEST = 40
+_DISTORTED_EDGE_ERROR = 0.004  # ratio of pattern edges: a k1 of -0.4 over 14 degrees does so much
+_HALF_EDGE_ERROR = 0.002
+_MARGIN = 1.3  # of the frame in which patterns are looked for: distorted images reach over it
+
+
+def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: StarOptions) -> Iterator[Hypothesis]:
+    """Attitudes that tetra3rs finds from the brightest detections, in several attempts, lazily.
+
+    All detections with tight and with loose tolerance on the shape of patterns (an unknown lens distorts them),
+    those of each half of the image (trees, a planet or a limb may fill the other), the brightest alone (hundreds
+    of hot pixels drown a few stars), and patterns from more of all.
+
+    Parameters
+    ----------
+    points_px : (m, 2) float64, px
+        Detections, brightest first.
+    camera : Camera
+    sky : Sky
+    options : StarOptions
+
+    Yields
+    ------
+    Hypothesis
+        In single precision, without stars; none for fields of view out of reach, and of mirrored images.
+    """
+    fov_deg = _pattern_fov_deg(camera)
+    if fov_deg < MIN_FOV_DEG:
+        return
+    plane = _undistorted_px(points_px, camera, fov_deg)
+    width = 2.0 * camera.model.focal_length_px * math.tan(math.radians(fov_deg) / 2.0)
+    database = pattern_database(fov_deg)
+    for attempt in _attempts(points_px, camera):
+        subset = plane[attempt.chosen & np.isfinite(plane).all(axis=1)]
+        if len(subset) < 4:
+            continue
+        brightness = np.arange(len(subset), 0, -1.0)  # only the order counts
+        result = database.solve_from_centroids(
+            np.column_stack([subset, brightness]),
+            fov_estimate_deg=fov_deg,
+            image_width=round(width),
+            image_height=round(width * camera.rows / camera.columns),
+            fov_max_error_deg=fov_deg * options.scale_error,
+            match_radius=_MATCH_RADIUS,
+            match_threshold=_MATCH_THRESHOLD,
+            solve_timeout_ms=None,  # bounded by work, so that slow machines find the same
+            max_patterns_checked=_MAX_PATTERNS,
+            pattern_checking_stars=attempt.pattern_stars,
+            match_max_error=attempt.edge_error,
+            observer_velocity_km_s=None if sky.observer_velocity_km_s is None else list(sky.observer_velocity_km_s),
+        )
+        if isinstance(result, tetra3rs.SolveResult) and not result.parity_flip:
+            focal = round(width) / (2.0 * math.tan(math.radians(result.fov_deg) / 2.0))
+            yield Hypothesis(
+                camera_from_inertial=Rotation.from_matrix(result.rotation_matrix_icrs_to_camera),
+                scale=focal / camera.model.focal_length_px,
+                star_ids=np.zeros(0, dtype=np.int64),
+                detection_indices=np.zeros(0, dtype=np.intp),
+                votes=1,
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class _Attempt:
+    """Which detections form patterns, how many of them, and how far edge ratios may be off."""
+
+    chosen: NDArray[np.bool_]
+    pattern_stars: int = 24
+    edge_error: float | None = None  # None: that of the database, 0.001
+
+
+def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
+    everything = np.ones(len(points_px), dtype=bool)
+    yield _Attempt(everything)
+    yield _Attempt(everything, edge_error=_DISTORTED_EDGE_ERROR)
+    x, y = points_px.T
+    middle_x, middle_y = camera.center_px
+    for half in (x < middle_x, x >= middle_x, y < middle_y, y >= middle_y):
+        yield _Attempt(half, edge_error=_HALF_EDGE_ERROR)
+    yield _Attempt(everything & (np.arange(len(points_px)) < _BRIGHTEST))
+    yield _Attempt(everything, pattern_stars=_MANY_PATTERN_STARS)
+
+
+def _pattern_fov_deg(camera: Camera) -> float:
+    """Field of view along x in which patterns are looked for, degrees: what the lens sees, or the inner part of it."""
+    middle = camera.center_px[1]
+    left, right = camera.model.unproject([[-0.5, middle], [camera.columns - 0.5, middle]])
+    seen = math.degrees(math.acos(float(np.clip(left @ right, -1.0, 1.0))))
+    return min(seen, MAX_FOV_DEG) if math.isfinite(seen) else MAX_FOV_DEG
+
+
+def _undistorted_px(points_px: Float, camera: Camera, fov_deg: float) -> Float:
+    """Where a pinhole of the same focal length would see the detections, from its principal point (m, 2).
+
+    NaN well outside the field of view asked for, and of what lies behind the camera.
+    """
+    vectors = camera.model.unproject(points_px)
+    depth = np.where(vectors[:, 2] > 0, vectors[:, 2], np.nan)[:, None]
+    plane = vectors[:, :2] / depth
+    half = math.tan(math.radians(fov_deg) / 2.0) * max(1.0, camera.rows / camera.columns)
+    inside = np.abs(plane).max(axis=1) <= _MARGIN * half
+    result: Float = np.where(inside[:, None], plane * camera.model.focal_length_px, np.nan)
+    return result
