@@ -162,6 +162,17 @@ def test_bad_pixels_on_the_body_do_little_and_are_flagged() -> None:
     assert_allclose(fix.center_px, found(case).center_px, rtol=0, atol=0.05)
 
 
+def test_light_beside_the_body_makes_the_fix_suspect() -> None:
+    case = body_image(ROCK, 7, phase_deg=50.0)
+    x, y = np.rint(case.center_px).astype(int)
+    pixels = case.image.pixels.astype(np.float64)
+    pixels[y - 8 : y + 8, x - 140 : x + 140] += 1500.0  # a ring, edge on
+    fix = found(replace(case, image=replace(case.image, pixels=pixels)))
+    assert Quality.LARGE_RESIDUALS in fix.flags
+    assert fix.flags.suspect
+    assert not found(case).flags.suspect
+
+
 def test_what_cannot_be_measured_is_refused_with_its_reason() -> None:
     case = body_image(ROCK, 7, phase_deg=50.0)
 

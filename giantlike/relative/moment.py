@@ -27,7 +27,7 @@ from giantlike.processing.segmentation import (
 from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, trace_body
 from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
 from giantlike.relative.template_render import UNKNOWN_PSF_SIGMA_PX
-from giantlike.relative.unresolved import Correction, kaasalainen_tanga, sunlight_px
+from giantlike.relative.unresolved import Correction, modelled_correction_px
 from giantlike.scene import Scene, TargetGeometry
 
 Mask = NDArray[np.bool_]
@@ -45,6 +45,7 @@ _SAMPLING_PX = 0.02  # rays of the template on a large body
 _MAX_SATURATED = 0.2
 _INCONSISTENT_SIGMAS = 4.0
 _EDGE_PX = 1.0  # how far off the edge of the lit area may be, by the point spread function above all
+_MAX_STRAY = 0.05
 _RAYS_ACROSS = 300
 _OTHER_LAWS = (LommelSeeliger(), Lambert())  # flat and dark at the terminator: those of bodies lie between, about
 
@@ -57,7 +58,7 @@ class MomentOptions:
     ----------
     search_px : float, px
         Largest distance of the light from where it is predicted.
-    correction : {'rendered', 'kaasalainen_tanga', 'none'}
+    correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
         As for ``unresolved``.
     range_sigma : float
         A priori standard deviation of the range as a fraction of it; it scales the correction.
@@ -149,7 +150,7 @@ class Moment:
         terms = [*by_correction, by_threshold, size.sigma * offset]
         covariance = noise_px2 + _SAMPLING_PX**2 * np.eye(2) + sum(np.outer(term, term) for term in terms)
         flags = inputs.flags_at(light.bright)
-        if not size.consistent:
+        if not size.consistent or light.stray > _MAX_STRAY:
             flags |= Quality.LARGE_RESIDUALS
         if float(np.linalg.norm(center_px + rendered - template.center_px)) > 0.95 * self.options.search_px:
             flags |= Quality.FAR_FROM_PREDICTION
@@ -174,9 +175,7 @@ class Moment:
             return rendered, by_law
         if kind is Correction.NONE:
             return np.zeros(2), [rendered]
-        published = kaasalainen_tanga(
-            sunlight_px(inputs), radius_px=inputs.radius_px, phase_angle_rad=inputs.geometry.phase_angle_rad
-        )
+        published = modelled_correction_px(inputs, kind)
         return published, [published - rendered]
 
 
@@ -195,6 +194,8 @@ class _Light:
     background : Background
     shift_px : (2,) int64, px
         From a template at the predicted place to the light.
+    expected : (rows, columns) bool
+        Where light of the body is expected, with a margin.
     """
 
     signal_dn: Float
@@ -202,6 +203,13 @@ class _Light:
     threshold_dn: float
     background: Background
     shift_px: NDArray[np.int64]
+    expected: Mask
+
+    @property
+    def stray(self) -> float:
+        """Share of the bright pixels where no light of the body is expected."""
+        bright = self.bright
+        return float(np.count_nonzero(bright & ~self.expected)) / float(np.count_nonzero(bright))
 
     @property
     def bright(self) -> Mask:
@@ -268,13 +276,12 @@ def _measured_size(light: _Light, templates: list[Template], range_sigma: float)
     ratio = max(measured, 1.0) / own
     by_law = max(abs(math.log(max(area, 1.0) / own)) for area in areas[1:])
     variance = (0.5 * by_law) ** 2 + 0.25 / own + (0.5 * _EDGE_PX / math.sqrt(own)) ** 2
-    weight = range_sigma**2 / (range_sigma**2 + variance)
     log_size = 0.5 * math.log(ratio)
+    if abs(log_size) > _INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance):  # halo, or another body
+        return _Size(scale=1.0, sigma=range_sigma, area_ratio=ratio, consistent=False)
+    weight = range_sigma**2 / (range_sigma**2 + variance)
     return _Size(
-        scale=math.exp(weight * log_size),
-        sigma=math.sqrt(weight * variance),
-        area_ratio=ratio,
-        consistent=abs(log_size) < _INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance),
+        scale=math.exp(weight * log_size), sigma=math.sqrt(weight * variance), area_ratio=ratio, consistent=True
     )
 
 
@@ -326,7 +333,7 @@ def _light_of(
         )
     foreign = np.isin(blobs.labels, chosen[1:] + 1)
     shift = np.rint(blobs.centroids_px[blob] - template.photocenter_px).astype(np.int64)
-    region, around = _regions(inputs, template, shift, blobs, blob)
+    region, expected, around = _regions(inputs, template, shift, blobs, blob)
     threshold = otsu_threshold(signal[around & ~foreign])
     light = _Light(
         signal_dn=signal,
@@ -334,6 +341,7 @@ def _light_of(
         threshold_dn=threshold,
         background=background,
         shift_px=shift,
+        expected=expected,
     )
     bright = light.bright
     if not bright.any():
@@ -376,24 +384,27 @@ def _filled(inputs: EstimatorInputs) -> Float:
 
 def _regions(
     inputs: EstimatorInputs, template: Template, shift_px: NDArray[np.int64], blobs: Blobs, blob: int
-) -> tuple[Mask, Mask]:
-    """Where light counts as the body's, and a box with enough dark around for a threshold; both (rows, columns)."""
+) -> tuple[Mask, Mask, Mask]:
+    """Where light counts as the body's, where it is expected, and a box with enough dark around for a threshold."""
     rows, columns = inputs.camera.rows, inputs.camera.columns
-    region = blobs.labels == blob + 1
     trace = template.brightness > _TRACE * float(template.brightness.max())
     y, x = np.nonzero(trace)
     x, y = x + template.corner_px[0] + shift_px[0], y + template.corner_px[1] + shift_px[1]
     inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
-    region[y[inside], x[inside]] = True
+    expected = np.zeros((rows, columns), dtype=bool)
+    expected[y[inside], x[inside]] = True
     margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * inputs.radius_px)
     down, right = np.ogrid[-margin : margin + 1, -margin : margin + 1]
-    disc = np.hypot(down, right) <= margin
-    region = np.asarray(cv2.dilate(region.astype(np.uint8), disc.astype(np.uint8)), dtype=bool)
+    disc = (np.hypot(down, right) <= margin).astype(np.uint8)
+    region, expected = (
+        np.asarray(cv2.dilate(part.astype(np.uint8), disc), dtype=bool)
+        for part in (expected | (blobs.labels == blob + 1), expected)
+    )
     y, x = np.nonzero(region)
     more = math.ceil(_OTSU_MARGIN * inputs.radius_px)
     around = np.zeros(region.shape, dtype=bool)
     around[max(y.min() - more, 0) : y.max() + more + 1, max(x.min() - more, 0) : x.max() + more + 1] = True
-    return region, around
+    return region, expected, around
 
 
 def _other_targets(image: Image, scene: Scene, inputs: EstimatorInputs) -> list[ExpectedBlob]:
