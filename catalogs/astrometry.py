@@ -51,7 +51,7 @@ def apparent_directions(
     observer_velocity_km_s : (3,) float64, km/s, inertial, optional
         With respect to the solar system barycentre; without it no aberration.
     light_deflection : bool
-        Bend light in the field of the Sun; this needs ``observer_position_km``.
+        Bend light in the field of the Sun.
 
     Returns
     -------
@@ -76,15 +76,12 @@ def apparent_directions(
     ----------
     .. [1] ERFA (liberfa) starpv.c, starpm.c, pmsafe.c, which follow Stumpff (1985), A&A 144, 232.
     """
-    years = julian_year(et) - stars.epoch_jyear
-    position_au = np.zeros(3)
-    if observer_position_km is not None:
-        position_au = as_finite(observer_position_km, (3,), "observer_position_km") / AU_KM
-    directions = unit(_positions(stars, years, position_au))
+    place = np.zeros(3) if observer_position_km is None else observer_position_km
+    position_au = as_finite(place, (3,), "observer_position_km") / AU_KM
+    directions = unit(_positions(stars, julian_year(et) - stars.epoch_jyear, position_au))
     if light_deflection:
         require(observer_position_km is not None, "light deflection needs observer_position_km")
-        from_sun_km = position_au * AU_KM - sun_position_km(et)
-        directions = deflected(directions, from_sun_km)
+        directions = deflected(directions, position_au * AU_KM - sun_position_km(et))
     if observer_velocity_km_s is not None:
         directions = aberrate(directions, observer_velocity_km_s)
     return directions

@@ -65,9 +65,7 @@ def build_catalog(
     max_magnitude: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Built:
-    """Read published files and make one catalogue of them.
-
-    All stars are in memory at once, some 400 bytes each at the peak: bound UCAC4 by ``max_magnitude``.
+    """Read published files and make one catalogue; all stars are in memory at once, some 400 bytes each at the peak.
 
     Parameters
     ----------
@@ -119,13 +117,18 @@ def build_catalog(
     if repeated:
         stars = stars.select(first)
     sources = tuple(Source(name=file.name, sha256=_sha256(file)) for file in files)
-    listed = sources[0].name if len(sources) == 1 else f"{len(sources)} files"
-    digest = hashlib.sha256("".join(source.sha256 for source in sources).encode()).hexdigest()
-    version = f"{form} from {listed}, sha256:{sources[0].sha256 if len(sources) == 1 else digest}"
-    if max_magnitude is not None:
-        version += f", to magnitude {max_magnitude:g}"
+    version = _version(form, sources, max_magnitude)
     catalog = MemoryCatalog(stars, name=name, band=bands[0], version=version)
     return Built(catalog=catalog, sources=sources, left_out=left_out, repeated=repeated)
+
+
+def _version(form: str, sources: Sequence[Source], max_magnitude: float | None) -> str:
+    """Text for provenance, with one hash of all sources."""
+    limit = "" if max_magnitude is None else f", to magnitude {max_magnitude:g}"
+    if len(sources) == 1:
+        return f"{form} from {sources[0].name}, sha256:{sources[0].sha256}{limit}"
+    digest = hashlib.sha256("".join(source.sha256 for source in sources).encode()).hexdigest()
+    return f"{form} from {len(sources)} files, sha256:{digest}{limit}"
 
 
 def _sha256(path: Path) -> str:
