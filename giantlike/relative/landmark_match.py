@@ -139,12 +139,8 @@ def fit_patch(
     if used.sum() < max(_LEAST_OVERLAP * patch.mask.sum(), 20.0):
         return None
     image = box.cut(pixels_dn)[used]
-    rows, columns = np.mgrid[: box.height, : box.width]
-    across, down = (axis - axis[used].mean() for axis in (columns.astype(np.float64), rows.astype(np.float64)))
-    lights = [patch.light, across * patch.light, down * patch.light, np.ones_like(patch.light)]
-    if patch.other is not None:
-        lights.insert(1, patch.other)
-    columns_of = np.stack([light[used] for light in lights], axis=1)
+    lights = _lights(patch, used)
+    columns_of = lights[:, used].T
     model, noise = patch.light * (image.std() / max(float(patch.light[used].std()), 1e-12)), np.ones_like(image)
     offset, covariance = np.zeros(2), np.eye(2)
     for _ in range(_ROUNDS):
@@ -159,8 +155,16 @@ def fit_patch(
         solution = inverse @ (weighted.T @ (image / np.sqrt(noise))) / scale
         offset = solution[:2]
         covariance = inverse[:2, :2] / np.outer(scale[:2], scale[:2])
-        model = np.tensordot(solution[2:], np.stack(lights), axes=1)
+        model = np.tensordot(solution[2:], lights, axes=1)
         noise = noise_variance_dn2(np.maximum(model[used], 0.0))
     if not float(np.abs(offset).max()) <= _MAX_SHIFT_PX:
         return None
     return LandmarkMatch(number=patch.number, offset_px=offset + shift_px, covariance_px2=covariance, score=score)
+
+
+def _lights(patch: Patch, used: Mask) -> Float:
+    """Images (k, h, w) that a landmark is made of: its light, even and with slopes, the other law's, and a constant."""
+    rows, columns = np.mgrid[: patch.box.height, : patch.box.width].astype(np.float64)
+    across, down = (axis - axis[used].mean() for axis in (columns, rows))
+    lights = [patch.light, across * patch.light, down * patch.light, np.ones_like(patch.light)]
+    return np.stack(lights if patch.other is None else [*lights, patch.other])

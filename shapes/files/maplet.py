@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.errors import DataError, InputError
@@ -48,37 +49,47 @@ def read_maplet(path: Path) -> LocalMap:
     .. [2] Palmer: SPC-Web-tools, phasei.f (reads and writes maplets), https://github.com/ericepalmer/SPC-Web-tools.
     .. [3] NASA GIANT: giant/utilities/stereophotoclinometry.py, which takes pixels in the same order.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(path, f"cannot read the maplet: {error.strerror or error}") from error
-    if len(content) < _RECORD:
-        raise DataError(path, f"needed a maplet of at least {_RECORD} bytes, got {len(content)}")
+    content = _read(path)
     (scale_km,) = struct.unpack_from(">f", content, 6)
     (half,) = struct.unpack_from("<H", content, 10)
     numbers = np.array(struct.unpack_from(">13f", content, 15))
     center, axes, step = numbers[:3], numbers[3:12].reshape(3, 3).T, float(numbers[12])
-    side = 2 * half + 1
-    if content[:6] == b"DOUBLE":
-        raise DataError(path, "the maplet says that it is in double precision: SPC knows single precision only")
     if not (np.isfinite(numbers).all() and np.isfinite(scale_km) and scale_km > 0.0 and 1 <= half <= _MAX_HALF_SIZE):
         raise DataError(path, f"no maplet: scale {scale_km:g} km, half size {half}, or a number that is not finite")
     if np.abs(axes.T @ axes - np.eye(3)).max() > _SKEW or np.linalg.det(axes) < 0.0:
         raise DataError(path, "the axes of the maplet are not three unit vectors square to each other, right-handed")
-    if len(content) < _RECORD + 3 * side * side:
-        raise DataError(path, f"needed {side} x {side} pixels, {_RECORD + 3 * side * side} bytes, got {len(content)}")
-    pixels = np.frombuffer(content, dtype=[("height", ">i2"), ("albedo", "u1")], count=side * side, offset=_RECORD)
-    grid = pixels.reshape(side, side).T  # rows along y = Uy, columns along x = Ux
+    grid = _pixels(path, content, 2 * half + 1)
     there = grid["albedo"] > 0
-    heights = np.where(there, grid["height"].astype(np.float64) * step * scale_km, np.nan)
     try:
         return LocalMap(
             center_body_km=center,
             body_from_map=Rotation.from_matrix(axes),
-            heights_km=heights,
+            heights_km=np.where(there, grid["height"].astype(np.float64) * step * scale_km, np.nan),
             spacing_km=float(scale_km),
             albedo=np.where(there, grid["albedo"] * _ALBEDO_STEP, 1.0),
             name=path.stem,
         )
     except InputError as error:
         raise DataError(path, str(error)) from error
+
+
+def _read(path: Path) -> bytes:
+    """Content of a file that holds a first record at least."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DataError(path, f"cannot read the maplet: {error.strerror or error}") from error
+    if len(content) < _RECORD:
+        raise DataError(path, f"needed a maplet of at least {_RECORD} bytes, got {len(content)}")
+    if content[:6] == b"DOUBLE":
+        raise DataError(path, "the maplet says that it is in double precision: SPC knows single precision only")
+    return content
+
+
+def _pixels(path: Path, content: bytes, side: int) -> NDArray[np.void]:
+    """Heights and albedo (side, side): rows along y = Uy, columns along x = Ux."""
+    needed = _RECORD + 3 * side * side
+    if len(content) < needed:
+        raise DataError(path, f"needed {side} x {side} pixels, {needed} bytes, got {len(content)}")
+    pixels = np.frombuffer(content, dtype=[("height", ">i2"), ("albedo", "u1")], count=side * side, offset=_RECORD)
+    return pixels.reshape(side, side).T
