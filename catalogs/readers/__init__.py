@@ -89,13 +89,9 @@ def build_catalog(
     DataError
         A file is missing or damaged, holds no stars, or has magnitudes in another band than the first.
     """
-    if form not in FORMATS:
-        raise InputError(f"unknown format {form!r}: one of {', '.join(FORMATS)} is needed")
     if (form == "table") != (mapping is not None):
         raise InputError("a column map belongs to the format 'table', and that format needs one")
-    files = [file for path in paths for file in (zone_files(path) if form == "ucac4" else [path])]
-    if not files:
-        raise InputError(f"no files to read: {', '.join(str(path) for path in paths) or 'none given'}")
+    files = _files(paths, form)
     read = FORMATS[form] if mapping is None else partial(read_mapped, mapping=mapping)
     tables: list[StarTable] = []
     left_out, bands = 0, []
@@ -120,6 +116,15 @@ def build_catalog(
     version = _version(form, sources, max_magnitude)
     catalog = MemoryCatalog(stars, name=name, band=bands[0], version=version)
     return Built(catalog=catalog, sources=sources, left_out=left_out, repeated=repeated)
+
+
+def _files(paths: Sequence[Path], form: str) -> list[Path]:
+    if form not in FORMATS:
+        raise InputError(f"unknown format {form!r}: one of {', '.join(FORMATS)} is needed")
+    files = [file for path in paths for file in (zone_files(path) if form == "ucac4" else [path])]
+    if not files:
+        raise InputError(f"no files to read: {', '.join(str(path) for path in paths) or 'none given'}")
+    return files
 
 
 def _version(form: str, sources: Sequence[Source], max_magnitude: float | None) -> str:
