@@ -120,6 +120,19 @@ def test_the_noise_may_come_from_covered_pixels_or_the_detector(tmp_path: Path) 
     assert json.loads(result.stdout)[0]["noise_dn"] == pytest.approx(NOISE_DN, rel=0.15)  # 900 pixels: 2.4 %, 5 sigma
 
 
+def test_the_point_spread_function_is_estimated_on_request(tmp_path: Path) -> None:
+    path, points = stars_in(tmp_path, snr=100.0)
+    camera = camera_file(tmp_path)
+    result = giantlike("detect", path, "--camera", camera, "--psf", "gaussian", "--json")
+    psf = json.loads(result.stdout)[0]["psf"]
+    assert abs(psf["sigma_px"] - 0.8) < ERROR_SIGMAS * psf["sigma_error_px"]
+    assert psf["n_used"] <= len(points)
+    assert "[psf] sigma_px = 0." in giantlike("detect", path, "--camera", camera, "--psf", "moffat").stdout
+    (image,) = json.loads(giantlike("detect", path, "--psf", "moffat", "--psf-degree", "3", "--json").stdout)
+    assert image["status"] == "ok"
+    assert image["psf"]["reason"] == "too_few_detections"
+
+
 def moving_sequence(folder: Path, count: int) -> tuple[list[Path], list[Any]]:
     """Images of stars that move, on a pattern that does not, with hot pixels."""
     rng = np.random.default_rng(7)

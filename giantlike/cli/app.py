@@ -37,6 +37,14 @@ class ExportOption(StrEnum):
     WCS = "wcs"
 
 
+class PsfOption(StrEnum):
+    """Values of ``giantlike.processing.psf.PsfKind``."""
+
+    GAUSSIAN = "gaussian"
+    ELONGATED = "elongated"
+    MOFFAT = "moffat"
+
+
 class NoiseOption(StrEnum):
     """Values of ``giantlike.processing.noise.NoiseSource``."""
 
@@ -203,6 +211,8 @@ def detect(
     streak: Annotated[
         bool | None, typer.Option("--streak/--no-streak", help="Stars are lines; by default this is found out.")
     ] = None,
+    psf: Annotated[PsfOption | None, typer.Option(help="Estimate the PSF from each image, and places with it.")] = None,
+    psf_degree: Annotated[int, typer.Option(help="Degree with which that PSF varies over the field, 0 to 3.")] = 0,
     sequence: Sequence = False,
     hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
     json: Json = False,
@@ -219,6 +229,8 @@ def detect(
         psf_sigma_px=psf_sigma,
         min_snr=min_snr,
         search={"threshold_sigma": threshold, "streak": streak, "noise": noise, "covered": covered},
+        psf=psf,
+        psf_degree=psf_degree,
         sequence=sequence,
         hdu=int(hdu) if hdu is not None and hdu.isdecimal() else hdu,
         json=json,

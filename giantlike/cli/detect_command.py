@@ -22,10 +22,20 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
 from giantlike.processing.noise import NoiseSource
+from giantlike.processing.psf import PsfKind
+from giantlike.processing.psf_estimate import PsfEstimate, estimate_psf, remeasure
 from giantlike.processing.sequence import FixedPattern, compare_sequence
 
 _SHOWN = 20
 """Detections of an image that the table for people shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Detections of one image, and its point spread function where that was asked for."""
+
+    detections: Detections
+    psf: PsfEstimate | Failure | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +54,10 @@ class DetectRequest:
         Of FITS files.
     sequence : bool
         The images are of one camera: a fixed pattern is removed, and detections are compared.
+    psf : PsfKind, optional
+        Estimate a point spread function of this kind from each image, and the places of stars with it.
+    psf_degree : int
+        Of the polynomials with which it varies over the field.
     options : DetectionOptions
     """
 
@@ -52,11 +66,14 @@ class DetectRequest:
     min_snr: float = 0.0
     hdu: int | str | None = None
     sequence: bool = False
+    psf: PsfKind | None = None
+    psf_degree: int = 0
     options: DetectionOptions = field(default_factory=DetectionOptions)
 
     def __post_init__(self) -> None:
         sigma = self.psf_sigma_px
         require(sigma is None or 0 <= sigma <= 20, f"--psf-sigma must be in [0, 20] px, got {sigma}")
+        require(0 <= self.psf_degree <= 3, f"--psf-degree must be 0 to 3, got {self.psf_degree}")
         require(math.isfinite(self.min_snr) and self.min_snr >= 0, f"--min-snr must be >= 0, got {self.min_snr}")
 
     @property
@@ -64,8 +81,8 @@ class DetectRequest:
         """That of the camera, or one of which nothing is known."""
         return Detector() if self.camera is None else self.camera.detector
 
-    def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> Detections | Failure:
-        """Sources of one image, after the pattern of its sequence is removed.
+    def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> Found | Failure:
+        """Sources of one image, after the pattern of its sequence is removed, and its point spread function.
 
         Raises
         ------
@@ -81,17 +98,27 @@ class DetectRequest:
         if sigma is None and camera is not None and camera.psf is not None:
             sigma = camera.psf.sigma_px
         image, detector = without_pattern(image, self.detector, pattern)
-        return detect_sources(
-            image.pixels,
-            detector=detector,
-            psf_sigma_px=sigma,
-            mask=image.mask,
-            options=self.options,
+        found = detect_sources(
+            image.pixels, detector=detector, psf_sigma_px=sigma, mask=image.mask, options=self.options
         )
+        if isinstance(found, Failure) or self.psf is None:
+            return found if isinstance(found, Failure) else Found(found)
+        psf = estimate_psf(
+            image.pixels, found, detector=detector, kind=self.psf, degree=self.psf_degree, mask=image.mask
+        )
+        if isinstance(psf, PsfEstimate):
+            found = remeasure(image.pixels, found, psf, detector=detector, mask=image.mask)
+        return Found(found, psf)
 
 
 def detect_command(
-    images: Sequence[Path], *, camera_file: Path | None, json: bool, search: Mapping[str, Any], **request: Any
+    images: Sequence[Path],
+    *,
+    camera_file: Path | None,
+    json: bool,
+    search: Mapping[str, Any],
+    psf: str | None = None,
+    **request: Any,
 ) -> ExitCode:
     """Search images and show what is found.
 
@@ -100,6 +127,7 @@ def detect_command(
     wanted = DetectRequest(
         camera=None if camera_file is None else Camera.load(camera_file),
         options=DetectionOptions(**(dict(search) | {"noise": NoiseSource(search["noise"])})),
+        psf=None if psf is None else PsfKind(psf),
         **request,
     )
     results = _all_searched(images, wanted)
@@ -121,30 +149,36 @@ def _all_searched(images: Sequence[Path], wanted: DetectRequest) -> list[dict[st
             outcomes.append(_searched(path, wanted, pattern))
         progress("detecting", len(images), len(images))
     if wanted.sequence:
-        compared = iter(compare_sequence([found for found in outcomes if isinstance(found, Detections)]))
-        outcomes = [next(compared) if isinstance(found, Detections) else found for found in outcomes]
+        compared = iter(compare_sequence([found.detections for found in outcomes if isinstance(found, Found)]))
+        outcomes = [Found(next(compared), found.psf) if isinstance(found, Found) else found for found in outcomes]
     return [_result(path, outcome, wanted) for path, outcome in zip(images, outcomes, strict=True)]
 
 
-def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> Detections | Failure:
+def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> Found | Failure:
     try:
         return wanted.search(Image.open(path, hdu=wanted.hdu), pattern)
     except OpNavError as error:
         return Failure(Reason.UNREADABLE_IMAGE, str(error))
 
 
-def _result(path: Path, outcome: Detections | Failure, wanted: DetectRequest) -> dict[str, Any]:
+def _result(path: Path, outcome: Found | Failure, wanted: DetectRequest) -> dict[str, Any]:
     """One object of the JSON list; what is not known is None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None, "detail": ""}
     values |= {"psf_sigma_px": None, "noise_dn": None, "detections": []}
     if isinstance(outcome, Failure):
         return values | {"reason": str(outcome.reason), "detail": outcome.detail}
-    return values | {
+    found, psf = outcome.detections, outcome.psf
+    values |= {
         "status": "ok",
-        "psf_sigma_px": outcome.psf_sigma_px,
-        "noise_dn": outcome.noise_dn,
-        "detections": _rows(outcome.select(outcome.snr >= wanted.min_snr)),
+        "psf_sigma_px": found.psf_sigma_px,
+        "noise_dn": found.noise_dn,
+        "detections": _rows(found.select(found.snr >= wanted.min_snr)),
     }
+    if psf is None:
+        return values
+    if isinstance(psf, Failure):
+        return values | {"psf": {"reason": str(psf.reason), "detail": psf.detail}}
+    return values | {"psf": psf.to_mapping()}
 
 
 def _rows(found: Detections) -> list[dict[str, Any]]:
@@ -185,6 +219,8 @@ def _print_table(results: Sequence[dict[str, Any]]) -> None:
             f"{result['file']}: {len(rows)} detections, {stars} look like stars; "
             f"PSF sigma {result['psf_sigma_px']:.3f} px, noise {result['noise_dn']:.4g} DN"
         )
+        if "psf" in result:
+            typer.echo(f"  {_psf_line(result['psf'])}")
         if rows:
             typer.echo(f"  {'x_px':>10}{'y_px':>10}{'sigma_x':>9}{'sigma_y':>9}{'flux_dn':>12}{'snr':>9}  flags")
         for row in rows[:_SHOWN]:
@@ -194,3 +230,15 @@ def _print_table(results: Sequence[dict[str, Any]]) -> None:
             )
         if len(rows) > _SHOWN:
             typer.echo(f"  ... and {len(rows) - _SHOWN} fainter ones: --json lists all")
+
+
+def _psf_line(psf: Mapping[str, Any]) -> str:
+    """The point spread function in one line, as a camera file would hold its width."""
+    if "reason" in psf:
+        return f"point spread function: {psf['reason']}: {psf['detail']}"
+    middle = ", ".join(f"{name} {values[0]:.4g}" for name, values in psf["coefficients"].items())
+    return (
+        f"[psf] sigma_px = {psf['sigma_px']:.4f}  # +- {psf['sigma_error_px']:.4f}, {psf['kind']} in the middle: "
+        f"{middle}; "
+        f"{psf['n_used']} stars, reduced chi-square {psf['reduced_chi2']:.3g}"
+    )
