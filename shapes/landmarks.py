@@ -20,6 +20,7 @@ from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError, InputError
 from giantlike.shapes.files.maplet import read_maplet
 from giantlike.shapes.local_map import LocalMap
+from giantlike.shapes.mesh import TriangleMesh
 
 CATALOG_SUFFIX = ".npz"
 MAPLET_SUFFIX = ".map"
@@ -60,6 +61,11 @@ class Landmark:
     def normal_body(self) -> Float:
         """Unit normal (3,) of the place, body axes."""
         return frozen(self.map.body_from_map.as_matrix()[:, 2].copy())
+
+    @cached_property
+    def mesh(self) -> TriangleMesh:
+        """The map as an open surface in body axes: one object, so that its tracer is kept."""
+        return self.map.mesh()
 
     @property
     def size_km(self) -> float:

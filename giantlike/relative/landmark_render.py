@@ -18,7 +18,6 @@ from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, RenderOptions, Trace, trace_body
 from giantlike.relative.landmark_view import SeenLandmarks
 from giantlike.relative.template_render import FitBox
-from giantlike.shapes import TriangleMesh
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog
 
 Mask = NDArray[np.bool_]
@@ -108,7 +107,6 @@ class LandmarkRenderer:
         require(isinstance(model, Windowing), f"{type(model).__name__} has no windowed(): landmarks are rendered alone")
         self._catalog, self._model, self._sun, self._psf = catalog, model, sun_direction_camera, psf
         self._max_size_px, self._rays, self._other_law = max_size_px, rays_per_pixel_side, other_law
-        self._meshes: dict[int, TriangleMesh] = {}
 
     def roughly(self) -> LandmarkRenderer:
         """Return one with one ray to a pixel and one law: enough to find landmarks by."""
@@ -125,7 +123,7 @@ class LandmarkRenderer:
             images = self._cut(body, boxes)
         else:
             images = [
-                self._images(self._alone(body, number), box)
+                self._images(replace(body, shape=self._catalog.landmarks[number].mesh), box)
                 for number, box in zip(seen.numbers.tolist(), boxes, strict=True)
             ]
         patches = []
@@ -154,12 +152,6 @@ class LandmarkRenderer:
         high = np.ceil(np.minimum(outline.max(axis=0), center_px + half)).astype(np.int64) + 1 + BORDER_PX
         (x, y), (width, height) = low.tolist(), (high - low).tolist()
         return FitBox(x=x, y=y, width=width, height=height)
-
-    def _alone(self, body: Body, number: int) -> Body:
-        """The map of a landmark in the place of the body."""
-        if number not in self._meshes:
-            self._meshes[number] = self._catalog.landmarks[number].map.mesh()
-        return replace(body, shape=self._meshes[number])
 
     def _cut(self, body: Body, boxes: list[FitBox]) -> list[tuple[Float, Float | None, Mask] | None]:
         """Images of the shape in boxes: out of one render of all, where they lie close together."""
