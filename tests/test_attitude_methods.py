@@ -7,13 +7,27 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from giantlike.camera_models import BrownModel
+from giantlike.camera import Camera
+from giantlike.camera_models import BrownModel, PinholeModel
+from giantlike.catalogs import apparent_directions, load_catalog
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
-from giantlike.core.frames import rotation_between
-from giantlike.core.outcomes import Failure
+from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_between
+from giantlike.core.outcomes import AttitudeFix, Failure
+from giantlike.core.time import time_from_et
+from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.image import Image, ObserverState
+from giantlike.processing import Detections
 from giantlike.processing.wahba import WahbaMethod, solve_wahba
-from giantlike.stars import AttitudeMethod, AttitudeSolution, Scale, fit_attitude
+from giantlike.stars import (
+    AttitudeMethod,
+    AttitudeSolution,
+    Scale,
+    StarNavigation,
+    StarOptions,
+    fit_attitude,
+)
+from giantlike.stars.navigation import sky_of
 
 TRIALS = 1000
 CAMERA = BrownModel(fx_px=3470.0, fy_px=3470.0, cx_px=1023.5, cy_px=1023.5, k1=-0.5)
@@ -115,3 +129,87 @@ def test_a_method_of_directions_cannot_estimate_the_scale() -> None:
     _, directions, points, covariance = _stars(rng, 15, elongated=False)
     with pytest.raises(InputError, match="'weighted'"):
         fit_attitude(directions, points, covariance, CAMERA, scale=Scale.RADIAL, method=AttitudeMethod.SVD)
+
+
+CAMERA_10_DEG = Camera(
+    name="cam",
+    columns=1024,
+    rows=1024,
+    model=PinholeModel(fx_px=5900.0, fy_px=5900.0, cx_px=511.5, cy_px=511.5),
+)
+
+
+@pytest.fixture(scope="module")
+def displaced() -> tuple[Image, Detections, Float]:
+    """Real stars with 0.05 px of noise, three of them displaced by 2 px (their places are the last value)."""
+    rng = np.random.default_rng(25)
+    attitude = camera_from_inertial_of_pointing(83.0, 0.0, 10.0)
+    observer = ObserverState(position_km=np.array([1.5e8, 0.0, 0.0]), velocity_km_s=np.zeros(3))
+    stars = load_catalog("default").cone(attitude.inv().apply([0.0, 0.0, 1.0]), 0.12, max_magnitude=7.5)
+    directions = apparent_directions(stars, 7.6e8, observer_position_km=observer.position_km)
+    points = CAMERA_10_DEG.model.project(attitude.apply(directions))
+    inside = CAMERA_10_DEG.contains(points, margin_px=-5)
+    points = points[inside] + 0.05 * rng.normal(size=(int(inside.sum()), 2))
+    moved = np.array([5, 9, 14])
+    points[moved] += [1.4, -1.4]
+    n = len(points)
+    flux = 10.0 ** (-0.4 * (stars.magnitude[inside] - 14.0))
+    detections = Detections(
+        points_px=points,
+        covariance_px2=np.tile(0.05**2 * np.eye(2), (n, 1, 1)),
+        flux_dn=flux,
+        snr=flux,
+        peak_dn=flux,
+        area_px=np.full(n, 9),
+        background_dn=np.zeros(n),
+        width_px=np.full(n, 0.8),
+        flags=np.zeros(n, dtype=np.uint16),
+        psf_sigma_px=0.8,
+        noise_dn=1.0,
+    )
+    image = Image(
+        pixels=np.zeros((1024, 1024), np.uint16),
+        camera_from_inertial=Rotation.from_rotvec([3e-4, 0.0, 0.0]) * attitude,
+        epoch=time_from_et(7.6e8),
+        observer=observer,
+    )
+    return image, detections, points[moved]
+
+
+@pytest.mark.parametrize("method", list(AttitudeMethod))
+def test_every_method_serves_navigation_and_throws_out_displaced_stars(
+    method: AttitudeMethod, displaced: tuple[Image, Detections, Float]
+) -> None:
+    image, detections, moved_px = displaced
+    navigation = StarNavigation(CAMERA_10_DEG, load_catalog("default"), StarOptions(attitude_method=method))
+    fix = navigation.solve_detections(image, detections)
+    assert isinstance(fix, AttitudeFix), fix
+    error = rotation_between(fix.camera_from_inertial, camera_from_inertial_of_pointing(83.0, 0.0, 10.0))
+    assert error @ np.linalg.solve(fix.covariance_rad2, error) < chi2.isf(1e-6, 3)
+    assert fix.rejected_px.shape == (fix.n_rejected, 2)
+    assert not {tuple(point) for point in moved_px} & {tuple(point) for point in fix.observed_px}
+
+
+def test_light_is_bent_by_the_sun_where_the_options_ask_for_it(displaced: tuple[Image, Detections, Float]) -> None:
+    image, _, _ = displaced
+    catalog = load_catalog("default")
+    assert image.camera_from_inertial is not None
+    straight, bent = (
+        sky_of(image, catalog, StarOptions(max_magnitude=6.0, light_deflection=on)).field(
+            CAMERA_10_DEG, image.camera_from_inertial
+        )
+        for on in (False, True)
+    )
+    shift = np.linalg.norm(straight.directions_inertial - bent.directions_inertial, axis=1) * ARCSEC_PER_RAD
+    sun = -np.array([1.0, 0.0, 0.0])
+    elongation = np.arccos(straight.directions_inertial @ sun)
+    # 4.07 mas at 1 au and 90 degrees, with the cotangent of half the elongation; the Sun is within 0.01 au of the
+    # barycentre, and 1.5e8 km are 1.003 au.
+    np.testing.assert_allclose(shift, 4.07e-3 / np.tan(elongation / 2), rtol=0.02)
+
+
+def test_an_unknown_method_or_one_without_scale_is_refused() -> None:
+    with pytest.raises(InputError, match="attitude_method must be one of weighted"):
+        StarOptions(attitude_method="triad")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="cannot estimate the scale"):
+        StarOptions(attitude_method=AttitudeMethod.SVD, estimate_scale=True)

@@ -155,7 +155,7 @@ def identify_first(
     offered[fix.detection_indices] = True
     return StarImage(
         name=image.name,
-        sky=sky_of(image, navigation.catalog, options.max_magnitude),
+        sky=sky_of(image, navigation.catalog, options),
         points_px=detections.points_px[offered],
         covariance_px2=detections.covariance_px2[offered],
         snr=detections.snr[offered],

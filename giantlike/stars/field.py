@@ -61,6 +61,8 @@ class Sky:
     observer_velocity_km_s : (3,) float64, km/s, inertial, optional
         Likewise; without it no aberration, which then goes into the attitude.
     max_magnitude : float, optional
+    light_deflection : bool
+        By the Sun; only where the observer's position is known.
     """
 
     catalog: StarCatalog
@@ -68,6 +70,7 @@ class Sky:
     observer_position_km: Float | None = None
     observer_velocity_km_s: Float | None = None
     max_magnitude: float | None = None
+    light_deflection: bool = False
 
     def field(
         self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0, count: int | None = None
@@ -88,6 +91,7 @@ class Sky:
             et,
             observer_position_km=self.observer_position_km,
             observer_velocity_km_s=self.observer_velocity_km_s,
+            light_deflection=self.light_deflection and self.observer_position_km is not None,
         )
         return StarField(stars=stars, directions_inertial=directions, sigma_rad=stars.sigma_rad(et))
 

@@ -133,7 +133,7 @@ class StarNavigation:
                 f"{usable.size} of {len(detections)} detections look like stars, {needed} are needed",
             )
         points, covariance = detections.points_px[usable], detections.covariance_px2[usable]
-        sky = sky_of(image, self.catalog, self.options.max_magnitude)
+        sky = sky_of(image, self.catalog, self.options)
         outcome: RefinedAttitude | Failure = Failure(
             Reason.NO_ATTITUDE, "the image has no a priori attitude: give one or allow the lost-in-space search"
         )
@@ -199,6 +199,7 @@ class StarNavigation:
             false_match_probability=outcome.false_match_probability,
             focal_length_px=focal,
             fov_deg=math.degrees(2.0 * math.atan(self.camera.columns / (2.0 * focal))),
+            rejected_px=detections.points_px[usable[outcome.matches.detection_indices[~used]]],
             flags=_flags(solution, detections.flags[indices]) | _unknowns(image),
             provenance=self._provenance(image, outcome, method),
         )
@@ -221,7 +222,7 @@ class StarNavigation:
         }
 
 
-def sky_of(image: Image, catalog: StarCatalog, max_magnitude: float | None) -> Sky:
+def sky_of(image: Image, catalog: StarCatalog, options: StarOptions) -> Sky:
     """Return a catalogue as the observer of an image sees it."""
     observer = image.observer
     return Sky(
@@ -229,7 +230,8 @@ def sky_of(image: Image, catalog: StarCatalog, max_magnitude: float | None) -> S
         et=image.et,
         observer_position_km=None if observer is None else observer.position_km,
         observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
-        max_magnitude=max_magnitude,
+        max_magnitude=options.max_magnitude,
+        light_deflection=options.light_deflection,
     )
 
 

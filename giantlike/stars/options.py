@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
+from giantlike.stars.attitude import AttitudeMethod
 
 _NEVER_LEFT_OUT = 20
 
@@ -49,6 +50,11 @@ class StarOptions:
     max_false_match_probability : float
         An identification more likely than this to be chance is refused.
 
+    attitude_method : AttitudeMethod
+        How the attitude follows from the stars identified; all but ``weighted`` need a scale that is known.
+    light_deflection : bool
+        Bend the light of stars in the field of the Sun, where the place of the spacecraft is known.
+
     Raises
     ------
     InputError
@@ -68,6 +74,8 @@ class StarOptions:
     min_matches: int = 4
     outlier_sigma: float = 4.0
     max_false_match_probability: float = 1e-6
+    attitude_method: AttitudeMethod = AttitudeMethod.WEIGHTED
+    light_deflection: bool = False
 
     def __post_init__(self) -> None:
         limit = self.max_magnitude
@@ -90,6 +98,16 @@ class StarOptions:
         require(
             0.0 < self.max_false_match_probability < 1.0,
             f"max_false_match_probability must be in (0, 1), got {self.max_false_match_probability}",
+        )
+        known = [str(method) for method in AttitudeMethod]
+        require(
+            self.attitude_method in known,
+            f"attitude_method must be one of {', '.join(known)}, got {self.attitude_method!r}",
+        )
+        object.__setattr__(self, "attitude_method", AttitudeMethod(self.attitude_method))
+        require(
+            not self.estimate_scale or self.attitude_method is AttitudeMethod.WEIGHTED,
+            f"attitude_method {self.attitude_method} cannot estimate the scale; use 'weighted'",
         )
 
 

@@ -175,6 +175,7 @@ def _fit(
         camera.model,
         scale=scale_for(len(matches), camera.model, options),
         outlier_sigma=options.outlier_sigma,
+        method=options.attitude_method,
     )
 
 
