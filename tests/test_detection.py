@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.stats import chi2, norm
+from scipy.stats import binom, chi2, norm
 
 from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import Float
@@ -27,6 +27,7 @@ from giantlike.core.frames import camera_from_inertial_of_pointing, direction_fr
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
 from giantlike.processing.centroid import cut_patches, fit_stars, pixel_shares
+from giantlike.simulation.cosmic_rays import CosmicRays, draw_tracks
 from tests.numerical import numerical_jacobian
 
 GAIN, READ_NOISE_E, SKY_DN = 2.0, 5.0, 100.0
@@ -38,6 +39,7 @@ BIAS_PX = 0.005  # requirement; a tenth of the random error of a star of SNR 50
 PHASE_BIAS_PX = 1e-4  # without noise only rounding and the convergence limit are left
 CLEAR_CENTROID_PX = 0.1  # five sigma of a star of SNR 50 and sigma 0.8 px
 NOISE_RELATIVE = 0.03  # quartiles of 256 samples, median of 9 boxes
+MISTAKEN_PARTICLES = 1.0 / 200.0  # requirement: fewer than one of 200
 PSF_RELATIVE = 0.03  # 50 stars of SNR 100, each good to 1.5 %, and a Gaussian that is exact
 OFFSET_PX = 1e-3  # single precision of the filter moves the start of a fit, not its end
 DERIVATIVE = 1e-7  # central differences of a smooth function of order one
@@ -300,6 +302,32 @@ def test_hot_pixels_and_trails_are_told_from_stars() -> None:
     assert found.clean.sum() == 2
     assert DetectionFlag.SHARP in flagged(found, 50, 150)
     assert DetectionFlag.EXTENDED in DetectionFlag(int(np.bitwise_or.reduce(found.flags)))
+
+
+@pytest.mark.parametrize("sigma_px", [0.6, 0.8, 1.5])
+def test_particles_are_told_from_stars(sigma_px: float) -> None:
+    shape, hits = (700, 700), 300  # three times as dense as required
+    points = spread_points(shape, 40, 31)
+    snr = 10.0 ** np.random.default_rng(31).uniform(1.1, 2.5, len(points))
+    light = star_image(points, snr * flux_of_snr(1.0, sigma_px), sigma_px, shape)
+    rays = CosmicRays(hits_per_image=hits)
+    charge = draw_tracks(rays, shape[1], shape[0], 0.0, np.random.default_rng(32)).deposited_e(shape[1], shape[0])
+    image = np.clip(exposed(light, 33) + np.round(charge / GAIN), 0, 65535).astype(np.uint16)
+    found = detected(image, psf_sigma_px=sigma_px)
+    clean = found.select(found.clean)
+    # Each particle covers the core of a star with a chance of 0.3 %: 0.9 stars in 256 are hit.
+    assert np.count_nonzero(nearest(clean, points)[0] > 1.0) <= most_by_chance(len(points), hits * 40.0 / 700**2)
+    false = np.count_nonzero(paired(points, clean.points_px)[0] > 1.5)
+    assert false <= most_by_chance(hits, MISTAKEN_PARTICLES)
+    names = [DetectionFlag(int(flags)) for flags in found.flags[~found.clean]]
+    assert sum(DetectionFlag.COSMIC_RAY in flags for flags in names) > 0.3 * hits  # many tracks stay in one pixel
+    own = detected(image, psf_sigma_px=None)
+    assert own.psf_sigma_px == pytest.approx(sigma_px, rel=2 * PSF_RELATIVE)  # also from a sky full of particles
+
+
+def most_by_chance(count: int, chance: float) -> float:
+    """Largest number of ``count`` that a chance each explains."""
+    return float(binom.ppf(1.0 - 1e-5, count, chance))
 
 
 def test_stars_sharper_than_the_camera_file_says_are_still_stars() -> None:
