@@ -188,8 +188,9 @@ def test_landmarks_in_use_are_seen_lit_and_not_oblique() -> None:
             tracer = tracer_for(rock())
             assert np.mean(tracer.occluded(ground, camera_km - ground)) < 0.2
             assert np.mean(tracer.occluded(ground, np.broadcast_to(sun_body, ground.shape))) < 0.55
-    facing = (viewer.normals_body @ (camera_km / np.linalg.norm(camera_km))) > 0.7
-    assert 5 < seen.numbers.size < np.count_nonzero(facing)
+    assert seen.numbers.size > 5
+    assert seen.dark > 0
+    assert seen.oblique > len(catalog) // 3
     few = replace(options, max_landmarks=5)
     chosen = viewer.seen(body, CAMERA.model, sun_direction_camera=sun, columns=400, rows=400, options=few)
     assert chosen.numbers.size == 5
