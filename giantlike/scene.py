@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import FrameMismatchError, InputError
 from giantlike.core.light import aberrate
@@ -14,9 +18,12 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris
 from giantlike.image import Image
-from giantlike.ray_tracing import Body, McEwen, Reflectance
+from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
 from giantlike.shapes import Shape
 
+_MASK_DIRECTIONS = 720
+_SUBPIXEL_BITS = 4
+_SUBPIXELS, _FAR_SUBPIXELS = 1 << _SUBPIXEL_BITS, 1 << 24
 _LIGHT_TIME_STEPS = 5  # each gains a factor v/c: three suffice for the solar system
 
 
@@ -226,6 +233,52 @@ class Scene:
 
     def _names(self) -> str:
         return ", ".join(target.name for target in self.targets)
+
+
+def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 5.0) -> NDArray[np.bool_] | Failure:
+    """Pixels that the bodies of a scene cover, for a search of stars beside them.
+
+    Parameters
+    ----------
+    scene : Scene
+    image : Image
+        Needs an attitude, and what the geometry of the targets needs.
+    camera : Camera
+    margin_px : float, px
+        Around the outlines: for the error of the attitude, and for light scattered near a bright limb.
+
+    Returns
+    -------
+    mask : (rows, columns) bool, or Failure
+        True on a body, lit or not, and in the margin. The outermost outline counts: bays of an irregular body are
+        covered too. A target of which the camera images no limb leaves the mask as it is, unless the body fills the
+        view: then everything is covered.
+
+    Raises
+    ------
+    InputError
+        The margin is negative.
+    """
+    require(np.isfinite(margin_px) and margin_px >= 0.0, f"margin_px must be >= 0, got {margin_px}")
+    covered = np.zeros((camera.rows, camera.columns), dtype=np.uint8)
+    angles = np.linspace(0.0, 2.0 * np.pi, _MASK_DIRECTIONS, endpoint=False)
+    for target in scene.targets:
+        geometry = scene.geometry(image, target.name)
+        if isinstance(geometry, Failure):
+            return geometry
+        body = geometry.body()
+        outline = trace_silhouette(body, camera.model, angles, sun_direction_camera=geometry.sun_direction_camera)
+        limb = outline.points_px[outline.valid]
+        if len(limb) >= 3:
+            corners = np.clip(np.rint(limb * _SUBPIXELS), -_FAR_SUBPIXELS, _FAR_SUBPIXELS).astype(np.int32)
+            cv2.fillPoly(covered, [corners], 1, shift=_SUBPIXEL_BITS)
+        elif geometry.range_km <= body.shape.circumscribing_radius_km:
+            covered[:] = 1
+    reach = math.ceil(margin_px)
+    if reach and covered.any():
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+        covered = np.asarray(cv2.dilate(covered, kernel), dtype=np.uint8)
+    return covered.astype(bool)
 
 
 def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:
