@@ -20,9 +20,9 @@ from giantlike.processing.limb_scan import (
     line_offsets,
     match_profiles,
     scan_lines,
-    search_limb,
     step_profile,
 )
+from giantlike.processing.limb_search import search_limb
 
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
 ROUNDING = 1e-9

@@ -129,7 +129,13 @@ def generalised_solution(
 
 
 def correlated_solution(
-    residuals: Float, design: Float, sigma: Float, points: Float, *, min_length: float = 1.0
+    residuals: Float,
+    design: Float,
+    sigma: Float,
+    points: Float,
+    *,
+    min_length: float = 1.0,
+    max_length: float | None = None,
 ) -> CorrelatedFit:
     r"""Generalised least squares with a covariance of the residuals estimated from the residuals themselves.
 
@@ -144,6 +150,9 @@ def correlated_solution(
         Where the residuals were taken, one after the other along a line: those close together err together.
     min_length : float
         Shortest correlation length considered, unit of ``points``.
+    max_length : float, optional
+        Longest one; None is the extent of the points. Waves that long the solution takes up itself, and the residuals
+        cannot tell whether there are any.
 
     Notes
     -----
@@ -159,7 +168,7 @@ def correlated_solution(
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     scale = np.linalg.norm(design / sigma[:, None], axis=0)
     typical = float(np.sqrt(np.mean(sigma**2)))
-    longest = max(extent, 2.0 * min_length)
+    longest = max(extent if max_length is None else min(extent, max_length), 2.0 * min_length)
     lengths = np.exp(np.arange(np.log(min_length), np.log(longest), np.log(_LENGTH_STEP)))
     ratios, grid = (part.ravel() for part in np.meshgrid(_RATIOS, lengths))  # one length after the other
     values = np.concatenate([residuals[:, None], design / scale], axis=1) / typical
@@ -212,9 +221,10 @@ def _restricted_likelihoods(white: Float, log_determinant: Float) -> tuple[Float
     solution = np.linalg.solve(normal, across @ y[..., None])
     left = y - (x @ solution)[..., 0]
     noise: Float = np.maximum(np.einsum("gn,gn->g", left, left) / freedom, _LEAST_SCALE)
-    likelihood = -0.5 * (freedom * np.log(noise) + log_determinant + np.linalg.slogdet(normal)[1])
+    likelihood: Float = -0.5 * (freedom * np.log(noise) + log_determinant + np.linalg.slogdet(normal)[1])
     covariance: Float = np.linalg.inv(normal) * noise[:, None, None]
-    return likelihood, solution[..., 0], covariance, noise
+    parameters: Float = solution[..., 0].astype(np.float64)
+    return likelihood, parameters, covariance, noise
 
 
 def _weighted(residuals: Float, design: Float, weights: Float) -> Float:

@@ -1,14 +1,14 @@
 """Limb scanning: where along lines across a predicted outline the edge in the image lies.
 
 Lines run along outward normals. What lies between image and prediction is found in two steps: a search for the
-whole outline at once, which bright craters do not mislead, then for each line a least-squares match of its profile
-with the profile expected there.
+whole outline at once (:mod:`giantlike.processing.limb_search`), then for each line a least-squares match of its
+profile with the profile expected there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -27,16 +27,11 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
-_COARSE_BLUR_PX = 1.0
-_COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # of the radius
-_FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
-_SKY_STEP = 5  # pixels from one to the next that the level of the sky is found from
-_COARSE_OFFSET_PX = 1.5
-_COARSE_POINTS = 80  # that the first step needs
-_COARSE_NOISE_SIGMAS = 4.0
 _RIVAL_PX = 2.0
 _RIVAL_CORRELATION = 0.98
 _REFINEMENTS = 2
+_MAD_TO_SIGMA = 1.4826
+_LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
 
@@ -104,25 +99,6 @@ class ProfileMatch:
     unexplained: Float
     at_border: Mask
     rivalled: Mask
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CoarseLimb:
-    """Where an outline as a whole fits an image best.
-
-    Parameters
-    ----------
-    shift_px : (2,) float64, px
-        From prediction to image.
-    scale : float
-        Size in the image over that predicted.
-    contrast : float
-        Mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black sky.
-    """
-
-    shift_px: Float
-    scale: float
-    contrast: float
 
 
 def line_offsets(reach_px: float, step_px: float) -> Float:
@@ -197,8 +173,9 @@ def match_profiles(
     Notes
     -----
     The best multiple of the step is that of the highest normalised correlation; a least-squares fit of
-    ``gain (1 + slope u) expected(u - shift) + offset`` then gives the rest, in three linear steps. Shift and noise
-    are those of the weighted fit, the noise with the correlation that sampling by a B-spline puts into it.
+    ``gain (1 + slope u) expected(u - shift) + offset`` then gives the rest, in three linear steps. How far slopes are
+    from nothing is learnt from all lines together. Shift and noise are those of the weighted fit, the noise with the
+    correlation that sampling by a B-spline puts into it.
     """
     step = scans.step_px
     half, most = round(window_px / step), round(search_px / step)
@@ -258,143 +235,6 @@ def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], windo
     found = np.isfinite(np.array(misfit)).any(axis=0)
     require(bool(found.any()), "no line holds an edge whose width could be measured")
     return float(np.median(_WIDTHS_PX[best[found]]))
-
-
-def search_limb(
-    pixels_dn: Float,
-    usable: Mask,
-    points_px: Float,
-    normals_px: Float,
-    weights: Float,
-    center_px: Float,
-    *,
-    search_px: float,
-    search_scale: float,
-    noise_dn: float,
-) -> CoarseLimb:
-    """Find shift and size of a whole outline by the contrast across it.
-
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64
-    usable : (rows, columns) bool
-    points_px, normals_px : (n, 2) float64
-        Predicted lit limb.
-    weights : (n,) float64
-        How bright each point should be, in any unit.
-    center_px : (2,) float64, px
-        About which the outline grows.
-    search_px : float, px
-        Largest shift, in both coordinates.
-    search_scale : float
-        Largest change of size: 0.03 means 3 %.
-    noise_dn : float, DN
-        Noise of a dark pixel: contrasts below a few times this count little.
-
-    Returns
-    -------
-    CoarseLimb
-        To about a pixel.
-    """
-    radius_px = float(np.max(np.linalg.norm(points_px - center_px, axis=1)))
-    step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
-    coarsest, grown = step, 1.0 + search_scale
-    low = np.floor(np.min(center_px + grown * (points_px - center_px), axis=0) - search_px - 8.0)
-    high = np.ceil(np.max(center_px + grown * (points_px - center_px), axis=0) + search_px + 8.0)
-    rows, columns = pixels_dn.shape
-    x0, y0 = np.clip(low, 0, [columns - 1, rows - 1]).astype(int)
-    x1, y1 = np.clip(high, 0, [columns - 1, rows - 1]).astype(int) + 1
-    corner = np.array([x0, y0])
-    crop, good = pixels_dn[y0:y1, x0:x1], usable[y0:y1, x0:x1]
-    sky = float(np.percentile(crop[good][::_SKY_STEP], 1.0)) if good.any() else 0.0
-    dark_sky = np.where(good, crop - sky, 0.0).astype(np.float32)
-    pad = int(np.ceil(search_px)) + 8
-    scales = _around(1.0, search_scale, int(np.ceil(search_scale * radius_px / step)))
-    best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
-    shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
-    scale_step = search_scale / max(scales.size // 2, 1)
-    while True:
-        blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32)
-        offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
-        thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
-        arms = points_px[thin] - corner, normals_px[thin], weights[thin], center_px - corner
-        search = _ContrastSearch(blurred, good, *arms, offset_px, noise_dn, pad)
-        found = search.best(best.shift_px, shifts, scales, steepest=step < coarsest)
-        best = found if step == coarsest else replace(found, contrast=best.contrast)
-        if step <= _LEAST_STEP_PX:
-            return best
-        shifts = _around(0.0, step, _FINER)
-        scales = np.clip(_around(best.scale, scale_step, _FINER), 1.0 - search_scale, 1.0 + search_scale)
-        scales, scale_step, step = np.unique(scales), scale_step / _FINER, step / _FINER
-
-
-def _around(middle: float, reach: float, steps: int) -> Float:
-    """Values from ``middle - reach`` to ``middle + reach`` in so many steps to either side."""
-    return middle + np.arange(-steps, steps + 1, dtype=np.float64) * (reach / max(steps, 1))
-
-
-class _ContrastSearch:
-    """Contrast across an outline at many places at once, by nearest pixels of a blurred image."""
-
-    def __init__(
-        self,
-        image: NDArray[np.float32],
-        good: Mask,
-        points: Float,
-        normals: Float,
-        weights: Float,
-        center: Float,
-        offset_px: float,
-        noise_dn: float,
-        pad: int,
-    ) -> None:
-        self._pad = pad
-        self._values, self._good = np.pad(image, pad).ravel(), np.pad(good, pad).ravel()
-        self._size = np.array(image.shape[::-1]) + 2 * pad
-        self._arms, self._normals, self._center = points - center, normals * offset_px, center
-        self._weights = (weights / weights.mean()).astype(np.float32)
-        self._floor = np.float32(_COARSE_NOISE_SIGMAS * noise_dn + 1e-6)
-
-    def best(self, about_px: Float, shifts_px: Float, scales: Float, *, steepest: bool) -> CoarseLimb:
-        """The place of highest contrast among a square of shifts about one, for every scale.
-
-        Or of the largest difference across, which is sharper but rises with every bright edge.
-        """
-        x, y = np.meshgrid(shifts_px, shifts_px)
-        shifts = about_px + np.stack([x.ravel(), y.ravel()], axis=-1)
-        found = []
-        for scale in scales:
-            contrast, difference = self._contrast(shifts, float(scale))
-            value = difference if steepest else contrast
-            winner = int(np.argmax(value))
-            found.append((float(value[winner]), float(scale), winner, float(contrast[winner])))
-        _, scale_best, winner, contrast_best = max(found)
-        return CoarseLimb(shift_px=shifts[winner], scale=scale_best, contrast=contrast_best)
-
-    def _contrast(self, shifts: Float, scale: float) -> tuple[Float, Float]:
-        """Mean contrast (k,) at shifts (k, 2), and mean difference, DN.
-
-        Outlines that lie mostly outside the image count as if half inside.
-        """
-        middle = self._center + scale * self._arms
-        inner, outer = self._index(middle - self._normals, shifts), self._index(middle + self._normals, shifts)
-        valid = self._good[inner] & self._good[outer]
-        light, dark = self._values[inner], self._values[outer]
-        difference = light - dark
-        contrast = difference / (np.abs(light) + np.abs(dark) + self._floor)
-        weights = valid * self._weights
-        weight = weights.sum(axis=1)
-        weight = np.maximum(weight, 0.5 * max(float(weight.max()), 1.0))
-        return np.einsum("kn,kn->k", contrast, weights) / weight, np.einsum("kn,kn->k", difference, weights) / weight
-
-    def _index(self, points: Float, shifts: Float) -> NDArray[np.intp]:
-        """Flat index (k, n) of the pixels nearest to points (n, 2) moved by shifts (k, 2), or as near as the border."""
-        columns, rows = (
-            np.clip(np.rint(points[:, i] + shifts[:, i, None]).astype(np.intp) + self._pad, 0, self._size[i] - 1)
-            for i in range(2)
-        )
-        index: NDArray[np.intp] = rows * self._size[0] + columns
-        return index
 
 
 def _inside(places_px: Float, shape: tuple[int, ...], margin_px: float = 0.0) -> Mask:
@@ -473,25 +313,41 @@ def _weights(
 
 
 def _fit(data: Float, columns: Float, offsets: Float, variance: Float, weights: Float) -> _Fit:
-    """Weighted fit of data (n, w) of given noise variance by columns (n, w, 4)."""
-    operator = _gain(columns, weights)
-    solution = np.einsum("nkw,nw->nk", operator, data)
+    """Weighted fit of data (n, w) by columns (n, w, 4), slopes held as :func:`_stiffness` says."""
+    free = _solve(columns, data, weights)
     stiff = _solve(columns[..., :3], data, weights)
+    operator = _gain(columns, weights, _stiffness(columns, weights, free))
+    solution = np.einsum("nkw,nw->nk", operator, data)
     apart = offsets[:, None] - offsets
     correlation = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
     noise = operator[:, 2] * np.sqrt(variance)
     sigma = np.sqrt(np.einsum("nw,nw->n", noise @ correlation, noise))
     left = data - np.einsum("nwk,nk->nw", columns, solution)
-    shift = _quotient(solution)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = sigma / np.abs(solution[:, 0])
     return _Fit(
         gain_dn=solution[:, 0],
-        shift_px=shift,
+        shift_px=_quotient(solution),
         sigma_px=np.where(np.isfinite(sigma), sigma, np.inf),
-        without_slope_px=_quotient(stiff) - shift,
+        without_slope_px=_quotient(stiff) - _quotient(free),
         rms_dn=np.sqrt(np.mean(left**2, axis=1)),
     )
+
+
+def _stiffness(columns: Float, weights: Float, free: Float) -> Float:
+    """Information (n,) on the slopes, 1/DN^2, that all lines together give: they are as small as most are.
+
+    ``free`` (n, 4) are solutions with free slopes. What these scatter by more than noise is how far slopes are from
+    nothing: where the expected brightness holds that is little, and a slope that is free only adds noise to the shift.
+    """
+    slope = np.abs(np.nan_to_num(free[:, 3] / np.where(free[:, 0] > 0.0, free[:, 0], np.nan)))
+    normal, scale = _normal(columns, weights)
+    variance = np.linalg.inv(normal)[:, 3, 3] / scale[:, 3, 0] ** 2
+    noise = np.median(variance / np.where(free[:, 0] == 0.0, np.inf, free[:, 0]) ** 2)
+    excess = (_MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
+    spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
+    result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
+    return result
 
 
 def _quotient(solution: Float) -> Float:
@@ -506,11 +362,18 @@ def _solve(columns: Float, data: Float, weights: Float) -> Float:
     return result
 
 
-def _gain(columns: Float, weights: Float) -> Float:
-    """The matrices (n, k, w) that give the solutions of weighted least squares."""
+def _gain(columns: Float, weights: Float, stiffness: Float | None = None) -> Float:
+    """The matrices (n, k, w) that give the solutions of weighted least squares, the last parameter held or not."""
+    normal, scale = _normal(columns, weights)
+    if stiffness is not None:
+        normal[:, -1, -1] += stiffness / scale[:, -1, 0] ** 2
     weighted = np.swapaxes(columns * weights[..., None], 1, 2)
-    normal = weighted @ columns
-    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))[..., None]
-    inverse = np.linalg.inv(normal / (scale * np.swapaxes(scale, 1, 2)) + 1e-12 * np.eye(normal.shape[1]))
-    result: Float = (inverse / scale) @ (weighted / scale)
+    result: Float = (np.linalg.inv(normal) / scale) @ (weighted / scale)
     return result
+
+
+def _normal(columns: Float, weights: Float) -> tuple[Float, Float]:
+    """Normal matrices (n, k, k) of weighted least squares scaled to a diagonal of 1, and the scales (n, k, 1)."""
+    normal = np.swapaxes(columns * weights[..., None], 1, 2) @ columns
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))[..., None]
+    return normal / (scale * np.swapaxes(scale, 1, 2)) + 1e-12 * np.eye(normal.shape[1]), scale

@@ -15,6 +15,9 @@ from giantlike.relative.limb_fix import LimbSearch, SettledLimb, position_fix, s
 from giantlike.relative.limb_observation import LimbScanOptions
 from giantlike.scene import Scene
 
+_LONGEST_WAVES, _LEAST_WAVES_PX = 1.0 / 3.0, 15.0
+"""Correlation length of errors along the limb that residuals show, over the radius and at least; more is brightness."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimbMatchingOptions:
@@ -146,6 +149,7 @@ def _fix(inputs: EstimatorInputs, limb: SettledLimb, options: LimbMatchingOption
         observation.sigma_px[keep],
         observation.predicted_px[keep],
         min_length=options.scan.spacing_px,
+        max_length=max(_LONGEST_WAVES * inputs.radius_px, _LEAST_WAVES_PX),
     )
     return position_fix(
         inputs,

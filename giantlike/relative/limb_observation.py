@@ -26,9 +26,9 @@ from giantlike.processing.limb_scan import (
     line_offsets,
     match_profiles,
     scan_lines,
-    search_limb,
     step_profile,
 )
+from giantlike.processing.limb_search import search_limb
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
 from giantlike.relative.limb_lines import LimbLines, lay_lines, plan_lines, survey_outline, trace_lines
@@ -44,6 +44,8 @@ _MAX_NOISE_PX = 0.5
 _MIN_WIDTH_PX = 0.3
 _BRIGHTNESS_ERROR = 1.0
 """Error of the limb by a wrong reflectance law over the shift that freeing the slope of the brightness makes."""
+_MAD_TO_SIGMA, _MEDIAN_SIGMA = 1.4826, 1.2533  # of a normal distribution
+_LINES_ALIKE = 3.0  # neighbours that share pixels, and so their errors
 _FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12  # larger bodies need no more than the options say
 
 
@@ -308,7 +310,7 @@ def observe_limb(
         normals_px=limb.normals_px[keep],
         shift_px=match.shift_px[keep],
         sigma_px=match.sigma_px[keep],
-        brightness_error_px=_BRIGHTNESS_ERROR * abs(float(np.median(match.without_slope_px[keep]))),
+        brightness_error_px=_brightness_error_px(match.without_slope_px[keep]),
         position_camera_km=body.position_camera_km,
         lines=lines,
         n_lines=keep.size,
@@ -316,6 +318,14 @@ def observe_limb(
         limb_share=min(float(keep.sum()) * lines.spacing_px / lines.perimeter_px, 1.0),
         area=_area(scans, inputs.usable.shape),
     )
+
+
+def _brightness_error_px(without_slope_px: Float) -> float:
+    """How far a wrong law may move the whole limb, px, from what freed slopes do to lines (n,), less their scatter."""
+    typical = float(np.median(without_slope_px))
+    scatter = _MAD_TO_SIGMA * float(np.median(np.abs(without_slope_px - typical)))
+    chance = _MEDIAN_SIGMA * scatter / math.sqrt(max(without_slope_px.size / _LINES_ALIKE, 1.0))
+    return _BRIGHTNESS_ERROR * math.sqrt(max(typical**2 - chance**2, 0.0))
 
 
 def _psf_sigma(inputs: EstimatorInputs, scans: Scans, options: LimbScanOptions) -> float | Failure:

@@ -13,7 +13,7 @@ import numpy as np
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.correlated_fit import robust_solution
-from giantlike.processing.limb_scan import search_limb
+from giantlike.processing.limb_search import search_limb
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
 from giantlike.relative.horizon import Figure
 from giantlike.relative.limb_fix import LimbSearch, SettledLimb
@@ -35,6 +35,8 @@ _FIRST_CELLS = 24
 _PATIENCE = 3  # iterations after which steps are halved: the cells used can alternate
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _UNKNOWN_PSF_PX2, _UNKNOWN_PSF_SIGMA_PX2, _LEAST_PSF_PX2 = 0.8, 2.0, 0.01
+_SMALL_DISC_PX = 4.6
+"""The cube of this over the radius is what the profile leaves of the limb of small discs, px, as measured from 20 px on."""
 _CELL_RADII = 0.25  # longest cell over the apparent radius
 _MIN_FILLED = 0.6
 _MIN_CONTRAST_SIGMAS = 5.0
@@ -68,7 +70,7 @@ class HorizonScan:
     edges: EdgeModel = EdgeModel.TEMPLATE
     window_px: float = 5.0
     cell_px: float = 7.0
-    min_cells: int = 10
+    min_cells: int = 8
     min_contrast: float = 0.35
     psf_error: float = 0.05
     rings_km: tuple[float, float] | None = None
@@ -215,14 +217,17 @@ def settled_limb(inputs: EstimatorInputs, view: HorizonView, scan: HorizonScan) 
         area |= grown & _near(arc, scan.window_px, grown.shape)
     cells = len(pixels.middles)
     spacing = float(np.median(np.diff(arc.along_px[pixels.middles]))) if cells > 1 else scan.cell_px
-    lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(fits.shared[view.keep, 1])))
+    lawless = 0.0
+    if scan.edges is EdgeModel.STEP:
+        lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(fits.shared[view.keep, 1])))
+    profile_px = (_SMALL_DISC_PX / inputs.radius_px) ** 3
     observation = LimbObservation(
         predicted_px=view.points_px,
         limb_camera_km=arc.points_camera_km[pixels.middles],
         normals_px=view.normals_px,
         shift_px=shift,
         sigma_px=fits.sigma_px,
-        brightness_error_px=lawless if scan.edges is EdgeModel.STEP else 0.0,
+        brightness_error_px=math.hypot(lawless, profile_px),
         position_camera_km=view.position_camera_km,
         lines=LimbLines(
             angles_rad=np.arctan2(*(view.points_px - inputs.camera.model.project(view.position_camera_km)).T[::-1]),
