@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import fourier_shift, gaussian_filter
 from scipy.signal import fftconvolve
+from scipy.stats import chi2
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
@@ -25,6 +26,7 @@ from giantlike.processing.correlate import (
 SINGLE_PRECISION = 1e-5  # OpenCV sums in float32
 DOUBLE_PRECISION = 1e-9  # FFT in float64
 PARABOLOID_PX = 1e-9  # a paraboloid is fitted exactly
+RARE = 1e-6  # chance of a false alarm of one gate
 SMOOTH_PEAK_PX = 0.05  # a paraboloid through a smooth but not parabolic peak
 
 
@@ -136,6 +138,37 @@ def test_the_peak_of_a_paraboloid_is_found_exactly(x: float, y: float, twist: fl
     peak = find_peak(surface)
     assert peak is not None
     assert_allclose(peak.offset_px, [5 + x, 4 + y], rtol=0, atol=PARABOLOID_PX)
+
+
+def test_the_covariance_of_the_peak_holds_under_noise() -> None:
+    """Scenes that are shifted exactly, by Fourier transform, and noise as strong as the scene or half so."""
+    draws = 150
+    rows, columns = np.indices((96, 96)) - 47.5
+    envelope = np.exp(-(rows**2 + columns**2) / (2.0 * 10.0**2))
+    for noise_over_scene in (0.5, 1.0):
+        random = np.random.default_rng(17)
+        nees: list[float] = []
+        for _ in range(draws):
+            scene = np.asarray(gaussian_filter(random.normal(size=(96, 96)), 2.0, mode="wrap")) * envelope
+            shift = random.uniform(-2.0, 2.0, 2)
+            moved = np.real(np.fft.ifft2(fourier_shift(np.fft.fft2(scene), shift[::-1])))
+            pixels = moved + noise_over_scene * scene[24:72, 24:72].std() * random.normal(size=scene.shape)
+            usable = random.uniform(size=scene.shape) > 0.1
+            template = scene[24:72, 24:72]
+            peak = found(locate_template(pixels, usable, template, (24, 24), options=CorrelationOptions(search_px=8)))
+            error = peak.offset_px - shift
+            nees.append(float(error @ np.linalg.solve(peak.covariance_px2, error)))
+        low, high = (float(chi2.ppf(q, 2 * draws)) / draws for q in (RARE, 1.0 - RARE))
+        assert low < np.mean(nees) < high
+
+
+def test_a_peak_that_is_not_rounded_or_of_unknown_support_has_no_finite_covariance() -> None:
+    surface = np.zeros((7, 7))
+    surface[0, 3] = 1.0
+    for n_pixels in (0, 100):
+        peak = find_peak(surface, n_pixels=n_pixels)
+        assert peak is not None
+        assert np.isinf(np.diag(peak.covariance_px2)).all()
 
 
 def test_a_peak_on_the_border_or_next_to_nothing_is_said_to_be_at_the_edge() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,6 +14,8 @@ from giantlike.core.outcomes import Failure, Reason
 
 Mask = NDArray[np.bool_]
 
+_FITTED = 4  # place (two), gain and level
+_LEAST_NOISE = 1e-12  # of the light: rounding may leave none
 _CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums cannot tell less from a constant
 
 
@@ -53,11 +55,15 @@ class CorrelationPeak:
         Correlation at the pixel of the peak, -1 to 1.
     at_edge : bool
         Whether the peak lies on the border of the surface or of the part of it that is defined.
+    covariance_px2 : (2, 2) float64, px^2
+        Of ``offset_px``, from the noise of the image as the peak itself shows it: see :func:`find_peak`. Infinite where
+        the surface has no rounded peak.
     """
 
     offset_px: Float
     score: float
     at_edge: bool
+    covariance_px2: Float
 
 
 def normalized_correlation(
@@ -106,15 +112,29 @@ def normalized_correlation(
     return _masked(image, image_ok, template, template_ok, min_overlap)
 
 
-def find_peak(surface: Float) -> CorrelationPeak | None:
-    """Highest point of a correlation surface (rows, columns), refined by a paraboloid.
+def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
+    r"""Highest point of a correlation surface (rows, columns), refined by a paraboloid.
 
     Returns None where the surface is nowhere defined. On an edge the peak stays on its pixel.
+
+    Parameters
+    ----------
+    surface : (rows, columns) float64
+    n_pixels : int
+        How many pixels the template and the image share at the peak; without that number the covariance is infinite.
 
     Notes
     -----
     The paraboloid ``c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2`` is the least-squares fit to the 3 x 3 pixels around
     the peak; a fit without a maximum within a pixel leaves the peak on its pixel.
+
+    To find the highest correlation is to fit place, gain and level of the template by least squares. With N pixels of
+    the same, independent noise, a peak of height r and K the negative second derivatives of the surface there, the
+    covariance of the place is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the variance of the noise over the squared light
+    of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of light. (Derived
+    here.) Differences of image and template that hang together over several pixels, as a wrong model makes them,
+    count for too little in this, and the error of the paraboloid itself, up to some hundredths of a pixel for a
+    peak as narrow as a point spread function, does not count at all.
 
     References
     ----------
@@ -126,9 +146,14 @@ def find_peak(surface: Float) -> CorrelationPeak | None:
     score = float(surface[row, column])
     pixel = np.array([column, row], dtype=np.float64)
     patch = surface[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-    if patch.shape != (3, 3) or np.isnan(patch).any():
-        return CorrelationPeak(offset_px=pixel, score=score, at_edge=True)
-    return CorrelationPeak(offset_px=pixel + _paraboloid_peak(patch), score=score, at_edge=False)
+    at_edge = patch.shape != (3, 3) or bool(np.isnan(patch).any())
+    shift, height, curvature = (np.zeros(2), score, np.zeros((2, 2))) if at_edge else _paraboloid(patch)
+    return CorrelationPeak(
+        offset_px=pixel + shift,
+        score=score,
+        at_edge=at_edge,
+        covariance_px2=_peak_covariance(height, curvature, n_pixels),
+    )
 
 
 def locate_template(
@@ -162,7 +187,12 @@ def locate_template(
     if not window_usable.any():
         return Failure(Reason.OUT_OF_FRAME, f"no usable pixel within {options.search_px} px of the predicted place")
     surface = normalized_correlation(window, template, image_usable=window_usable, min_overlap=options.min_overlap)
-    peak = find_peak(surface)
+    n_pixels = 0
+    if not np.isnan(surface).all():
+        row, column = np.unravel_index(int(np.nanargmax(surface)), surface.shape)
+        part = window_usable[row : row + template.shape[0], column : column + template.shape[1]]
+        n_pixels = int(np.count_nonzero(part))
+    peak = find_peak(surface, n_pixels=n_pixels)
     if peak is None:
         return Failure(Reason.NO_SIGNAL, f"no contrast within {options.search_px} px of the predicted place")
     if peak.score < options.min_score:
@@ -174,7 +204,7 @@ def locate_template(
             f"best match at the edge of the search region, {shift[0]:.0f} and {shift[1]:.0f} px from the prediction"
         )
         return Failure(Reason.PEAK_AT_EDGE, f"{detail}; widen search_px")
-    return CorrelationPeak(offset_px=shift, score=peak.score, at_edge=False)
+    return replace(peak, offset_px=shift)
 
 
 def _whole(image: Float, template: Float) -> Float:
@@ -243,15 +273,32 @@ def _window(
     return window, window_usable
 
 
-def _paraboloid_peak(patch: Float) -> Float:
-    """Column and row of the maximum of the paraboloid through 3 x 3 values, from their middle; zero if it has none."""
+def _paraboloid(patch: Float) -> tuple[Float, float, Float]:
+    """Maximum of the paraboloid through 3 x 3 values: place from their middle (2,), height, curvature (2, 2).
+
+    One that has no maximum near the middle has no curvature and stays there.
+    """
     y, x = np.mgrid[-1:2, -1:2]
     c1, c2 = float((x * patch).sum()) / 6.0, float((y * patch).sum()) / 6.0
     c4 = float((x * y * patch).sum()) / 4.0
     c3 = float(((3 * x**2 - 2) * patch).sum()) / 6.0
     c5 = float(((3 * y**2 - 2) * patch).sum()) / 6.0
     determinant = 4.0 * c3 * c5 - c4**2
+    middle = float(patch[1, 1])
     if not (c3 < 0.0 and determinant > 0.0):
-        return np.zeros(2)
+        return np.zeros(2), middle, np.zeros((2, 2))
     peak = np.array([c4 * c2 - 2.0 * c5 * c1, c4 * c1 - 2.0 * c3 * c2]) / determinant
-    return peak if math.hypot(*peak) <= math.sqrt(2.0) else np.zeros(2)
+    if math.hypot(*peak) > math.sqrt(2.0):
+        return np.zeros(2), middle, np.zeros((2, 2))
+    height = float(patch.mean()) - 2.0 / 3.0 * (c3 + c5) + 0.5 * (c1 * float(peak[0]) + c2 * float(peak[1]))
+    return peak, height, -np.array([[2.0 * c3, c4], [c4, 2.0 * c5]])
+
+
+def _peak_covariance(height: float, curvature: Float, n_pixels: int) -> Float:
+    """Covariance (2, 2), px^2, of :func:`find_peak`."""
+    freedom = n_pixels - _FITTED
+    if freedom <= 0 or not height > 0.0 or float(np.linalg.det(curvature)) <= 0.0:
+        return np.diag([np.inf, np.inf])
+    height = min(height, 1.0 - _LEAST_NOISE)
+    result: Float = (1.0 - height**2) / (height * freedom) * np.linalg.inv(curvature)
+    return result

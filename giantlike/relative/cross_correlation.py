@@ -32,10 +32,11 @@ from giantlike.scene import Scene
 
 Mask = NDArray[np.bool_]
 
-_FIRST_COARSENESS = 2.0  # the first template only has to bring the fit near
 _ALIGN_RADIUS_PX = 12.0  # below, the peak of the correlation is close enough to start the fit from
-_BOX_MARGIN = 0.08  # of the radius of the body: room for an error of the range
+_BOX_MARGIN = 0.08  # of the radius of the body: room for an error of the range ...
+_ALIGNED_MARGIN = 0.02  # ... and what is left of it after the alignment
 _BOX_MARGIN_PX = 6
+_EDGE_LIGHT = 1e-3  # of the brightest pixel: where a box may end
 _LIT = 0.02  # of the brightest pixel: what counts as the light of the body
 _MAX_UNUSABLE_LIGHT = 0.5
 _LOW_SCORE = 0.7
@@ -66,6 +67,11 @@ class CrossCorrelationOptions:
         Pixels with larger residuals, in standard deviations, are rejected.
     max_iterations : int
         Renders at most.
+    relief_sigma : float
+        How wrong the shape is: standard deviation of its errors along its radii, as a fraction of the radius. The
+        residuals show most of it; what hangs together over a good part of the limb they do not, and it is stated here.
+    relief_length_rad : float, rad
+        How far these errors hang together on the body: an angle, seen from its centre.
     """
 
     search_px: int = 40
@@ -76,13 +82,19 @@ class CrossCorrelationOptions:
     free_reflectance: bool = True
     clip_sigma: float = 5.0
     max_iterations: int = 8
+    relief_sigma: float = 0.0
+    relief_length_rad: float = 0.15
 
     def __post_init__(self) -> None:
         CorrelationOptions(search_px=self.search_px, min_score=self.min_score)
         require(self.min_scale_diameter_px > 0, f"min_scale_diameter_px must be > 0, got {self.min_scale_diameter_px}")
         TemplateFitOptions(
-            max_iterations=self.max_iterations, clip_sigma=self.clip_sigma, log_range_sigma=self.range_sigma
+            max_iterations=self.max_iterations,
+            clip_sigma=self.clip_sigma,
+            log_range_sigma=self.range_sigma,
+            relief_sigma=self.relief_sigma,
         )
+        require(0 < self.relief_length_rad < 3, f"relief_length_rad must be in (0, 3), got {self.relief_length_rad}")
 
 
 class CrossCorrelation:
@@ -146,7 +158,7 @@ class CrossCorrelation:
         if isinstance(inputs, Failure):
             return inputs
         renderer = TemplateRenderer(inputs=inputs)
-        template = renderer.render(renderer.start, margin_px=self.options.search_px, coarseness=_FIRST_COARSENESS)
+        template = renderer.render(renderer.start, margin_px=self.options.search_px, rough=True)
         if isinstance(template, Failure):
             return inputs.fail(template.reason, template.detail)
         peak = self._locate(inputs, template)
@@ -170,9 +182,12 @@ class CrossCorrelation:
     def _fit(
         self, inputs: EstimatorInputs, renderer: TemplateRenderer, template: Template, peak: CorrelationPeak
     ) -> tuple[TemplateFit, FitBox] | Failure:
-        """Align the first template with the image and fit new ones in a box around it."""
+        """Align the first template with the image and fit new ones in a box around its light."""
         shift = np.rint(peak.offset_px).astype(np.int64)
-        box = FitBox.around(template, shift, _BOX_MARGIN_PX + math.ceil(_BOX_MARGIN * inputs.radius_px), inputs)
+        low, high = _lit_part(template)
+        box = FitBox.spanning(
+            low + shift, high + shift, _BOX_MARGIN_PX + math.ceil(_BOX_MARGIN * inputs.radius_px), inputs
+        )
         pixels, usable = box.cut(inputs.pixels_dn), box.cut(inputs.usable)
         light = box.place(template.brightness, template.corner_px + shift)
         within = box.cut(np.ones_like(inputs.usable))
@@ -184,6 +199,10 @@ class CrossCorrelation:
         if inputs.radius_px >= _ALIGN_RADIUS_PX:
             rendered = replace(state, center_px=template.center_px + shift)
             state = align_template(pixels, usable, box.corner_px, light, rendered, state, radius_px=inputs.radius_px)
+            scale = math.exp(-state.log_range)
+            low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
+            box = FitBox.spanning(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * inputs.radius_px), inputs)
+            pixels, usable = box.cut(inputs.pixels_dn), box.cut(inputs.usable)
         fit = fit_template(
             pixels,
             usable,
@@ -216,6 +235,8 @@ class CrossCorrelation:
             clip_sigma=self.options.clip_sigma,
             log_range_sigma=math.inf if self._scaled(inputs) else self.options.range_sigma,
             blur_sigma_px2=KNOWN_BLUR_SIGMA_PX2 if known_psf else UNKNOWN_BLUR_SIGMA_PX2,
+            relief_sigma=self.options.relief_sigma,
+            relief_length_px=self.options.relief_length_rad * inputs.radius_px,
         )
 
     def _scaled(self, inputs: EstimatorInputs) -> bool:
@@ -278,6 +299,15 @@ class CrossCorrelation:
         if fit.chi > _LARGE_CHI and unexplained > _LARGE_RESIDUAL:
             flags |= Quality.LARGE_RESIDUALS
         return flags
+
+
+def _lit_part(template: Template) -> tuple[Float, Float]:
+    """First pixel (2,) of the lit part of a template, and the one after the last."""
+    lit = template.brightness > _EDGE_LIGHT * float(template.brightness.max())
+    ends = [np.flatnonzero(lit.any(axis=axis))[[0, -1]] for axis in (0, 1)]
+    low = np.add(template.corner_px, [end[0] for end in ends])
+    high = np.add(template.corner_px, [end[1] + 1 for end in ends])
+    return low.astype(np.float64), high.astype(np.float64)
 
 
 def _inside(points_px: Float, camera: Camera) -> Float:

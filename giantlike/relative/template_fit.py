@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.relative.template_statistics import Prior, RobustFit, full_covariance, noise_covariance, robust_fit
+from giantlike.relative.template_statistics import (
+    Prior,
+    RobustFit,
+    error_covariance,
+    full_covariance,
+    larger,
+    noise_covariance,
+    robust_fit,
+)
 
 Mask = NDArray[np.bool_]
 
@@ -32,14 +40,17 @@ _X, _Y, _RANGE, _BLUR, _GAIN, _OFFSET, _MIXING = range(7)
 _MIXING_SIGMA = 1.0  # of the share of the other law in the light; 1 is that law alone
 _MAX_STEP_PX = 4.0
 _MAX_STEP_LOG_RANGE = 0.1
+_MAX_STEP_BLUR_PX2 = 3.0  # blur hides errors of the place, as long as these are large
 _MAX_PSF_VARIANCE_PX2 = 25.0
 _BLUR_MOVES = 0.1  # of a pixel per px^2: blur is even where shifts are odd, and hardly moves a body
 _DAMPED_AFTER = 5  # renders: steps that have not settled by then come from the sampling of the renders
 _FLICKER_PX = 0.3
+_ROUGH_STEP_PX = 0.5  # from so near, one linear step ends where the next hardly moves
 _ALIGN_RADII_PX = (12.0, 40.0)
 _ALIGN_STEPS = 5
 _ALIGN_STEP_PX = 2.0
 _ALIGN_BLUR_PX = 0.6
+_WARPED_OVER = 4  # pixels that are averaged after an image was moved: the errors of the interpolation with them
 _BLOCK = 0.35  # side of the blocks of the jackknife over the root mean square radius of the light
 _MAX_BLOCK_PX = 32
 
@@ -53,20 +64,26 @@ class TemplateFitOptions:
     max_iterations : int
         Renders at most.
     tolerance_px : float, px
-        The fit has converged when a step moves neither the centre nor the limb by more.
+        The fit has converged when a step from a fine render moves neither the centre nor the limb by more.
     clip_sigma : float
         Pixels whose residual is larger than so many standard deviations (noise and model error) are rejected.
     log_range_sigma : float
         A priori standard deviation of the logarithm of the range; infinite lets the image alone decide.
     blur_sigma_px2 : float, px^2
         A priori standard deviation of the variance of the point spread function around that of the start.
+    relief_sigma : float
+        Standard deviation of the errors of the shape along its radii, as a fraction of the radius.
+    relief_length_px : float, px
+        How far they hang together: at a distance d their correlation is ``exp(-d^2 / (2 relief_length_px^2))``.
     """
 
     max_iterations: int = 8
-    tolerance_px: float = 0.01
+    tolerance_px: float = 0.05
     clip_sigma: float = 5.0
     log_range_sigma: float = math.inf
     blur_sigma_px2: float = 0.15
+    relief_sigma: float = 0.0
+    relief_length_px: float = 10.0
 
     def __post_init__(self) -> None:
         require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
@@ -74,6 +91,8 @@ class TemplateFitOptions:
         require(self.clip_sigma >= 2, f"clip_sigma must be >= 2, got {self.clip_sigma}")
         require(self.log_range_sigma > 0, f"log_range_sigma must be > 0, got {self.log_range_sigma}")
         require(self.blur_sigma_px2 > 0, f"blur_sigma_px2 must be > 0, got {self.blur_sigma_px2}")
+        require(0 <= self.relief_sigma < 0.2, f"relief_sigma must be in [0, 0.2), got {self.relief_sigma}")
+        require(self.relief_length_px > 0, f"relief_length_px must be > 0, got {self.relief_length_px}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,19 +123,20 @@ class TemplateImages:
         Brightness under the reflectance law of the target.
     other : (h, w) float64, optional
         Brightness under another law; None keeps to the one.
-    per_log_range : (h, w) float64, optional
-        Derivative of ``light`` with respect to the logarithm of the range; None takes it from the slopes of ``light``.
-        Those do for bodies wider than the point spread function. For smaller ones the growth of the image and the
-        blur that does not grow with it nearly cancel, and what is left is lost in the errors of the slopes.
+    derivatives : (4, h, w) float64, optional
+        Of ``light``, by x and y of the centre in px, the logarithm of the range and the variance of the point spread
+        function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
+        sharp as a point spread function, which does not matter on wide bodies. On small ones, shift, range, blur and
+        law nearly do the same to the image, and with such errors they seem to be told apart.
     """
 
     light: Float
     other: Float | None = None
-    per_log_range: Float | None = None
+    derivatives: Float | None = None
 
 
-Synthesis = Callable[[TemplateState], TemplateImages | Failure]
-"""Renders the body for a state into the fitted box."""
+Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]
+"""Renders the body for a state into the fitted box, roughly on the way there and finely at the end (True)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -179,7 +199,7 @@ def fit_template(
     corner_px : (int, int), px
         Column and row of element [0, 0] in the image.
     synthesise : callable
-        Renders a :class:`TemplateState` into the box.
+        Renders a :class:`TemplateState` into the box, finely where its second argument is True.
     start : TemplateState
         Within a pixel or two, in centre and limb.
     noise_variance_dn2 : callable
@@ -198,12 +218,17 @@ def fit_template(
     (with its signal ``S``), and three variances of the model error - everywhere, at edges, and in proportion to the
     light - that maximise the likelihood of the residuals. The covariance of the weighted fit is then widened to that
     of a jackknife over blocks of pixels, which sees residuals that hang together over the size of a block.
+
+    Relief ``h`` (over the radius) that the shape lacks moves each point of the image by ``h`` times its distance from
+    the centre, along that direction: it changes the image by ``-h dM/dlog(range)``, and a field of it with the stated
+    standard deviation and correlation makes a covariance that the stated one is nowhere below. What relief does to the
+    shading is left to the residuals.
     """
-    state = start
+    state, fine = start, False
     photometry: Float | None = None
     errors: Float | None = None
     for iteration in range(1, options.max_iterations + 1):
-        images = synthesise(state)
+        images = synthesise(state, fine)
         if isinstance(images, Failure):
             return images
         problem = _Problem(pixels_dn, usable, corner_px, images, state, photometry)
@@ -214,11 +239,11 @@ def fit_template(
         photometry, errors = solution.parameters[_GAIN:], solution.errors
         damping = 1.0 if iteration <= _DAMPED_AFTER else 0.5
         stepped, moved_px = _stepped(state, solution.parameters * damping, problem.reach_px, options)
-        settled = moved_px < options.tolerance_px
+        settled = fine and moved_px < options.tolerance_px
         if settled or (iteration == options.max_iterations and moved_px < _FLICKER_PX):
             flicker = solution.parameters[: _RANGE + 1] * (0.0 if settled else 1.0)
-            return problem.result(solution, prior, stepped, flicker, iteration)
-        state = stepped
+            return problem.result(solution, prior, stepped, flicker, iteration, options)
+        state, fine = stepped, fine or moved_px < _ROUGH_STEP_PX
     return Failure(Reason.NOT_CONVERGED, f"still moving by {moved_px:.2f} px after {options.max_iterations} renders")
 
 
@@ -252,15 +277,22 @@ def align_template(
     state = start
     for radius in _ALIGN_RADII_PX:
         factor = max(round(radius_px / radius), 1)
-        share = _reduced(usable.astype(np.float64), factor)
-        small = _reduced(np.where(usable, pixels_dn, 0.0), factor) / np.maximum(share, 1e-6)
+        last = min(factor, _WARPED_OVER)  # part of the reduction comes before the light is moved, part hides that
+        first = round(factor / last)
+        factor = first * last
+        share = _mean_over(usable.astype(np.float64), factor)
+        small = _softened(_mean_over(np.where(usable, pixels_dn, 0.0), factor)) / np.maximum(_softened(share), 1e-6)
+        part = _mean_over(light, first)
         tried: list[tuple[float, TemplateState]] = []
         for _ in range(_ALIGN_STEPS):
-            moved = _reduced(warped(light, corner_px, rendered, state), factor)
+            moved = warped(
+                part, (0, 0), _seen_reduced(rendered, corner_px, first), _seen_reduced(state, corner_px, first)
+            )
+            moved = _softened(_mean_over(moved, last))
+            moved = moved[: small.shape[0], : small.shape[1]]
             if not float(moved.sum()) > 0.0:
                 break
-            center = (state.center_px - corner_px + 0.5) / factor - 0.5
-            local = TemplateState(center_px=center, psf_variance_px2=_ALIGN_BLUR_PX**2)
+            local = _seen_reduced(state, corner_px, factor)
             problem = _Problem(small, share > 0.5, (0, 0), TemplateImages(light=moved), local, None)
             tried.append((problem.misfit_dn2(), state))
             step = problem.plain_step()
@@ -271,6 +303,12 @@ def align_template(
             return start
         state = min(tried, key=lambda entry: entry[0])[1]
     return state
+
+
+def _seen_reduced(state: TemplateState, corner_px: tuple[int, int], factor: int) -> TemplateState:
+    """A state in pixels of a box that was reduced in size."""
+    center = (state.center_px - corner_px + 0.5) / factor - 0.5
+    return replace(state, center_px=center, psf_variance_px2=_ALIGN_BLUR_PX**2)
 
 
 def _prior(state: TemplateState, start: TemplateState, gain_dn: float, options: TemplateFitOptions) -> Prior:
@@ -302,16 +340,17 @@ class _Problem:
         self.gain_dn, offset = float(light[0]), float(light[1])
         self._model = model = np.tensordot(light, basis, 1)
         self._signal = model - offset
-        slope_x, slope_y, curvature = _derivatives(model)
-        self._slope2 = slope_x**2 + slope_y**2
         x = corner_px[0] + np.arange(model.shape[1]) - state.center_px[0]
         y = corner_px[1] + np.arange(model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + _PIXEL_VARIANCE_PX2  # the blur does not grow with the body
-        if images.per_log_range is None:
-            radial = x * slope_x + y * slope_y + spread * curvature
-        else:
-            radial = self.gain_dn * images.per_log_range
-        self._columns = np.concatenate([np.stack([-slope_x, -slope_y, radial, 0.5 * curvature]), basis])
+        rendered = images.derivatives
+        slope_x, slope_y, curvature = _derivatives(model if rendered is None else light[2] * difference)
+        radial = x * slope_x + y * slope_y + spread * curvature
+        moved = np.stack([-slope_x, -slope_y, radial, 0.5 * curvature])
+        if rendered is not None:
+            moved += self.gain_dn * rendered
+        self._slope2 = moved[_X] ** 2 + moved[_Y] ** 2
+        self._columns = np.concatenate([moved, basis])
         self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / images.light.sum()))
 
     def misfit_dn2(self) -> float:
@@ -345,7 +384,13 @@ class _Problem:
         return fit
 
     def result(
-        self, solution: RobustFit, prior: Prior, state: TemplateState, last_step: Float, iterations: int
+        self,
+        solution: RobustFit,
+        prior: Prior,
+        state: TemplateState,
+        last_step: Float,
+        iterations: int,
+        options: TemplateFitOptions,
     ) -> TemplateFit:
         """The fit after its last step (3,)."""
         use = self._usable
@@ -367,6 +412,10 @@ class _Problem:
             block_px=int(np.clip(round(_BLOCK * self.reach_px), 3, _MAX_BLOCK_PX)),
         )
         of_noise = noise_covariance(self._columns[:, used].T, weights[used], noise[used], prior)
+        if options.relief_sigma > 0.0:
+            relief = options.relief_sigma * self._columns[_RANGE]
+            of_relief = error_covariance(self._columns, weights, relief, prior, length_px=options.relief_length_px)
+            covariance = larger(of_noise + of_relief, covariance)
         return TemplateFit(
             state=state,
             covariance=covariance[:3, :3] + np.outer(last_step, last_step),
@@ -397,7 +446,8 @@ def _stepped(
     length_px = float(np.hypot(*shift_px))
     shift_px = shift_px * min(1.0, _MAX_STEP_PX / max(length_px, 1e-12))
     log_range = float(np.clip(parameters[_RANGE], -_MAX_STEP_LOG_RANGE, _MAX_STEP_LOG_RANGE))
-    psf_variance_px2 = float(np.clip(state.psf_variance_px2 + parameters[_BLUR], 0.0, _MAX_PSF_VARIANCE_PX2))
+    blur = float(np.clip(parameters[_BLUR], -_MAX_STEP_BLUR_PX2, _MAX_STEP_BLUR_PX2))
+    psf_variance_px2 = float(np.clip(state.psf_variance_px2 + blur, 0.0, _MAX_PSF_VARIANCE_PX2))
     blurred = abs(psf_variance_px2 - state.psf_variance_px2)
     moved_px = max(length_px, abs(log_range) * reach_px, _BLUR_MOVES * blurred)
     stepped = TemplateState(
@@ -420,13 +470,19 @@ def _derivatives(image: Float) -> tuple[Float, Float, Float]:
     return slope(_FIRST_DERIVATIVE, keep), slope(keep, _FIRST_DERIVATIVE), curvature
 
 
-def _reduced(image: Float, factor: int) -> Float:
-    """Mean over squares of ``factor`` pixels, slightly blurred; what does not fill a square at the end is left out."""
+def _mean_over(image: Float, factor: int) -> Float:
+    """Mean over squares of ``factor`` pixels; what does not fill a square at the end is left out."""
     height, width = image.shape[0] // factor, image.shape[1] // factor
     if height == 0 or width == 0:
         return np.zeros((1, 1))
-    squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor).mean(axis=(1, 3))
-    return np.asarray(cv2.GaussianBlur(squares, (0, 0), _ALIGN_BLUR_PX, borderType=cv2.BORDER_REPLICATE), np.float64)
+    squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor)
+    result: Float = squares.mean(axis=(1, 3))
+    return result
+
+
+def _softened(image: Float) -> Float:
+    """An image blurred a little, so that its slopes can be taken."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), _ALIGN_BLUR_PX, borderType=cv2.BORDER_REPLICATE), np.float64)
 
 
 def warped(light: Float, corner_px: tuple[int, int], rendered: TemplateState, to: TemplateState) -> Float:

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Scalar
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
-from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, Reflectance, RenderOptions, Template, render
+from giantlike.ray_tracing import (
+    Body,
+    Lambert,
+    LommelSeeliger,
+    Reflectance,
+    RenderOptions,
+    Template,
+    Trace,
+    render,
+    trace_body,
+)
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.template_fit import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState, warped
 
@@ -27,9 +37,13 @@ _POINT_PX = 1e-3  # smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24
 _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it
 _NEAR_PX, _NEAR_BLUR = 1.0, 0.1
-_OTHER_COARSENESS = 2.0  # changes need no fine edges; the other law only shades ...
+_ROUGH = (
+    2.0  # times the distance between rays: on the way to the solution, and for changes, which need no fine edges ...
+)
 _COARSE_RADIUS_PX = 20.0  # ... but where a body is all edge
-_SMALL_RADIUS_PX = 10.0  # below, the derivative with respect to the range is that of renders
+_FINE_RAYS = 2  # along the side of a pixel, at least: one a pixel leaves 0.02 px of a 300 px body, two 0.003
+_SMALL_RADIUS_PX = 10.0  # below, derivatives are those of renders
+_STEP_PX, _BLUR_STEP_PX2 = 0.125, 0.1
 _LOG_RANGE_STEP = 0.04
 
 
@@ -51,12 +65,19 @@ class FitBox:
 
     @classmethod
     def around(cls, template: Template, shift_px: NDArray[np.int64], margin_px: int, inputs: EstimatorInputs) -> FitBox:
-        """The box of a shifted template and a margin, cut where it reaches farther over the frame than derivatives."""
-        size = np.array(template.brightness.shape[::-1])
-        low = template.corner_px + shift_px - margin_px
-        high = template.corner_px + shift_px + size + margin_px
+        """The box of a shifted template and a margin."""
+        low = template.corner_px + shift_px
+        return cls.spanning(low, low + np.array(template.brightness.shape[::-1]), margin_px, inputs)
+
+    @classmethod
+    def spanning(cls, low_px: Float, high_px: Float, margin_px: int, inputs: EstimatorInputs) -> FitBox:
+        """The box from pixel ``low_px`` up to but without ``high_px`` (2,), and a margin.
+
+        It is cut where it reaches farther over the frame than derivatives do.
+        """
         frame = np.array([inputs.camera.columns, inputs.camera.rows])
-        low = np.clip(low, -FIT_BORDER_PX, frame)
+        low = np.clip(np.floor(low_px).astype(np.int64) - margin_px, -FIT_BORDER_PX, frame)
+        high = np.ceil(high_px).astype(np.int64) + margin_px
         high = np.clip(high, low + 1, np.maximum(frame + FIT_BORDER_PX, low + 1))
         (x, y), (width, height) = low.tolist(), (high - low).tolist()
         return cls(x=x, y=y, width=width, height=height)
@@ -78,11 +99,11 @@ class FitBox:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Changes:
-    """Changes (h, w) of the light by another law, beside a share of the light itself, and per logarithm of range."""
+    """Changes (h, w) of the light by another law, beside a share of the light itself, and its derivatives (4, h, w)."""
 
     share: float
     difference: Float | None
-    per_log_range: Float | None
+    derivatives: Float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,7 +136,7 @@ class TemplateRenderer:
         return geometry.body(range_km * self.inputs.camera.model.unproject(state.center_px))
 
     def render(
-        self, state: TemplateState, *, margin_px: int = 0, law: Reflectance | None = None, coarseness: float = 1.0
+        self, state: TemplateState, *, margin_px: int = 0, rough: bool = False, min_rays_per_pixel_side: int = 1
     ) -> Template | Failure:
         """Render a state into the frame, widened by a margin.
 
@@ -123,33 +144,35 @@ class TemplateRenderer:
         ----------
         state : TemplateState
         margin_px : int, px
-        law : Reflectance, optional
-            Another law than the target's own.
-        coarseness : float
-            Factor on the distance between rays.
+        rough : bool
+            Whether twice the distance between rays does.
+        min_rays_per_pixel_side : int
         """
-        body, inputs = self.body(state), self.inputs
-        if law is not None:
-            body = Body(
-                shape=body.shape,
-                camera_from_body=body.camera_from_body,
-                position_camera_km=body.position_camera_km,
-                reflectance=law,
-            )
-        rays_across = self.rays_across / coarseness
-        rays = math.ceil(rays_across / max(2.0 * inputs.radius_px, _POINT_PX))
-        return render(
-            body,
-            inputs.camera.model,
-            sun_direction_camera=inputs.geometry.sun_direction_camera,
-            psf=GaussianPsf(sigma_px=math.sqrt(state.psf_variance_px2)),
-            columns=inputs.camera.columns,
-            rows=inputs.camera.rows,
-            options=RenderOptions(
-                rays_per_pixel_side=min(rays, _MAX_RAYS_PER_PIXEL_SIDE),
-                min_rays_across=math.ceil(_NARROW_SIDE * rays_across),
-                margin_px=margin_px,
-            ),
+        options = self._options(margin_px, rough=rough, min_rays=min_rays_per_pixel_side)
+        return render(self.body(state), self.inputs.camera.model, **self._shot(state), options=options)
+
+    def trace(self, state: TemplateState, *, margin_px: int = 0, rough: bool = False) -> Trace | Failure:
+        """Trace a state, to be shaded under several laws; parameters are those of :meth:`render`."""
+        options = self._options(margin_px, rough=rough, min_rays=1)
+        return trace_body(self.body(state), self.inputs.camera.model, **self._shot(state), options=options)
+
+    def _shot(self, state: TemplateState) -> dict[str, Any]:
+        """What a render and a trace of a state have in common."""
+        return {
+            "sun_direction_camera": self.inputs.geometry.sun_direction_camera,
+            "psf": GaussianPsf(sigma_px=math.sqrt(state.psf_variance_px2)),
+            "columns": self.inputs.camera.columns,
+            "rows": self.inputs.camera.rows,
+        }
+
+    def _options(self, margin_px: int, *, rough: bool, min_rays: int) -> RenderOptions:
+        """How finely to render."""
+        rays_across = self.rays_across / (_ROUGH if rough else 1.0)
+        rays = math.ceil(rays_across / max(2.0 * self.inputs.radius_px, _POINT_PX))
+        return RenderOptions(
+            rays_per_pixel_side=max(min(rays, _MAX_RAYS_PER_PIXEL_SIDE), min_rays),
+            min_rays_across=math.ceil(_NARROW_SIDE * rays_across),
+            margin_px=margin_px,
         )
 
     def synthesis(self, box: FitBox, *, other_law: bool) -> Synthesis:
@@ -159,54 +182,81 @@ class TemplateRenderer:
         a pixel, and moved along with it up to there.
         """
         own = self.inputs.geometry.target.reflectance
-        other = LommelSeeliger() if isinstance(own, Lambert) else Lambert()
-
+        other = (LommelSeeliger() if isinstance(own, Lambert) else Lambert()) if other_law else None
         latest: list[tuple[TemplateState, _Changes]] = []
 
-        def images(state: TemplateState) -> TemplateImages | Failure:
-            template = self.render(state, margin_px=FIT_BORDER_PX)
-            if isinstance(template, Failure):
-                return template
-            light = box.place(template.brightness, template.corner_px)
+        def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
+            light: Float | None = None
             if not (latest and self._near(latest[0][0], state)):
-                changes = self._changes(box, state, light, other if other_law else None)
-                if isinstance(changes, Failure):
-                    return changes
+                made = self._changes(box, state, other)
+                if isinstance(made, Failure):
+                    return made
+                light, changes = made
                 latest[:] = [(state, changes)]
             rendered, changes = latest[0]
+            if fine or light is None:
+                sides = _FINE_RAYS if fine else 1
+                template = self.render(state, margin_px=FIT_BORDER_PX, rough=not fine, min_rays_per_pixel_side=sides)
+                if isinstance(template, Failure):
+                    return template
+                light = box.place(template.brightness, template.corner_px)
 
             def moved(image: Float) -> Float:
-                return warped(image, box.corner_px, rendered, state)
+                return image if rendered is state else warped(image, box.corner_px, rendered, state)
 
             return TemplateImages(
                 light=light,
                 other=None if changes.difference is None else changes.share * light + moved(changes.difference),
-                per_log_range=None if changes.per_log_range is None else moved(changes.per_log_range),
+                derivatives=None if changes.derivatives is None else np.stack([moved(d) for d in changes.derivatives]),
             )
 
         return images
 
-    def _changes(self, box: FitBox, state: TemplateState, light: Float, law: Reflectance | None) -> _Changes | Failure:
-        """What another law and, on a small body, another range make of the light at a state."""
-        share, difference, per_log_range = 1.0, None, None
+    def _changes(self, box: FitBox, state: TemplateState, law: Reflectance | None) -> tuple[Float, _Changes] | Failure:
+        """The light at a state, and what another law and, on a small body, another range make of it."""
+        rough = self.inputs.radius_px >= _COARSE_RADIUS_PX
+        trace = self.trace(state, margin_px=FIT_BORDER_PX, rough=rough)
+        template = trace if isinstance(trace, Failure) else trace.template()
+        if isinstance(trace, Failure) or isinstance(template, Failure):
+            return template
+        light = box.place(template.brightness, template.corner_px)
+        share, difference, derivatives = 1.0, None, None
         if law is not None:
-            coarseness = 1.0 if self.inputs.radius_px < _COARSE_RADIUS_PX else _OTHER_COARSENESS
-            second = self.render(state, margin_px=FIT_BORDER_PX, law=law, coarseness=coarseness)
+            second = trace.with_reflectance(law).template()
             if isinstance(second, Failure):
                 return second
             shaded = box.place(second.brightness, second.corner_px)
             share = float(shaded.sum()) / max(float(light.sum()), 1e-300)
             difference = shaded - share * light
         if self.inputs.radius_px < _SMALL_RADIUS_PX:
-            sides = []
-            for step in (-_LOG_RANGE_STEP, _LOG_RANGE_STEP):
-                beside = replace(state, log_range=state.log_range + step)
-                side = self.render(beside, margin_px=FIT_BORDER_PX, coarseness=_OTHER_COARSENESS)
-                if isinstance(side, Failure):
-                    return side
-                sides.append(box.place(side.brightness, side.corner_px))
-            per_log_range = (sides[1] - sides[0]) / (2.0 * _LOG_RANGE_STEP)
-        return _Changes(share, difference, per_log_range)
+            derivatives = self._derivatives(box, state)
+            if isinstance(derivatives, Failure):
+                return derivatives
+        return light, _Changes(share, difference, derivatives)
+
+    def _derivatives(self, box: FitBox, state: TemplateState) -> Float | Failure:
+        """Derivatives (4, h, w) of the light at a state, from renders to both sides of it."""
+        across, down = np.array([_STEP_PX, 0.0]), np.array([0.0, _STEP_PX])
+        blur = min(_BLUR_STEP_PX2, state.psf_variance_px2)
+
+        def beside(sign: float) -> tuple[TemplateState, ...]:
+            return (
+                replace(state, center_px=state.center_px + sign * across),
+                replace(state, center_px=state.center_px + sign * down),
+                replace(state, log_range=state.log_range + sign * _LOG_RANGE_STEP),
+                replace(state, psf_variance_px2=state.psf_variance_px2 + sign * blur),
+            )
+
+        derivatives = []
+        steps = (_STEP_PX, _STEP_PX, _LOG_RANGE_STEP, blur)
+        for low, high, step in zip(beside(-1.0), beside(1.0), steps, strict=True):
+            sides = [self.render(side, margin_px=FIT_BORDER_PX) for side in (low, high)]
+            failed = next((side for side in sides if isinstance(side, Failure)), None)
+            if failed is not None:
+                return failed
+            below, above = (box.place(side.brightness, side.corner_px) for side in sides if isinstance(side, Template))
+            derivatives.append((above - below) / (2.0 * max(step, 1e-6)))
+        return np.stack(derivatives)
 
     def _near(self, first: TemplateState, second: TemplateState) -> bool:
         """Whether the difference between two laws can be moved from one state to another."""

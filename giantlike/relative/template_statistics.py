@@ -17,7 +17,7 @@ from giantlike.core.arrays import Float
 
 _REWEIGHTINGS = 3
 _FIRST_ERROR = 0.03  # of a pixel, of the light
-_VARIANCE_SAMPLES = 20_000
+_VARIANCE_SAMPLES = 8_000
 _VARIANCE_STEPS = 25
 _SIGNIFICANT = 2.0
 _MOST_ABSORBED = 0.75
@@ -169,6 +169,27 @@ def noise_covariance(design: Float, weights: Float, noise: Float, prior: Prior) 
     return result
 
 
+def error_covariance(columns: Float, weights: Float, error: Float, prior: Prior, *, length_px: float) -> Float:
+    """Covariance (k, k) that an error of the model of known size makes in a fit.
+
+    Parameters
+    ----------
+    columns : (k, h, w) float64
+        Derivatives of the model.
+    weights : (h, w) float64
+        0 where a pixel is not used.
+    error : (h, w) float64
+        The image that one standard deviation of the error makes, with its sign.
+    prior : Prior
+    length_px : float, px
+        Errors at a distance d have the correlation ``exp(-d^2 / (2 length_px^2))``.
+    """
+    design = columns.reshape(len(columns), -1).T
+    inverse = np.linalg.inv((design * weights.ravel()[:, None]).T @ design + np.diag(prior.information))
+    result: Float = inverse @ _correlated(columns * (weights * error), length_px / math.sqrt(2.0)) @ inverse
+    return result
+
+
 def full_covariance(
     columns: Float,
     weights: Float,
@@ -222,7 +243,7 @@ def full_covariance(
     offsets = (0, block_px // 2) if weights.size < _MANY_BLOCKS * block_px**2 else (0,)
     moves = [_jackknife(columns, residuals, weights, information, block_px, offset) for offset in offsets]
     told = [move for move in moves if move is not None]
-    return _larger(sandwich, np.mean(told, axis=0) + inverse @ known @ inverse) if told else sandwich
+    return larger(sandwich, np.mean(told, axis=0) + inverse @ known @ inverse) if told else sandwich
 
 
 def _correlation_length_px(residuals: Float, weights: Float, error: Float, least_px: float, most_px: float) -> float:
@@ -258,25 +279,27 @@ def _absorbed(share: Float, length_px: float, count: int) -> float:
 def _correlated(scores: Float, length_px: float) -> Float:
     """Covariance (k, k) of the sum of scores (k, h, w), correlated as in :func:`full_covariance`.
 
-    The kernel is the square of a Gaussian blur; over long distances sums over small blocks do for pixels.
+    Over long distances sums over small blocks do for pixels.
     """
     if length_px < _INSIDE_PIXEL_PX:
         flat = scores.reshape(len(scores), -1)
-    else:
-        factor = max(int(length_px / _FINE_LENGTH_PX), 1)
-        images = _blocks(scores, factor, 0) if factor > 1 else scores
-        length = length_px / factor
-        reach = math.ceil(4.0 * length)
-        padded = np.pad(images, [(0, 0), (reach, reach), (reach, reach)])
-        norm = math.sqrt(4.0 * math.pi) * length
-        blurred = [norm * cv2.GaussianBlur(image, (2 * reach + 1, 2 * reach + 1), length) for image in padded]
-        flat = np.stack(blurred).reshape(len(scores), -1)
-    result: Float = flat @ flat.T
-    return result
+        return _symmetric(flat @ flat.T)
+    factor = max(int(length_px / _FINE_LENGTH_PX), 1)
+    images = _blocks(scores, factor, 0) if factor > 1 else scores
+    sigma = math.sqrt(2.0) * length_px / factor
+    side = 2 * math.ceil(4.0 * sigma) + 1
+    blurred = np.stack([cv2.GaussianBlur(one, (side, side), sigma, borderType=cv2.BORDER_CONSTANT) for one in images])
+    flat = images.reshape(len(images), -1)
+    return _symmetric(2.0 * math.pi * sigma**2 * (flat @ blurred.reshape(len(images), -1).T))
 
 
-def _larger(first: Float, second: Float) -> Float:
-    """The smallest covariance of the shape of ``second`` that is nowhere below ``first``; both (k, k)."""
+def _symmetric(matrix: Float) -> Float:
+    """A matrix (k, k) without the rounding that makes it uneven."""
+    return 0.5 * (matrix + matrix.T)
+
+
+def larger(first: Float, second: Float) -> Float:
+    """A covariance that is nowhere below ``first`` or ``second``, both (k, k), and as small as that allows."""
     root = np.linalg.cholesky(first)
     inverse_root = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
@@ -292,14 +315,8 @@ def _jackknife(
 
     None where so few blocks hold the information that their scatter says little.
     """
-    scores = _block_sums(columns * (weights * residuals), block, offset)
     count = len(columns)
-    rows, cols = np.triu_indices(count)
-    products = np.stack([columns[i] * columns[j] * weights for i, j in zip(rows, cols, strict=True)])
-    sums = _block_sums(products, block, offset)
-    own = np.zeros((len(sums), count, count))
-    own[:, rows, cols] = sums
-    own[:, cols, rows] = sums
+    scores, own = _block_scores(columns, weights, residuals, block, offset)
     leverage = np.einsum("bij,ji->b", own, np.linalg.inv(information))
     if float(leverage.sum()) ** 2 < _BLOCKS_PER_PARAMETER * count * float(np.vdot(leverage, leverage)):
         return None
@@ -310,10 +327,19 @@ def _jackknife(
     return result
 
 
-def _block_sums(images: Float, block: int, offset: int) -> Float:
-    """Sums (b, k) of images (k, h, w) over square blocks, the first of them starting ``offset`` early."""
-    result: Float = _blocks(images, block, offset).reshape(len(images), -1).T
-    return result
+def _block_scores(columns: Float, weights: Float, residuals: Float, block: int, offset: int) -> tuple[Float, Float]:
+    """Scores (b, k) and information (b, k, k) of square blocks of pixels, the first starting ``offset`` early."""
+    scores, own = [], []
+    height, width = weights.shape
+    for top in range(-offset, height, block):
+        for left in range(-offset, width, block):
+            part = (slice(max(top, 0), top + block), slice(max(left, 0), left + block))
+            weight = weights[part].ravel()
+            design = columns[:, part[0], part[1]].reshape(len(columns), -1)
+            weighted = design * weight
+            scores.append(weighted @ residuals[part].ravel())
+            own.append(weighted @ design.T)
+    return np.array(scores), np.array(own)
 
 
 def _blocks(images: Float, block: int, offset: int) -> Float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, require, unit
 from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
 from giantlike.image import Image
 from giantlike.processing.detect import detect_sources
@@ -20,6 +20,7 @@ from giantlike.processing.windowed import WindowedCentroid, windowed_centroid
 from giantlike.ray_tracing import Template
 from giantlike.relative.estimator import EstimatorInputs, gather
 from giantlike.relative.template_fit import TemplateFit, TemplateFitOptions, fit_template
+from giantlike.relative.template_photocenter import ellipsoid_photocenter_km
 from giantlike.relative.template_render import (
     KNOWN_BLUR_SIGMA_PX2,
     UNKNOWN_BLUR_SIGMA_PX2,
@@ -35,6 +36,7 @@ _RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival
 _CLIP_SIGMA, _CLIP_ROUNDS = 3.0, 5
 _MAD_TO_SIGMA = 1.4826
 _FIT_MARGIN_PX = 4
+_RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # finer is lost in noise
 _MAX_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid and fit
 
 
@@ -45,6 +47,8 @@ class Correction(StrEnum):
     """By the same centroid of the body rendered at its predicted geometry."""
     KAASALAINEN_TANGA = "kaasalainen_tanga"
     """By paper 1 eq. 3, meant for bodies that are not resolved."""
+    ELLIPSOID = "ellipsoid"
+    """By the centre of light of its best-fitting ellipsoid under the law of Lommel and Seeliger, in closed form."""
     NONE = "none"
 
 
@@ -60,7 +64,7 @@ class UnresolvedOptions:
         Radius around the predicted photocentre in which the body is looked for.
     min_snr : float
         Weaker detections are none.
-    correction : {'rendered', 'kaasalainen_tanga', 'none'}
+    correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
     range_sigma : float
         A priori standard deviation of the range as a fraction of it; it scales the correction.
 
@@ -90,15 +94,15 @@ class Unresolved:
 
     A Gaussian has its centre elsewhere than the light of a body that is a few pixels wide, so what is fitted is the
     body itself, rendered through the point spread function. The fit gives the centre of the figure directly (correction
-    ``rendered``, the default) or, less its offset, the centre of the light, to which ``kaasalainen_tanga`` or no
-    correction is applied. Rendered is the default because it knows the shape: on made-up bodies of 2 to 12 px it is
-    right to 0.01-0.02 px per axis, while the published correction, meant for spheres that are not resolved, leaves
-    0.1 px at 2 px and 60 degrees and 0.5 px at 12 px.
+    ``rendered``, the default) or, less its offset, the centre of the light, to which ``kaasalainen_tanga``, that of the
+    best-fitting ``ellipsoid`` or no correction is applied. Rendered is the default because it knows the shape: on
+    made-up bodies of 2 to 12 px it is right to 0.01-0.02 px per axis, while the published correction, meant for spheres
+    that are not resolved, leaves 0.1 px at 2 px and 60 degrees and 0.5 px at 12 px.
 
     ``score`` is the signal to noise of the source, ``residuals`` are image minus model over the brightest pixel of the
     model. The covariance holds noise, errors of the model as the residuals show them, an error ``range_sigma`` of the
     range, and of the correction: for ``rendered`` what another reflectance law would do, as far as the image leaves
-    that open; for ``kaasalainen_tanga`` its difference from the rendered correction, as one sigma.
+    that open; for ``kaasalainen_tanga`` and ``ellipsoid`` their difference from the rendered correction, as one sigma.
 
     References
     ----------
@@ -131,7 +135,8 @@ class Unresolved:
                 f"the body is {diameter:.1f} px wide, at most {self.options.max_diameter_px:g} px are meant; "
                 "take an estimator for resolved bodies",
             )
-        renderer = TemplateRenderer(inputs=inputs)
+        rays_across = int(np.clip(_RAYS_PER_PIXEL * diameter, *_RAYS_ACROSS))
+        renderer = TemplateRenderer(inputs=inputs, rays_across=rays_across)
         template = renderer.render(renderer.start, margin_px=math.ceil(self.options.search_px))
         if isinstance(template, Failure):
             return inputs.fail(template.reason, template.detail)
@@ -230,9 +235,7 @@ class Unresolved:
         to_light = template.photocenter_px - template.center_px
         if kind is Correction.NONE:
             return to_light, np.zeros((2, 2))
-        published = kaasalainen_tanga(
-            sunlight_px(inputs), radius_px=inputs.radius_px, phase_angle_rad=inputs.geometry.phase_angle_rad
-        )
+        published = modelled_correction_px(inputs, kind)
         difference, scaled = published + to_light, self.options.range_sigma * published
         return difference, np.outer(difference, difference) + np.outer(scaled, scaled)
 
@@ -257,6 +260,25 @@ def kaasalainen_tanga(sunlight: Float, *, radius_px: float, phase_angle_rad: flo
     """
     phase_deg = math.degrees(phase_angle_rad)
     return sunlight * (0.0062 if phase_deg < 80 else 0.0065) * radius_px * phase_deg
+
+
+def modelled_correction_px(inputs: EstimatorInputs, kind: Correction) -> Float:
+    """From the centre of light to that of the figure (2,), px, by a formula: ``KAASALAINEN_TANGA`` or ``ELLIPSOID``."""
+    geometry = inputs.geometry
+    shape = geometry.target.shape
+    if kind is Correction.KAASALAINEN_TANGA or shape.circumscribing_radius_km == 0.0:
+        return kaasalainen_tanga(
+            sunlight_px(inputs), radius_px=inputs.radius_px, phase_angle_rad=geometry.phase_angle_rad
+        )
+    body_from_camera = geometry.camera_from_body.inv()
+    light_body_km = ellipsoid_photocenter_km(
+        shape.best_fit_ellipsoid,
+        sun_direction_body=body_from_camera.apply(geometry.sun_direction_camera),
+        observer_direction_body=-body_from_camera.apply(unit(geometry.position_camera_km)),
+    )
+    light_camera_km = geometry.camera_from_body.apply(light_body_km)
+    result: Float = -inputs.camera.model.project_jacobian(geometry.position_camera_km) @ light_camera_km
+    return result
 
 
 def sunlight_px(inputs: EstimatorInputs) -> Float:
