@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -12,12 +13,16 @@ import pytest
 import tomli_w
 from astropy.io import fits
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
 from giantlike.campaign.config import Campaign
 from giantlike.campaign.prepare import open_image
+from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
+from giantlike.cli.app import app
 from giantlike.core.errors import InputError
+from giantlike.core.frames import camera_from_inertial_of_pointing
 from giantlike.image import Image
 from giantlike.io.wcs_header import attitude_of_wcs, write_wcs
 
@@ -131,3 +136,31 @@ def test_near_stars_are_measured_where_they_were_published_and_shifted_by_their_
         assert one.parallax_sigmas < 3.0
         shift_arcsec = np.linalg.norm(one.predicted_px - one.without_parallax_px) * 4.08
         assert shift_arcsec == pytest.approx({"Proxima Cen": 32.3, "Wolf 359": 16.2}[one.star], abs=0.5)
+
+
+def test_a_sky_stored_from_the_bottom_is_solved_by_the_command_when_told_so(tmp_path: Path) -> None:
+    """Real catalogue stars, drawn as they are seen, stored with the last row first."""
+    model = BrownModel(fx_px=2900.0, fy_px=2900.0, cx_px=299.5, cy_px=299.5)
+    camera = Camera(name="cam", columns=600, rows=600, model=model)
+    attitude = camera_from_inertial_of_pointing(60.0, 25.0, 0.0)
+    stars = load_catalog("default").cone(attitude.inv().apply([0.0, 0.0, 1.0]), 0.16, max_magnitude=8.0)
+    points = camera.model.project(attitude.apply(apparent_directions(stars, et_of_julian_year(2016.0))))
+    inside = camera.contains(points, margin_px=-8)
+    y, x = np.mgrid[:600, :600]
+    pixels = np.random.default_rng(2).normal(100.0, 4.0, (600, 600))
+    for (px, py), magnitude in zip(points[inside], stars.magnitude[inside], strict=True):
+        box = np.s_[max(int(py) - 6, 0) : int(py) + 8, max(int(px) - 6, 0) : int(px) + 8]
+        spot = np.exp(-0.5 * ((x[box] - px) ** 2 + (y[box] - py) ** 2))
+        pixels[box] += 10.0 ** (-0.4 * (magnitude - 8.0)) * 150.0 * spot
+    path = tmp_path / "sky.fits"
+    fits.PrimaryHDU(np.clip(pixels[::-1], 0, 60000).astype(np.uint16)).writeto(path)
+    arguments = ["stars", str(path), "--fov", "11.8", "--fov-error", "5", "--json"]
+    mirrored = json.loads(CliRunner().invoke(app, arguments).stdout)[0]
+    assert mirrored["reason"] == "mirrored_image"
+    review = tmp_path / "review"
+    outcome = CliRunner().invoke(app, [*arguments, "--bottom-up", "--review", str(review)])
+    solved = json.loads(outcome.stdout)[0]
+    assert solved["status"] == "ok"
+    assert abs(solved["ra_deg"] - 60.0) < 0.01
+    assert abs(solved["dec_deg"] - 25.0) < 0.01
+    assert {file.name for file in review.iterdir()} == {"sky.fits.stars.png", "sky.fits.residuals.png"}

@@ -166,6 +166,12 @@ def stars(
     max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalogue star.")] = None,
     catalog: Annotated[str, typer.Option(help="default, a built catalogue, or one in CSV.")] = "default",
     sequence: Sequence = False,
+    bottom_up: Annotated[
+        bool, typer.Option("--bottom-up", help="The first stored row is the bottom of the picture: turn the rows.")
+    ] = False,
+    review: Annotated[
+        Path | None, typer.Option(help="Folder for pictures of detections, matches and residuals.", metavar="DIR")
+    ] = None,
     hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
     json: Json = False,
 ) -> ExitCode:
@@ -184,6 +190,8 @@ def stars(
         max_magnitude=max_magnitude,
         catalog=catalog,
         sequence=sequence,
+        bottom_up=bottom_up,
+        review=review,
         hdu=int(hdu) if hdu is not None and hdu.isdecimal() else hdu,
         json=json,
     )

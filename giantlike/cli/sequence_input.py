@@ -19,7 +19,9 @@ from giantlike.processing.sequence import FixedPattern, fixed_pattern, saturatio
 _MOST_IMAGES = 25
 
 
-def sequence_pattern(paths: Sequence[Path], *, hdu: int | str | None, detector: Detector) -> FixedPattern | Failure:
+def sequence_pattern(
+    paths: Sequence[Path], *, hdu: int | str | None, detector: Detector, bottom_up: bool = False
+) -> FixedPattern | Failure:
     """Fixed pattern of the readable images among ``paths``; a failure is also said on stderr.
 
     Raises
@@ -30,7 +32,7 @@ def sequence_pattern(paths: Sequence[Path], *, hdu: int | str | None, detector: 
     arrays = []
     for k in np.unique(np.linspace(0, len(paths) - 1, _MOST_IMAGES).round().astype(int)):
         try:
-            arrays.append(Image.open(paths[k], hdu=hdu).pixels)
+            arrays.append(Image.open(paths[k], hdu=hdu, bottom_up=bottom_up).pixels)
         except OpNavError:
             continue  # it is named where the image itself is processed
     require(len(arrays) >= 2, f"--sequence needs at least two readable images, got {len(arrays)}")

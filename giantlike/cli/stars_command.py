@@ -15,12 +15,14 @@ from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
 from giantlike.cli.sequence_input import sequence_pattern, without_pattern
+from giantlike.cli.star_review import write_review
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
 from giantlike.core.frames import pointing_deg
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
+from giantlike.processing import Detections
 from giantlike.processing.sequence import FixedPattern
 from giantlike.stars import StarNavigation, StarOptions
 
@@ -41,7 +43,10 @@ _DEFAULT_FOV_ERROR = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarsRequest:
-    """How images are to be solved: a camera, or a rough field of view along x and how wrong it may be."""
+    """How images are to be read and solved: a camera, or a rough field of view along x and how wrong it may be.
+
+    ``review`` is a folder for pictures of what was found.
+    """
 
     camera: Camera | None
     fov_deg: float | None
@@ -50,6 +55,8 @@ class StarsRequest:
     max_magnitude: float | None
     hdu: int | str | None
     sequence: bool = False
+    bottom_up: bool = False
+    review: Path | None = None
 
     def __post_init__(self) -> None:
         require((self.camera is None) != (self.fov_deg is None), "give either --camera CAMERA.toml or --fov DEG")
@@ -79,7 +86,9 @@ def stars_command(
     options = wanted.options()
     stars = load_catalog(catalog)
     detector = Detector() if wanted.camera is None else wanted.camera.detector
-    pattern = sequence_pattern(images, hdu=wanted.hdu, detector=detector) if wanted.sequence else None
+    pattern = None
+    if wanted.sequence:
+        pattern = sequence_pattern(images, hdu=wanted.hdu, detector=detector, bottom_up=wanted.bottom_up)
     results = []
     with progress_bar() as progress:
         for number, path in enumerate(images):
@@ -105,7 +114,7 @@ def _solve(
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None} | dict.fromkeys(_NUMBERS)
     values |= {"detail": "", "flags": []}
     try:
-        image = Image.open(path, hdu=wanted.hdu)
+        image = Image.open(path, hdu=wanted.hdu, bottom_up=wanted.bottom_up)
         camera = wanted.camera
         if camera is None:
             assert wanted.fov_deg is not None
@@ -114,7 +123,11 @@ def _solve(
         camera = replace(camera, detector=detector)
         if image.camera_from_inertial is None:
             options = replace(options, lost_in_space=True)
-        outcome = StarNavigation(camera, catalog, options).solve(image)
+        navigation = StarNavigation(camera, catalog, options)
+        detections = navigation.detect(image)
+        outcome = navigation.solve_detections(image, detections) if isinstance(detections, Detections) else detections
+        if wanted.review is not None and isinstance(detections, Detections):
+            write_review(wanted.review, path, image, detections, outcome)
     except OpNavError as error:
         return values | {"reason": str(Reason.UNREADABLE_IMAGE), "detail": str(error)}
     if isinstance(outcome, Failure):

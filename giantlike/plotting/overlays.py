@@ -59,6 +59,11 @@ class StarMarks:
     predicted_px: Float
     rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
 
+    @classmethod
+    def of_detections(cls, detected_px: Float) -> StarMarks:
+        """Marks of an image whose stars were not identified."""
+        return cls(detected_px=detected_px, matched_px=np.zeros((0, 2)), predicted_px=np.zeros((0, 2)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CenterMark:

@@ -1,0 +1,50 @@
+"""``--review``: pictures of what was found in an image of stars, and what became of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from giantlike.core.errors import DataError
+from giantlike.core.outcomes import AttitudeFix, Failure
+from giantlike.image import Image
+from giantlike.processing import Detections
+
+
+def write_review(
+    folder: Path, path: Path, image: Image, detections: Detections, outcome: AttitudeFix | Failure
+) -> tuple[Path, ...]:
+    """Write ``NAME.stars.png`` (detections, matches, rejects over the image) and, where solved, ``NAME.residuals.png``.
+
+    Raises
+    ------
+    DataError
+        A file cannot be written.
+    """
+    from giantlike.plotting import StarMarks, overlay_figure, star_residual_figure
+
+    solved = outcome if isinstance(outcome, AttitudeFix) else None
+    marks = (
+        StarMarks.of_detections(detections.points_px)
+        if solved is None
+        else StarMarks(
+            detected_px=detections.points_px,
+            matched_px=solved.observed_px,
+            predicted_px=solved.predicted_px,
+            rejected_px=solved.rejected_px,
+        )
+    )
+    said = f"{len(detections)} detected"
+    said += f", {solved.n_used} matched, {solved.n_rejected} thrown out" if solved else ", not solved"
+    figures = {"stars": overlay_figure(image.pixels, said, stars=marks)}
+    if solved is not None:
+        figures["residuals"] = star_residual_figure(
+            solved.observed_px, solved.residuals_px, solved.magnitudes, solved.sigma_px, image.columns, image.rows
+        )
+    files = tuple(folder / f"{path.name}.{name}.png" for name in figures)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, figure in zip(files, figures.values(), strict=True):
+            figure.savefig(file, dpi=130)
+    except OSError as error:
+        raise DataError(folder, f"cannot write the pictures: {error.strerror or error}") from error
+    return files
