@@ -4,7 +4,7 @@ Rubble piles of 200,000 facets (the bodies of the template benchmark, finer) und
 px across, 20 landmarks at most: truth rendered with three rays a pixel side at random places, McEwen, PSF 0.7 px, 3,000
 DN at the brightest pixel, shot noise and 5 DN of read noise; the prediction is off by 10 px and 1.5 % of the range.
 ``exact law`` tells the estimator so, ``other law`` tells it Lommel-Seeliger. ``attitude free`` estimates the attitude
-too, predicted half a degree off. ``surface fills the frame`` has the body 1,500 px across in a frame of 640.
+too, predicted half a degree off. ``surface fills the frame`` has the body 900 px across in a frame of 640.
 
 Beside the errors stand the mean squared error of the position over its covariance (3 where that is honest), the band in
 which 95 % of such means lie, and the Cramer-Rao bound: what the noise of the pixels of the landmarks used allows, with
@@ -210,7 +210,7 @@ def main() -> None:
         "300 px, exact law": Case(),
         "300 px, other law": Case(told=LommelSeeliger()),
         "300 px, exact law, attitude free": Case(options=free, turn_rad=math.radians(0.5)),
-        "surface fills the frame, exact law": Case(diameter_px=1500.0),
+        "surface fills the frame, exact law": Case(diameter_px=900.0),
     }
     for body in BODIES:
         landmarks_of(body)
