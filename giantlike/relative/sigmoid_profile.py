@@ -27,6 +27,7 @@ _OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 180, 1200
 _NODE_PX = 2.0
 _DEPTHS, _DEPTH_WEIGHTS = np.polynomial.legendre.leggauss(36)
 _REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
+_LEAST_RADIUS = 0.3  # of lines of equal depth over that of the horizon
 _TABLE_STEP = 0.35  # of the width of the blur
 _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])
 
@@ -198,9 +199,9 @@ def profile_table(
     At the depth t inside the horizon, in px along its normal, a ray x meets the ellipsoid where the discriminant
     ``x.M.x`` says, which is quadratic in t and zero at t = 0; so the cosine of emission mu grows as the square root
     of t, and every reflectance law that is smooth in the cosines is smooth in ``sqrt(t)``. With ``t = v^2`` the
-    convolution with the blur is a Gauss-Legendre sum over v. A horizon of curvature c seen through a round blur of
-    width w lies ``c w^2 / 2`` farther in than a straight one; this is the first term of a series, whose next one
-    counts only for discs of few widths.
+    convolution with the blur is a Gauss-Legendre sum over v. A round blur of width w also averages along the
+    horizon: that adds ``w^2 / 2`` times slope times curvature, ``c / (1 - c t)`` at the depth t under a horizon of
+    curvature c; this is the first term of a series, whose next one counts only for discs of few widths.
     """
     _, conic = figure.cone(position_camera_km)
     deepest = window_px + _REACH_WIDTHS * width_px
@@ -216,8 +217,11 @@ def profile_table(
     slope = 2.0 * np.einsum("ki,ij,kj->k", arc.rays.directions, conic, inward)
     bend = -2.0 * np.einsum("ki,ij,kj->k", sideways, conic, sideways) / slope  # curvature, 1/px
     kernels = _kernels(offsets[None] + depths[:, None], width_px) * weights[:, None]
-    values = np.stack([np.moveaxis(basis @ kernel, 0, -1) for kernel in kernels])  # (4, k, m, p)
-    values = values[:3] + (0.5 * bend * width_px**2)[:, None, None] * values[1:]
+    bends = bend[:, None] / np.maximum(1.0 - bend[:, None] * depths, _LEAST_RADIUS)  # of the lines of equal depth
+    turned, sharper = (0.5 * width_px**2 * basis * part for part in (bends, bends**2))
+    values = np.stack(
+        [np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1], 0, -1) for d in range(3)]
+    )  # (3, k, m, p)
     return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values)
 
 

@@ -36,7 +36,7 @@ _PATIENCE = 3  # iterations after which steps are halved: the cells used can alt
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _UNKNOWN_PSF_PX2, _UNKNOWN_PSF_SIGMA_PX2, _LEAST_PSF_PX2 = 0.8, 2.0, 0.01
 _SMALL_DISC_PX = 4.6
-"""The cube of this over the radius is what the profile leaves of the limb of small discs, px, as measured from 20 px on."""
+"""Its cube over that of the radius is what the profile leaves of the limb of small discs, px; measured from 20 px."""
 _CELL_RADII = 0.25  # longest cell over the apparent radius
 _MIN_FILLED = 0.6
 _MIN_CONTRAST_SIGMAS = 5.0
