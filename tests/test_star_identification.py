@@ -192,6 +192,19 @@ def test_ransac_finds_the_stars_from_a_poor_attitude_among_missing_and_false_one
         assert fix.false_match_probability < options.max_false_match_probability
 
 
+def test_an_attitude_wrong_by_3_degrees_about_any_axis_is_enough_without_any_option(catalog: MemoryCatalog) -> None:
+    rng, right = np.random.default_rng(45), 0
+    for _ in range(40):
+        scene = _scene(rng, catalog)
+        image = scene.image.with_attitude(_off(rng, scene.attitude, 3.0))
+        outcome = StarNavigation(CAMERA, catalog).solve_detections(image, scene.detections)
+        if isinstance(outcome, AttitudeFix):
+            assert outcome.provenance["identification"] == "a_priori"
+            assert _worst_px(outcome.camera_from_inertial, scene.attitude) < FULL_ATTITUDE_PX
+            right += 1
+    assert right >= 36  # of 98 %: 5 failures of 40 have a chance of 1e-3, and fewer fail
+
+
 def test_identified_stars_are_the_true_ones_or_their_companions(catalog: MemoryCatalog) -> None:
     rng = np.random.default_rng(2)
     wrong = right = 0
@@ -630,7 +643,7 @@ def test_faint_stars_can_be_left_out_but_never_the_twenty_brightest(catalog: Mem
     [
         {"min_matches": 2}, {"inlier_px": 0.0}, {"max_pixel_distance": -1.0}, {"ransac_iterations": 0}, {"seed": -1},
         {"scale_error": 0.5}, {"outlier_sigma": 1.0}, {"max_false_match_probability": 0.0}, {"max_magnitude": np.nan},
-        {"min_snr": -1.0},
+        {"min_snr": -1.0}, {"attitude_error_deg": 0.0},
     ],
 )  # fmt: skip
 def test_options_out_of_range_are_refused(bad: dict[str, float]) -> None:

@@ -35,7 +35,7 @@ _OTHER_SCALE = 0.2
 """A focal length off by less than this is found when the stated one does not fit."""
 _SCALE_STEP = 0.015
 _TRIAD_PX, _QUAD = 2.0, 0.006  # error of an angle: px, and of the image width
-_TRIED = 6  # hypotheses of each search
+_TRIED, _TRIED_IN_ALL = 6, 30  # hypotheses of each search, and of an image
 _BRIGHTEST = 40
 _NARROW_RAD = math.radians(0.75)  # half a field of view: below, the catalogue may have too few stars for it
 _SAMPLED_RAD = 0.3  # distance of the places where its stars are counted
@@ -144,7 +144,7 @@ class _Problem:
     def hypotheses(self, brief: bool) -> Iterator[Hypothesis]:
         """Attitudes that patterns suggest, lazily, none of them twice."""
         seen: set[bytes] = set()
-        for hypothesis in self._from_patterns(brief):
+        for hypothesis in itertools.islice(self._from_patterns(brief), _TRIED_IN_ALL):
             key = hypothesis.star_ids.tobytes() + hypothesis.detection_indices.tobytes()
             if key not in seen:
                 seen.add(key)

@@ -16,7 +16,7 @@ _INSIDE = 0.9  # of the half field of view: caps of the index then lie in the im
 _PER_CAP = 16  # detections: a third of the brightest may be false and one in five stars missing
 _WIDER = 1.2  # image caps over index caps: a cap of the index lies inside wherever it is
 _LEAST = {Pattern.TRIAD: (16, 26), Pattern.QUAD: (16, 22)}  # detections of a narrow image, at first and later
-_CAPS_AT_ONCE = 4
+_CAPS_AT_ONCE, _CAPS_AT_MOST = 4, 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,5 +77,5 @@ def _in_parts(vectors: Float, seen: NDArray[np.intp], radius_rad: float) -> Iter
     inside = vectors[seen] @ centers.T >= np.cos(_WIDER * radius_rad)
     groups = [seen[column][:_PER_CAP] for column in inside.T]
     groups = [group for group in groups if len(group) >= 4]
-    for start in range(0, len(groups), _CAPS_AT_ONCE):
+    for start in range(0, min(len(groups), _CAPS_AT_MOST), _CAPS_AT_ONCE):
         yield Search(radius_rad, tuple(groups[start : start + _CAPS_AT_ONCE]))
