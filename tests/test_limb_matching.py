@@ -22,7 +22,7 @@ from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.io.image_files import read_image_file
-from giantlike.ray_tracing import Lambert, McEwen, Reflectance, trace_silhouette
+from giantlike.ray_tracing import Body, Lambert, McEwen, Reflectance, trace_silhouette
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.relative.estimator import gather
 from giantlike.relative.horizon import Figure, horizon_residuals
@@ -32,8 +32,8 @@ from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.limb_observation import LimbScanOptions, observe_limb
 from giantlike.relative.limb_template import WindowModel
 from giantlike.scene import Scene, Target
-from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape
-from tests.limb_images import CAMERA, BodyImage, assert_sound, body_image, mean_nees_band
+from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, sphere
+from tests.limb_images import CAMERA, NEES_LIMIT, BodyImage, assert_sound, body_image, mean_nees_band
 from tests.numerical import numerical_jacobian
 
 SIGMA_PX, SIGMA_RANGE = 0.1, 1e-3  # three times what is usual at a radius of 80 px and up to 100 degrees of phase
@@ -43,6 +43,7 @@ OFF = {"off_px": (7.0, -8.0), "range_error": 0.015}
 JACOBIAN_PX = 1e-6  # of steps of 0.025 px: what central differences leave
 VESTA_PX = 6.0  # "a few pixels": the mesh is coarse, and the pose itself is a fit to it
 VESTA_RANGE = 0.005
+NEAR_LIMB_PX = 1.0  # nine of ten points; a terminator lies tens of pixels away
 PHASES_DEG = (20.0, 40.0, 60.0, 80.0, 100.0, 120.0)
 
 
@@ -77,6 +78,18 @@ def fixes() -> tuple[tuple[BodyImage, PositionFix], ...]:
         prediction = case.believed(off_px=(7.0 * sign, -8.0), range_error=0.015 * sign)
         found.append((prediction, fixed(prediction)))
     return tuple(found)
+
+
+def geometry_body(case: BodyImage) -> Body:
+    """The body where it truly is."""
+    geometry = case.target.ephemeris
+    assert isinstance(geometry, ApparentGeometry)
+    return Body(
+        shape=case.target.shape,
+        camera_from_body=geometry.inertial_from_body,
+        position_camera_km=case.position_camera_km,
+        reflectance=case.target.reflectance,
+    )
 
 
 # --- accuracy ---------------------------------------------------------------------------------------------------
@@ -228,6 +241,73 @@ def test_the_whole_limb_is_used_at_opposition(phase_deg: float, law: Reflectance
     fix = fixed(case)
     assert fix.n_used > 0.9 * lines.angles_rad.size
     assert_sound(case, fix, sigma_px=SIGMA_PX, sigma_range=SIGMA_RANGE)
+
+
+@pytest.mark.parametrize("phase_deg", [100.0, 130.0])
+def test_points_lie_on_lit_limb_and_never_on_the_terminator_of_a_concave_body(phase_deg: float) -> None:
+    shape = irregular_body(5, facets=20_000, relief=0.12)
+    case = body_image(shape, 60, phase_deg=phase_deg).believed(off_px=(6.0, -5.0), range_error=0.01)
+    fix = fixed(case)
+    geometry = case.target.ephemeris
+    assert isinstance(geometry, ApparentGeometry)
+    sun = geometry.sun_direction_inertial
+    assert sun is not None
+    arms = fix.limb_px - case.center_px
+    truth = geometry_body(case)
+    limb = trace_silhouette(truth, CAMERA.model, np.arctan2(arms[:, 1], arms[:, 0]), sun_direction_camera=sun)
+    off_px = np.einsum("ni,ni->n", fix.limb_px - limb.points_px, limb.normals_px)
+    assert np.quantile(np.abs(off_px), 0.9) < NEAR_LIMB_PX
+    inside = np.rint(fix.limb_px - 2.5 * limb.normals_px).astype(int)
+    light = case.image.pixels[inside[:, 1], inside[:, 0]] - CAMERA.detector.bias_dn
+    assert np.mean(light > 20.0) > 0.95  # four times the noise of the dark
+    assert_sound(case, fix, sigma_px=2.0 * CRESCENT_PX, sigma_range=2.0 * CRESCENT_RANGE)
+
+
+def test_a_disc_larger_than_the_frame_is_found_from_the_limb_that_remains() -> None:
+    case = body_image(body(), 61, phase_deg=40.0, radius_px=300.0, center_px=(-20.0, 180.0))
+    case = case.believed(off_px=(6.0, -7.0), range_error=0.01)
+    result = LimbMatching().estimate(case.image, case.camera, case.scene)
+    if isinstance(result, Failure):  # this side of the body is dark
+        case = body_image(body(), 61, phase_deg=40.0, radius_px=300.0, center_px=(420.0, 180.0))
+        result = LimbMatching().estimate(case.image, case.camera, case.scene)
+    assert isinstance(result, PositionFix), result
+    assert Quality.CUT_BY_FRAME in result.flags
+    assert_sound(case, result, sigma_px=1.0, sigma_range=5e-3)
+
+
+def test_a_limb_that_only_touches_a_corner_is_refused_or_told_to_be_short() -> None:
+    for seed in (62, 63):
+        case = body_image(body(), seed, phase_deg=30.0, radius_px=300.0, center_px=(-100.0, -100.0))
+        result = LimbMatching().estimate(case.image, case.camera, case.scene)
+        if isinstance(result, Failure):
+            assert result.reason in (Reason.NO_LIMB, Reason.NOT_LIT, Reason.DEGENERATE_GEOMETRY, Reason.OUT_OF_FRAME)
+        else:
+            assert Quality.SHORT_ARC in result.flags
+            assert case.nees(result) < NEES_LIMIT
+
+
+def test_a_ring_before_the_limb_is_not_taken_for_it() -> None:
+    case = body_image(body(), 67, phase_deg=50.0).believed(**OFF)  # type: ignore[arg-type]
+    y, x = np.indices(case.image.pixels.shape) - case.center_px[::-1, None, None]
+    pixels = case.image.pixels.astype(np.float64)
+    for radius in (1.25, 1.6):
+        distance = 80.0 * np.hypot(x / 80.0, y / 22.0) - 80.0 * radius
+        pixels += 1200.0 * np.exp(-0.5 * (distance / 4.0) ** 2)
+    fix = fixed(case, image=repainted(case, pixels))
+    assert_sound(case, fix, sigma_px=2.0 * SIGMA_PX, sigma_range=2.0 * SIGMA_RANGE)
+
+
+def test_a_second_body_before_the_limb_is_not_taken_for_it() -> None:
+    case = body_image(body(), 68, phase_deg=40.0).believed(**OFF)  # type: ignore[arg-type]
+    clean = fixed(case)
+    place = clean.limb_px[clean.n_used // 2]
+    y, x = np.indices(case.image.pixels.shape)
+    moon = np.hypot(x - place[0], y - place[1]) < 14.0
+    pixels = np.where(moon, 2200.0 + CAMERA.detector.bias_dn, case.image.pixels.astype(np.float64))
+    fix = fixed(case, image=repainted(case, pixels))
+    assert fix.n_rejected > clean.n_rejected
+    assert np.linalg.norm(fix.limb_px - place, axis=1).min() > 8.0
+    assert_sound(case, fix, sigma_px=2.0 * SIGMA_PX, sigma_range=2.0 * SIGMA_RANGE)
 
 
 # --- what it must refuse ----------------------------------------------------------------------------------------
@@ -404,6 +484,45 @@ def test_vesta_is_found_from_the_limb_in_two_corners(data_dir: Path, name: str) 
     assert Quality.CUT_BY_FRAME in fix.flags
     assert Quality.SHORT_ARC in fix.flags
     assert np.sqrt(np.diag(fix.covariance_px2)).max() > 0.3  # two short arcs do not give a hundredth of a pixel
+
+
+@pytest.mark.real_data
+def test_europa_is_found_from_an_arc_of_limb_in_a_corner_of_the_frame(data_dir: Path) -> None:
+    """Off by 10 px and 1 % of range; the pointing behind the centre of the label is good to some pixels."""
+    image = Image.open(data_dir / "bodies" / "galileo_ssi" / "4600R.IMG").with_attitude(Rotation.identity())
+    label = {
+        key: float(image.metadata[key])
+        for key in ("TARGET_CENTER_DISTANCE", "SUB_SPACECRAFT_LINE", "SUB_SPACECRAFT_SAMPLE", "SUNAZ", "PHA")
+    }
+    focal_px = 1500.467 / 0.03048
+    camera = Camera(
+        name="SSI",
+        columns=800,
+        rows=800,
+        model=PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=399.5, cy_px=399.5),
+        psf=GaussianPsf(sigma_px=0.8),
+        detector=Detector(gain_e_per_dn=50.0, read_noise_e=50.0, saturation_dn=255.0),
+    )
+    center = np.array([label["SUB_SPACECRAFT_SAMPLE"], label["SUB_SPACECRAFT_LINE"]]) - 1.0
+    sight, azimuth, phase = camera.model.unproject(center), np.radians(label["SUNAZ"]), np.radians(label["PHA"])
+    across = unit(np.cross(np.cross(sight, [np.cos(azimuth), np.sin(azimuth), 0.0]), sight))
+    geometry = ApparentGeometry(
+        position_inertial_km=1.01
+        * label["TARGET_CENTER_DISTANCE"]
+        * camera.model.unproject(center + np.array([7.0, -7.0])),
+        inertial_from_body=Rotation.identity(),
+        sun_direction_inertial=np.sin(phase) * across - np.cos(phase) * sight,
+    )
+    scene = Scene(targets=(Target(name="EUROPA", shape=sphere(1560.8), ephemeris=geometry),))
+    fix = LimbMatching().estimate(image, camera, scene)
+    assert isinstance(fix, PositionFix), fix
+    assert {Quality.CUT_BY_FRAME, Quality.SHORT_ARC} <= set(fix.flags)
+    assert fix.score < 0.3
+    error_px = fix.center_px - center
+    slack = 5.0**2 * np.eye(2)  # pointing behind the label
+    assert error_px @ np.linalg.solve(fix.covariance_px2 + slack, error_px) < NEES_LIMIT
+    assert abs(fix.range_km / label["TARGET_CENTER_DISTANCE"] - 1.0) < 4.0 * fix.sigma_range_km / fix.range_km
+    assert np.all(fix.limb_px < 400.0)
 
 
 @pytest.mark.real_data
