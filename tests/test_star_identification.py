@@ -429,15 +429,16 @@ def test_a_mirrored_image_is_recognised(catalog: MemoryCatalog) -> None:
     assert outcome.reason is Reason.MIRRORED_IMAGE
 
 
-@pytest.mark.parametrize("n", [4, 12, 40, 200])
+@pytest.mark.parametrize("n", [4, 12, 40])
 @pytest.mark.parametrize("estimate_scale", [False, True])
 def test_random_points_are_never_identified(catalog: MemoryCatalog, n: int, estimate_scale: bool) -> None:
     rng = np.random.default_rng(19)
+    camera = Camera.from_fov(15.0, 1024, 1024)
     options = StarOptions(lost_in_space=True, estimate_scale=estimate_scale)
     for _ in range(2):
         points = rng.uniform(0, 1023, (n, 2))
         covariance = np.tile(0.01 * np.eye(2), (n, 1, 1))
-        outcome = identify_lost_in_space(points, covariance, CAMERA, Sky(catalog=catalog), options=options)
+        outcome = identify_lost_in_space(points, covariance, camera, Sky(catalog=catalog), options=options)
         assert isinstance(outcome, Failure)
         assert outcome.reason is Reason.NO_PATTERN_MATCH
         assert str(n) in outcome.detail
