@@ -39,12 +39,12 @@ PHASES = 8  # bins of the place in a pixel
 
 
 def simulate(
-    sigma_px: float, seed: int, *, faintest_snr: float = 20.0, hits_per_megapixel: float = 0.0
+    sigma_px: float, seed: int, *, faintest_snr: float = 20.0, hits_per_megapixel: float = 0.0, long_tracks: float = 0.0
 ) -> tuple[NDArray[np.uint16], Float, Float]:
     """Image, points (n, 2) at least 30 px apart, and fluxes (n,) from a signal to noise ratio upwards.
 
-    Particles leave charge as in :mod:`giantlike.simulation.cosmic_rays`, a tenth of them in a layer ten times as thick,
-    so that their tracks are longer.
+    Particles leave charge as in :mod:`giantlike.simulation.cosmic_rays`; a part ``long_tracks`` of them in a layer ten
+    times as thick, so that their tracks are ten times as long.
     """
     rng = np.random.default_rng(seed)
     y, x = np.meshgrid(np.arange(50.0, SHAPE[0] - 50, 60), np.arange(50.0, SHAPE[1] - 50, 60))
@@ -57,7 +57,7 @@ def simulate(
     )
     electrons = rng.poisson(((down * flux[:, None]).T @ across + SKY_DN) * GAIN) + rng.normal(0, READ_NOISE_E, SHAPE)
     megapixels = SHAPE[0] * SHAPE[1] / 1e6
-    for share, thickness_um in ((0.9, 15.0), (0.1, 150.0)):
+    for share, thickness_um in ((1.0 - long_tracks, 15.0), (long_tracks, 150.0)):
         rays = CosmicRays(hits_per_image=share * hits_per_megapixel * megapixels, thickness_um=thickness_um)
         electrons += draw_tracks(rays, SHAPE[1], SHAPE[0], 0.0, rng).deposited_e(SHAPE[1], SHAPE[0])
     return np.clip(np.round(electrons / GAIN), 0, 65535).astype(np.uint16), points, flux
@@ -192,7 +192,7 @@ def phase_bias(error: Float, phase: Float) -> dict[str, float]:
     }
 
 
-def completeness(draws: int) -> list[dict[str, Any]]:
+def completeness(draws: int, long_tracks: float) -> list[dict[str, Any]]:
     """Stars from a signal to noise ratio of 10 among 200 particles a megapixel: clean detections and false ones."""
     rows = []
     for sigma_px in WIDTHS_PX:
@@ -259,7 +259,8 @@ def main() -> None:
                 "cosmic_rays": {
                     "hits_per_megapixel": HITS_PER_MEGAPIXEL,
                     "faintest_snr": 10,
-                    "rows": completeness(draws),
+                    "rows": completeness(draws, 0.0),
+                    "a_tenth_long": completeness(draws, 0.1),
                 },
             },
             indent=2,

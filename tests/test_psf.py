@@ -16,6 +16,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing import Detections
 from giantlike.processing.psf import PsfKind, shape_shares
+from giantlike.processing.psf_empirical import empirical_psf
 from giantlike.processing.psf_estimate import PsfEstimate, estimate_psf, remeasure
 from tests.test_detection import (
     DETECTOR,
@@ -152,6 +153,31 @@ def test_a_width_that_varies_over_the_field_is_followed() -> None:
     assert_allclose(np.exp(psf.shapes_at(places)[:, 0]), expected, rtol=0, atol=0.03)
     flat = estimated(image, detected(image, psf_sigma_px=None))
     assert psf.reduced_chi2 < flat.reduced_chi2
+
+
+def test_the_empirical_function_follows_what_the_analytic_shape_misses() -> None:
+    def profile(dx: Float, dy: Float, x: float, y: float) -> Float:
+        core = np.exp(-0.5 * (dx**2 + dy**2) / 0.8**2) / (2.0 * np.pi * 0.8**2)
+        ring = np.exp(-0.5 * (np.hypot(dx, dy) - 2.5) ** 2 / 0.5**2) / 19.69  # 2 pi 2.5 sqrt(2 pi) 0.5
+        return np.asarray(0.9 * core + 0.1 * ring)
+
+    points = spread_points(SHAPE, 40, 7)
+    image = exposed(drawn(points, np.full(len(points), 60_000.0), profile, half=10), 7)
+    found = detected(image, psf_sigma_px=None)
+    psf = estimated(image, found)
+    again = remeasure(image, found, psf, detector=DETECTOR)
+    empirical = empirical_psf(image, again, psf, detector=DETECTOR)
+    assert empirical.n_used >= 0.9 * len(points)
+    fine = (np.arange(9 * 9) + 0.5) / 9 - 4.5
+    away = np.stack(np.meshgrid(np.arange(-4.0, 5.0), np.arange(-4.0, 5.0)), axis=-1)
+    truth = profile(fine[None, :], fine[:, None], 0.0, 0.0).reshape(9, 9, 9, 9).mean(axis=(1, 3))
+    analytic = shape_shares(np.array([[0, 0]]), 9, np.array([[4.0, 4.0]]), psf.shapes_at([[250.0, 250.0]]))[0]
+    scale = float(np.sum(again.flux_dn) / (60_000.0 * len(again)))  # the flux is that under the analytic shape
+    better, worse = empirical.shares_at(away) * scale - truth, analytic * scale - truth
+    assert np.sqrt(np.mean(better**2)) < 0.4 * np.sqrt(np.mean(worse**2))
+    assert empirical.shares_at([9.0, 0.0]) == 0.0
+    with pytest.raises(InputError):
+        empirical_psf(image, again, psf, detector=DETECTOR, oversampling=0)
 
 
 def test_too_few_stars_and_misuse_are_said() -> None:

@@ -24,7 +24,7 @@ LEFT_DN = 8.0  # photon and read noise of 7.6 DN: the median of seven images add
 
 
 def places(k: int) -> Float:
-    return spread_points(SHAPE, 40, 3) + k * DRIFT_PX
+    return np.asarray(spread_points(SHAPE, 40, 3) + k * DRIFT_PX)
 
 
 def taken(k: int, pattern: Float) -> NDArray[np.float32]:

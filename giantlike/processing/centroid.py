@@ -202,7 +202,7 @@ def fit_stars(
     start = np.empty((len(flux_dn), 5))
     start[:, :2] = patches.corner_px + patches.half_px
     start[:, 2] = np.maximum(flux_dn, noise_dn)
-    start[:, 3] = _border_level(patches)
+    start[:, 3] = border_level(patches)
     start[:, 4] = math.log(psf)
     problem = _Problem(patches, noise_dn, psf, gain_e_per_dn, width_prior)
     parameters, good = problem.solve(start)
@@ -238,7 +238,7 @@ def without_neighbours(patches: Patches, parameters: Float, pairs: NDArray[np.in
     return Patches(values_dn=values, valid=patches.valid, saturated=patches.saturated, corner_px=patches.corner_px)
 
 
-def _border_level(patches: Patches) -> Float:
+def border_level(patches: Patches) -> Float:
     """Median (n,) of the valid pixels on the rim of each patch, or of all valid ones."""
     rim = np.ones(patches.valid.shape[1:], dtype=bool)
     rim[1:-1, 1:-1] = False

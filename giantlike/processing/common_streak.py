@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
-from giantlike.processing.centroid import MIN_PSF_SIGMA_PX, Patches, cut_patches
+from giantlike.processing.centroid import MIN_PSF_SIGMA_PX, Patches, border_level, cut_patches
 from giantlike.processing.matched_filter import recorded_width_px
 from giantlike.processing.streak import LineFits, fit_lines
 
@@ -23,6 +23,9 @@ _LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6
 _AGREE_RELATIVE, _AGREE_PX = 0.15, 0.7
 _SHORTEST_PX, _SHORTEST_WIDTHS = 2.5, 2.5
 _HALF_PATCH_PX = 32  # streaks up to about twice this are recognised
+_QUICK_HALF_PX = 5
+_POWER_SIGMAS = 5.0
+_QUICK_LONG = 0.55  # of the longest axis: points of up to 1 px give 0.5 and less
 _MOMENT_SIGMAS = 3.0
 _WIDTHS = (0.5, 0.65, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5)
 
@@ -67,7 +70,7 @@ def find_common_streak(
     gain_e_per_dn, saturation_dn : float
     """
     peaks_px, noise_dn = peaks_px[:_LOOKED_AT], noise_dn[:_LOOKED_AT]
-    if len(peaks_px) < _LEAST_AGREEING:
+    if len(peaks_px) < _LEAST_AGREEING or not _mostly_long(pixels, bad, peaks_px):
         return None
     patches = cut_patches(pixels, bad, peaks_px, _HALF_PATCH_PX, saturation_dn)
     guess = _moments(patches, noise_dn)
@@ -101,6 +104,24 @@ def measure_streaks(
     middle = (patches.corner_px + patches.half_px).astype(np.float64)
     guess = _Guess(middle, np.tile(np.array(streak.half_px), (n, 1)), flux_dn, _level(patches))
     return _fitted(patches, guess, noise_dn, streak.sigma_px, gain_e_per_dn)
+
+
+def unexplained_power(patches: Patches, fits: LineFits, shares: Float, noise_dn: Float) -> Float:
+    """Share (n,) of the power of the light in each patch that its line leaves over, noise taken off; at least 0."""
+    light = np.where(patches.valid & ~patches.saturated, patches.values_dn - fits.background_dn[:, None, None], 0.0)
+    left = np.where(light != 0.0, light - fits.flux_dn[:, None, None] * shares, 0.0)
+    noise = noise_dn**2 * fits.n_pixels
+    spread = _POWER_SIGMAS * noise_dn**2 * np.sqrt(2.0 * fits.n_pixels)
+    rest, whole = (np.sum(values**2, axis=(1, 2)) - noise for values in (left, light))
+    result: Float = np.maximum(rest - spread, 0.0) / np.maximum(whole, 1e-300)
+    return result
+
+
+def _mostly_long(pixels: NDArray[np.generic], bad: NDArray[np.bool_] | None, peaks_px: NDArray[np.int64]) -> bool:
+    """Whether sources are longer than points: a quick look, before lines are fitted."""
+    patches = cut_patches(pixels, bad, peaks_px, _QUICK_HALF_PX)
+    axis = patches.longest_axis(peaks_px.astype(np.float64), border_level(patches), 1.0)
+    return float(np.median(axis)) > _QUICK_LONG
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ from giantlike.processing.centroid import (
     fit_stars,
     neighbour_pairs,
 )
-from giantlike.processing.common_streak import CommonStreak, find_common_streak, measure_streaks
+from giantlike.processing.common_streak import CommonStreak, find_common_streak, measure_streaks, unexplained_power
 from giantlike.processing.detections import DetectionFlag, Detections
 from giantlike.processing.frame import Frame, frame_of
 from giantlike.processing.matched_filter import FilteredImage, Image32, matched_filter, noise_between, recorded_width_px
@@ -51,6 +51,7 @@ _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 
 _STREAK_MIN_SIGNIFICANCE = 8.0
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # how far a length may be from that of the image
+_STREAK_UNEXPLAINED = 0.3
 
 _EXTENDED_AREA = 4.0  # times the area that a star of the same peak has above the threshold
 _EXTENDED_AREA_MARGIN_PX = 12
@@ -401,6 +402,7 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
     x, y = streak.half_px
     turned = np.abs(x * fits.halves_px[:, 1] - y * fits.halves_px[:, 0]) / (expected / 2.0)
     unlike = (np.abs(fits.lengths_px - expected) > allowed) | (2.0 * turned > allowed)
+    unlike |= unexplained_power(patches, fits, shares, found.noise_dn) > _STREAK_UNEXPLAINED
     ends = fits.ends_px
     last = np.array(frame.pixels.shape[::-1]) - 1.0
     cut = ((ends < width) | (ends > last - width)).any(axis=(1, 2))

@@ -43,6 +43,8 @@ class FilteredImage:
     flux_per_response : float, DN
     width_px : float, px
         Gaussian width of a recorded star that the filter is made for.
+    reach_px : int, px
+        How far a source changes the response: half the side of the background box.
     """
 
     response: Image32
@@ -50,6 +52,7 @@ class FilteredImage:
     response_noise: float
     flux_per_response: float
     width_px: float
+    reach_px: int
 
 
 def recorded_width_px(psf_sigma_px: float) -> float:
@@ -109,6 +112,7 @@ def matched_filter(
         flux_per_response=1.0
         / ((1.0 / (4.0 * math.pi * width**2) if half_streak_px is None else float(np.sum(kernel**2))) - pedestal),
         width_px=width,
+        reach_px=box_half,
     )
 
 
@@ -129,7 +133,7 @@ def noise_between(
     noise_floor_dn : float, DN
     """
     grid = NoiseGrid.of(filtered.response.shape, filtered.width_px)
-    sigma = grid.robust_sigma(filtered.response, bad, sources_px, _box_half_px(filtered.width_px))
+    sigma = grid.robust_sigma(filtered.response, bad, sources_px, filtered.reach_px)
     return grid.spread(np.maximum(sigma / filtered.response_noise, noise_floor_dn))
 
 

@@ -36,7 +36,7 @@ _OUTLIER = 4.0
 _PATCH_WIDTHS = 4.0
 _REMEASURE_STEPS = 6
 _CHI2_SIGMAS = 4.0
-_UNUSABLE = (
+UNUSABLE = (
     DetectionFlag.SATURATED
     | DetectionFlag.MASKED
     | DetectionFlag.CUT_BY_FRAME
@@ -48,6 +48,7 @@ _UNUSABLE = (
     | DetectionFlag.HOT_PIXEL
     | DetectionFlag.STREAK
 )
+"""Flags of detections that say nothing of the point spread function."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -172,7 +173,7 @@ def estimate_psf(
     require(0 <= degree <= 3, f"degree must be 0 to 3, got {degree}")
     require(array.ndim == 2, f"pixels must be a 2-D array, got shape {array.shape}")
     require(bad is None or bad.shape == array.shape, "the mask has another size than the pixels")
-    usable = ((detections.flags & np.uint16(_UNUSABLE)) == 0) & (detections.snr >= min_snr)
+    usable = ((detections.flags & np.uint16(UNUSABLE)) == 0) & (detections.snr >= min_snr)
     stars = detections.select(np.flatnonzero(usable)[:_MOST_STARS])
     n_terms = (degree + 1) * (degree + 2) // 2
     if len(stars) < 3 * n_terms:
@@ -233,7 +234,7 @@ def remeasure(
     """
     array = np.asarray(pixels)
     bad = None if mask is None else np.asarray(mask, dtype=bool)
-    chosen = np.flatnonzero((detections.flags & np.uint16(_UNUSABLE)) == 0)
+    chosen = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)
     if not chosen.size:
         return detections
     stars = detections.select(chosen)
