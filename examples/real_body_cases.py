@@ -436,7 +436,8 @@ def earth(data: Path) -> Iterator[Case]:
     """Hayabusa2 ONC-W2: lens by boresight and corners of the header, range by the header, place by the image.
 
     The header's position vector is that of the spacecraft's target, so it does not tell where the Earth is. The charge
-    that light leaves on the columns while they are read out is their median, and taken off.
+    that light leaves on the columns while they are read out is their median, and taken off. One scale and the corners
+    leave the scale between them open by some 10 %: a lens of one scale through the corners has 15 % less per pixel.
     """
     image = Image.open(next((data / "bodies" / "hayabusa2_onc").glob("*.fit")))
     sights = np.array(
@@ -468,7 +469,7 @@ def earth(data: Path) -> Iterator[Case]:
         camera=camera,
         scene=placed(image, "EARTH", Ellipsoid(radii_km=radii, name="Earth"), apparent),
         range_km=range_km,
-        sigma_range=0.01,
+        sigma_range=0.1,
     )
 
 

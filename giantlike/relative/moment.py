@@ -46,6 +46,7 @@ _MAX_SATURATED = 0.2
 _INCONSISTENT_SIGMAS = 4.0
 _EDGE_PX = 1.0  # how far off the edge of the lit area may be, by the point spread function above all
 _MAX_STRAY = 0.05
+_SETTLING, _SETTLED_PX = 4, 2
 _RAYS_ACROSS = 300
 _OTHER_LAWS = (LommelSeeliger(), Lambert())  # flat and dark at the terminator: those of bodies lie between, about
 
@@ -333,19 +334,23 @@ def _light_of(
         )
     foreign = np.isin(blobs.labels, chosen[1:] + 1)
     shift = np.rint(blobs.centroids_px[blob] - template.photocenter_px).astype(np.int64)
-    region, expected, around = _regions(inputs, template, shift, blobs, blob)
-    threshold = otsu_threshold(signal[around & ~foreign])
-    light = _Light(
-        signal_dn=signal,
-        region=region & ~foreign,
-        threshold_dn=threshold,
-        background=background,
-        shift_px=shift,
-        expected=expected,
-    )
-    bright = light.bright
-    if not bright.any():
-        return inputs.fail(Reason.NO_SIGNAL, f"no pixel of the body is above {threshold:.4g} DN over background")
+    for _ in range(_SETTLING):
+        region, expected, around = _regions(inputs, template, shift, blobs, blob)
+        light = _Light(
+            signal_dn=signal,
+            region=region & ~foreign,
+            threshold_dn=otsu_threshold(signal[around & ~foreign]),
+            background=background,
+            shift_px=shift,
+            expected=expected,
+        )
+        bright = light.bright
+        if not bright.any():
+            return inputs.fail(Reason.NO_SIGNAL, f"no pixel is above {light.threshold_dn:.4g} DN over background")
+        center = light.centroid(inputs, light.threshold_dn)[0] + light.offset_px(template, light.threshold_dn)
+        before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
+        if np.abs(shift - before).max() <= _SETTLED_PX:
+            break
     saturated = float(inputs.saturated[bright].mean())
     if saturated > _MAX_SATURATED:
         return inputs.fail(
