@@ -157,6 +157,19 @@ def test_model_errors_that_hang_together_are_in_the_covariance() -> None:
     )  # an estimate from one body's residuals
 
 
+def test_stated_relief_widens_the_covariance_in_proportion() -> None:
+    pixels = noisy(1500.0 * blobs()(TRUE, True).light, np.random.default_rng(21))
+
+    def variance(relief_sigma: float, length_px: float) -> float:
+        options = TemplateFitOptions(relief_sigma=relief_sigma, relief_length_px=length_px)
+        return float(np.trace(fitted(pixels, TRUE, options=options).covariance[:2, :2]))
+
+    plain, little, much = variance(0.0, 5.0), variance(0.02, 5.0), variance(0.04, 5.0)
+    assert plain < little < much
+    assert_allclose((much - plain) / (little - plain), 4.0, rtol=0, atol=0.4)  # noise is little beside
+    assert variance(0.02, 10.0) > little
+
+
 def test_hits_and_stars_in_the_box_are_rejected() -> None:
     random = np.random.default_rng(13)
     pixels = noisy(1500.0 * blobs()(TRUE, True).light, random)
@@ -477,7 +490,9 @@ def test_a_weak_match_is_kept_with_a_flag() -> None:
     assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < float(chi2.ppf(1.0 - RARE, 2))
 
 
-@pytest.mark.parametrize("name", ["min_scale_diameter_px", "range_sigma", "clip_sigma", "search_px", "max_iterations"])
+@pytest.mark.parametrize(
+    "name", ["min_scale_diameter_px", "range_sigma", "clip_sigma", "search_px", "relief_length_rad"]
+)
 def test_options_out_of_range_are_refused(name: str) -> None:
     with pytest.raises(InputError):
         CrossCorrelationOptions(**{name: 0})  # type: ignore[arg-type]

@@ -27,7 +27,7 @@ from giantlike.relative.template_fit import TemplateImages
 from giantlike.relative.template_render import FitBox, TemplateRenderer
 from giantlike.relative.unresolved import Unresolved, UnresolvedOptions, kaasalainen_tanga
 from giantlike.scene import Scene, Target
-from giantlike.shapes import Shape, irregular_body, sphere
+from giantlike.shapes import Ellipsoid, Shape, irregular_body, sphere
 
 NOISELESS_PX = 0.01  # truth and template share nothing but the body: their rays differ
 SCALE_PX = 0.002  # the scale of the distorted image differs by half a percent from the predicted to the true place
@@ -188,6 +188,34 @@ def test_errors_on_irregular_bodies_with_a_wrong_range_are_consistent_with_the_c
     low, high = (float(chi2.ppf(q, 2 * draws)) / draws for q in (RARE, 1.0 - RARE))
     assert low / ONE_SIDED < np.mean(nees) < high
     assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < SEVERAL_PIXELS_PX
+
+
+def test_errors_of_a_crescent_are_consistent_with_the_covariance() -> None:
+    """At 120 degrees shift, range, blur and law do nearly the same to an image of 4 px."""
+    draws, nees = 30, []
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        pixel = (120.0 + float(rng.uniform()), 90.0 + float(rng.uniform()))
+        case = Case(shape=ROCK, diameter_px=4.0, phase_deg=120.0, pixel=pixel)
+        scene = case.scene(range_factor=math.exp(0.02 * float(rng.normal())))
+        fix = Unresolved().estimate(exposed(case.light(), 3000.0, rng), CAMERA, scene)
+        assert isinstance(fix, CenterFix), fix
+        error = fix.center_px - case.pixel
+        nees.append(float(error @ np.linalg.solve(fix.covariance_px2, error)))
+    low, high = (float(chi2.ppf(q, 2 * draws)) / draws for q in (RARE, 1.0 - RARE))
+    assert low / ONE_SIDED < np.mean(nees) < high
+
+
+@pytest.mark.parametrize("phase_deg", [10.0, 70.0])
+def test_the_ellipsoid_in_closed_form_corrects_an_ellipsoid_of_its_law(phase_deg: float) -> None:
+    shape = Ellipsoid(radii_km=np.array([0.5, 0.4, 0.3]))
+    case = Case(shape=shape, diameter_px=3.0, phase_deg=phase_deg, law=LommelSeeliger())
+    target = dataclasses.replace(case.scene().targets[0], reflectance=LommelSeeliger())
+    image = exposed(case.light(), 3000.0, rng=None)
+    fix = Unresolved(UnresolvedOptions(correction="ellipsoid")).estimate(image, CAMERA, Scene(targets=(target,)))
+    assert isinstance(fix, CenterFix), fix
+    range_error_px = 0.015 * 0.5 * case.diameter_px
+    assert_allclose(fix.center_px, case.pixel, rtol=0, atol=NOISELESS_PX + range_error_px)
 
 
 def test_the_template_of_a_small_body_changes_with_the_range_as_its_derivative_says() -> None:

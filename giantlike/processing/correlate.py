@@ -300,5 +300,5 @@ def _peak_covariance(height: float, curvature: Float, n_pixels: int) -> Float:
     if freedom <= 0 or not height > 0.0 or float(np.linalg.det(curvature)) <= 0.0:
         return np.diag([np.inf, np.inf])
     height = min(height, 1.0 - _LEAST_NOISE)
-    result: Float = (1.0 - height**2) / (height * freedom) * np.linalg.inv(curvature)
-    return result
+    scale = (1.0 - height**2) / (height * freedom)
+    return np.asarray(scale * np.linalg.inv(curvature), dtype=np.float64)

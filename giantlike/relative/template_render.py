@@ -67,7 +67,8 @@ class FitBox:
     def around(cls, template: Template, shift_px: NDArray[np.int64], margin_px: int, inputs: EstimatorInputs) -> FitBox:
         """The box of a shifted template and a margin."""
         low = template.corner_px + shift_px
-        return cls.spanning(low, low + np.array(template.brightness.shape[::-1]), margin_px, inputs)
+        high = low + np.array(template.brightness.shape[::-1])
+        return cls.spanning(low.astype(np.float64), high.astype(np.float64), margin_px, inputs)
 
     @classmethod
     def spanning(cls, low_px: Float, high_px: Float, margin_px: int, inputs: EstimatorInputs) -> FitBox:
@@ -216,11 +217,15 @@ class TemplateRenderer:
         """The light at a state, and what another law and, on a small body, another range make of it."""
         rough = self.inputs.radius_px >= _COARSE_RADIUS_PX
         trace = self.trace(state, margin_px=FIT_BORDER_PX, rough=rough)
-        template = trace if isinstance(trace, Failure) else trace.template()
-        if isinstance(trace, Failure) or isinstance(template, Failure):
+        if isinstance(trace, Failure):
+            return trace
+        template = trace.template()
+        if isinstance(template, Failure):
             return template
         light = box.place(template.brightness, template.corner_px)
-        share, difference, derivatives = 1.0, None, None
+        share = 1.0
+        difference: Float | None = None
+        derivatives: Float | None = None
         if law is not None:
             second = trace.with_reflectance(law).template()
             if isinstance(second, Failure):
@@ -229,9 +234,10 @@ class TemplateRenderer:
             share = float(shaded.sum()) / max(float(light.sum()), 1e-300)
             difference = shaded - share * light
         if self.inputs.radius_px < _SMALL_RADIUS_PX:
-            derivatives = self._derivatives(box, state)
-            if isinstance(derivatives, Failure):
-                return derivatives
+            found = self._derivatives(box, state)
+            if isinstance(found, Failure):
+                return found
+            derivatives = found
         return light, _Changes(share, difference, derivatives)
 
     def _derivatives(self, box: FitBox, state: TemplateState) -> Float | Failure:
