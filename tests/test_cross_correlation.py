@@ -491,7 +491,8 @@ def test_a_weak_match_is_kept_with_a_flag() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["min_scale_diameter_px", "range_sigma", "clip_sigma", "search_px", "relief_length_rad"]
+    "name",
+    ["min_scale_diameter_px", "range_sigma", "clip_sigma", "search_px", "max_iterations", "relief_length_rad"],
 )
 def test_options_out_of_range_are_refused(name: str) -> None:
     with pytest.raises(InputError):
