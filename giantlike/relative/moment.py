@@ -95,7 +95,7 @@ class Moment:
     whole pixels, over the brightest pixel of the template. The covariance holds the noise, the error of the size, and
     systematic terms, each as one sigma: what the laws of Lommel-Seeliger and Lambert would do, and what a threshold
     half as high does. For ``kaasalainen_tanga`` and ``none`` the difference from the rendered correction stands for the
-    law.
+    law. Markings that the shape does not bring as albedo, and rings, are not in it.
 
     Parameters
     ----------
