@@ -66,8 +66,10 @@ def test_the_centre_of_brightness_of_saturn_is_off_by_its_rings_but_by_little(ca
     light = Moment(MomentOptions(search_px=150.0)).estimate(case.image, case.camera, case.scene)
     assert isinstance(limb, PositionFix), limb
     assert isinstance(light, CenterFix), light
+    error = light.center_px - limb.center_px
+    assert error @ np.linalg.solve(light.covariance_px2, error) < SIGMAS**2
     radius_px = 317.0  # of the equator, by range and scale
-    assert np.linalg.norm(light.center_px - limb.center_px) < MOMENT_WITH_RINGS * radius_px
+    assert np.linalg.norm(error) < MOMENT_WITH_RINGS * radius_px
 
 
 def test_a_corner_of_europa_gives_its_position_as_uncertain_as_it_is(cases: Any, data_dir: Path) -> None:

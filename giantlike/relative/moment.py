@@ -47,6 +47,7 @@ _INCONSISTENT_SIGMAS = 4.0
 _EDGE_PX = 1.0  # how far off the edge of the lit area may be, by the point spread function above all
 _MAX_STRAY = 0.05
 _SETTLING, _SETTLED_PX = 4, 2
+_BLOCK = 0.25  # of the radius: markings larger than that are few
 _RAYS_ACROSS = 300
 _OTHER_LAWS = (LommelSeeliger(), Lambert())  # flat and dark at the terminator: those of bodies lie between, about
 
@@ -95,7 +96,7 @@ class Moment:
     whole pixels, over the brightest pixel of the template. The covariance holds the noise, the error of the size, and
     systematic terms, each as one sigma: what the laws of Lommel-Seeliger and Lambert would do, and what a threshold
     half as high does. For ``kaasalainen_tanga`` and ``none`` the difference from the rendered correction stands for the
-    law. Markings that the shape does not bring as albedo, and rings, are not in it.
+    law. Markings and rings, which the template has not, count by the residuals that they leave.
 
     Parameters
     ----------
@@ -150,6 +151,8 @@ class Moment:
         size = _measured_size(light, templates, self.options.range_sigma)
         terms = [*by_correction, by_threshold, size.sigma * offset]
         covariance = noise_px2 + _SAMPLING_PX**2 * np.eye(2) + sum(np.outer(term, term) for term in terms)
+        covariance = covariance + light.unexplained_px2(template, center_px, inputs.radius_px)
+        left, peak_dn = light.left(template)
         flags = inputs.flags_at(light.bright)
         if not size.consistent or light.stray > _MAX_STRAY:
             flags |= Quality.LARGE_RESIDUALS
@@ -161,7 +164,7 @@ class Moment:
             center_px=center_px + size.scale * offset,
             covariance_px2=covariance,
             predicted_px=inputs.predicted_px,
-            residuals=light.residuals(template),
+            residuals=left[light.bright] / peak_dn,
             n_used=int(np.count_nonzero(light.bright)),
             n_rejected=0,
             score=size.area_ratio,
@@ -245,8 +248,8 @@ class _Light:
         result: Float = template.center_px - center - template.corner_px
         return result
 
-    def residuals(self, template: Template) -> Float:
-        """Image minus template at the nearest whole pixels, over the brightest pixel of the template (n,)."""
+    def left(self, template: Template) -> tuple[Float, float]:
+        """Image minus template at the nearest whole pixels (rows, columns), DN, and the template's peak, DN."""
         rows, columns = self.region.shape
         expected = np.zeros((rows, columns))
         height, width = template.brightness.shape
@@ -254,7 +257,19 @@ class _Light:
         x0, x1, y0, y1 = max(x, 0), min(x + width, columns), max(y, 0), min(y + height, rows)
         expected[y0:y1, x0:x1] = template.brightness[y0 - y : y1 - y, x0 - x : x1 - x]
         gain = self.gain_dn(template)
-        result: Float = (self.signal_dn - gain * expected)[self.bright] / (gain * float(template.brightness.max()))
+        return self.signal_dn - gain * expected, gain * float(template.brightness.max())
+
+    def unexplained_px2(self, template: Template, center_px: Float, radius_px: float) -> Float:
+        """Covariance (2, 2) of the centre by markings: residuals of blocks of a quarter radius, each as one sigma."""
+        rows, columns = np.nonzero(self.bright)
+        left = self.left(template)[0][rows, columns]
+        arms = np.stack([columns, rows], axis=1) - center_px
+        block = np.floor(arms / max(_BLOCK * radius_px, 1.0)).astype(np.int64)
+        block -= block.min(axis=0)
+        number = block[:, 1] * (int(block[:, 0].max()) + 1) + block[:, 0]
+        flux = float(self.signal_dn[rows, columns].sum())
+        pulls = np.stack([np.bincount(number, left * arms[:, axis]) for axis in range(2)], axis=-1) / flux
+        result: Float = pulls.T @ pulls
         return result
 
 
