@@ -151,15 +151,7 @@ def fit_ellipse(
         )
     if not _value(ellipse_center(theta)[None], theta)[0] > 0.0:
         theta = -theta
-    residuals, covariance = _statistics(local, noise, theta, correlation_length, scale)
-    move = _moved(middle, scale)
-    coefficients = move @ theta
-    size = float(np.linalg.norm(coefficients))
-    across = np.eye(6) - np.outer(coefficients, coefficients) / size**2
-    change = across @ move / size
-    return ConicFit(
-        coefficients=coefficients / size, covariance=change @ covariance @ change.T, residuals=scale * residuals
-    )
+    return _unscaled(local, noise, theta, correlation_length, middle, scale)
 
 
 def conic_matrix(coefficients: Float) -> Float:
@@ -251,6 +243,21 @@ def _statistics(
         scatter = fit.residual_covariance(sigma, points)
     covariance = generalised_solution(residuals, design, scatter, weights=1.0 / sigma**2)[1]
     return residuals, across @ covariance @ across.T
+
+
+def _unscaled(
+    local: Float, noise: Float, theta: Float, correlation_length: float | None, middle: Float, scale: float
+) -> ConicFit:
+    """The fit in the unit of the points, of one to points about ``middle`` in units of ``scale``."""
+    residuals, covariance = _statistics(local, noise, theta, correlation_length, scale)
+    move = _moved(middle, scale)
+    coefficients = move @ theta
+    size = float(np.linalg.norm(coefficients))
+    across = np.eye(6) - np.outer(coefficients, coefficients) / size**2
+    change = across @ move / size
+    return ConicFit(
+        coefficients=coefficients / size, covariance=change @ covariance @ change.T, residuals=scale * residuals
+    )
 
 
 def _moved(middle: Float, scale: float) -> Float:

@@ -249,16 +249,7 @@ def identify_blobs(
     require(search_px > 0 and log_area_sigma > 0, "search_px and log_area_sigma must be > 0")
     places = np.array([one.center_px for one in expected], dtype=np.float64)
     looks = _looks(blobs, expected, log_area_sigma)
-    found: dict[tuple[int, ...], float] = {}
-    for body in range(len(expected)):
-        for blob in range(len(blobs)):
-            shift = blobs.centroids_px[blob] - places[body]
-            if np.linalg.norm(shift) > search_px:
-                continue
-            chosen, cost = _assigned(blobs.centroids_px, places + shift, looks, search_px, len(expected))
-            if chosen is not None:
-                total = cost + float(shift @ shift) / (search_px / 3.0) ** 2
-                found[chosen] = min(found.get(chosen, math.inf), total)
+    found = _assignments(blobs, places, looks, search_px)
     if not found:
         return Failure(
             Reason.NO_SIGNAL,
@@ -272,6 +263,21 @@ def identify_blobs(
             f"two assignments of {len(blobs)} blobs to {len(expected)} bodies fit as well as the other",
         )
     return np.array(order[0], dtype=np.int64)
+
+
+def _assignments(blobs: Blobs, places: Float, looks: Float, search_px: float) -> dict[tuple[int, ...], float]:
+    """Assignments of blobs to bodies and what each costs, about the shift of every first pair."""
+    found: dict[tuple[int, ...], float] = {}
+    for body in range(len(places)):
+        for blob in range(len(blobs)):
+            shift = blobs.centroids_px[blob] - places[body]
+            if np.linalg.norm(shift) > search_px:
+                continue
+            chosen, cost = _assigned(blobs.centroids_px, places + shift, looks, search_px, len(places))
+            if chosen is not None:
+                total = cost + float(shift @ shift) / (search_px / 3.0) ** 2
+                found[chosen] = min(found.get(chosen, math.inf), total)
+    return found
 
 
 def _looks(blobs: Blobs, expected: Sequence[ExpectedBlob], log_area_sigma: float) -> Float:
