@@ -128,6 +128,7 @@ def test_a_campaign_carries_attitudes_by_the_rates_of_a_table(tmp_path: Path) ->
     rows = [f"{et!r},{text}" for et in (start - 100.0, start + 100.0)]
     (tmp_path / "gyro.csv").write_text("\n".join(["et,rate_x_rad_s,rate_y_rad_s,rate_z_rad_s", *rows]) + "\n")
     before, short, _ = run_campaign(Campaign.load(path), workers=1).attitudes
+    assert before.attitude is not None
     assert short.attitude is not None
     assert short.attitude.source == "interpolated"
     assert short.provenance["transfer"] == "propagate"

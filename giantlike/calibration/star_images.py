@@ -21,11 +21,11 @@ from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
 from giantlike.image import Image
 from giantlike.stars.field import Sky
-from giantlike.stars.verification import depth_for, scaled_model
 from giantlike.stars.matching import attitudes_of_sky
 from giantlike.stars.navigation import StarNavigation, sky_of
 from giantlike.stars.options import StarOptions
 from giantlike.stars.refine import RefinedAttitude, refine_attitude
+from giantlike.stars.verification import depth_for, scaled_model
 
 DEFAULT_MIN_SNR = 20.0
 """Stars from which a camera is calibrated: their centroids are known to some 0.05 px."""
