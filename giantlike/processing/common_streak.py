@@ -28,6 +28,7 @@ _POWER_SIGMAS = 5.0
 _QUICK_LONG = 0.55  # of the longest axis: points of up to 1 px give 0.5 and less
 _MOMENT_SIGMAS = 3.0
 _WIDTHS = (0.5, 0.65, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5)
+_USUAL_WIDTH, _FOR_WIDTH = 1.0, 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,16 +85,25 @@ def find_common_streak(
     if half < _HALF_PATCH_PX:
         middle = np.rint(guess.centers_px).astype(np.int64)
         patches = cut_patches(pixels, bad, middle, half, saturation_dn)
-    sigmas = _WIDTHS if psf_sigma_px is None else (max(psf_sigma_px, MIN_PSF_SIGMA_PX),)
-    fits = [_fitted(patches, guess, noise_dn, sigma, gain_e_per_dn) for sigma in sigmas]
-    left = [float(np.median(fit.chi2)) for fit in fits]
+    known = None if psf_sigma_px is None else max(psf_sigma_px, MIN_PSF_SIGMA_PX)
+    first = _fitted(patches, guess, noise_dn, known or _USUAL_WIDTH, gain_e_per_dn)
+    agreed = _agreed(first, len(peaks_px), known or _USUAL_WIDTH)
+    if agreed is None or known is not None:
+        return agreed
+    few = np.arange(min(_FOR_WIDTH, len(guess.flux_dn)))
+    sigma = _width(patches.select(few), guess.select(few), noise_dn[few], gain_e_per_dn)
+    return _agreed(_fitted(patches, guess, noise_dn, sigma, gain_e_per_dn), len(peaks_px), sigma)
+
+
+def _width(patches: Patches, guess: _Guess, noise_dn: Float, gain_e_per_dn: float) -> float:
+    """Width, px, that explains lines best: vertex of the parabola through three values, in its logarithm."""
+    left = [float(np.median(_fitted(patches, guess, noise_dn, sigma, gain_e_per_dn).chi2)) for sigma in _WIDTHS]
     best = int(np.argmin(left))
-    sigma = sigmas[best]
-    if 0 < best < len(sigmas) - 1:  # vertex of the parabola through three values, in ln sigma
-        x = np.log(sigmas[best - 1 : best + 2])
-        second, first, _ = np.polyfit(x, left[best - 1 : best + 2], 2)
-        sigma = float(np.exp(-first / (2.0 * second))) if second > 0 else sigma
-    return _agreed(fits[best], len(peaks_px), sigma)
+    if not 0 < best < len(_WIDTHS) - 1:
+        return _WIDTHS[best]
+    x = np.log(_WIDTHS[best - 1 : best + 2])
+    second, first, _ = np.polyfit(x, left[best - 1 : best + 2], 2)
+    return float(np.exp(-first / (2.0 * second))) if second > 0 else _WIDTHS[best]
 
 
 def measure_streaks(

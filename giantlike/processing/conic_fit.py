@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, as_floats, require
 from giantlike.core.outcomes import Failure, Reason
@@ -239,10 +239,21 @@ def _statistics(
     if correlation_length is None:
         scatter = np.diag(sigma**2)
     else:
-        fit = correlated_solution(residuals, design, sigma, points, min_length=correlation_length / scale)
+        order = _along(points, ellipse_center(theta))
+        fit = correlated_solution(
+            residuals[order], design[order], sigma[order], points[order], min_length=correlation_length / scale
+        )
         scatter = fit.residual_covariance(sigma, points)
     covariance = generalised_solution(residuals, design, scatter, weights=1.0 / sigma**2)[1]
     return residuals, across @ covariance @ across.T
+
+
+def _along(points: Float, center: Float) -> NDArray[np.intp]:
+    """Order (n,) of points around a centre, starting opposite to where most of them are."""
+    radial = points - center
+    angles = np.arctan2(radial[:, 1], radial[:, 0])
+    middle = np.arctan2(np.sin(angles).sum(), np.cos(angles).sum())
+    return np.argsort((angles - middle + np.pi) % (2.0 * np.pi), kind="stable")
 
 
 def _unscaled(

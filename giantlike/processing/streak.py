@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, frozen
 from giantlike.processing.centroid import Patches, pixel_shares
 
 _MAX_STEPS = 40
@@ -88,6 +89,12 @@ class LineFits:
         return result
 
 
+@lru_cache(maxsize=256)
+def _gauss_legendre(count: int) -> tuple[Float, Float]:
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return frozen(nodes), frozen(weights)
+
+
 def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px: float) -> tuple[Float, Float]:
     """Share of a unit line in each pixel, and its derivatives.
 
@@ -108,7 +115,7 @@ def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px:
     """
     size, n = patches.values_dn.shape[1], len(centers_px)
     longest = 2.0 * float(np.hypot(*halves_px.T).max(initial=0.0))
-    nodes, weights = np.polynomial.legendre.leggauss(math.ceil(longest / (_NODE_SPACING * sigma_px)) + _SPARE_NODES)
+    nodes, weights = _gauss_legendre(math.ceil(longest / (_NODE_SPACING * sigma_px)) + _SPARE_NODES)
     k = len(nodes)
     along = centers_px[:, None, :] + nodes[:, None] * halves_px[:, None, :]
     corner = np.repeat(patches.corner_px, k, axis=0)
