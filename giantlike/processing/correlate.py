@@ -38,7 +38,8 @@ class CorrelationOptions:
     min_overlap: float = 0.3
 
     def __post_init__(self) -> None:
-        require(1 <= self.search_px <= 4096, f"search_px must be in [1, 4096], got {self.search_px}")
+        whole = isinstance(self.search_px, int | np.integer) and 1 <= self.search_px <= 4096
+        require(whole, f"search_px must be a whole number in [1, 4096], got {self.search_px}")
         require(0.0 < self.min_score < 1.0, f"min_score must be in (0, 1), got {self.min_score}")
         require(0.0 < self.min_overlap <= 1.0, f"min_overlap must be in (0, 1], got {self.min_overlap}")
 
