@@ -10,6 +10,7 @@ from giantlike.catalogs.blends import blended
 from giantlike.catalogs.cache import cache_folder, write_to_cache
 from giantlike.catalogs.catalog import MemoryCatalog, StarCatalog
 from giantlike.catalogs.table import StarTable, et_of_julian_year, julian_year
+from giantlike.core.errors import DataError
 
 __all__ = [
     "BANDS",
@@ -55,6 +56,8 @@ def load_catalog(name: str | Path = "default", *, band: str | Band | None = None
 
 
 def _of_file(path: Path) -> MemoryCatalog:
+    if not path.exists():
+        raise DataError(path, "there is no such catalogue: give 'default', a built catalogue or a CSV file")
     from giantlike.catalogs.stored import is_catalog_file, open_catalog
 
     if path.is_file() and is_catalog_file(path):

@@ -28,6 +28,7 @@ from giantlike.core.outcomes import Reason
 from giantlike.io.attitude_series import AttitudeSeries
 from giantlike.io.ccsds_aem import write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
+from giantlike.io.wcs_header import attitude_of_wcs
 
 ROTATION_RAD = 1e-12  # float64 through a quaternion
 WCS_PX = 0.01  # order 5 polynomials of a lens with 8 px of distortion in the corner
@@ -312,3 +313,31 @@ def test_a_run_without_attitudes_has_nothing_to_export(tmp_path: Path) -> None:
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no run folder"):
         export_run(tmp_path, tmp_path / "a.csv", ExportFormat.CSV)
+
+
+@pytest.mark.filterwarnings("ignore:The WCS transformation has more axes")
+def test_world_coordinates_of_images_stored_from_the_bottom_are_for_their_stored_rows(tmp_path: Path) -> None:
+    folder = _run(tmp_path / "run", [_record(0)])
+    run = RunFolder.open(folder)
+    content = run.provenance()
+    run.write_provenance(content | {"run": content["run"] | {"bottom_up": True}})
+    header = fits.getheader(export_run(folder, tmp_path / "wcs", ExportFormat.WCS).files[0])
+    turned = np.random.default_rng(1).uniform([0, 0], [639, 479], (50, 2))
+    ra, dec = radec_from_direction(_attitude(TIMES[0]).inv().apply(CAMERA.model.unproject(turned)))
+    found = np.stack(WCS(header).all_world2pix(ra, dec, 0), axis=-1)
+    assert np.abs(found - (turned * [1.0, -1.0] + [0.0, 479.0])).max() < WCS_PX
+    told = attitude_of_wcs(dict(header), CAMERA.model, columns=640, rows=480, bottom_up=True)
+    assert _angle(told.camera_from_inertial, _attitude(TIMES[0])) * 3000.0 < WCS_PX
+
+
+def test_images_of_one_name_in_two_folders_get_a_header_each(tmp_path: Path) -> None:
+    names = ("night_1/image.fits", "night_2/image.fits")
+    records = [_record(k).model_copy(update={"file": name}) for k, name in enumerate(names)]
+    files = export_run(_run(tmp_path / "run", records), tmp_path / "wcs", ExportFormat.WCS).files
+    assert sorted(file.name for file in files) == ["night_1_image.fits.wcs.fits", "night_2_image.fits.wcs.fits"]
+    assert all(file.exists() for file in files)
+
+
+def test_a_run_that_does_not_exist_is_told_from_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="there is no such run folder"):
+        export_run(tmp_path / "nothing", tmp_path / "a.csv", ExportFormat.CSV)

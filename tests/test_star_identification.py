@@ -61,7 +61,7 @@ UNKNOWNS = Quality.OBSERVER_UNKNOWN | Quality.EPOCH_UNKNOWN
 CENTER_DEG = 0.02  # what must be shown on the tetra3 frames, against a solver without distortion
 FOV_PERCENT = 0.2
 CEDAR_CENTER_DEG = 0.02
-CEDAR_SOLVED = 5
+CEDAR_SOLVED = 6
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -22,7 +22,7 @@ from giantlike.campaign.prepare import open_image
 from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
 from giantlike.cli.app import app
 from giantlike.core.errors import InputError
-from giantlike.core.frames import camera_from_inertial_of_pointing
+from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec
 from giantlike.image import Image
 from giantlike.io.wcs_header import attitude_of_wcs, write_wcs
 
@@ -162,3 +162,21 @@ def test_a_sky_stored_from_the_bottom_is_solved_and_drawn_by_the_command(tmp_pat
     assert abs(solved["ra_deg"] - 60.0) < 0.01
     assert abs(solved["dec_deg"] - 25.0) < 0.01
     assert {file.name for file in review.iterdir()} == {"sky.fits.stars.png", "sky.fits.residuals.png"}
+
+
+@pytest.mark.real_data
+def test_stars_behind_a_fixed_pattern_are_solved_with_the_sequence(data_dir: Path) -> None:
+    truth = {  # right ascension and declination, deg, published to three digits; img1 was not solved
+        "img0.png": (181.172, 16.834),
+        "img2.png": (154.015, 19.160),
+        "img3.png": (169.987, 13.750),
+        "img4.png": (179.821, 15.737),
+    }
+    images = sorted((data_dir / "stars" / "openstartracker").glob("*.png"))
+    outcome = CliRunner().invoke(app, ["stars", *map(str, images), "--fov", "6.07", "--sequence", "--json"])
+    solved = {Path(one["file"]).name: one for one in json.loads(outcome.stdout) if one["status"] == "ok"}
+    assert truth.keys() <= solved.keys()
+    for name, place in truth.items():
+        found = direction_from_radec(solved[name]["ra_deg"], solved[name]["dec_deg"])
+        assert np.degrees(np.arccos(min(float(found @ direction_from_radec(*place)), 1.0))) < 0.01
+        assert max(solved[name][f"sigma_{axis}_arcsec"] for axis in "xy") < 10.0

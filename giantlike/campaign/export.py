@@ -111,7 +111,8 @@ def export_run(
     chosen, left_out = _chosen(result, options, needs_epoch=format_name is not ExportFormat.WCS)
     require(bool(chosen), f"{folder}: no attitude to write ({_said(left_out)})")
     _make_folder(output if format_name is ExportFormat.WCS else output.parent)
-    files = _WRITERS[format_name](output, camera, chosen, options)
+    job = _Job(output=output, camera=camera, records=chosen, options=options, bottom_up=result.bottom_up)
+    files = _WRITERS[format_name](job)
     return Exported(files=files, n_attitudes=len(chosen), left_out=left_out)
 
 
@@ -188,15 +189,27 @@ def _make_folder(path: Path) -> None:
         raise DataError(path, f"cannot make the folder: {error.strerror or error}") from error
 
 
-def _csv(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
-    write_attitude_csv(output, attitude_series(records))
-    return (output,)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Job:
+    """What one format is written from."""
+
+    output: Path
+    camera: Camera
+    records: list[AttitudeRecord]
+    options: ExportOptions
+    bottom_up: bool
 
 
-def _ck(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
-    require(options.instrument_id is not None, "a C-kernel needs --instrument, the NAIF code of the camera frame")
-    assert options.instrument_id is not None
-    series, frame = attitude_series(records), camera.mission_frame
+def _csv(job: _Job) -> tuple[Path, ...]:
+    write_attitude_csv(job.output, attitude_series(job.records))
+    return (job.output,)
+
+
+def _ck(job: _Job) -> tuple[Path, ...]:
+    code = job.options.instrument_id
+    require(code is not None, "a C-kernel needs --instrument, the NAIF code of the camera frame")
+    assert code is not None
+    series, frame = attitude_series(job.records), job.camera.mission_frame
     if frame is not None:
         turn = frame.camera_from_mission.inv()
         matrix = turn.as_matrix()
@@ -206,39 +219,42 @@ def _ck(output: Path, camera: Camera, records: list[AttitudeRecord], options: Ex
             covariance_rad2=matrix @ series.covariance_rad2 @ matrix.T,
             names=series.names,
         )
-    target = CkTarget(instrument_id=options.instrument_id, frame_name=_frame_name(camera, options))
-    comments = [f"{camera.name}, {len(records)} attitudes from star images", "axes: " + target.frame_name]
-    return write_ck(output, series, target, sclk=options.sclk, max_gap_s=options.max_gap_s, comments=comments)
-
-
-def _aem(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
-    write_aem(
-        output,
-        attitude_series(records),
-        object_name=options.object_name,
-        object_id=options.object_id,
-        originator=options.originator,
-        frame=options.frame_name or "INSTRUMENT_1",
-        max_gap_s=options.max_gap_s,
-        comments=(f"camera {camera.name}: +x along columns, +y along rows, +z boresight",),
+    target = CkTarget(instrument_id=code, frame_name=_frame_name(job.camera, job.options))
+    comments = [f"{job.camera.name}, {len(job.records)} attitudes from star images", "axes: " + target.frame_name]
+    return write_ck(
+        job.output, series, target, sclk=job.options.sclk, max_gap_s=job.options.max_gap_s, comments=comments
     )
-    return (output,)
 
 
-def _wcs(output: Path, camera: Camera, records: list[AttitudeRecord], options: ExportOptions) -> tuple[Path, ...]:
+def _aem(job: _Job) -> tuple[Path, ...]:
+    write_aem(
+        job.output,
+        attitude_series(job.records),
+        object_name=job.options.object_name,
+        object_id=job.options.object_id,
+        originator=job.options.originator,
+        frame=job.options.frame_name or "INSTRUMENT_1",
+        max_gap_s=job.options.max_gap_s,
+        comments=(f"camera {job.camera.name}: +x along columns, +y along rows, +z boresight",),
+    )
+    return (job.output,)
+
+
+def _wcs(job: _Job) -> tuple[Path, ...]:
     files = []
-    for record in records:
+    for record in job.records:
         assert record.attitude is not None
-        path = output / f"{Path(record.file).name}.wcs.fits"
+        path = job.output / f"{'_'.join(Path(record.file).parts)}.wcs.fits"
         write_wcs(
             path,
-            camera.model,
-            columns=camera.columns,
-            rows=camera.rows,
+            job.camera.model,
+            columns=job.camera.columns,
+            rows=job.camera.rows,
             camera_from_inertial=Rotation.from_quat(record.attitude.quaternion_xyzw),
             et=record.et,
             name=record.file,
-            order=options.sip_order,
+            order=job.options.sip_order,
+            bottom_up=job.bottom_up,
         )
         files.append(path)
     return tuple(files)
@@ -254,6 +270,6 @@ def _frame_name(camera: Camera, options: ExportOptions) -> str:
     return f"GL_{letters}"[:26]
 
 
-_WRITERS: Mapping[ExportFormat, Callable[[Path, Camera, list[AttitudeRecord], ExportOptions], tuple[Path, ...]]] = (
-    MappingProxyType({ExportFormat.CSV: _csv, ExportFormat.CK: _ck, ExportFormat.AEM: _aem, ExportFormat.WCS: _wcs})
+_WRITERS: Mapping[ExportFormat, Callable[[_Job], tuple[Path, ...]]] = MappingProxyType(
+    {ExportFormat.CSV: _csv, ExportFormat.CK: _ck, ExportFormat.AEM: _aem, ExportFormat.WCS: _wcs}
 )

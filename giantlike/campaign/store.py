@@ -105,6 +105,8 @@ class RunFolder:
         try:
             content = json.loads((self.path / _PROVENANCE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
+            if not self.path.exists():
+                raise DataError(self.path, "there is no such run folder") from error
             raise DataError(self.path, f"is no run folder: {_PROVENANCE} is missing or damaged") from error
         if not isinstance(content, dict):
             raise DataError(self.path, f"is no run folder: {_PROVENANCE} is damaged")

@@ -58,7 +58,8 @@ Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for ma
 Sequence = Annotated[
     bool,
     typer.Option(
-        "--sequence", help="Images of one camera and other stars each: remove the fixed pattern, compare the images."
+        "--sequence",
+        help="Images of one camera and other stars each: remove their fixed pattern; detect compares them too.",
     ),
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per CPU.")]

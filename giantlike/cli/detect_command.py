@@ -74,6 +74,8 @@ class DetectRequest:
         sigma = self.psf_sigma_px
         require(sigma is None or 0 <= sigma <= 20, f"--psf-sigma must be in [0, 20] px, got {sigma}")
         require(0 <= self.psf_degree <= 3, f"--psf-degree must be 0 to 3, got {self.psf_degree}")
+        known = self.camera is not None or self.options.noise is not NoiseSource.DETECTOR
+        require(known, "--noise detector needs --camera, whose file describes the detector")
         require(math.isfinite(self.min_snr) and self.min_snr >= 0, f"--min-snr must be >= 0, got {self.min_snr}")
 
     @property

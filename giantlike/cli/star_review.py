@@ -10,6 +10,14 @@ from giantlike.image import Image
 from giantlike.processing import Detections
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of the pictures; ``DataError`` where that is impossible."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(folder, f"cannot make the folder: {error.strerror or error}") from error
+
+
 def write_review(
     folder: Path, path: Path, image: Image, detections: Detections, outcome: AttitudeFix | Failure
 ) -> tuple[Path, ...]:
@@ -42,7 +50,6 @@ def write_review(
         )
     files = tuple(folder / f"{path.name}.{name}.png" for name in figures)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         for file, figure in zip(files, figures.values(), strict=True):
             figure.savefig(file, dpi=130)
     except OSError as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import typer
 
 from giantlike.camera import Camera
@@ -15,12 +16,13 @@ from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
 from giantlike.cli.sequence_input import sequence_pattern, without_pattern
-from giantlike.cli.star_review import write_review
+from giantlike.cli.star_review import make_folder, write_review
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
-from giantlike.core.frames import pointing_deg
+from giantlike.core.frames import pointing_deg, quaternion_xyzw
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.image import Image
 from giantlike.processing import Detections
 from giantlike.processing.sequence import FixedPattern
@@ -37,6 +39,9 @@ _NUMBERS = MappingProxyType(
     }
 )
 """Numbers of a solution, and how a table shows them: width and format."""
+_SIGMAS = ("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec")
+_MORE = ("n_detected", "n_rejected", "false_match_probability", "identification", *_SIGMAS, "quaternion_xyzw")
+"""What JSON tells besides; the quaternion is camera_from_inertial, the sigmas are about the camera axes."""
 _DEFAULT_FOV_ERROR = 0.2
 """What the command line hands over when --fov-error is not given."""
 
@@ -85,6 +90,8 @@ def stars_command(
     wanted = StarsRequest(camera=None if camera_file is None else Camera.load(camera_file), **request)
     options = wanted.options()
     stars = load_catalog(catalog)
+    if wanted.review is not None:
+        make_folder(wanted.review)
     detector = Detector() if wanted.camera is None else wanted.camera.detector
     pattern = None
     if wanted.sequence:
@@ -112,7 +119,7 @@ def _solve(
 ) -> dict[str, Any]:
     """One object of the JSON list; what is not known is None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None} | dict.fromkeys(_NUMBERS)
-    values |= {"detail": "", "flags": []}
+    values |= {"detail": "", "flags": []} | dict.fromkeys(_MORE)
     try:
         image = Image.open(path, hdu=wanted.hdu, bottom_up=wanted.bottom_up)
         camera = wanted.camera
@@ -142,6 +149,12 @@ def _solve(
         "n_matched": outcome.n_used,
         "rms_px": outcome.rms_px,
         "flags": list(outcome.flags.names()),
+        "n_detected": outcome.n_detected,
+        "n_rejected": outcome.n_rejected,
+        "false_match_probability": outcome.false_match_probability,
+        "identification": outcome.provenance.get("identification"),
+        **dict(zip(_SIGMAS, (np.sqrt(np.diag(outcome.covariance_rad2)) * ARCSEC_PER_RAD).tolist(), strict=True)),
+        "quaternion_xyzw": quaternion_xyzw(outcome.camera_from_inertial).tolist(),
     }
 
 

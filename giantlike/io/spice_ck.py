@@ -115,8 +115,9 @@ def write_ck(
     try:
         with load_kernels([Path(sclk).absolute()], path.parent):
             ticks = np.array([spiceypy.sce2c(target.clock_id, et) for et in series.et.tolist()])
-        path.unlink(missing_ok=True)
-        handle = spiceypy.ckopn(str(path), "giantlike attitudes", 0)
+        part = path.with_name(f".{path.name}.part")
+        part.unlink(missing_ok=True)
+        handle = spiceypy.ckopn(str(part), "giantlike attitudes", 0)
         try:
             spiceypy.dafac(handle, [f"giantlike {VERSION}", *(text[:1000] for text in comments)])
             spiceypy.ckw03(
@@ -127,6 +128,7 @@ def write_ck(
             )  # fmt: skip
         finally:
             spiceypy.ckcls(handle)
+        part.replace(path)
     except SpiceyError as error:
         raise DataError(path, f"cannot write the C-kernel: {spice_message(error)}") from error
     except OSError as error:

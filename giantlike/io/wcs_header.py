@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from giantlike.core.version import VERSION
 from giantlike.io.camera_sip import camera_of_sip, sip_header
 
 _NODES = 21
+_SIP_TERM = re.compile(r"(?P<letter>[AB])P?_(?P<column>[0-9])_(?P<row>[0-9])")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,10 +40,9 @@ def write_wcs(
     et: float | None = None,
     name: str = "",
     order: int = 5,
+    bottom_up: bool = False,
 ) -> WcsFit:
-    """Write world coordinates as a FITS file that is only a header.
-
-    The pixels are those of the image as stored: where rows are stored from the bottom, astropy and DS9 show the same.
+    """Write world coordinates as a FITS file that is only a header, for the pixels of the image as stored.
 
     Parameters
     ----------
@@ -55,6 +56,8 @@ def write_wcs(
         Of the image, for ``FILENAME``.
     order : int
         Of the polynomials, 2 to 9.
+    bottom_up : bool
+        Whether the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
 
     Returns
     -------
@@ -80,12 +83,25 @@ def write_wcs(
         header["MJD-AVG"] = float(epoch.utc.mjd)
     header["IMAGEW"], header["IMAGEH"] = columns, rows
     header["SIPMAX"] = (fitted.max_px, "[pixel] largest error of the polynomials")
-    header.update(fitted.cards)
+    header.update(_stored_from_below(fitted.cards, rows) if bottom_up else fitted.cards)
     try:
         fits.PrimaryHDU(header=header).writeto(path, overwrite=True)
     except OSError as error:
         raise DataError(Path(path), f"cannot be written: {error.strerror or error}") from error
     return WcsFit(max_px=fitted.max_px, rms_px=fitted.rms_px)
+
+
+def _stored_from_below(cards: Mapping[str, str | int | float], rows: int) -> dict[str, str | int | float]:
+    """The same world coordinates for rows in the other order."""
+    turned = dict(cards)
+    turned["CRPIX2"] = rows + 1 - float(cards["CRPIX2"])
+    for key, value in cards.items():
+        if key in ("CD1_2", "CD2_2"):
+            turned[key] = -float(value)
+        elif match := _SIP_TERM.fullmatch(key):
+            turns = int(match["row"]) + (match["letter"] == "B")
+            turned[key] = -float(value) if turns % 2 else float(value)
+    return turned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -117,6 +117,8 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
     require(len(arrays) >= 2, f"a sequence needs at least two images, got {len(arrays)}")
     shapes = {array.shape for array in arrays}
     require(len(shapes) == 1 and arrays[0].ndim == 2, f"images of a sequence must have one size, got {sorted(shapes)}")
+    finite = all(array.dtype.kind != "f" or bool(np.isfinite(array).all()) for array in arrays)
+    require(finite, "a sequence needs finite pixels; Image.open puts zeros where they are not, and masks them")
     share = _staying_share(arrays, Detector() if detector is None else detector)
     if share > _STAY_SHARE:
         return Failure(
