@@ -72,9 +72,9 @@ def test_attitudes_err_as_their_covariance_says_roll_included(method: str, trial
         error = rotation_between(solution.camera_from_inertial, truth)
         squares[k] = error @ np.linalg.solve(solution.covariance_rad2, error)
         roll[k] = error[2] ** 2 / solution.covariance_rad2[2, 2]
-    low, high = _band(0.95, 3, trials)
+    low, high = _band(0.99999, 3, trials)
     assert low < squares.mean() < high
-    low, high = _band(0.95, 1, trials)
+    low, high = _band(0.99999, 1, trials)
     assert low < roll.mean() < high
 
 
