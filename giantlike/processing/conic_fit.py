@@ -14,6 +14,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.correlated_fit import correlated_solution, generalised_solution
 
 MIN_POINTS = 6
+_LEAST_CORRELATED = 8
 _ROUNDS = 4
 _SECOND_ORDER = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 """Mean of the monomials of noise of unit variance."""
@@ -94,7 +95,7 @@ def fit_ellipse(
     Parameters
     ----------
     points : (n, 2), any unit
-        n >= 6.
+        n >= 6, with ``correlation_length`` n >= 8.
     sigma : (n,) or float, unit of the points
         Standard deviation of each coordinate.
     correlation_length : float, optional
@@ -130,10 +131,9 @@ def fit_ellipse(
     """
     given = as_floats(points, (2,), "points")
     require(given.ndim == 2 and bool(np.isfinite(given).all()), f"points must be finite and (n, 2), got {given.shape}")
-    if len(given) < MIN_POINTS:
-        return Failure(
-            Reason.TOO_FEW_DETECTIONS, f"needed at least {MIN_POINTS} points for an ellipse, got {len(given)}"
-        )
+    needed = MIN_POINTS if correlation_length is None else _LEAST_CORRELATED
+    if len(given) < needed:
+        return Failure(Reason.TOO_FEW_DETECTIONS, f"needed at least {needed} points for an ellipse, got {len(given)}")
     middle, scale = given.mean(axis=0), float(np.sqrt(given.var(axis=0).sum()))
     spread = np.linalg.svd(given - middle, compute_uv=False)
     if not spread[1] > 1e-9 * spread[0]:
@@ -142,7 +142,7 @@ def fit_ellipse(
         )
     local = (given - middle) / scale
     noise = np.broadcast_to(as_floats(sigma, (), "sigma"), len(given)) / scale
-    require(bool(np.all(noise > 0)), "sigma must be > 0")
+    require(bool(np.all(np.isfinite(noise) & (noise > 0))), "sigma must be > 0 and finite")
     theta = _hyper(local, noise)
     curvature = theta[0] * theta[2] - theta[1] ** 2
     if not curvature > 0.0:

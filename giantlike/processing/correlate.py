@@ -212,7 +212,8 @@ def _whole(image: Float, template: Float) -> Float:
     """Correlation without masks, by OpenCV; levels are taken off first, for the sake of its float32 sums."""
     level = float(image.mean())
     flat = (image - level).astype(np.float32)
-    pattern = (template - template.mean()).astype(np.float32)
+    bright = float(np.abs(template).max())
+    pattern = ((template - template.mean()) / (bright or 1.0)).astype(np.float32)
     surface: Float = cv2.matchTemplate(flat, pattern, cv2.TM_CCOEFF_NORMED).astype(np.float64)
     size = (template.shape[1], template.shape[0])
     mean = cv2.boxFilter(image - level, cv2.CV_64F, size, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)

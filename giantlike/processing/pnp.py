@@ -221,7 +221,9 @@ def _positions(rays: Float, turned: Float) -> Float:
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
     normal = across.sum(axis=1)
     right = -np.einsum("mkij,mkj->mi", across, turned)
-    free = ~(np.linalg.cond(normal) < _CONDITION_LIMIT)
+    free = ~np.isfinite(normal).all(axis=(1, 2)) | ~np.isfinite(right).all(axis=1)
+    normal[free], right[free] = np.eye(3), 0.0
+    free |= ~(np.linalg.cond(normal) < _CONDITION_LIMIT)
     normal[free] = np.eye(3)
     result: Float = np.linalg.solve(normal, right[..., None])[..., 0]
     result[free] = np.nan

@@ -26,6 +26,7 @@ from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid
 
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)
+_WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0  # a check less certain than both, in px and over the sigma of the fix, is none
 _LIGHT, _LIMB, _LANDMARKS = "light", "limb", "landmarks"
 _SEES: Mapping[str, str] = MappingProxyType(
     {
@@ -169,7 +170,8 @@ class Auto:
     The estimators of the choice are tried in order; the first fix to which none of its own checks objects is taken,
     else the first fix. A second estimator that rests on something else (the limb instead of the light), or on the
     light in another way, checks it: where the two differ by more than their covariances explain, the fix is flagged
-    ``DISAGREEMENT`` and so is suspect; where there is no second fix it is flagged ``UNCHECKED``.
+    ``DISAGREEMENT`` and so is suspect; where there is no second fix that is certain enough and not suspect itself, it
+    is flagged ``UNCHECKED``.
 
     The fix is that of the estimator taken, under the name ``auto``; its ``provenance`` says which (``chosen``), why
     (``because``), what checked it (``checked_by``) and the probability that right estimates differ by as much
@@ -257,7 +259,7 @@ class Auto:
             if name == taken:
                 continue
             second = outcome(name)
-            if isinstance(second, CenterFix):
+            if isinstance(second, CenterFix) and not second.flags.suspect and _tells(second, fix):
                 agreement = agreement_of(fix, second)
                 flag = Quality.NONE if agreement >= self.options.false_alarm else Quality.DISAGREEMENT
                 said |= {"checked_by": name, "agreement": f"{agreement:.3g}"}
@@ -265,6 +267,12 @@ class Auto:
         else:
             flag = Quality.UNCHECKED
         return replace(fix, estimator=self.name, flags=fix.flags | flag, provenance={**fix.provenance, **said})
+
+
+def _tells(second: CenterFix, fix: CenterFix) -> bool:
+    """Whether a second fix is certain enough to check the first."""
+    sigmas = [math.sqrt(float(np.linalg.eigvalsh(one.covariance_px2)[-1])) for one in (second, fix)]
+    return sigmas[0] <= max(_WEAK_PX, _WEAK_SIGMAS * sigmas[1])
 
 
 def agreement_of(first: CenterFix, second: CenterFix) -> float:

@@ -18,11 +18,11 @@ from giantlike.image import Image
 from giantlike.processing.conic_fit import ConicFit, conic_matrix, fit_ellipse
 from giantlike.processing.correlated_fit import generalised_solution, robust_solution
 from giantlike.relative.ellipse_fit_edges import EllipseFitOptions, LimbEdges, figure_of, limb_edges
-from giantlike.relative.ellipsoid_cra import relief_sigma_km
+from giantlike.relative.ellipsoid_cra import RELIEF_LENGTH, relief_of
 from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, center_of_position, gather
 from giantlike.relative.horizon import Figure, horizon_residuals
 from giantlike.scene import Scene
-from giantlike.shapes import PlacedEllipsoid, TriangleMesh
+from giantlike.shapes import PlacedEllipsoid
 
 __all__ = ["EllipseFit", "EllipseFitOptions", "position_of_cone"]
 
@@ -86,8 +86,10 @@ class EllipseFit:
         if isinstance(inputs, Failure):
             return inputs
         shape = inputs.geometry.target.shape
+        if not shape.mean_radius_km > 0.0:
+            return inputs.fail(Reason.WRONG_SHAPE, "the target is a point: it has no limb")
         placed = shape.best_fit_ellipsoid
-        relief_km = relief_sigma_km(shape, placed) if isinstance(shape, TriangleMesh) else 0.0
+        relief_km = relief_of(shape, placed)
         if relief_km > self.options.max_relief * shape.mean_radius_km:
             return inputs.fail(
                 Reason.WRONG_SHAPE,
@@ -185,7 +187,7 @@ def _fix(
         return inputs.fail(solved.reason, solved.detail)
     position_km, covariance_km2 = solved
     covariance_km2 = covariance_km2 + _systematic(
-        inputs, limb.points_px[used], limb.correction_px[used], edges.sigma_px[used], figure, position_km
+        inputs, limb.points_px[used], limb.correction_px[used], edges.sigma_px[used], figure, position_km, relief_px
     )
     return _judged(
         inputs,
@@ -247,14 +249,21 @@ def _position(fit: ConicFit, plane: _Plane, figure: Figure) -> tuple[Float, Floa
 
 
 def _systematic(
-    inputs: EstimatorInputs, points_px: Float, correction_px: Float, sigma_px: Float, figure: Figure, position_km: Float
+    inputs: EstimatorInputs,
+    points_px: Float,
+    correction_px: Float,
+    sigma_px: Float,
+    figure: Figure,
+    position_km: Float,
+    relief_px: float,
 ) -> Float:
-    """Covariance (3, 3), km^2, by what the correction for changing brightness leaves, alike along a radian of limb."""
+    """Covariance (3, 3), km^2, by relief, and by what the correction for changing brightness leaves along a radian."""
     _, design, normals = horizon_residuals(points_px, inputs.camera.model, figure, position_km)
     by_ellipse = np.concatenate([design, _free_shape(normals)], axis=1)
     apart = np.linalg.norm(points_px[:, None] - points_px[None], axis=-1)
     left = _GROWTH_ERROR * float(np.sqrt(np.mean(correction_px**2)))
     shared = left**2 * np.exp(-apart / inputs.radius_px)
+    shared += relief_px**2 * np.exp(-apart / (RELIEF_LENGTH * inputs.radius_px))
     covariance = generalised_solution(np.zeros(len(points_px)), by_ellipse, shared, weights=1.0 / sigma_px**2)[1]
     result: Float = covariance[:3, :3]
     return result

@@ -29,9 +29,9 @@ from giantlike.relative.limb_observation import LimbScanOptions
 from giantlike.relative.sigmoid_fit import cell_points, fit_horizon
 from giantlike.relative.sigmoid_scan import HorizonScan, settle_horizon, settled_limb
 from giantlike.scene import Scene
-from giantlike.shapes import Ellipsoid, PlacedEllipsoid, TriangleMesh
+from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, Shape, TriangleMesh
 
-_RELIEF_LENGTH = 0.3
+RELIEF_LENGTH = 0.3
 """Correlation length of relief along the limb over the radius; measured on asteroid models and on made-up bodies."""
 
 
@@ -168,8 +168,10 @@ class EllipsoidCRA:
         shape = inputs.geometry.target.shape
         if isinstance(shape, Ellipsoid):
             return _smooth_fix(inputs, shape, self.options)
+        if not shape.mean_radius_km > 0.0:
+            return inputs.fail(Reason.WRONG_SHAPE, "the target is a point: it has no limb")
         placed = shape.best_fit_ellipsoid
-        relief_km = relief_sigma_km(shape, placed) if isinstance(shape, TriangleMesh) else 0.0
+        relief_km = relief_of(shape, placed)
         relief = relief_km / shape.mean_radius_km
         if relief > self.options.max_relief:
             return inputs.fail(
@@ -184,6 +186,12 @@ class EllipsoidCRA:
         if isinstance(limb, Failure):
             return limb
         return _fix(inputs, limb, body, placed, search, self.options)
+
+
+def relief_of(shape: Shape, placed: PlacedEllipsoid) -> float:
+    """Root mean square distance, km, of a shape from its ellipsoid; 0 for an ellipsoid."""
+    mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
+    return relief_sigma_km(mesh, placed) if isinstance(mesh, TriangleMesh) else 0.0
 
 
 def relief_sigma_km(shape: TriangleMesh, placed: PlacedEllipsoid) -> float:
@@ -289,7 +297,7 @@ def _scatter_px2(
     if relief_px > 0.0:
         distances = np.linalg.norm(points_px[:, None] - points_px[None], axis=-1)
         sigma = max(relief_px, float(np.sqrt(np.mean(residuals_px**2))))
-        result: Float = np.diag(sigma_px**2) + sigma**2 * np.exp(-distances / (_RELIEF_LENGTH * radius_px))
+        result: Float = np.diag(sigma_px**2) + sigma**2 * np.exp(-distances / (RELIEF_LENGTH * radius_px))
         return result
     fit = correlated_solution(residuals_px, design, sigma_px, points_px, min_length=options.scan.spacing_px)
     return fit.residual_covariance(sigma_px, points_px)

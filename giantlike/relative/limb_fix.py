@@ -66,7 +66,8 @@ class LimbSearch:
             require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
         require(self.search_px <= 500, f"search_px must be <= 500, got {self.search_px}")
         require(0.0 <= self.search_range <= 0.3, f"search_range must be in [0, 0.3], got {self.search_range}")
-        require(1 <= self.max_iterations <= 50, f"max_iterations must be in [1, 50], got {self.max_iterations}")
+        whole = isinstance(self.max_iterations, int) and 1 <= self.max_iterations <= 50
+        require(whole, f"max_iterations must be a whole number in [1, 50], got {self.max_iterations}")
 
     @property
     def allowed_rms_px(self) -> float:

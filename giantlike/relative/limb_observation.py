@@ -94,6 +94,8 @@ class LimbScanOptions:
     min_contrast: float = 0.35
 
     def __post_init__(self) -> None:
+        known = [str(kind) for kind in EdgeModel]
+        require(self.edges in known, f"edges must be one of {', '.join(known)}, got {self.edges!r}")
         object.__setattr__(self, "edges", EdgeModel(self.edges))
         for name in ("spacing_px", "window_px", "local_search_px", "step_px"):
             value = getattr(self, name)

@@ -76,6 +76,8 @@ class HorizonScan:
     rings_km: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        known = [str(kind) for kind in EdgeModel]
+        require(self.edges in known, f"edges must be one of {', '.join(known)}, got {self.edges!r}")
         object.__setattr__(self, "edges", EdgeModel(self.edges))
         for name in ("window_px", "cell_px"):
             value = getattr(self, name)
@@ -84,6 +86,7 @@ class HorizonScan:
         require(0.0 < self.min_contrast < 1.0, f"min_contrast must be in (0, 1), got {self.min_contrast}")
         require(0.0 < self.psf_error <= 1.0, f"psf_error must be in (0, 1], got {self.psf_error}")
         if self.rings_km is not None:
+            require(len(self.rings_km) == 2, f"rings_km must be an inner and an outer radius, got {self.rings_km}")
             object.__setattr__(self, "rings_km", tuple(float(radius) for radius in self.rings_km))
             Rings(*self.rings_km)  # checks the values
 

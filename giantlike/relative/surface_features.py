@@ -84,13 +84,17 @@ class SurfaceFeaturesOptions:
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
 
     def __post_init__(self) -> None:
-        require(1 <= self.search_px <= 1000, f"search_px must be in [1, 1000], got {self.search_px}")
+        whole = isinstance(self.search_px, int) and 1 <= self.search_px <= 1000
+        require(whole, f"search_px must be a whole number in [1, 1000], got {self.search_px}")
+        if self.landmarks is not None:
+            object.__setattr__(self, "landmarks", Path(self.landmarks))
         require(0.0 < self.search_range < 0.5, f"search_range must be in (0, 0.5), got {self.search_range}")
         require(self.attitude_sigma_deg >= 0.0, f"attitude_sigma_deg must be >= 0, got {self.attitude_sigma_deg}")
         require(self.min_landmarks >= 4, f"min_landmarks must be >= 4, got {self.min_landmarks}")
         require(0.0 < self.min_score < 1.0, f"min_score must be in (0, 1), got {self.min_score}")
         require(self.inlier_px > 0.0, f"inlier_px must be > 0, got {self.inlier_px}")
-        require(self.max_iterations >= 2, f"max_iterations must be >= 2, got {self.max_iterations}")
+        whole = isinstance(self.max_iterations, int) and self.max_iterations >= 2
+        require(whole, f"max_iterations must be a whole number >= 2, got {self.max_iterations}")
         require(self.tolerance_px > 0.0, f"tolerance_px must be > 0, got {self.tolerance_px}")
 
 

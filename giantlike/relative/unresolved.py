@@ -37,6 +37,7 @@ _CLIP_SIGMA, _CLIP_ROUNDS = 3.0, 5
 _MAD_TO_SIGMA = 1.4826
 _FIT_MARGIN_PX = 4
 _RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # finer is lost in noise
+_STRAIGHT = 1e-9  # of the sunlight across the line of sight: less than that has no direction but of rounding
 _MAX_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid and fit
 
 
@@ -234,7 +235,7 @@ class Unresolved:
             return np.zeros(2), np.zeros((2, 2))
         to_light = template.photocenter_px - template.center_px
         if kind is Correction.NONE:
-            return to_light, np.zeros((2, 2))
+            return to_light, np.outer(to_light, to_light)
         published = modelled_correction_px(inputs, kind)
         difference, scaled = published + to_light, self.options.range_sigma * published
         return difference, np.outer(difference, difference) + np.outer(scaled, scaled)
@@ -286,7 +287,8 @@ def sunlight_px(inputs: EstimatorInputs) -> Float:
     position = inputs.geometry.position_camera_km
     along = inputs.camera.model.project_jacobian(position) @ inputs.geometry.sun_direction_camera
     length = float(np.linalg.norm(along))
-    return -along / length if length > 0 else np.zeros(2)
+    straight = _STRAIGHT * inputs.camera.model.focal_length_px / inputs.geometry.range_km
+    return -along / length if length > straight else np.zeros(2)
 
 
 def _measure(inputs: EstimatorInputs, start_px: Float, window_px: float) -> WindowedCentroid | Failure:
