@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -197,3 +198,11 @@ def test_the_command_lists_every_estimator_with_its_options() -> None:
     assert shown.exit_code == 0
     assert "search_px = 40" in shown.stdout
     assert CliRunner().invoke(app, ["estimators", "magic"]).exit_code == 2
+
+
+def test_a_check_that_is_suspect_or_tells_nothing_is_none(rock: TriangleMesh) -> None:
+    vague = replace(_fix((5, 5)), covariance_px2=np.diag([400.0, 400.0]))
+    for second in (vague, _fix((5, 5), Quality.LARGE_RESIDUALS)):
+        fix = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=second)
+        assert isinstance(fix, CenterFix)
+        assert fix.flags == Quality.UNCHECKED

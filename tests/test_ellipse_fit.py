@@ -17,7 +17,7 @@ from giantlike.ray_tracing import Lambert, LommelSeeliger, McEwen
 from giantlike.relative import ESTIMATORS, EllipseFit, EllipseFitOptions, Estimator
 from giantlike.relative.ellipse_fit import position_of_cone
 from giantlike.relative.horizon import Figure
-from giantlike.shapes import Ellipsoid, irregular_body
+from giantlike.shapes import Ellipsoid, Point, irregular_body
 from tests.limb_images import BodyImage, body_image, mean_nees_band
 
 ROUNDING = 1e-9
@@ -130,3 +130,25 @@ def test_it_is_among_the_estimators() -> None:
     estimator = ESTIMATORS["ellipse_fit"]()
     assert isinstance(estimator, Estimator)
     assert isinstance(estimator, EllipseFit)
+
+
+def test_relief_is_in_the_covariance_of_a_mesh() -> None:
+    squares = []
+    for seed in range(10):
+        shape = irregular_body(seed % 4 + 1, facets=8000, relief=0.03)
+        case = body_image(shape, 40 + seed, phase_deg=30.0 + 10.0 * (seed % 6)).believed(off_px=(4.0, -3.0))
+        fix = EllipseFit().estimate(case.image, case.camera, case.scene)
+        if isinstance(fix, PositionFix):
+            squares.append(case.nees(fix))
+    assert len(squares) >= 5
+    # Relief is no Gaussian process: its long waves are the body's own shape, so each square may be twice chi-square's.
+    assert np.mean(squares) < 2.0 * mean_nees_band(len(squares))[1]
+
+
+@pytest.mark.parametrize("name", ["ellipse_fit", "ellipsoid_cra", "sigmoid_limb", "surface_features", "limb_matching"])
+def test_a_point_has_no_limb_and_no_landmarks(name: str) -> None:
+    case = body_image(BODY, 3, phase_deg=60.0)
+    point = replace(case, target=replace(case.target, shape=Point()))
+    outcome = ESTIMATORS[name]().estimate(point.image, point.camera, point.scene)
+    assert isinstance(outcome, Failure)
+    assert outcome.reason in (Reason.WRONG_SHAPE, Reason.NO_LIMB)

@@ -28,6 +28,7 @@ from giantlike.relative.template_render import FitBox, TemplateRenderer
 from giantlike.relative.unresolved import Unresolved, UnresolvedOptions, kaasalainen_tanga
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, irregular_body, sphere
+from tests.limb_images import body_image
 
 NOISELESS_PX = 0.01  # truth and template share nothing but the body: their rays differ
 SCALE_PX = 0.002  # the scale of the distorted image differs by half a percent from the predicted to the true place
@@ -324,3 +325,16 @@ def test_what_cannot_be_measured_is_refused_with_its_reason() -> None:
     assert reason(clipped, case.scene()) is Reason.SATURATED
     with pytest.raises(InputError, match="correction must be one of"):
         UnresolvedOptions(correction="magic")
+
+
+def test_a_centroid_without_correction_is_uncertain_by_the_correction() -> None:
+    case = body_image(sphere(1.0), 5, phase_deg=90.0, radius_px=3.5)
+    corrected, plain = (
+        Unresolved(UnresolvedOptions(correction=kind)).estimate(case.image, case.camera, case.scene)
+        for kind in ("rendered", "none")
+    )
+    assert isinstance(corrected, CenterFix)
+    assert isinstance(plain, CenterFix)
+    moved = plain.center_px - corrected.center_px
+    assert np.linalg.norm(moved) > 0.3  # 7 px across, half lit
+    assert moved @ np.linalg.solve(plain.covariance_px2, moved) < 2.0
