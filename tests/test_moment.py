@@ -150,6 +150,16 @@ def test_two_bodies_in_one_image_are_told_apart_and_measured_each() -> None:
         assert nees(fix.center_px - centers[name], fix) < float(chi2.ppf(1.0 - RARE, 2))
 
 
+def test_a_body_is_found_although_another_expected_one_is_too_faint() -> None:
+    image, scene, centers = pair()
+    dark = image.pixels.copy()
+    dark[60:105, 195:240] = np.random.default_rng(10).normal(50.0, 5.0, (45, 45))
+    fix = Moment().estimate(replace(image, pixels=dark), CAMERA, scene, "PLANET")
+    assert isinstance(fix, CenterFix), fix
+    assert np.linalg.norm(fix.center_px - centers["PLANET"]) < REQUIRED * 40.0
+    assert isinstance(Moment().estimate(replace(image, pixels=dark), CAMERA, scene, "MOON"), Failure)
+
+
 def test_bad_pixels_on_the_body_do_little_and_are_flagged() -> None:
     case = body_image(ROCK, 7, phase_deg=50.0)
     x, y = np.rint(case.center_px).astype(int)

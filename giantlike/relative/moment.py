@@ -340,6 +340,8 @@ def _light_of(
         area_px=float(np.count_nonzero(visible)),
     )
     chosen = identify_blobs(blobs, [own, *others], search_px=search_px)
+    if isinstance(chosen, Failure) and chosen.reason is Reason.NO_SIGNAL and others:
+        chosen = identify_blobs(blobs, [own], search_px=search_px)  # another body may be too faint, or hidden
     if isinstance(chosen, Failure):
         return inputs.fail(chosen.reason, chosen.detail)
     blob = int(chosen[0])
