@@ -115,7 +115,7 @@ def test_mistakes_end_in_one_line_and_exit_code_2(tmp_path: Path) -> None:
         (("query", made, "--ra", 1, "--dec", 91, "--radius", 1), "--dec"),
         (("query", made, "--ra", 1, "--dec", 1, "--radius", 0), "--radius"),
         (("query", made, "--ra", 1, "--dec", 1, "--radius", 1, "--band", "K"), "no relation is known"),
-        (("query", tmp_path / "none.stars", "--ra", 1, "--dec", 1, "--radius", 1), "cannot be read"),
+        (("query", tmp_path / "none.stars", "--ra", 1, "--dec", 1, "--radius", 1), "there is no such catalogue"),
         (("info", source, "--check"), "unknown column"),
     ):
         output = _run(*arguments, code=2)

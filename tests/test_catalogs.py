@@ -445,7 +445,7 @@ def test_a_damaged_user_catalogue_is_refused_with_the_line(tmp_path: Path, text:
 
 def test_a_missing_or_binary_user_catalogue_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(DataError, match="there is no such catalogue"):
         load_catalog(path)
     path.write_bytes(bytes(range(256)))
     with pytest.raises(DataError, match="cannot be read"):
