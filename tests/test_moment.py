@@ -96,7 +96,7 @@ def test_the_published_correction_is_an_approximation_and_none_is_the_centre_of_
     assert abs(toward[1]) < 0.2 * 80.0
     assert abs(toward[2]) < 0.01 * 80.0
     for fix in (light, published):  # their error is stated: the difference from the rendered correction
-        assert nees(fix.center_px - case.center_px, fix) < 3.0
+        assert nees(fix.center_px - case.center_px, fix) < 9.0  # three sigma
 
 
 CAMERA = Camera(
