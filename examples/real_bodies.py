@@ -56,12 +56,9 @@ MSI_IFOV_RAD = 95.9e-6
 NEAR_CLOCK_ZERO_UTC = "1996-02-17T20:43:29"  # mission elapsed time counts from launch, good to seconds
 
 
-def vesta_campaign(data: Path, output: Path) -> Path:
-    """Write the Vesta campaign; camera axes serve as inertial axes, for no epoch or attitude is published."""
-    folder = data / "bodies" / "dawn_vesta"
-    poses = json.loads((folder / "poses.json").read_text())
-    numbers = poses["camera"]
-    camera = Camera(
+def dawn_camera(numbers: dict[str, Any]) -> Camera:
+    """The framing camera as the data set of poses describes it."""
+    return Camera(
         name="Dawn FC2",
         columns=numbers["columns"],
         rows=numbers["rows"],
@@ -69,6 +66,13 @@ def vesta_campaign(data: Path, output: Path) -> Path:
         psf=GaussianPsf(sigma_px=0.8),
         detector=Detector(gain_e_per_dn=1.0, read_noise_e=1.0, saturation_dn=255.0),
     )
+
+
+def vesta_campaign(data: Path, output: Path) -> Path:
+    """Write the Vesta campaign; camera axes serve as inertial axes, for no epoch or attitude is published."""
+    folder = data / "bodies" / "dawn_vesta"
+    poses = json.loads((folder / "poses.json").read_text())
+    camera = dawn_camera(poses["camera"])
     rows = []
     for name, pose in poses["images"].items():
         camera_from_body = Rotation.from_quat(pose["q_wxyz_camera_from_body"], scalar_first=True)

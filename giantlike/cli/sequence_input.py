@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from giantlike.cli.outcome import say
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import Failure
 from giantlike.image import Image
-from giantlike.processing.sequence import FixedPattern, fixed_pattern, saturation_of
-
-_MOST_IMAGES = 25
+from giantlike.processing.sequence import FixedPattern, enough_images, fixed_pattern, saturation_of
 
 
 def sequence_pattern(
@@ -30,7 +26,7 @@ def sequence_pattern(
         Fewer than two can be read, or their sizes differ.
     """
     arrays = []
-    for k in np.unique(np.linspace(0, len(paths) - 1, _MOST_IMAGES).round().astype(int)):
+    for k in enough_images(len(paths)):
         try:
             arrays.append(Image.open(paths[k], hdu=hdu, bottom_up=bottom_up).pixels)
         except OpNavError:

@@ -126,7 +126,7 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
             f"{share:.0%} of the brightest sources stay at their pixels: images of one pointing do not tell stars from "
             "a fixed pattern, take images that look at different stars",
         )
-    chosen = [arrays[k] for k in np.unique(np.linspace(0, len(arrays) - 1, _MOST_IMAGES).round().astype(int))]
+    chosen = [arrays[k] for k in enough_images(len(arrays))]
     rows, columns = arrays[0].shape[:2]
     pattern = np.empty((rows, columns), dtype=np.float32)
     strip = max(1, _STRIP_PX // (len(chosen) * columns))
@@ -138,6 +138,12 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
     low, high = np.quantile(pattern, (0.25, 0.75))
     hot = pattern > _HOT_SIGMAS * max(float(high - low) / _IQR_PER_SIGMA, 1.0)
     return FixedPattern(level_dn=frozen(pattern), hot=frozen(hot), n_images=len(chosen))
+
+
+def enough_images(count: int) -> list[int]:
+    """Which of ``count`` images make the pattern: all, or as many as are enough, evenly chosen."""
+    chosen: list[int] = np.unique(np.linspace(0, count - 1, min(count, _MOST_IMAGES)).round().astype(int)).tolist()
+    return chosen
 
 
 def _staying_share(arrays: Sequence[NDArray[Any]], detector: Detector) -> float:
