@@ -18,9 +18,9 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
-from giantlike.processing.edges import EdgePoints, Pixels, scan_edges
-from giantlike.processing.edges_partial_area import partial_area_edges
-from giantlike.processing.zernike import zernike_edges
+from giantlike.processing.limb.edges import EdgePoints, Pixels, scan_edges
+from giantlike.processing.limb.partial_area import partial_area_edges
+from giantlike.processing.limb.zernike import zernike_edges
 
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
 LEVEL_DN = 1000.0

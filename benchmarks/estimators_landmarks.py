@@ -35,11 +35,11 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative import SurfaceFeatures, SurfaceFeaturesOptions
-from giantlike.relative.landmark_build import LandmarkBuildOptions, build_landmarks, landmarks_of
-from giantlike.relative.landmark_match import fit_patch
-from giantlike.relative.landmark_render import LandmarkRenderer, rays_for
-from giantlike.relative.landmark_view import VisibilityOptions, viewer_for
-from giantlike.relative.surface_features import LandmarkFix
+from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
+from giantlike.relative.landmarks.matching import fit_patch
+from giantlike.relative.landmarks.rendering import LandmarkRenderer, rays_for
+from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
+from giantlike.relative.landmarks.surface_features import LandmarkFix
 from giantlike.scene import Scene, Target
 from giantlike.shapes import irregular_body
 

@@ -21,7 +21,7 @@ from template_truth import CAMERA, Draw, draw_of, truth_of
 
 from giantlike.core.outcomes import CenterFix
 from giantlike.ray_tracing import Lambert, LommelSeeliger, McEwen, Reflectance
-from giantlike.relative.moment import Moment, MomentOptions
+from giantlike.relative.light.moment import Moment, MomentOptions
 
 PHASES_DEG = (0.5, 20.0, 40.0, 60.0, 80.0, 100.0)
 LAWS: dict[str, Reflectance] = {"exact law": McEwen(), "Lommel-Seeliger": LommelSeeliger(), "Lambert": Lambert()}

@@ -28,11 +28,11 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure, PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.processing.edges import scan_edges
-from giantlike.processing.edges_partial_area import partial_area_edges
+from giantlike.processing.limb.edges import scan_edges
+from giantlike.processing.limb.partial_area import partial_area_edges
 from giantlike.ray_tracing import Body, LommelSeeliger, LunarLambert, McEwen, RenderOptions, Template, render
 from giantlike.relative import EllipsoidCRA, Estimator, SigmoidLimb
-from giantlike.relative.horizon import (
+from giantlike.relative.horizon.geometry import (
     Altitude,
     CraMethod,
     Figure,
@@ -40,7 +40,7 @@ from giantlike.relative.horizon import (
     christian_robinson,
     horizon_residuals,
 )
-from giantlike.relative.sigmoid_profile import horizon_arc
+from giantlike.relative.horizon.profile import horizon_arc
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 

@@ -29,7 +29,7 @@ from giantlike.catalogs import MemoryCatalog, cache_folder, load_catalog
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import AttitudeFix, Failure
 from giantlike.image import Image
-from giantlike.processing.detections import Detections
+from giantlike.processing.detection.detections import Detections
 from giantlike.stars import Sky, StarNavigation, StarOptions, navigation, verification
 from giantlike.stars.index_store import cap_radius_rad, sky_index
 from giantlike.stars.refine import RefinedAttitude, refine_attitude

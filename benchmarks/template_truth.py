@@ -20,7 +20,7 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, Lambert, McEwen, Reflectance, RenderOptions, Template, render
-from giantlike.relative.template_render import KNOWN_BLUR_SIGMA_PX2
+from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, TriangleMesh, irregular_body
 

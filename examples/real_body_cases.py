@@ -28,7 +28,7 @@ from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.io.spice import body_radii_km, load_kernels, orientation, spk_state
-from giantlike.processing.segmentation import connected_blobs, otsu_threshold
+from giantlike.processing.limb.segmentation import connected_blobs, otsu_threshold
 from giantlike.ray_tracing import Body, Lambert, RenderOptions, Template, render
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, load_shape

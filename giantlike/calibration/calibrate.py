@@ -24,7 +24,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.version import VERSION
-from giantlike.processing.wahba import solve_wahba
+from giantlike.processing.geometry.wahba import solve_wahba
 
 _MEDIAN_CHI2 = 2.0 * math.log(2.0)  # two degrees of freedom
 _NOISE_EXPLAINS = 0.9999

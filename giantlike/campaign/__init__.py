@@ -3,9 +3,9 @@
 ``run_campaign(Campaign.load("campaign.toml"))`` is what ``giantlike run`` does.
 """
 
-from giantlike.campaign.config import Campaign
-from giantlike.campaign.report import write_report
-from giantlike.campaign.results import RunResult, load_result
-from giantlike.campaign.runner import run_campaign
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.report.report import write_report
+from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.run.runner import run_campaign
 
 __all__ = ["Campaign", "RunResult", "load_result", "run_campaign", "write_report"]

@@ -15,8 +15,8 @@ from typing import Any
 
 from scipy.stats import chi2
 
-from giantlike.campaign.config import Campaign
-from giantlike.campaign.runner import Progress, run_campaign
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.runner import Progress, run_campaign
 from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.calibration import CAMERA_FILE
-from giantlike.campaign.records import AttitudeRecord
-from giantlike.campaign.results import RunResult, load_result
-from giantlike.campaign.store import RunFolder
+from giantlike.campaign.calibration.solve import CAMERA_FILE
+from giantlike.campaign.store.records import AttitudeRecord
+from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.store.parts import RunFolder
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.calibration.alignment import AlignmentFix, interlock
 from giantlike.campaign.export import attitude_series
-from giantlike.campaign.results import load_result
+from giantlike.campaign.store.results import load_result
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw

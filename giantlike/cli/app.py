@@ -38,7 +38,7 @@ class ExportOption(StrEnum):
 
 
 class PsfOption(StrEnum):
-    """Values of ``giantlike.processing.psf.PsfKind``."""
+    """Values of ``giantlike.processing.psf.profile.PsfKind``."""
 
     GAUSSIAN = "gaussian"
     ELONGATED = "elongated"
@@ -46,7 +46,7 @@ class PsfOption(StrEnum):
 
 
 class NoiseOption(StrEnum):
-    """Values of ``giantlike.processing.noise.NoiseSource``."""
+    """Values of ``giantlike.processing.detection.noise.NoiseSource``."""
 
     LOCAL = "local"
     IMAGE = "image"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import typer
 
-from giantlike.campaign.render_plan import RenderPlan
-from giantlike.campaign.render_run import RenderedImage, render_images
+from giantlike.campaign.render.plan import RenderPlan
+from giantlike.campaign.render.run import RenderedImage, render_images
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import typer
 
-from giantlike.campaign.config import Campaign
-from giantlike.campaign.report import write_report
-from giantlike.campaign.results import RunResult, load_result
-from giantlike.campaign.runner import run_campaign
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.report.report import write_report
+from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.run.runner import run_campaign
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 

@@ -10,7 +10,7 @@ import typer
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.shape_command import units_said
 from giantlike.core.errors import InputError
-from giantlike.relative.landmark_build import LandmarkBuildOptions, build_landmarks
+from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks
 from giantlike.shapes import load_shape
 from giantlike.shapes.landmarks import MAPLET_SUFFIX, LandmarkCatalog, load_landmarks, save_landmarks
 

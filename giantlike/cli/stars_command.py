@@ -25,7 +25,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.image import Image
 from giantlike.processing import Detections
-from giantlike.processing.sequence import FixedPattern
+from giantlike.processing.detection.sequence import FixedPattern
 from giantlike.stars import StarNavigation, StarOptions
 
 _NUMBERS = MappingProxyType(

@@ -6,15 +6,15 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from giantlike.relative.auto import Auto, AutoOptions
-from giantlike.relative.cross_correlation import CrossCorrelation, CrossCorrelationOptions
-from giantlike.relative.ellipse_fit import EllipseFit, EllipseFitOptions
-from giantlike.relative.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
+from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
+from giantlike.relative.horizon.ellipse_fit import EllipseFit, EllipseFitOptions
+from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.estimator import Estimator
-from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
-from giantlike.relative.moment import Moment, MomentOptions
-from giantlike.relative.sigmoid_limb import SigmoidLimb, SigmoidLimbOptions
-from giantlike.relative.surface_features import LandmarkFix, SurfaceFeatures, SurfaceFeaturesOptions
-from giantlike.relative.unresolved import Unresolved, UnresolvedOptions
+from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
+from giantlike.relative.light.moment import Moment, MomentOptions
+from giantlike.relative.horizon.sigmoid_limb import SigmoidLimb, SigmoidLimbOptions
+from giantlike.relative.landmarks.surface_features import LandmarkFix, SurfaceFeatures, SurfaceFeaturesOptions
+from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 
 ESTIMATORS: Mapping[str, Callable[..., Estimator]] = MappingProxyType(
     {

@@ -15,13 +15,13 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
 from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.cross_correlation import CrossCorrelation, CrossCorrelationOptions
-from giantlike.relative.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
+from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
+from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.estimator import Estimator, EstimatorInputs, gather
-from giantlike.relative.limb_matching import LimbMatching, LimbMatchingOptions
-from giantlike.relative.moment import Moment, MomentOptions
-from giantlike.relative.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
-from giantlike.relative.unresolved import Unresolved, UnresolvedOptions
+from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
+from giantlike.relative.light.moment import Moment, MomentOptions
+from giantlike.relative.landmarks.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
+from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid
 

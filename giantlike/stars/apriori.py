@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.processing.wahba import davenport_quaternions
+from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.matching import (
     Matches,
     attitudes_within,

@@ -18,7 +18,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, require
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.processing.wahba import WahbaMethod, solve_wahba
+from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 
 _MAX_STEPS = 20
 _STEP_RAD = 1e-11

@@ -18,8 +18,8 @@ from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
 from giantlike.image import Image
-from giantlike.processing.detect import DetectionOptions, detect_sources
-from giantlike.processing.detections import DetectionFlag, Detections
+from giantlike.processing.detection.detect import DetectionOptions, detect_sources
+from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.stars.apriori import identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky
@@ -43,7 +43,7 @@ class StarNavigation:
     catalog : StarCatalog
     options : StarOptions
     detection : DetectionOptions
-        Of :func:`~giantlike.processing.detect.detect_sources`.
+        Of :func:`~giantlike.processing.detection.detect.detect_sources`.
     """
 
     def __init__(

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
-from giantlike.processing.wahba import davenport_quaternions
+from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.quads import describe_quads
 from giantlike.stars.star_index import Pattern, StarIndex, scattered, subsets
 from giantlike.stars.triads import describe_triads

@@ -12,7 +12,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.processing.wahba import davenport_quaternions
+from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.field import Sky, StarField
 from giantlike.stars.matching import false_match_probability
 from giantlike.stars.options import StarOptions

@@ -1,0 +1,1 @@
+"""Calibration of the camera within a campaign, from stars or boards."""

@@ -1,0 +1,114 @@
+"""A camera calibrated from images of a checkerboard: files in, the same files out as from stars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from giantlike.calibration import board_observations, calibrate
+from giantlike.calibration.boards import CORNER_SIGMA_PX
+from giantlike.calibration.star_images import StarCalibration
+from giantlike.camera import Camera
+from giantlike.campaign.calibration.solve import RESULT_FILE, CampaignCalibration, calibrated_camera, write_calibration
+from giantlike.campaign.calibration.report import write_calibration_report
+from giantlike.core.arrays import require
+from giantlike.core.errors import DataError
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.image import Image
+
+_USUAL = frozenset(
+    {"fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "e2", "e4", "e5", "e6", "b2", "b3", "b4"}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardSetup:
+    """What to calibrate from images of a checkerboard.
+
+    Parameters
+    ----------
+    across, down : int
+        Inner corners of the board.
+    fov_deg : float, degrees
+        Rough field of view along x.
+    model_type : str
+        A key of :data:`~giantlike.camera_models.MODELS`.
+    estimate : tuple of str, optional
+        Parameters; None: focal lengths, principal point and the lens terms that an ordinary series of boards supports
+        (for a fisheye ``k1``, ``k2``).
+    sigma_px : float, px
+        Standard deviation of a corner per axis.
+    """
+
+    across: int
+    down: int
+    fov_deg: float
+    model_type: str
+    estimate: tuple[str, ...] | None = None
+    sigma_px: float = CORNER_SIGMA_PX
+
+
+def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> CampaignCalibration:
+    """Calibrate a camera from images of a checkerboard; write camera, JSON, table of residuals and report.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Images of one camera.
+    setup : BoardSetup
+    folder : Path
+        Of what comes out; made where it is not there.
+
+    Raises
+    ------
+    InputError
+        The folder holds a calibration already, a parameter is unknown, or images differ in size.
+    DataError
+        No image can be read, or a file cannot be written.
+    """
+    require(not (folder / RESULT_FILE).exists(), f"{folder}: there is a calibration already; give another folder")
+    images, lost = _open(files)
+    sizes = {(image.columns, image.rows) for image in images}
+    require(len(sizes) == 1, f"images of one camera have one size, got {sorted(sizes)}")
+    (columns, rows) = sizes.pop()
+    camera = Camera.from_fov(setup.fov_deg, columns, rows, type_name=setup.model_type)
+    names = camera.model.parameter_names
+    estimate = setup.estimate or tuple(name for name in names if name in _USUAL)
+    observations, failed = board_observations(
+        images, camera.model, across=setup.across, down=setup.down, sigma_px=setup.sigma_px
+    )
+    lost += failed
+    outcome = (
+        calibrate(observations, camera.model, estimate=estimate, columns=columns, rows=rows)
+        if observations
+        else Failure(Reason.NO_PATTERN_MATCH, f"none of {len(files)} images shows the board; {lost[0][1].detail}")
+    )
+    told = tuple((name, f"{failure.reason}: {failure.detail}") for name, failure in lost)
+    if isinstance(outcome, Failure):
+        result = CampaignCalibration(outcome=outcome, camera=None, alignment=None, lost=told, targets="corners")
+    else:
+        result = CampaignCalibration(
+            outcome=StarCalibration(fix=outcome, rounds=1, settled=True, failed=()),
+            camera=calibrated_camera(camera, outcome) if outcome.accepted else None,
+            alignment=None,
+            lost=told,
+            targets="corners",
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_calibration(folder, result)
+    write_calibration_report(folder, folder.name, camera, result)
+    return result
+
+
+def _open(files: Sequence[Path]) -> tuple[list[Image], list[tuple[str, Failure]]]:
+    images, lost, first = [], [], None
+    for file in files:
+        try:
+            images.append(Image.open(file))
+        except DataError as error:
+            first = first or error
+            lost.append((file.name, Failure(Reason.UNREADABLE_IMAGE, str(error))))
+    if not images and first is not None:
+        raise first
+    return images, lost

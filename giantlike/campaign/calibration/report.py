@@ -1,0 +1,145 @@
+"""``calibration.html``: a camera calibration for people, in one file that needs nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from giantlike.calibration.field_map import field_grid
+from giantlike.calibration.fix import CalibrationFix
+from giantlike.calibration.observability import Verdict
+from giantlike.calibration.star_images import StarCalibration
+from giantlike.calibration.statistics import residual_statistics
+from giantlike.camera import Camera
+from giantlike.camera_models import CameraModel, EquidistantModel, EquisolidModel, GridCorrectedModel, PinholeModel
+from giantlike.camera_models.affine import AFFINE_NAMES
+from giantlike.camera_models.axial import AxialModel
+from giantlike.campaign.calibration.solve import REPORT_FILE, CampaignCalibration, calibration_summary
+from giantlike.campaign.report.page import render_page
+from giantlike.core.arrays import Float
+from giantlike.core.version import VERSION
+from giantlike.io.atomic import write_text_atomic
+from giantlike.plotting import (
+    correlation_figure,
+    distortion_figure,
+    residual_trend_figure,
+    star_residual_figure,
+    svg_text,
+)
+
+_MAX_REJECTED = 200
+_TRENDS = {
+    "image": "image",
+    "magnitude": "magnitude",
+    "radius_px": "distance from centre, px",
+    "temperature_c": "temperature, C",
+}
+_MEANING = {
+    Verdict.SUPPORTED: "supported by the data",
+    Verdict.NOT_SIGNIFICANT: "cannot be told from zero: the data would do without it",
+    Verdict.ENTANGLED: "known in combination with others only; its own value fluctuates",
+    Verdict.PRIOR_ONLY: "the a priori value; the data add nothing",
+}
+
+
+def write_calibration_report(folder: Path, name: str, camera: Camera, result: CampaignCalibration) -> Path:
+    """Write ``calibration.html`` into a folder and return its path.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Of the campaign.
+    camera : Camera
+        The one that calibration began with.
+    result : CampaignCalibration
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    fix = result.outcome.fix if isinstance(result.outcome, StarCalibration) else None
+    summary = calibration_summary(result)
+    rejected = [] if fix is None else summary["rejected"]
+    page = render_page(
+        "calibration.html.j2",
+        name=name,
+        camera=camera.name,
+        version=VERSION,
+        summary=summary,
+        meaning={str(verdict): text for verdict, text in _MEANING.items()},
+        rejected=rejected[:_MAX_REJECTED],
+        n_rejected=len(rejected),
+        figures=[] if fix is None else calibration_figures(fix),
+    )
+    path = folder / REPORT_FILE
+    write_text_atomic(path, page)
+    return path
+
+
+def calibration_figures(fix: CalibrationFix) -> list[dict[str, str]]:
+    """Figures of a calibration as SVG, with captions."""
+    used = fix.used
+    residuals = star_residual_figure(
+        fix.observed_px[used],
+        fix.residuals_px[used],
+        fix.magnitudes[used],
+        fix.sigma_px[used],
+        fix.columns,
+        fix.rows,
+    )
+    points, shifts = distortion_of(fix.model, fix.columns, fix.rows)
+    figures = [
+        (
+            residuals,
+            "residuals",
+            "Residuals of the observations used, over the field and by size.",
+        ),
+        (
+            residual_trend_figure(_trends(fix)),
+            "trends",
+            "Residual rms in groups of equal size against what it might depend on, and the noise that sigmas promise.",
+        ),
+        (
+            distortion_figure(points, shifts, fix.map_points_px, fix.map_sigma_px, fix.columns, fix.rows),
+            "distortion",
+            "Left: where the camera puts a direction, minus where an ideal lens (pinhole, or fisheye) of the same "
+            "focal lengths and principal point would. Right: uncertainty of the camera map, a rotation of the whole "
+            "camera taken out.",
+        ),
+    ]
+    if len(fix.estimated) > 1:
+        caption = (
+            "Parameters that are strongly correlated are known in combination only: their own values may fluctuate."
+        )
+        figures.append((correlation_figure(fix.estimated, fix.correlation), "correlation", caption))
+    return [{"svg": svg_text(figure, f"calibration {name}"), "caption": text} for figure, name, text in figures]
+
+
+def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, Float]:
+    """Grid of pixels (n, 2) and, there, the difference (n, 2) to the ideal lens of the same affine parameters, px.
+
+    Ideal is the pinhole; of a fisheye the equidistant or equisolid lens without its polynomial.
+    """
+    values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
+    affine = {name: values[name] for name in AFFINE_NAMES}
+    base = model.base if isinstance(model, GridCorrectedModel) else model
+    fisheye = EquisolidModel if isinstance(base, EquisolidModel) else EquidistantModel
+    ideal = fisheye(**affine) if isinstance(base, AxialModel) else PinholeModel(**affine)
+    pixels = field_grid(columns, rows)
+    shifts = pixels - ideal.project(model.unproject(pixels))
+    good = np.isfinite(shifts).all(axis=1)
+    return pixels[good], shifts[good]
+
+
+def _trends(fix: CalibrationFix) -> dict[str, tuple[Float, Float, Float]]:
+    groups = residual_statistics(fix)
+    trends: dict[str, Any] = {}
+    for kind, label in _TRENDS.items():
+        mine = [(group.middle, group.rms_px, group.noise_px) for group in groups if group.kind == kind]
+        if mine:
+            trends[label] = tuple(np.array(mine).T)
+    return trends

@@ -1,0 +1,1 @@
+"""The campaign file: TOML keys, their checks, and the campaign they describe."""

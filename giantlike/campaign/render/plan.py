@@ -1,0 +1,443 @@
+"""A scene file, checked and resolved: cameras, bodies and exposures, ready to be rendered."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.campaign.file.config import (
+    SpiceSetup,
+    TargetSetup,
+    camera_of,
+    existing_file,
+    shape_of,
+    spice_of,
+    with_units_decided,
+)
+from giantlike.campaign.file.options import options_from_mapping
+from giantlike.campaign.render.schema import (
+    DetectorSection,
+    ImageSection,
+    PlaceSection,
+    RenderFile,
+    RenderTargetSection,
+)
+from giantlike.campaign.file.toml_file import read_toml
+from giantlike.core.arrays import Float, unit
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
+from giantlike.core.time import et_from_time, time_from_utc
+from giantlike.core.units import AU_KM, RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
+from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
+from giantlike.image import ObserverState
+from giantlike.io.geometry_table import ImageGeometry, read_geometry
+from giantlike.io.image_files import read_image_file
+from giantlike.io.spice import attitude, load_kernels, orientation, spk_state
+from giantlike.ray_tracing import McEwen, reflectance_from_mapping
+from giantlike.scene import Scene, Target
+from giantlike.shapes import Shape
+from giantlike.simulation import DetectorModel, HotPixels, Photometry, Shot, SimulationOptions
+from giantlike.simulation.cosmic_rays import CosmicRays
+from giantlike.simulation.detector import Stream, scattered_pixels
+from giantlike.simulation.effects import DarkCurrent, FlatField, FrameTransfer, FullWell, StrayLight, pixel_response
+from giantlike.simulation.incident import true_geometry
+from giantlike.simulation.shot import unexposed
+
+if TYPE_CHECKING:
+    from astropy.time import Time
+
+SUN_RADIUS_KM = 695_700.0
+"""IAU 2015 resolution B3, nominal."""
+FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})
+"""How the name of an image ends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Place:
+    """Where a target is in an image, as far as files say; inertial axes, apparent."""
+
+    position_km: Float | None = None
+    body_from_inertial: Rotation | None = None
+    sun_direction: Float | None = None
+
+    def over(self, default: Place) -> Place:
+        """Complete what is not known here by a default."""
+        return Place(
+            position_km=default.position_km if self.position_km is None else self.position_km,
+            body_from_inertial=self.body_from_inertial or default.body_from_inertial,
+            sun_direction=default.sun_direction if self.sun_direction is None else self.sun_direction,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Exposure:
+    """An image to be made, as far as files say; SPICE completes attitude, observer and places.
+
+    Parameters
+    ----------
+    key : str
+        How messages call it: its place in the scene file or table.
+    file : str
+        Of the image, relative to the output folder.
+    epoch : Time
+    exposure_s : float, s
+    camera_from_inertial : Rotation or None
+    angular_rate_camera_rad_s : (3,) float64, rad/s
+    observer : ObserverState or None
+    places : mapping of str to Place
+        Of targets by name.
+    """
+
+    key: str
+    file: str
+    epoch: Time
+    exposure_s: float
+    camera_from_inertial: Rotation | None = None
+    angular_rate_camera_rad_s: Float = field(default_factory=lambda: np.zeros(3))
+    observer: ObserverState | None = None
+    places: Mapping[str, Place] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RenderPlan:
+    """A scene file whose keys, files and names have been checked.
+
+    Parameters
+    ----------
+    path : Path
+    content : RenderFile
+    camera : Camera
+    targets : tuple of TargetSetup
+        Without estimators; the shapes are loaded by :meth:`shots`.
+    places : mapping of str to Place
+        Of the targets, where an image does not say otherwise.
+    exposures : tuple of Exposure
+    detector : DetectorModel
+    catalog : str or None
+        Name or path of the catalogue; None: no stars.
+    spice : SpiceSetup or None
+    warnings : tuple of str
+        What is odd but no mistake.
+    """
+
+    path: Path
+    content: RenderFile
+    camera: Camera
+    targets: tuple[TargetSetup, ...]
+    places: Mapping[str, Place]
+    exposures: tuple[Exposure, ...]
+    detector: DetectorModel
+    catalog: str | None
+    spice: SpiceSetup | None
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def load(cls, path: str | Path) -> RenderPlan:
+        """Read and check a scene file and what it names.
+
+        Raises
+        ------
+        DataError
+            Anything is wrong with it; one line that names file, key and what was expected.
+        """
+        path = Path(path)
+        content, _ = read_toml(path, RenderFile, "scene file")
+        try:
+            return _resolve(path, content)
+        except InputError as error:
+            raise DataError(path, str(error)) from error
+
+    @property
+    def photometry(self) -> Photometry:
+        """Zero point, distance of the Sun and albedo of the targets."""
+        return Photometry(
+            zero_point_e_s=self.content.photometry.zero_point_e_s,
+            sun_distance_au=self.content.light.distance_au,
+            albedos={target.name: target.albedo for target in self.content.targets},
+        )
+
+    @property
+    def options(self) -> SimulationOptions:
+        """Sampling, faintest star, size of the Sun."""
+        light, stars = self.content.light, self.content.stars
+        return SimulationOptions(
+            rays_per_pixel_side=self.content.render.rays_per_pixel_side,
+            max_magnitude=None if stars is None else stars.max_magnitude,
+            sun_radius_rad=math.asin(SUN_RADIUS_KM / (light.distance_au * AU_KM)) if light.extended else 0.0,
+        )
+
+    def kernels(self) -> AbstractContextManager[object]:
+        """Load the SPICE kernels, if there are any, until the end of a ``with`` block."""
+        return contextlib.nullcontext() if self.spice is None else load_kernels(self.spice.kernels, self.path.parent)
+
+    def shots(self) -> list[tuple[Shot, Scene | None]]:
+        """Every exposure with the scene before it; call it inside ``with plan.kernels()``.
+
+        Raises
+        ------
+        DataError
+            A shape is damaged, something is known neither from the files nor from SPICE, or no image shows a target.
+        """
+        try:
+            shapes = {target.name: target.load_shape() for target in self.targets}
+            shots = [(self._shot(exposure), self._scene(exposure, shapes)) for exposure in self.exposures]
+            shown: set[str] = set()
+            for shot, scene in shots:
+                if scene is not None:
+                    frame = unexposed(shot, self.camera)
+                    shown |= {true_geometry(scene, frame, body.name).target.name for body in scene.targets}
+            for number, setup in enumerate(self.targets):
+                if setup.name not in shown:
+                    raise InputError(
+                        f"targets[{number}].position_km: nothing says where {setup.name!r} is: give it here, in an "
+                        "image or in the geometry table, or add [spice]"
+                    )
+        except InputError as error:
+            raise DataError(self.path, str(error)) from error
+        return shots
+
+    def _shot(self, exposure: Exposure) -> Shot:
+        turn, observer = exposure.camera_from_inertial, exposure.observer
+        if self.spice is not None:
+            et = et_from_time(exposure.epoch)
+            if turn is None and self.spice.frame is not None:
+                turn = self.spice.camera_from_frame * attitude(self.spice.frame, et)
+            if observer is None:
+                position, velocity = spk_state(self.spice.spacecraft, et, observer=BARYCENTER)
+                observer = ObserverState(position_km=position, velocity_km_s=velocity)
+        if turn is None:
+            raise InputError(
+                f"{exposure.key}: an attitude is needed: camera_from_inertial_xyzw, pointing_deg, or spice.frame"
+            )
+        return Shot(
+            name=exposure.file,
+            epoch=exposure.epoch,
+            exposure_s=exposure.exposure_s,
+            camera_from_inertial=turn,
+            observer=observer,
+            angular_rate_camera_rad_s=exposure.angular_rate_camera_rad_s,
+        )
+
+    def _scene(self, exposure: Exposure, shapes: Mapping[str, Shape]) -> Scene | None:
+        """The targets of an image; None where there is none."""
+        targets = []
+        for setup in self.targets:
+            place = exposure.places.get(setup.name, Place()).over(self.places[setup.name])
+            ephemeris = self._ephemeris(exposure, setup, place)
+            if ephemeris is not None:
+                targets.append(
+                    Target(
+                        name=setup.name,
+                        shape=shapes[setup.name],
+                        ephemeris=ephemeris,
+                        reflectance=setup.reflectance,
+                    )
+                )
+        if not targets:
+            return None
+        if self.spice is None:
+            return Scene(targets=tuple(targets))
+        return Scene(
+            targets=tuple(targets), observer=SpiceEphemeris(self.spice.spacecraft), light=SpiceEphemeris("SUN")
+        )
+
+    def _ephemeris(
+        self, exposure: Exposure, setup: TargetSetup, place: Place
+    ) -> ApparentGeometry | SpiceEphemeris | None:
+        if place.position_km is None:
+            return None if self.spice is None else SpiceEphemeris(setup.spice_body, setup.frame)
+        et = et_from_time(exposure.epoch)
+        sun, turn = place.sun_direction, place.body_from_inertial
+        if sun is None and self.content.light.direction is not None:
+            sun = np.array(self.content.light.direction)
+        if sun is None and self.spice is not None:
+            sun = spk_state("SUN", et, observer=self.spice.spacecraft)[0] - place.position_km
+        if sun is None:
+            raise InputError(f"{exposure.key}: no direction to the Sun for {setup.name!r}: give light.direction")
+        if turn is None and self.spice is not None:
+            light_s = float(np.linalg.norm(place.position_km)) / SPEED_OF_LIGHT_KM_S
+            turn = orientation(setup.frame, et - light_s).inv()
+        return ApparentGeometry(
+            position_inertial_km=place.position_km,
+            inertial_from_body=Rotation.identity() if turn is None else turn.inv(),
+            sun_direction_inertial=sun,
+        )
+
+
+def _resolve(path: Path, content: RenderFile) -> RenderPlan:
+    camera, _ = camera_of(path, content.camera)
+    if camera.psf is None:
+        raise InputError("camera: rendering needs the PSF of the camera, [psf] with sigma_px")
+    targets = tuple(_target(path, f"targets[{k}]", section) for k, section in enumerate(content.targets))
+    repeated = [name for name, count in Counter(target.name for target in targets).items() if count > 1]
+    if repeated:
+        raise InputError(f"targets: two targets have the name {repeated[0]!r}")
+    targets, guessed = with_units_decided(targets)
+    if content.light.direction is not None and not any(content.light.direction):
+        raise InputError("light.direction: must not be the zero vector")
+    light = content.light
+    if light.extended and light.distance_au * AU_KM <= SUN_RADIUS_KM:
+        raise InputError(f"light.distance_au: {light.distance_au:g} au lies inside the Sun")
+    exposures = _exposures(path, content)
+    names = {target.name for target in targets}
+    for exposure in exposures:
+        if unknown := sorted(set(exposure.places) - names):
+            raise InputError(f"{exposure.key}: there is no target {unknown[0]!r} in [[targets]]")
+    catalog = None if content.stars is None else content.stars.catalog
+    if catalog is not None and catalog != "default":
+        catalog = str(existing_file(path, "stars.catalog", catalog))
+    return RenderPlan(
+        path=path,
+        content=content,
+        camera=camera,
+        targets=targets,
+        places={section.name: _place(f"targets[{k}]", section) for k, section in enumerate(content.targets)},
+        exposures=exposures,
+        detector=_detector(path, content.detector, camera),
+        catalog=catalog,
+        spice=None if content.spice is None else spice_of(path, content.spice),
+        warnings=tuple(guessed),
+    )
+
+
+def _target(path: Path, where: str, section: RenderTargetSection) -> TargetSetup:
+    shape_file, radii = shape_of(path, f"{where}.shape", section.shape)
+    try:
+        reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
+    except InputError as error:
+        raise InputError(f"{where}.{error}") from error
+    return TargetSetup(
+        name=section.name,
+        shape_file=shape_file,
+        units=section.units,
+        radii_km=radii,
+        reflectance=reflectance,
+        estimators=(),
+        spice_body=section.spice_body or section.name,
+        frame=section.frame or section.spice_body or section.name,
+    )
+
+
+def _place(where: str, section: PlaceSection) -> Place:
+    for key in ("position_km", "sun_direction"):
+        vector = getattr(section, key)
+        if vector is not None and not any(vector):
+            raise InputError(f"{where}.{key}: must not be the zero vector")
+    quaternion = section.body_from_inertial_xyzw
+    turn = None if quaternion is None else rotation_from_xyzw(quaternion, f"{where}.body_from_inertial_xyzw")
+    return Place(
+        position_km=None if section.position_km is None else np.array(section.position_km),
+        body_from_inertial=turn,
+        sun_direction=None if section.sun_direction is None else unit(np.array(section.sun_direction)),
+    )
+
+
+def _exposures(path: Path, content: RenderFile) -> tuple[Exposure, ...]:
+    table = content.render.geometry
+    if (table is None) == (not content.images):
+        raise InputError("either [[images]] or render.geometry is needed, and not both")
+    if table is None:
+        exposures = [_from_section(f"images[{k}]", section) for k, section in enumerate(content.images)]
+    else:
+        file = existing_file(path, "render.geometry", table)
+        only = content.targets[0].name if len(content.targets) == 1 else None
+        rows = read_geometry(file, default_target=only)
+        exposures = []
+        for name in dict.fromkeys(row.file for row in rows.rows):
+            known = rows.image(name)
+            assert known is not None
+            exposures.append(_from_table(f"{file.name}: {name}", name, known))
+    for exposure in exposures:
+        if Path(exposure.file).suffix.lower() not in FITS_SUFFIXES:
+            raise InputError(f"{exposure.key}: images are written as FITS, so the file must end in .fits")
+    repeated = [name for name, count in Counter(exposure.file for exposure in exposures).items() if count > 1]
+    if repeated:
+        raise InputError(f"images: two images have the file {repeated[0]!r}")
+    return tuple(exposures)
+
+
+def _from_section(where: str, section: ImageSection) -> Exposure:
+    turn = None
+    if section.camera_from_inertial_xyzw is not None and section.pointing_deg is not None:
+        raise InputError(f"{where}: give camera_from_inertial_xyzw or pointing_deg, not both")
+    if section.camera_from_inertial_xyzw is not None:
+        turn = rotation_from_xyzw(section.camera_from_inertial_xyzw, f"{where}.camera_from_inertial_xyzw")
+    if section.pointing_deg is not None:
+        turn = camera_from_inertial_of_pointing(*section.pointing_deg)
+    try:
+        epoch = time_from_utc(section.epoch_utc)
+    except InputError as error:
+        raise InputError(f"{where}.epoch_utc: {error}") from error
+    observer = section.observer
+    return Exposure(
+        key=where,
+        file=section.file,
+        epoch=epoch,
+        exposure_s=section.exposure_s,
+        camera_from_inertial=turn,
+        angular_rate_camera_rad_s=np.array(section.angular_rate_deg_s) * RAD_PER_DEG,
+        observer=None
+        if observer is None
+        else ObserverState(position_km=np.array(observer.position_km), velocity_km_s=np.array(observer.velocity_km_s)),
+        places={name: _place(f"{where}.targets.{name}", place) for name, place in section.targets.items()},
+    )
+
+
+def _from_table(where: str, file: str, known: ImageGeometry) -> Exposure:
+    if known.epoch is None or known.exposure_s is None:
+        raise InputError(f"{where}: the geometry table must give epoch_utc and exposure_s")
+    return Exposure(
+        key=where,
+        file=file,
+        epoch=known.epoch,
+        exposure_s=known.exposure_s,
+        camera_from_inertial=known.camera_from_inertial,
+        observer=known.observer,
+        places={
+            name: Place(
+                position_km=row.target_position_inertial_km,
+                body_from_inertial=row.body_from_inertial,
+                sun_direction=row.sun_direction_inertial,
+            )
+            for name, row in known.targets.items()
+        },
+    )
+
+
+def _detector(path: Path, section: DetectorSection, camera: Camera) -> DetectorModel:
+    """Build the detector: maps are drawn from the seed of the pattern, so that all images share them."""
+    seed, size = section.pattern_seed, (camera.columns, camera.rows)
+    response = None
+    if section.response_file is not None:
+        response = read_image_file(existing_file(path, "detector.response_file", section.response_file)).pixels
+        if response.shape != (camera.rows, camera.columns):
+            raise InputError(f"detector.response_file: {response.shape} pixels, the camera has {size[::-1]}")
+        response = response.astype(np.float64)
+    elif section.response_rms > 0:
+        response = pixel_response(*size, rms=section.response_rms, random=Stream.PIXEL_RESPONSE.random(seed))
+    hot = section.hot_pixels
+    try:
+        return DetectorModel(
+            stray=options_from_mapping(StrayLight, section.stray, "stray"),
+            flat=FlatField(response=response, vignetting=section.vignetting),
+            transfer=options_from_mapping(FrameTransfer, section.transfer, "transfer"),
+            dark=options_from_mapping(DarkCurrent, section.dark, "dark"),
+            hot_pixels=HotPixels.scattered(hot.count, *size, Stream.HOT_PIXELS.random(seed), median_e_s=hot.median_e_s),
+            dead_px=scattered_pixels(section.dead_pixels, *size, Stream.DEAD_PIXELS.random(seed)),
+            shot_noise=section.shot_noise,
+            cosmic_rays=options_from_mapping(CosmicRays, section.cosmic_rays, "cosmic_rays"),
+            well=options_from_mapping(FullWell, section.well, "well"),
+            bits=section.bits,
+        )
+    except InputError as error:
+        raise InputError(f"detector.{error}") from error

@@ -1,0 +1,205 @@
+"""Rendering a scene file: images with their truth, previews, and a campaign that can be run on them."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from giantlike.campaign.render.plan import FITS_SUFFIXES, RenderPlan
+from giantlike.catalogs import StarCatalog, load_catalog
+from giantlike.core.errors import DataError, InputError
+from giantlike.io import write_bytes_atomic, write_geometry, write_text_atomic
+from giantlike.io.geometry_table import GeometryRow
+from giantlike.relative import ESTIMATORS
+from giantlike.simulation import SimulatedImage, simulate_image
+from giantlike.simulation.preview import preview_png
+from giantlike.simulation.truth import geometry_rows, write_simulated
+
+_CAMPAIGN, _CAMERA, _GEOMETRY = "campaign.toml", "camera.toml", "geometry.csv"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderedImage:
+    """What became of one image.
+
+    Parameters
+    ----------
+    path : Path
+    targets : dict of str to list of float
+        Pixel (x, y) of the centre of each target in view.
+    stars : int
+        In view.
+    peak_dn, background_dn : float
+        Brightest pixel, median.
+    saturated_px, cosmic_px : int
+        Pixels at the largest number, and hit by cosmic rays.
+    time_s : float, s
+    """
+
+    path: Path
+    targets: dict[str, list[float]]
+    stars: int
+    peak_dn: float
+    background_dn: float
+    saturated_px: int
+    cosmic_px: int
+    time_s: float
+
+
+def render_images(
+    plan: RenderPlan,
+    output: Path | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> tuple[RenderedImage, ...]:
+    """Render all images of a scene file.
+
+    Parameters
+    ----------
+    plan : RenderPlan
+    output : Path, optional
+        A folder, or the FITS file where there is one image only; by default the folder that the scene file names.
+    overwrite : bool
+        Whether files that are already there are replaced.
+    progress : callable, optional
+        Called with what is done, the number of images done, and of all.
+
+    Raises
+    ------
+    DataError
+        A file is in the way or cannot be written, or the scene cannot be set up; nothing is rendered then.
+    """
+    plan, folder = _placed(plan, output)
+    paths = [folder / exposure.file for exposure in plan.exposures]
+    _check_output(plan, folder, paths, overwrite=overwrite)
+    catalog = None if plan.catalog is None else load_catalog(plan.catalog)
+    rows: list[GeometryRow] = []
+    results = []
+    with plan.kernels():
+        shots = plan.shots()
+        for path in paths:
+            _make_folder(path.parent)
+        for number, ((shot, scene), path) in enumerate(zip(shots, paths, strict=True)):
+            started = time.perf_counter()
+            taken = simulate_image(
+                shot,
+                plan.camera,
+                scene,
+                seed=(plan.content.render.seed, number),
+                catalog=catalog,
+                photometry=plan.photometry,
+                detector=plan.detector,
+                options=plan.options,
+            )
+            _write(plan, path, taken)
+            rows += geometry_rows(taken)
+            results.append(_summary(plan, path, taken, time.perf_counter() - started))
+            if progress is not None:
+                progress("rendering", number + 1, len(shots))
+    if plan.content.render.campaign:
+        _write_campaign(plan, folder, rows, catalog)
+    return tuple(results)
+
+
+def _placed(plan: RenderPlan, output: Path | None) -> tuple[RenderPlan, Path]:
+    """The plan with the name of its image, where ``output`` is one, and the folder that everything goes to."""
+    if output is None:
+        return plan, plan.path.parent / plan.content.render.output
+    if output.suffix.lower() not in FITS_SUFFIXES:
+        return plan, output
+    images = len(plan.exposures)
+    if images != 1:
+        raise InputError(f"--output {output}: names one image, the scene file has {images}: give a folder")
+    return replace(plan, exposures=(replace(plan.exposures[0], file=output.name),)), output.parent
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(folder, f"cannot make this folder: {error.strerror}") from error
+
+
+def _check_output(plan: RenderPlan, folder: Path, paths: list[Path], *, overwrite: bool) -> None:
+    """Refuse files that are in the way, and estimators that do not exist."""
+    section = plan.content.render
+    for name in section.estimators:
+        if name not in ESTIMATORS:
+            raise DataError(
+                plan.path, f"render.estimators: unknown estimator {name!r}; there are {', '.join(ESTIMATORS)}"
+            )
+    if overwrite:
+        return
+    files = [*paths]
+    if section.preview:
+        files += [path.with_suffix(".png") for path in paths]
+    if section.campaign:
+        files += [folder / name for name in (_CAMPAIGN, _CAMERA, _GEOMETRY)]
+    for path in files:
+        if path.exists():
+            raise DataError(path, "is already there; --overwrite replaces it")
+
+
+def _write(plan: RenderPlan, path: Path, taken: SimulatedImage) -> None:
+    section = plan.content.render
+    write_simulated(path, taken, plan.camera, extensions=section.truth, backplanes=section.backplanes)
+    if section.preview:
+        write_bytes_atomic(path.with_suffix(".png"), preview_png(taken.image.pixels.astype(np.float64)))
+
+
+def _summary(plan: RenderPlan, path: Path, taken: SimulatedImage, time_s: float) -> RenderedImage:
+    pixels = taken.image.pixels
+    full = min(plan.camera.detector.saturation_dn, 2**plan.detector.bits - 1)
+    centers = {name: plan.camera.model.project(body.position_camera_km) for name, body in taken.bodies.items()}
+    return RenderedImage(
+        path=path,
+        targets={name: center.tolist() for name, center in centers.items() if np.isfinite(center).all()},
+        stars=len(taken.stars.ids),
+        peak_dn=float(pixels.max()),
+        background_dn=float(np.median(pixels)),
+        saturated_px=int((pixels >= int(full)).sum()),
+        cosmic_px=int((taken.readout.cosmic_e > 0).sum()),
+        time_s=time_s,
+    )
+
+
+def _write_campaign(plan: RenderPlan, folder: Path, rows: Iterable[GeometryRow], catalog: StarCatalog | None) -> None:
+    """Write camera, geometry (the truth as a priori) and a campaign that runs on the images."""
+    plan.camera.save(folder / _CAMERA)
+    write_geometry(folder / _GEOMETRY, rows)
+    table: dict[str, Any] = {
+        "campaign": {"name": plan.path.stem, "output": "run"},
+        "images": {"files": [exposure.file for exposure in plan.exposures], "geometry": _GEOMETRY},
+        "camera": {"file": _CAMERA},
+        "targets": [_target_table(plan, number, folder) for number in range(len(plan.targets))],
+    }
+    if plan.content.stars is not None and catalog is not None:
+        name = plan.content.stars.catalog
+        table["stars"] = {"catalog": name if name == "default" else _relative(plan.path.parent / name, folder)}
+        if plan.content.stars.max_magnitude is not None:
+            table["stars"]["max_magnitude"] = plan.content.stars.max_magnitude
+    write_text_atomic(folder / _CAMPAIGN, tomli_w.dumps(table))
+
+
+def _target_table(plan: RenderPlan, number: int, folder: Path) -> dict[str, Any]:
+    setup, section = plan.targets[number], plan.content.targets[number]
+    shape = section.shape if setup.shape_file is None else _relative(setup.shape_file, folder)
+    table = {
+        "name": setup.name,
+        "shape": shape,
+        "units": setup.units,
+        "estimators": list(plan.content.render.estimators),
+    }
+    return table if section.reflectance is None else table | {"reflectance": section.reflectance}
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

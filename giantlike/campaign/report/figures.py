@@ -1,0 +1,244 @@
+"""The figures of a report, made from records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.campaign.store.observables import rotation_of
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, TargetView
+from giantlike.campaign.store.results import RunResult
+from giantlike.campaign.store.parts import RunFolder
+from giantlike.core.arrays import Float
+from giantlike.core.errors import OpNavError
+from giantlike.core.frames import rotation_between
+from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.image import Image
+from giantlike.plotting import (
+    CENTERS,
+    BodyMarks,
+    CenterMark,
+    Series,
+    StarMarks,
+    jpeg_data_uri,
+    overlay_figure,
+    series_figure,
+    star_residual_figure,
+    svg_text,
+)
+
+_BODY_PANELS = ("x, px", "y, px", "range, %")
+_MAX_STAR_IMAGES = 500
+_TIME_UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (1.0, "seconds"))
+
+
+def attitude_figures(result: RunResult) -> list[dict[str, Any]]:
+    """Star residuals of all images, quality of the solutions, and what they corrected."""
+    figures = []
+    solved = [record for record in result.attitudes if record.n_matched]
+    at, label = _time_axis(result)
+    if solved:
+        figures.append(_star_figure(result, solved))
+        quality = Series(
+            label="star images",
+            at=np.array([at(record.index) for record in solved]),
+            values=np.array([[record.rms_px, record.n_matched] for record in solved], dtype=np.float64),
+            sigma=np.full((len(solved), 2), np.nan),
+            suspect=np.array([record.status == "suspect" for record in solved]),
+        )
+        figure = series_figure([quality], ["radial rms, px", "matched stars"], label, "Star solutions")
+        figures.append({"caption": "Fit and number of stars of every solution.", "svg": svg_text(figure, "quality")})
+    corrections = [part for source in ("stars", "interpolated") if (part := _corrections(result, source, at))]
+    if corrections:
+        panels = ["about x, arcsec", "about y, arcsec", "about z, arcsec"]
+        figure = series_figure(corrections, panels, label, "Attitude minus a priori attitude, camera axes")
+        caption = "What the stars changed, with one-sigma bars of the new attitude; hollow: suspect."
+        figures.append({"caption": caption, "svg": svg_text(figure, "corrections")})
+    return figures
+
+
+def body_figures(result: RunResult) -> list[dict[str, Any]]:
+    """Observed minus predicted and the difference between estimators, for each target."""
+    at, label = _time_axis(result)
+    figures = []
+    for target in dict.fromkeys(record.target for record in result.observations):
+        members = [r for r in result.observations if r.target == target and r.center_px and r.predicted_px]
+        by_estimator: dict[str, dict[int, ObservationRecord]] = {}
+        for record in members:
+            by_estimator.setdefault(record.estimator, {})[record.index] = record
+        if not by_estimator:
+            continue
+        offsets = [_offsets(list(records.values()), name, at) for name, records in by_estimator.items()]
+        figure = series_figure(offsets, _BODY_PANELS, label, f"{target}: observed minus predicted")
+        caption = (
+            f"{target}: measured centre (and range, where it is measured) against the a priori geometry, with one-sigma"
+            " bars of the measurement; hollow: suspect. What all estimators share is the error of the a priori."
+        )
+        figures.append({"caption": caption, "svg": svg_text(figure, f"target {target}")})
+        reference = max(by_estimator, key=lambda name: len(by_estimator[name]))
+        differences = [
+            part
+            for name, records in by_estimator.items()
+            if name != reference and (part := _differences(records, by_estimator[reference], name, at)) is not None
+        ]
+        if differences:
+            figure = series_figure(differences, _BODY_PANELS, label, f"{target}: minus {reference}")
+            caption = f"{target}: the other estimators minus {reference}; the bars are both sigmas together."
+            figures.append({"caption": caption, "svg": svg_text(figure, f"difference {target}")})
+    return figures
+
+
+def center_colors(result: RunResult) -> dict[str, str]:
+    """Colours of the centres that estimators found."""
+    names = dict.fromkeys(record.estimator for record in result.observations if record.center_px is not None)
+    return {name: CENTERS[number % len(CENTERS)] for number, name in enumerate(names)}
+
+
+def overlay(result: RunResult, record: AttitudeRecord) -> dict[str, Any]:
+    """One image with what was found in it; without a picture where the image file is gone."""
+    folder = RunFolder(result.folder)
+    full = folder.load(AttitudeRecord, record.index, record.file)
+    body = folder.load(ObservationsRecord, record.index, record.file)
+    observations = [] if body is None else body.observations
+    content: dict[str, Any] = {"record": record, "observations": observations, "picture": None, "problem": None}
+    try:
+        pixels = Image.open(result.folder / record.path, hdu=result.hdu, bottom_up=result.bottom_up).pixels
+    except OpNavError as error:
+        return content | {"problem": str(error)}
+    colors = center_colors(result)
+    marks = [] if body is None else [_body_marks(view, observations, colors) for view in body.views]
+    figure = overlay_figure(pixels, record.file, stars=None if full is None else _star_marks(full), bodies=marks)
+    return content | {"picture": jpeg_data_uri(figure)}
+
+
+def _star_marks(record: AttitudeRecord) -> StarMarks | None:
+    if not record.detected_px:
+        return None
+    stars = record.stars
+    return StarMarks(
+        detected_px=_points(record.detected_px),
+        matched_px=_points([] if stars is None else stars.observed_px),
+        predicted_px=_points([] if stars is None else stars.predicted_px),
+        rejected_px=_points([] if stars is None else stars.rejected_px),
+    )
+
+
+def _body_marks(view: TargetView, observations: Sequence[ObservationRecord], colors: Mapping[str, str]) -> BodyMarks:
+    return BodyMarks(
+        name=view.target,
+        predicted_px=np.array(view.predicted_px),
+        radius_px=view.radius_px,
+        outline_px=_points(view.outline_px),
+        lit=np.array(view.outline_lit, dtype=bool),
+        centers=[
+            CenterMark(
+                color=colors[record.estimator],
+                center_px=np.array(record.center_px),
+                covariance_px2=np.array(record.covariance_px2),
+                limb_px=_points(record.limb_px),
+            )
+            for record in observations
+            if record.target == view.target and record.center_px is not None
+        ],
+    )
+
+
+def _points(values: Sequence[Sequence[float]]) -> Float:
+    return np.array(values, dtype=np.float64).reshape(-1, 2)
+
+
+def _time_axis(result: RunResult) -> tuple[Callable[[int], float], str]:
+    """Where an image stands on the abscissa: time since the first one, or its number where a time is missing."""
+    times = {record.index: record.et for record in result.attitudes if record.et is not None}
+    readable = [record for record in result.attitudes if record.readable]
+    first = min(times, key=lambda index: times[index], default=None)
+    span = max(times.values(), default=0.0) - min(times.values(), default=0.0)
+    if first is None or span <= 0 or any(record.index not in times for record in readable):
+        return float, "image number"
+    unit_s, unit = next(((size, name) for size, name in _TIME_UNITS if span > 2 * size), _TIME_UNITS[-1])
+    start, text = times[first], result.attitudes[first].epoch_utc or ""
+    return lambda index: (times.get(index, start) - start) / unit_s, f"{unit} since {text[:19]} UTC"
+
+
+def _corrections(result: RunResult, source: str, at: Callable[[int], float]) -> Series | None:
+    rows: list[tuple[float, Float, Float, bool]] = []
+    for record in result.attitudes:
+        attitude = record.attitude
+        if attitude is None or attitude.source != source or record.apriori_xyzw is None:
+            continue
+        change = rotation_between(Rotation.from_quat(record.apriori_xyzw), rotation_of(attitude))
+        covariance = attitude.covariance_rad2
+        sigma = np.full(3, np.nan) if covariance is None else np.sqrt(np.diag(covariance))
+        rows.append((at(record.index), ARCSEC_PER_RAD * change, ARCSEC_PER_RAD * sigma, record.status == "suspect"))
+    return _series(source, rows)
+
+
+def _offsets(records: Sequence[ObservationRecord], label: str, at: Callable[[int], float]) -> Series:
+    rows = [(at(record.index), *_measured(record), record.status == "suspect") for record in records]
+    series = _series(label, rows)
+    assert series is not None
+    return series
+
+
+def _differences(
+    records: Mapping[int, ObservationRecord],
+    reference: Mapping[int, ObservationRecord],
+    label: str,
+    at: Callable[[int], float],
+) -> Series | None:
+    rows: list[tuple[float, Float, Float, bool]] = []
+    for index in sorted(records.keys() & reference.keys()):
+        value, sigma = _measured(records[index])
+        other, other_sigma = _measured(reference[index])
+        suspect = "suspect" in (records[index].status, reference[index].status)
+        rows.append((at(index), value - other, np.hypot(sigma, other_sigma), suspect))
+    return _series(label, rows)
+
+
+def _measured(record: ObservationRecord) -> tuple[Float, Float]:
+    """Observed minus predicted x, y (px) and range (percent), (3,), and their sigmas; NaN for what is not known."""
+    offset, sigma = np.full(3, np.nan), np.full(3, np.nan)
+    if record.center_px is not None and record.predicted_px is not None:
+        offset[:2] = np.subtract(record.center_px, record.predicted_px)
+    if record.covariance_px2 is not None:
+        sigma[:2] = np.sqrt(np.diag(record.covariance_px2))
+    if record.range_km is not None and record.predicted_camera_km is not None:
+        predicted = float(np.linalg.norm(record.predicted_camera_km))
+        offset[2] = 100 * (record.range_km / predicted - 1)
+        sigma[2] = 100 * (record.sigma_range_km or np.nan) / predicted
+    return offset, sigma
+
+
+def _series(label: str, rows: Sequence[tuple[float, Float, Float, bool]]) -> Series | None:
+    if not rows:
+        return None
+    at, values, sigma, suspect = zip(*rows, strict=True)
+    return Series(
+        label=label, at=np.array(at), values=np.array(values), sigma=np.array(sigma), suspect=np.array(suspect)
+    )
+
+
+def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> dict[str, Any]:
+    """Residuals of the stars of all images, or of many, evenly chosen."""
+    step = -(-len(records) // _MAX_STAR_IMAGES)
+    folder = RunFolder(result.folder)
+    parts = [
+        full.stars
+        for record in records[::step]
+        if (full := folder.load(AttitudeRecord, record.index, record.file)) is not None and full.stars is not None
+    ]
+    observed = np.concatenate([_points(part.observed_px) for part in parts])
+    predicted = np.concatenate([_points(part.predicted_px) for part in parts])
+    figure = star_residual_figure(
+        observed,
+        observed - predicted,
+        np.concatenate([part.magnitudes for part in parts]),
+        np.concatenate([part.sigma_px for part in parts]),
+        records[0].columns,
+        records[0].rows,
+    )
+    caption = f"Observed minus predicted positions of {len(observed)} stars in {len(parts)} images, as fitted."
+    return {"caption": caption, "svg": svg_text(figure, "stars")}

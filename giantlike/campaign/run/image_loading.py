@@ -1,0 +1,232 @@
+"""From an entry of a campaign to an image with what is known of it, and to the scene before it.
+
+What is known a priori comes from the geometry table, else from the image's own header, else from SPICE.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.campaign.file.config import Campaign, ImageEntry, SpiceSetup, TargetSetup
+from giantlike.core.arrays import Float, require, unit
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
+from giantlike.image import Image, ObserverState
+from giantlike.io.geometry_table import GeometryRow
+from giantlike.io.spice import CoverageError, attitude, orientation, spk_state
+from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
+from giantlike.scene import Scene, Target
+from giantlike.shapes import Ellipsoid, Shape
+
+_SUN_COLUMNS = "sun_x, sun_y, sun_z"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedImage:
+    """An image with its a priori knowledge, and notes on what was asked for and not to be had."""
+
+    image: Image
+    notes: tuple[str, ...]
+
+
+def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
+    """Read an image and complete it from geometry table and SPICE.
+
+    Raises
+    ------
+    DataError
+        The file is damaged.
+    InputError
+        The image has another size than the camera.
+    """
+    image = dataclasses.replace(Image.open(entry.path, hdu=campaign.hdu, bottom_up=campaign.bottom_up), name=entry.key)
+    camera = campaign.camera
+    require(
+        (image.columns, image.rows) == (camera.columns, camera.rows),
+        f"{entry.path}: the image has {image.columns} x {image.rows} pixels, camera {camera.name!r} "
+        f"{camera.columns} x {camera.rows}",
+    )
+    known = campaign.geometry.get(entry.key)
+    if known is not None:
+        image = dataclasses.replace(
+            image,
+            epoch=known.epoch or image.epoch,
+            exposure_s=image.exposure_s if known.exposure_s is None else known.exposure_s,
+            observer=known.observer or image.observer,
+        )
+        if known.camera_from_inertial is not None:
+            image = image.with_attitude(known.camera_from_inertial)
+    notes: tuple[str, ...] = ()
+    if campaign.spice is not None:
+        image, notes = _with_spice(image, campaign.spice)
+    if image.camera_from_inertial is None and has_world_coordinates(image.metadata):
+        image, more = _with_world_coordinates(image, campaign)
+        notes += more
+    return PreparedImage(image, notes)
+
+
+def _with_world_coordinates(image: Image, campaign: Campaign) -> tuple[Image, tuple[str, ...]]:
+    """The attitude that a plate solver left in the header, as a priori."""
+    try:
+        told = attitude_of_wcs(
+            image.metadata, campaign.camera.model, columns=image.columns, rows=image.rows, bottom_up=campaign.bottom_up
+        )
+    except InputError as error:
+        return image, (f"no a priori attitude from world coordinates: {error}",)
+    note = f"a priori attitude from world coordinates, which the camera meets to {told.rms_px:.2g} px"
+    return image.with_attitude(told.camera_from_inertial), (note,)
+
+
+def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]]:
+    et = image.et
+    if et is None:
+        return image, ("no epoch, so SPICE tells nothing of this image",)
+    notes: list[str] = []
+    if image.observer is None:
+        try:
+            position, velocity = spk_state(spice.spacecraft, et, observer=BARYCENTER)
+            observer = ObserverState(position_km=position, velocity_km_s=velocity)
+            image = dataclasses.replace(image, observer=observer)
+        except DataError as error:
+            notes.append(f"stars without aberration and parallax: {error}")
+    if image.camera_from_inertial is None and spice.frame is not None:
+        try:
+            image = image.with_attitude(spice.camera_from_frame * attitude(spice.frame, et))
+        except DataError as error:
+            notes.append(f"no a priori attitude: {error}")
+    return image, tuple(notes)
+
+
+def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
+    """Targets that an image is said to show: those with a row in the geometry table, with SPICE all."""
+    if campaign.spice is not None:
+        return campaign.targets
+    known = campaign.geometry.get(key)
+    return tuple(target for target in campaign.targets if known is not None and target.name in known.targets)
+
+
+@dataclass(frozen=True, slots=True)
+class _SpiceGeometry:
+    """A target, the Sun and the spacecraft, all from SPICE.
+
+    Positions count from the barycentre of the Solar System or, where kernels do not link spacecraft and target to
+    it, from the target itself (``relative``). Then light time and aberration rest on the velocity of the spacecraft
+    relative to the target, which is right to first order: the target's own motion shifts it by light time one way
+    and by aberration the other way. What is left is its acceleration during the light time, and v^2/c^2.
+    """
+
+    spacecraft: str
+    target: TargetSetup
+    relative: bool
+
+    @classmethod
+    def at(cls, spacecraft: str, target: TargetSetup, et: float | None) -> _SpiceGeometry:
+        """Choose where to count from; stays with the barycentre when the kernels tell nothing at all."""
+        if et is None:
+            return cls(spacecraft, target, relative=False)
+        linked = all(_has_state(body, et, BARYCENTER) for body in (spacecraft, target.spice_body))
+        return cls(spacecraft, target, relative=not linked and _has_state(spacecraft, et, target.spice_body))
+
+    def scene(self, shape: Shape, *, sun: bool = True) -> Scene:
+        """Scene of the target; ``sun``: with the light, else for positions alone."""
+        origin = self.target.spice_body if self.relative else BARYCENTER
+        body = SpiceEphemeris(self.target.spice_body, self.target.frame, origin)
+        return Scene(
+            targets=(_body(self.target, shape, body),),
+            observer=SpiceEphemeris(self.spacecraft, origin=origin),
+            light=SpiceEphemeris("SUN", origin=origin) if sun else None,
+        )
+
+    def inertial_from_body(self, et: float, range_km: float) -> Rotation:
+        return orientation(self.target.frame, et - range_km / SPEED_OF_LIGHT_KM_S)
+
+    def sun_direction(self, et: float, position_inertial_km: Float) -> Float:
+        """From target to Sun; the Sun's own light time and aberration (20 arcsec) do not matter for shading."""
+        return unit(spk_state("SUN", et, observer=self.spacecraft)[0] - position_inertial_km)
+
+
+def _has_state(body: str, et: float, origin: str) -> bool:
+    try:
+        spk_state(body, et, observer=origin)
+    except CoverageError:
+        return False
+    return True
+
+
+def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | SpiceEphemeris) -> Target:
+    return Target(name=target.name, shape=shape, ephemeris=ephemeris, reflectance=target.reflectance)
+
+
+def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape) -> Scene | Failure:
+    """Build the scene with one target before an image.
+
+    Returns
+    -------
+    Scene or Failure
+        ``NO_GEOMETRY`` where neither the table nor SPICE says where the target is, how it is turned or where the
+        Sun is; ``NO_EPOCH`` where SPICE would have to.
+
+    Raises
+    ------
+    DataError
+        SPICE kernels do not cover what the table leaves out.
+    """
+    known = campaign.geometry.get(image.name)
+    row = None if known is None else known.targets.get(target.name)
+    spice = None if campaign.spice is None else _SpiceGeometry.at(campaign.spice.spacecraft, target, image.et)
+    if row is not None:
+        apparent = _from_row(row, image, target, shape, spice)
+        if isinstance(apparent, Failure):
+            return apparent
+        return Scene(targets=(_body(target, shape, apparent),))
+    if spice is None:
+        return _missing(image, target, "row")
+    if spice.relative and image.et is not None and not _has_state("SUN", image.et, target.spice_body):
+        return _missing(image, target, _SUN_COLUMNS, f"no state of SUN relative to {target.spice_body}")
+    return spice.scene(shape)
+
+
+def _from_row(
+    row: GeometryRow, image: Image, target: TargetSetup, shape: Shape, spice: _SpiceGeometry | None
+) -> ApparentGeometry | Failure:
+    """What the table says; what it leaves out comes from SPICE, if there is any."""
+    position, sun = row.target_position_inertial_km, row.sun_direction_inertial
+    if position is None:
+        if spice is None:
+            return _missing(image, target, "target_x_km, target_y_km, target_z_km")
+        scene = spice.scene(shape, sun=False)
+        predicted = scene.apparent(image, scene.target())
+        if isinstance(predicted, Failure):
+            return predicted
+        position = predicted.position_inertial_km
+    et = image.et
+    if row.body_from_inertial is not None:
+        inertial_from_body = row.body_from_inertial.inv()
+    elif spice is not None and et is not None:
+        inertial_from_body = spice.inertial_from_body(et, float(np.linalg.norm(position)))
+    elif isinstance(shape, Ellipsoid) and np.ptp(shape.radii_km) == 0:
+        inertial_from_body = Rotation.identity()  # a sphere looks the same from everywhere
+    else:
+        return _missing(image, target, "body_qx, body_qy, body_qz, body_qw")
+    if sun is None:
+        if spice is None or et is None:
+            return _missing(image, target, _SUN_COLUMNS)
+        if not _has_state("SUN", et, spice.spacecraft):
+            return _missing(image, target, _SUN_COLUMNS, f"no state of SUN relative to {spice.spacecraft}")
+        sun = spice.sun_direction(et, position)
+    return ApparentGeometry(
+        position_inertial_km=position, inertial_from_body=inertial_from_body, sun_direction_inertial=sun
+    )
+
+
+def _missing(
+    image: Image, target: TargetSetup, what: str, why: str = "no [spice], or no epoch of the image"
+) -> Failure:
+    detail = f"{image.name}: {target.name}: the geometry table has no {what}, and SPICE cannot fill in ({why})"
+    return Failure(Reason.NO_GEOMETRY, detail)

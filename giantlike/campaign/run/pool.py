@@ -1,0 +1,168 @@
+"""Images over processes, such that a process that dies takes one image with it and no more."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait as wait_for_end
+from types import TracebackType
+from typing import Any, TypeVar
+
+import cv2
+
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.worker import Workbench
+from giantlike.core.arrays import require
+from giantlike.core.errors import InputError
+
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
+
+_QUEUED_PER_WORKER = 2
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class WorkerPool:
+    """Runs jobs on images in this process (one worker) or in several; a context manager.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Of this process; other processes load their own.
+    workers : int
+        Number of processes; with 1 everything runs in this one.
+
+    Notes
+    -----
+    When a process dies, ``concurrent.futures`` gives up the whole pool and cannot say which job was at fault.
+    The jobs in flight are then run again one by one in a process of their own; one that kills this as well is
+    given up, and the rest go on.
+
+    Worker processes do arithmetic with one thread each, and end when the process that started them is gone.
+    """
+
+    def __init__(self, bench: Workbench, workers: int) -> None:
+        require(workers >= 1, f"workers must be >= 1, got {workers}")
+        self._bench = bench
+        self._workers = workers
+        self._executors: dict[int, ProcessPoolExecutor] = {}
+        self._environment: dict[str, str | None] = {}
+
+    def __enter__(self) -> WorkerPool:
+        if self._workers > 1:
+            for name in _THREAD_VARIABLES:  # read when numpy is imported, so they must be there when a process starts
+                self._environment[name] = os.environ.get(name)
+                os.environ.setdefault(name, "1")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for size in list(self._executors):
+            self._executors.pop(size).shutdown(wait=True, cancel_futures=True)
+        for name, before in self._environment.items():
+            if before is None:
+                del os.environ[name]
+
+    def run(
+        self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]
+    ) -> Iterator[tuple[int, Answer | None]]:
+        """Yield the position of each job and its answer, in the order in which they are done.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module, taking the workbench and a job; it must not raise.
+        jobs : sequence
+
+        Yields
+        ------
+        position : int
+        answer : object or None
+            None where the process died of the job.
+
+        Raises
+        ------
+        InputError
+            Processes cannot be started at all.
+        """
+        if self._workers == 1:
+            for position, job in enumerate(jobs):
+                yield position, function(self._bench, job)
+            return
+        waiting = deque(range(len(jobs)))
+        running: dict[Future[Answer], int] = {}
+        while waiting or running:
+            try:
+                while waiting and len(running) < _QUEUED_PER_WORKER * self._workers:
+                    future = self._executor(self._workers).submit(_call, function, jobs[waiting[0]])
+                    running[future] = waiting.popleft()
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    answer = future.result()
+                    yield running.pop(future), answer
+            except BrokenProcessPool:
+                self._drop(self._workers)
+                suspects = sorted(running.values())
+                running.clear()
+                for position in suspects:
+                    yield position, self._alone(function, jobs[position])
+
+    def _alone(self, function: Callable[[Workbench, Job], Answer], job: Job) -> Answer | None:
+        try:
+            return self._executor(1).submit(_call, function, job).result()
+        except BrokenProcessPool:
+            self._drop(1)
+            self._check_start()
+            return None
+
+    def _check_start(self) -> None:
+        """Make sure that it was the job: an idle process must be able to start."""
+        try:
+            self._executor(1).submit(_ready).result()
+        except BrokenProcessPool as error:
+            raise InputError(
+                "worker processes cannot be started; use one worker, or see above what ended them (a script that "
+                "runs a campaign must do so under if __name__ == '__main__')"
+            ) from error
+
+    def _executor(self, size: int) -> ProcessPoolExecutor:
+        if size not in self._executors:
+            self._executors[size] = ProcessPoolExecutor(
+                size, multiprocessing.get_context("spawn"), _start_worker, (self._bench.campaign,)
+            )
+        return self._executors[size]
+
+    def _drop(self, size: int) -> None:
+        self._executors.pop(size).shutdown(wait=True)
+
+
+_bench_of_this_process: list[Workbench] = []
+
+
+def _start_worker(campaign: Campaign) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches all processes: the others end without a traceback
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+    _bench_of_this_process.append(Workbench.load(campaign))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for_end([parent.sentinel])
+        os._exit(1)
+
+
+def _ready() -> bool:
+    return bool(_bench_of_this_process)
+
+
+def _call(function: Callable[[Workbench, Any], Answer], job: Any) -> Answer:
+    return function(_bench_of_this_process[0], job)

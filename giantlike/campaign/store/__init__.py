@@ -1,0 +1,1 @@
+"""The run folder: records, parts, tables, provenance, and reading them back."""

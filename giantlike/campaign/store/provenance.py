@@ -1,0 +1,121 @@
+"""What a run was made from: versions, options and hashes, comparable when a run is continued."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import platform
+import re
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any
+
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.worker import Workbench
+from giantlike.core.errors import DataError
+from giantlike.core.version import VERSION
+
+
+def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
+    """Everything that decides the results of a run, as plain values.
+
+    A run may only be continued when none of it has changed. The hashes of the images come in later, each
+    when its image is read.
+
+    Raises
+    ------
+    DataError
+        A file cannot be read.
+    """
+    stars = campaign.stars
+    return {
+        "giantlike": VERSION,
+        "campaign": dict(campaign.table),
+        "image_files": [image.key for image in campaign.images],
+        "camera": campaign.camera.to_mapping(),
+        "geometry_sha256": None if campaign.geometry_file is None else file_sha256(campaign.geometry_file),
+        "rates_sha256": None if stars is None or stars.rates is None else file_sha256(stars.rates),
+        "kernels_sha256": {} if bench.kernels is None else _by_name(bench.kernels.sha256()),
+        "shapes_sha256": {name: shape.sha256 for name, shape in bench.shapes.items()},
+        "catalog": None if bench.navigation is None else bench.navigation.catalog.version,
+        "options": {
+            "stars": None if stars is None else _plain(stars),
+            "targets": {
+                target.name: {
+                    "reflectance": repr(target.reflectance),
+                    "estimators": {estimator.name: _plain(estimator.options) for estimator in target.estimators},
+                }
+                for target in campaign.targets
+            },
+        },
+    }
+
+
+def environment_of(campaign: Campaign) -> dict[str, Any]:
+    """Where and with what a run was made: file hashes that people look for, Python and its packages."""
+    return {
+        "campaign_file": campaign.path.name,
+        "campaign_sha256": file_sha256(campaign.path),
+        "camera_sha256": None if campaign.camera_file is None else file_sha256(campaign.camera_file),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "packages": _package_versions(),
+    }
+
+
+def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Names of the inputs that differ; within tables dotted down to what changed.
+
+    >>> changes({"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": 1, "c": 5}})
+    ['a.c', 'd']
+    """
+    names: list[str] = []
+    for key in dict.fromkeys([*before, *now]):
+        old, new = before.get(key), now.get(key)
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            names += [f"{key}.{name}" for name in changes(old, new)]
+        elif old != new:
+            names.append(key)
+    return names
+
+
+def file_sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file.
+
+    Raises
+    ------
+    DataError
+        It cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise DataError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+def _by_name(hashes: Mapping[str, str]) -> dict[str, str]:
+    return {Path(path).name: digest for path, digest in hashes.items()}
+
+
+def _plain(options: Any) -> dict[str, Any]:
+    """Option dataclasses as JSON has them; values that JSON lacks become text, files their names."""
+    values = {
+        key: value.name if isinstance(value, Path) else value for key, value in dataclasses.asdict(options).items()
+    }
+    return {key: value if isinstance(value, bool | int | str | None) else repr(value) for key, value in values.items()}
+
+
+def _package_versions() -> dict[str, str]:
+    found = {}
+    for requirement in requires("giantlike") or []:
+        if "extra ==" in requirement:
+            continue
+        match = re.match(r"[A-Za-z0-9._-]+", requirement)
+        name = requirement if match is None else match.group()
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found

@@ -1,0 +1,500 @@
+"""Detection of stars and other point sources in an image.
+
+1. The image is filtered with a Gaussian of the width of a star minus a box of the same sum, and the noise of the
+   result measured on a coarse grid (:func:`~giantlike.processing.detection.matched_filter.matched_filter`).
+2. Pixels above ``threshold_sigma`` are joined to connected components. Each local maximum of the filtered image in
+   them is a candidate; only the highest where the component is far larger than a star, or saturated.
+3. All candidates are fitted at once (:func:`~giantlike.processing.detection.centroid.fit_stars`).
+4. Flags compare area, fitted width and windowed second moments with those of a star.
+
+This is the scheme of Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, section
+"Identifying Potential Stars in an Optical Image" (flatten, threshold in units of the noise, connected components,
+Gaussian fit), with a linear filter in the place of the 5 x 5 median, which eats into stars of its own size.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.detector import Detector
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.detection.centroid import (
+    MIN_PSF_SIGMA_PX,
+    Patches,
+    StarFits,
+    cut_patches,
+    fit_stars,
+    neighbour_pairs,
+)
+from giantlike.processing.detection.common_streak import CommonStreak, find_common_streak, measure_streaks, unexplained_power
+from giantlike.processing.detection.detections import DetectionFlag, Detections
+from giantlike.processing.detection.frame import Frame, frame_of
+from giantlike.processing.detection.matched_filter import FilteredImage, Image32, matched_filter, noise_between, recorded_width_px
+from giantlike.processing.detection.noise import NoiseSource, Region
+from giantlike.processing.detection.particles import CORE_WIDTHS, core_of, find_few_pixels
+from giantlike.processing.detection.streak import line_shares
+
+_FIRST_PSF_SIGMA_PX = 1.0
+_PSF_ROUNDS = 3
+_PSF_SETTLED = 0.2  # a filter off by this in ln sigma loses 1 % of the signal to noise
+_PSF_STARS = 50
+_PSF_MOST_TRIED = 1000
+_PSF_MIN_SIGNIFICANCE = 12.0
+_PSF_WIDTH_PRIOR = 1.0
+_HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
+
+_STREAK_MIN_SIGNIFICANCE = 8.0
+_STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # how far a length may be from that of the image
+_STREAK_UNEXPLAINED = 0.3
+
+_EXTENDED_AREA = 4.0  # times the area that a star of the same peak has above the threshold
+_EXTENDED_AREA_MARGIN_PX = 12
+_EXTENDED_WIDTH = 2.0  # recorded widths of a star
+_EXTENDED_WIDTH_SATURATED = 3.0  # bright stars bloom
+_ELONGATED = 0.9  # longest axis of the windowed moments: 0.5 for a star, 1 for anything longer than the window
+_SHARP_WIDTH = 0.62  # times the usual width of the stars of the image
+_SHARP_MIN_PSF_PX = 0.4  # below, a star and a hot pixel look the same
+_USUAL_MIN_STARS = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectionOptions:
+    """How to detect.
+
+    Parameters
+    ----------
+    threshold_sigma : float
+        Detection limit of the filtered image in units of its local noise. Of white noise about one pixel in
+        three million exceeds 5.
+    max_sources : int
+        Keep at most this many, the most significant ones.
+    min_area_px : int
+        Fewer connected pixels above the limit are no source; 1 keeps all.
+    max_saturated_fraction : float
+        An image with a larger share of saturated pixels is refused.
+    noise : NoiseSource
+        Where the noise of a pixel is taken from.
+    covered : (x, y, columns, rows), px, optional
+        Pixels that no light reaches, for ``NoiseSource.COVERED``.
+    streak : bool, optional
+        Whether stars are drawn into lines of one direction and length. By default this is found out; where it is not
+        so although ``True`` was said, the image is refused.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    threshold_sigma: float = 5.0
+    max_sources: int = 2000
+    min_area_px: int = 1
+    max_saturated_fraction: float = 0.5
+    noise: NoiseSource = NoiseSource.LOCAL
+    covered: Region | None = None
+    streak: bool | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            math.isfinite(self.threshold_sigma) and self.threshold_sigma > 0,
+            f"threshold_sigma must be > 0, got {self.threshold_sigma}",
+        )
+        require(self.max_sources >= 1, f"max_sources must be >= 1, got {self.max_sources}")
+        require(self.min_area_px >= 1, f"min_area_px must be >= 1, got {self.min_area_px}")
+        require(
+            0.0 < self.max_saturated_fraction <= 1.0,
+            f"max_saturated_fraction must be in (0, 1], got {self.max_saturated_fraction}",
+        )
+        require(
+            (self.covered is not None) == (self.noise is NoiseSource.COVERED),
+            "noise from covered pixels and their region go together",
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Candidates:
+    """Peaks of the filtered image, most significant first."""
+
+    peaks_px: NDArray[np.int64]
+    flux_dn: Float
+    noise_dn: Float
+    significance: Float
+    area_px: NDArray[np.int64]
+    extended: NDArray[np.bool_]
+    alone: NDArray[np.bool_]
+    first: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.flux_dn)
+
+    def select(self, which: NDArray[np.integer] | NDArray[np.bool_] | slice) -> _Candidates:
+        return _Candidates(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+def detect_sources(
+    pixels: ArrayLike,
+    *,
+    detector: Detector,
+    psf_sigma_px: float | None = None,
+    mask: ArrayLike | None = None,
+    options: DetectionOptions = DetectionOptions(),
+) -> Detections | Failure:
+    """Find stars and other point sources and measure where they are.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+        Any integer or floating dtype. Values that are not finite count as masked.
+    detector : Detector
+        Gain in the unit of the pixels (for the shot noise of stars) and saturation; integer images also saturate
+        at the end of their dtype. The background noise is measured on the image, not taken from here.
+    psf_sigma_px : float, px, optional
+        Standard deviation of the point spread function before pixels integrate it. By default it is the median
+        over the brightest isolated sources of this image (1 px where there are none).
+    mask : (rows, columns) bool, optional
+        True where a pixel is bad.
+    options : DetectionOptions
+
+    Returns
+    -------
+    Detections or Failure
+        Brightest first, possibly none; ``detections.select(detections.clean)`` are what looks like stars.
+        ``no_signal``: all good pixels are equal, or there are none. ``saturated``: more of the image is
+        saturated than the options allow.
+
+    Raises
+    ------
+    InputError
+        Pixels are not 2-D and real, the mask has another shape, or ``psf_sigma_px`` is negative or not finite.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(1).normal(100.0, 2.0, (64, 64))
+    >>> image[30:33, 40:43] += [[40, 90, 40], [90, 200, 90], [40, 90, 40]]
+    >>> found = detect_sources(image, detector=Detector(gain_e_per_dn=10.0), psf_sigma_px=0.8)
+    >>> found.points_px.round(1).tolist()
+    [[41.0, 31.0]]
+    """
+    require(
+        psf_sigma_px is None or (math.isfinite(psf_sigma_px) and psf_sigma_px >= 0),
+        f"psf_sigma_px must be finite and >= 0, got {psf_sigma_px}",
+    )
+    frame = frame_of(
+        pixels, mask, detector, options.max_saturated_fraction, noise=options.noise, covered=options.covered
+    )
+    if isinstance(frame, Failure):
+        return frame
+    psf, filtered, found = _search(frame, psf_sigma_px, options)
+    streak = None if options.streak is False else _common_streak(frame, found, psf_sigma_px)
+    if streak is not None:
+        psf = streak.sigma_px
+        filtered, found = _search_with(frame, psf, options, streak.half_px)
+    elif options.streak:
+        return Failure(Reason.NO_SIGNAL, "the brightest sources do not agree on a streak of one direction and length")
+    noise = frame.noise_dn
+    if noise is None:
+        noise = noise_between(filtered, frame.bad, found.peaks_px, frame.noise_floor_dn)
+    noise_dn = float(np.median(noise[::8, ::8]))
+    found = found.select(slice(options.max_sources))
+    if not len(found):
+        return Detections.empty(psf_sigma_px=psf, noise_dn=noise_dn)
+    at_peaks = noise[found.peaks_px[:, 1], found.peaks_px[:, 0]].astype(np.float64)
+    found = replace(found, noise_dn=at_peaks)
+    return _measure(frame, found, psf, noise_dn) if streak is None else _measure_lines(frame, found, streak, noise_dn)
+
+
+def _search(
+    frame: Frame, psf_sigma_px: float | None, options: DetectionOptions
+) -> tuple[float, FilteredImage, _Candidates]:
+    """Search with the given width of the PSF or, without one, that of the sources of this image themselves."""
+    if psf_sigma_px is not None:
+        psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
+        return psf, *_search_with(frame, psf, options)
+    psf = _FIRST_PSF_SIGMA_PX
+    filtered, found = _search_with(frame, psf, options)
+    for _ in range(_PSF_ROUNDS):
+        measured = _estimate_psf(frame, found, psf)
+        settled = abs(math.log(measured / psf)) < _PSF_SETTLED
+        psf = measured
+        if settled:
+            break
+        filtered, found = _search_with(frame, psf, options)
+    return psf, filtered, found
+
+
+def _search_with(
+    frame: Frame, psf_sigma_px: float, options: DetectionOptions, half_streak_px: tuple[float, float] | None = None
+) -> tuple[FilteredImage, _Candidates]:
+    """Filter for stars or streaks of this width and list the peaks."""
+    filtered = matched_filter(
+        frame.flat,
+        frame.bad,
+        psf_sigma_px=psf_sigma_px,
+        noise_floor_dn=frame.noise_floor_dn,
+        half_streak_px=half_streak_px,
+    )
+    if frame.noise_dn is not None:
+        filtered = replace(filtered, noise_dn=np.maximum(frame.noise_dn, np.float32(frame.noise_floor_dn)))
+    found = _find_peaks(frame, filtered, options)
+    return filtered, found if half_streak_px is None else found.select(found.first)
+
+
+def _common_streak(frame: Frame, found: _Candidates, psf_sigma_px: float | None) -> CommonStreak | None:
+    bright = found.select(found.first & (found.significance > _STREAK_MIN_SIGNIFICANCE))
+    return find_common_streak(
+        frame.pixels,
+        frame.bad,
+        bright.peaks_px,
+        noise_dn=bright.noise_dn,
+        psf_sigma_px=psf_sigma_px,
+        gain_e_per_dn=frame.gain_e_per_dn,
+        saturation_dn=frame.saturation_dn,
+    )
+
+
+def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions) -> _Candidates:
+    """Local maxima of the filtered image above the threshold, with the component that each belongs to."""
+    limit = filtered.noise_dn * np.float32(options.threshold_sigma * filtered.response_noise)
+    above = cv2.compare(filtered.response, limit, cv2.CMP_GT)
+    n_components, labels = cv2.connectedComponents(above, connectivity=8, ltype=cv2.CV_32S)
+    lit = cv2.findNonZero(above)
+    points = np.zeros((0, 2), dtype=np.int64) if lit is None else lit.reshape(-1, 2).astype(np.int64)
+    component = labels[points[:, 1], points[:, 0]].astype(np.int64)
+    area = np.bincount(component, minlength=n_components)
+    peak = _local_maxima(filtered.response, points) & (area[component] >= options.min_area_px)
+    points, component = points[peak], component[peak]
+    response = filtered.response[points[:, 1], points[:, 0]].astype(np.float64)
+    noise = filtered.noise_dn[points[:, 1], points[:, 0]].astype(np.float64)
+    significance = response / (noise * filtered.response_noise)
+    order = np.argsort(-significance, kind="stable")
+    first = np.zeros(len(order), dtype=bool)  # the strongest peak of its component
+    first[np.unique(component[order], return_index=True)[1]] = True
+    points, component, significance = points[order], component[order], significance[order]
+    strongest = np.zeros(n_components)
+    strongest[component[first]] = significance[first]
+    star_area = 4.0 * math.pi * filtered.width_px**2 * np.log(strongest[component] / options.threshold_sigma)
+    extended = area[component] > _EXTENDED_AREA * star_area + _EXTENDED_AREA_MARGIN_PX
+    near_saturation = cut_patches(frame.pixels, frame.bad, points, 1, frame.saturation_dn).saturated.any(axis=(1, 2))
+    candidates = _Candidates(
+        peaks_px=points,
+        flux_dn=response[order] * filtered.flux_per_response,
+        noise_dn=noise[order],
+        significance=significance,
+        area_px=area[component].astype(np.int64),
+        extended=extended,
+        alone=np.bincount(component, minlength=n_components)[component] == 1,
+        first=first,
+    )
+    return candidates.select(first | ~(extended | near_saturation))
+
+
+def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether each of the pixels (n, 2) tops its eight neighbours; of equal ones the first in reading order does."""
+    rows, columns = response.shape
+    x, y = points_px.T
+    value = response[y, x]
+    result = np.ones(len(x), dtype=bool)
+    for dy, dx in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+        inside = (y + dy >= 0) & (y + dy < rows) & (x + dx >= 0) & (x + dx < columns)
+        other = response[np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, columns - 1)]
+        result &= ~inside | ((value > other) if (dy, dx) < (0, 0) else (value >= other))
+    return result
+
+
+def _estimate_psf(frame: Frame, found: _Candidates, psf_sigma_px: float) -> float:
+    """Median fitted width of the most significant isolated, unsaturated, compact sources that may be stars."""
+    found = found.select(found.alone & ~found.extended & (found.significance > _PSF_MIN_SIGNIFICANCE))
+    stars: list[float] = []
+    sharper: list[float] = []
+    for start in range(0, min(len(found), _PSF_MOST_TRIED), 2 * _PSF_STARS):
+        some = found.select(slice(start, start + 2 * _PSF_STARS))
+        patches = cut_patches(frame.pixels, frame.bad, some.peaks_px, _half_patch_px(psf_sigma_px), frame.saturation_dn)
+        whole = np.flatnonzero(patches.valid.all(axis=(1, 2)) & ~patches.saturated.any(axis=(1, 2)))
+        whole = whole[: _PSF_STARS - len(stars)]
+        if not whole.size:
+            continue
+        patches, some = patches.select(whole), some.select(whole)
+        fits = fit_stars(
+            patches,
+            flux_dn=some.flux_dn,
+            noise_dn=some.noise_dn,
+            psf_sigma_px=psf_sigma_px,
+            gain_e_per_dn=frame.gain_e_per_dn,
+            width_prior=_PSF_WIDTH_PRIOR,
+            isolated=True,
+        )
+        few = find_few_pixels(
+            patches,
+            fits.points_px,
+            widths_px=fits.width_px,
+            background_dn=fits.background_dn,
+            noise_dn=some.noise_dn,
+            gain_e_per_dn=frame.gain_e_per_dn,
+            psf_sigma_px=psf_sigma_px,
+        )
+        wide = fits.converged & (fits.width_px > _HOT_PIXEL_WIDTH_PX) & ~few.not_star
+        stars.extend(fits.width_px[wide])
+        sharper.extend(fits.width_px[fits.converged & ~wide])
+        if len(stars) >= _PSF_STARS:
+            break
+    widths = stars or sharper
+    return max(float(np.median(widths)), MIN_PSF_SIGMA_PX) if widths else psf_sigma_px
+
+
+def _half_patch_px(psf_sigma_px: float) -> int:
+    return math.ceil(3.0 * recorded_width_px(psf_sigma_px)) + 1
+
+
+def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
+    """Fit all candidates, flag what is odd about them, sort by flux."""
+    patches = cut_patches(frame.pixels, frame.bad, found.peaks_px, _half_patch_px(psf_sigma_px), frame.saturation_dn)
+    fits = fit_stars(
+        patches,
+        flux_dn=found.flux_dn,
+        noise_dn=found.noise_dn,
+        psf_sigma_px=psf_sigma_px,
+        gain_e_per_dn=frame.gain_e_per_dn,
+    )
+    width = recorded_width_px(psf_sigma_px)
+    failed = ~fits.converged
+    points = np.where(failed[:, None], found.peaks_px, fits.points_px)
+    covariance = np.where(failed[:, None, None], width**2 * np.eye(2), fits.covariance_px2)
+    flux = np.where(failed, found.flux_dn, fits.flux_dn)
+    core = core_of(patches, points, psf_sigma_px)
+    peak = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
+    flags = _flags(frame, found, patches, fits, points, core, psf_sigma_px)
+    order = np.argsort(-flux, kind="stable")
+    return Detections(
+        points_px=points,
+        covariance_px2=covariance,
+        flux_dn=flux,
+        snr=flux / (found.noise_dn * 2.0 * math.sqrt(math.pi) * width),
+        peak_dn=np.where(np.isfinite(peak), peak, 0.0),
+        area_px=found.area_px,
+        background_dn=fits.background_dn,
+        width_px=fits.width_px,
+        flags=flags,
+        psf_sigma_px=psf_sigma_px,
+        noise_dn=noise_dn,
+    ).select(order)
+
+
+def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise_dn: float) -> Detections:
+    """Fit a line to all candidates; what is no line as long as that of the image is not a star."""
+    width = recorded_width_px(streak.sigma_px)
+    half = math.ceil(max(abs(h) for h in streak.half_px) + 3.0 * width) + 2
+    patches = cut_patches(frame.pixels, frame.bad, found.peaks_px, half, frame.saturation_dn)
+    fits = measure_streaks(
+        patches, streak=streak, flux_dn=found.flux_dn, noise_dn=found.noise_dn, gain_e_per_dn=frame.gain_e_per_dn
+    )
+    shares = line_shares(patches, fits.centers_px, fits.halves_px, streak.sigma_px)[0]
+    core = shares > 0.1 * shares.max(axis=(1, 2), keepdims=True)
+    light = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
+    expected = 2.0 * math.hypot(*streak.half_px)
+    allowed = np.minimum(_STREAK_LENGTH_SIGMAS * fits.length_sigma_px, expected / 2.0)
+    allowed += _STREAK_LENGTH_RELATIVE * expected
+    x, y = streak.half_px
+    turned = np.abs(x * fits.halves_px[:, 1] - y * fits.halves_px[:, 0]) / (expected / 2.0)
+    unlike = (np.abs(fits.lengths_px - expected) > allowed) | (2.0 * turned > allowed)
+    unlike |= unexplained_power(patches, fits, shares, found.noise_dn) > _STREAK_UNEXPLAINED
+    ends = fits.ends_px
+    last = np.array(frame.pixels.shape[::-1]) - 1.0
+    cut = ((ends < width) | (ends > last - width)).any(axis=(1, 2))
+    flags = np.full(len(found), np.uint16(DetectionFlag.STREAK))
+    for flag, which in (
+        (DetectionFlag.SATURATED, (core & patches.saturated).any(axis=(1, 2))),
+        (DetectionFlag.MASKED, (core & ~patches.valid).any(axis=(1, 2)) & ~cut),
+        (DetectionFlag.CUT_BY_FRAME, cut),
+        (DetectionFlag.EXTENDED, unlike & fits.converged),
+        (DetectionFlag.FIT_FAILED, ~fits.converged),
+    ):
+        flags[which] |= np.uint16(flag)
+    flags[unlike | ~fits.converged] &= ~np.uint16(DetectionFlag.STREAK)
+    power = np.sqrt(np.sum(shares**2, axis=(1, 2)))
+    failed = ~fits.converged
+    covariance = np.where(failed[:, None, None], expected**2 * np.eye(2), fits.covariance_px2[:, :2, :2])
+    return Detections(
+        points_px=np.where(failed[:, None], found.peaks_px, fits.centers_px),
+        covariance_px2=covariance,
+        flux_dn=np.where(failed, found.flux_dn, fits.flux_dn),
+        snr=np.where(failed, found.significance, fits.flux_dn * power / found.noise_dn),
+        peak_dn=np.where(np.isfinite(light), light, 0.0),
+        area_px=found.area_px,
+        background_dn=fits.background_dn,
+        width_px=np.full(len(found), streak.sigma_px),
+        flags=flags,
+        psf_sigma_px=streak.sigma_px,
+        noise_dn=noise_dn,
+        halves_px=fits.halves_px,
+        half_sigma_px=fits.length_sigma_px / 2.0,
+    ).select(np.argsort(-np.where(failed, found.flux_dn, fits.flux_dn), kind="stable"))
+
+
+def _flags(
+    frame: Frame,
+    found: _Candidates,
+    patches: Patches,
+    fits: StarFits,
+    points_px: Float,
+    core: NDArray[np.bool_],
+    psf_sigma_px: float,
+) -> NDArray[np.uint16]:
+    """Combine :class:`DetectionFlag` values (n,)."""
+    rows, columns = frame.pixels.shape
+    width = recorded_width_px(psf_sigma_px)
+    failed = ~fits.converged
+    saturated = (core & patches.saturated).any(axis=(1, 2))
+    margin = CORE_WIDTHS * width - 0.5
+    last = np.array([columns, rows]) - 1.0 - margin
+    cut = ((points_px < margin) | (points_px > last)).any(axis=1)
+    masked = np.zeros(len(points_px), dtype=bool)
+    if frame.bad is not None:
+        bad = cut_patches(frame.bad, None, found.peaks_px, patches.half_px).values_dn > 0
+        masked |= (core & bad).any(axis=(1, 2))
+    relative_width = np.hypot(fits.width_px, math.sqrt(1.0 / 12.0)) / width
+    wide = relative_width > np.where(saturated, _EXTENDED_WIDTH_SATURATED, _EXTENDED_WIDTH)
+    long = patches.longest_axis(points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
+    long &= ~saturated  # a plateau has no shape
+    usual = _usual_width_px(fits, ~saturated & ~wide & ~long, psf_sigma_px)
+    few = find_few_pixels(
+        patches,
+        points_px,
+        widths_px=np.full(len(points_px), usual),
+        background_dn=fits.background_dn,
+        noise_dn=found.noise_dn,
+        gain_e_per_dn=frame.gain_e_per_dn,
+        psf_sigma_px=psf_sigma_px,
+    )
+    sharp = (few.not_star | (fits.width_px < _SHARP_WIDTH * usual)) & (usual >= _SHARP_MIN_PSF_PX) & ~saturated
+    blended = np.zeros(len(points_px), dtype=bool)
+    blended[neighbour_pairs(points_px, patches.reach_px)[:, 0]] = True
+    result = np.zeros(len(points_px), dtype=np.uint16)
+    for flag, which in (
+        (DetectionFlag.SATURATED, saturated),
+        (DetectionFlag.MASKED, masked),
+        (DetectionFlag.CUT_BY_FRAME, cut),
+        (DetectionFlag.EXTENDED, found.extended | wide | long),
+        (DetectionFlag.SHARP, sharp & ~failed),
+        (DetectionFlag.COSMIC_RAY, sharp & few.not_star & (few.n_pixels > 1)),
+        (DetectionFlag.BLENDED, blended | ~found.alone),
+        (DetectionFlag.FIT_FAILED, failed),
+    ):
+        result[which] |= np.uint16(flag)
+    return result
+
+
+def _usual_width_px(fits: StarFits, compact: NDArray[np.bool_], psf_sigma_px: float) -> float:
+    """Width that sources of this image have, at most that of the PSF.
+
+    Sharper images than the camera was said to give must not make hot pixels of all stars.
+    """
+    brightest = np.argsort(-np.where(compact & fits.converged, fits.flux_dn, -np.inf))[:_PSF_STARS]
+    widths = fits.width_px[brightest][(compact & fits.converged)[brightest]]
+    widths = widths[widths > _HOT_PIXEL_WIDTH_PX]
+    return min(psf_sigma_px, float(np.median(widths))) if widths.size >= _USUAL_MIN_STARS else psf_sigma_px

@@ -1,0 +1,103 @@
+"""Where the noise of a pixel is taken from, when not from the image around it.
+
+Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, section "Identifying Potential
+Stars in an Optical Image", name three ways: statistics of (A) a sample of all pixels, (B) a region of the detector that
+light does not reach, (C) a local region. C is what :mod:`giantlike.processing.detection.matched_filter` measures; here are the
+others, and the noise that the model of the detector predicts.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import require
+from giantlike.core.detector import Detector
+
+_LEVEL_BOX_PX = 31
+_SAMPLE_STEP = 3
+_LEAST_COVERED = 16
+_IQR_PER_SIGMA = 1.3489795
+
+Region = tuple[int, int, int, int]
+"""First column, first row, columns, rows; px."""
+
+
+class NoiseSource(StrEnum):
+    """Where the noise of a pixel is taken from."""
+
+    LOCAL = "local"
+    """The image around each pixel (paper's way C)."""
+    IMAGE = "image"
+    """A sample of all pixels of the image (way A)."""
+    COVERED = "covered"
+    """Pixels that no light reaches (way B), and the shot noise of the level that the others have above them."""
+    DETECTOR = "detector"
+    """Gain, read noise and bias of the detector, at the level around each pixel."""
+
+
+def predicted_noise_dn(
+    pixels: NDArray[Any],
+    bad: NDArray[np.bool_] | None,
+    *,
+    source: NoiseSource,
+    detector: Detector,
+    covered: Region | None = None,
+) -> NDArray[np.float32]:
+    """Noise of each pixel (rows, columns), DN, without that of the stars in it.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+        Finite.
+    bad : (rows, columns) bool or None
+        Pixels that do not count.
+    source : NoiseSource
+        Not ``LOCAL``.
+    detector : Detector
+        Gain for the shot noise of the level; read noise and bias for ``DETECTOR``.
+    covered : (x, y, columns, rows), px, optional
+        Needed for ``COVERED``.
+
+    Raises
+    ------
+    InputError
+        The covered region is missing, reaches over the image, or holds fewer than 16 good pixels.
+    """
+    rows, columns = pixels.shape
+    level = _level_dn(pixels, bad)
+    if source is NoiseSource.IMAGE:
+        away = (pixels - level)[::_SAMPLE_STEP, ::_SAMPLE_STEP]
+        sigma = _robust_sigma(away.ravel() if bad is None else away[~bad[::_SAMPLE_STEP, ::_SAMPLE_STEP]])
+        return np.full(pixels.shape, sigma, dtype=np.float32)
+    if source is NoiseSource.DETECTOR:
+        return np.sqrt(detector.variance_dn2(level.astype(np.float64) - detector.bias_dn)).astype(np.float32)
+    require(covered is not None, "noise from covered pixels needs their region: x, y, columns, rows")
+    assert covered is not None
+    x, y, wide, high = covered
+    inside = x >= 0 and y >= 0 and 0 < wide <= columns - x and 0 < high <= rows - y
+    require(inside, f"the covered region {covered} must lie on the image of {columns} by {rows} pixels")
+    region = pixels[y : y + high, x : x + wide].astype(np.float64)
+    dark = region.ravel() if bad is None else region[~bad[y : y + high, x : x + wide]]
+    require(dark.size >= _LEAST_COVERED, f"the covered region has {dark.size} good pixels, {_LEAST_COVERED} are needed")
+    light = np.maximum(level - np.float32(np.median(dark)), 0.0)
+    variance: NDArray[np.float32] = float(np.var(dark, ddof=1)) + light / np.float32(detector.gain_e_per_dn)
+    return np.sqrt(variance)
+
+
+def _level_dn(pixels: NDArray[Any], bad: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+    """Level around each pixel (rows, columns), DN: the box mean of a 5 x 5 median, which leaves out stars."""
+    values = pixels.astype(np.float32)
+    if bad is not None:
+        values = np.where(bad, np.float32(np.median(values[~bad])), values)
+    calm = cv2.medianBlur(values, 5)
+    return np.asarray(cv2.blur(calm, (_LEVEL_BOX_PX, _LEVEL_BOX_PX), borderType=cv2.BORDER_REFLECT_101), np.float32)
+
+
+def _robust_sigma(values: NDArray[np.floating[Any]]) -> float:
+    low, high = np.quantile(values, (0.25, 0.75))
+    return float(high - low) / _IQR_PER_SIGMA

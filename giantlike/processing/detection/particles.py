@@ -1,0 +1,142 @@
+r"""Light in a few pixels only: hot pixels and the tracks of charged particles, told from stars.
+
+What comes through the optics is spread by the point spread function; charge that a particle sets free in the detector,
+or a pixel that leaks, is not. Two explanations of the pixels in the core of a source compete:
+
+- a star: the pixel-integrated Gaussian of the usual width at the fitted place, its flux and the background free;
+- a few pixels: the k brightest ones hold any amount of light, all others none.
+
+Each is measured by the weighted square of what it leaves unexplained, and each free pixel costs ``4``, what the second
+gains by picking the highest of about eight noise values. The star is granted an error of 8 % of its own light in every
+pixel (no optics are Gaussian), so that bright stars are not refused for their wings. A source is no star where the star
+leaves more than noise explains and 7 % of the power of the light (real optics leave some percent, a single pixel
+more than that from sigma = 0.5 px on), the few pixels leave less than the star, and either
+
+- they lie on a line: the smaller second moment of their light is at most ``0.08 + 0.3 sigma^2`` px^2, between that of
+  tracks (99th percentile: 0.14 px^2) and of stars (first percentile: 0.18, 0.24, 0.46 px^2 at sigma 0.45, 0.6, 0.8);
+- or the star leaves more than a quarter of the power: crossing tracks leave about a half.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.processing.detection.centroid import Patches, pixel_shares
+from giantlike.processing.detection.matched_filter import recorded_width_px
+
+CORE_WIDTHS = 2.0
+"""Radius of what counts as the core of a source, in recorded star widths; half a pixel more."""
+_MODEL_ERROR = 0.08
+_PIXEL_COST = 4.0
+_MOST_PIXELS = 12
+_REFUSED_SIGMAS = 4.0
+_STAR_UNKNOWNS = 4
+_LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # of the light, unexplained by a star
+_LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FewPixels:
+    """Which of n sources are light in a few pixels.
+
+    Parameters
+    ----------
+    not_star : (n,) bool
+        Light in a few pixels explains the source and a star does not.
+    n_pixels : (n,) int64
+        How many pixels the light is in.
+    """
+
+    not_star: NDArray[np.bool_]
+    n_pixels: NDArray[np.int64]
+
+
+def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> NDArray[np.bool_]:
+    """Pixels (n, w, w) of each patch within the core of a source at ``points_px`` (n, 2)."""
+    dx, dy = patches.offsets_px(points_px)
+    radius = CORE_WIDTHS * recorded_width_px(psf_sigma_px) + 0.5
+    return np.asarray(np.hypot(dy[:, :, None], dx[:, None, :]) <= radius)
+
+
+def find_few_pixels(
+    patches: Patches,
+    points_px: Float,
+    *,
+    widths_px: Float,
+    background_dn: Float,
+    noise_dn: Float,
+    gain_e_per_dn: float,
+    psf_sigma_px: float,
+) -> FewPixels:
+    """Compare a star and light in a few pixels.
+
+    Parameters
+    ----------
+    patches : Patches
+        Saturated pixels are left out.
+    points_px : (n, 2) float64, px
+        Fitted places.
+    widths_px : (n,) float64, px
+        Gaussian width that a star at that place has.
+    background_dn, noise_dn : (n,) float64, DN
+        Level under each source and background noise of a pixel.
+    gain_e_per_dn : float, electron/DN
+    psf_sigma_px : float, px
+        Sets the size of the core.
+    """
+    n, size = patches.values_dn.shape[:2]
+    used = core_of(patches, points_px, psf_sigma_px) & patches.valid & ~patches.saturated
+    across = pixel_shares(patches.corner_px[:, 0], size, points_px[:, 0], widths_px)[0]
+    down = pixel_shares(patches.corner_px[:, 1], size, points_px[:, 1], widths_px)[0]
+    share = (down[:, :, None] * across[:, None, :]).reshape(n, -1)
+    used = used.reshape(n, -1)
+    light = patches.values_dn.reshape(n, -1) - background_dn[:, None]
+    floor = noise_dn[:, None] ** 2
+    star = _star_light(light, share, used, floor, gain_e_per_dn)
+    variance = floor + star / gain_e_per_dn + (_MODEL_ERROR * star) ** 2
+    left = np.sum(np.where(used, (light - star) ** 2 / variance, 0.0), axis=1)
+    single = np.where(used, light**2 / (floor + np.maximum(light, 0.0) / gain_e_per_dn), 0.0)
+    brightest = -np.sort(np.where(light > 0.0, -single, 0.0), axis=1)[:, :_MOST_PIXELS]
+    explained = np.concatenate([np.zeros((n, 1)), np.cumsum(brightest - _PIXEL_COST, axis=1)], axis=1)
+    few = single.sum(axis=1) - explained.max(axis=1)
+    freedom = np.maximum(used.sum(axis=1) - _STAR_UNKNOWNS, 1)
+    refused = left > freedom + _REFUSED_SIGMAS * np.sqrt(2.0 * freedom)
+    n_pixels = explained.argmax(axis=1)
+    least = np.take_along_axis(np.pad(brightest, ((0, 0), (1, 0)), constant_values=np.inf), n_pixels[:, None], axis=1)
+    lit = np.where((single >= least) & (light > 0.0), light, 0.0).reshape(n, size, size)
+    line = _smaller_moment_px2(patches, points_px, lit)
+    thin = line <= min(_LINE_PX2 + _LINE_GROWTH * psf_sigma_px**2, _LINE_MOST_PX2)
+    power = np.where(used, np.stack([(light - star) ** 2, light**2]), 0.0).sum(axis=2)
+    refused &= power[0] > np.where(thin, _LEAST_POWER, _UNLIKE_POWER) * power[1]
+    return FewPixels(not_star=refused & (few < left), n_pixels=n_pixels.astype(np.int64))
+
+
+def _smaller_moment_px2(patches: Patches, points_px: Float, light: Float) -> Float:
+    """Second moment (n,), px^2, of light (n, w, w) across the line that it is closest to."""
+    dx, dy = patches.offsets_px(points_px)
+    total = np.maximum(light.sum(axis=(1, 2)), 1e-300)
+    across, down = light.sum(axis=1), light.sum(axis=2)
+    x, y = np.sum(across * dx, axis=1) / total, np.sum(down * dy, axis=1) / total
+    xx = np.sum(across * dx**2, axis=1) / total - x**2
+    yy = np.sum(down * dy**2, axis=1) / total - y**2
+    xy = np.einsum("nij,ni,nj->n", light, dy, dx) / total - x * y
+    result: Float = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)
+    return result
+
+
+def _star_light(light: Float, share: Float, used: NDArray[np.bool_], floor: Float, gain_e_per_dn: float) -> Float:
+    """Light (n, pixels) of the star that fits best, never negative: its flux is the only unknown."""
+    flux = np.zeros((len(light), 1))
+    for _ in range(2):  # the weights depend on the flux
+        weight = np.where(used, share, 0.0) / (floor + flux * share / gain_e_per_dn)
+        flux = np.maximum(
+            np.sum(weight * light, axis=1, keepdims=True)
+            / np.maximum(np.sum(weight * share, axis=1, keepdims=True), 1e-300),
+            0.0,
+        )
+    result: Float = flux * share
+    return result

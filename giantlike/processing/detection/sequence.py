@@ -1,0 +1,238 @@
+"""What the images of one sequence tell about each other: fixed pattern, hot pixels, and what was there only once.
+
+Stars move over the detector from image to image; its own pattern, hot pixels included, stays; a particle hits once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from giantlike.core.arrays import Float, frozen, require
+from giantlike.core.detector import Detector
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.detection.detect import DetectionOptions, detect_sources
+from giantlike.processing.detection.detections import DetectionFlag, Detections
+
+_MOST_IMAGES = 25  # more make the median no better and fill the memory
+_STRIP_PX = 1 << 22  # pixels of all images that are looked at together
+_LOOKED_AT = 3  # images in which is looked for stars that stay
+_BRIGHTEST = 30
+_STAY_PX = 1.0
+_STAY_SHARE = 0.5
+_HOT_SIGMAS = 8.0
+_IQR_PER_SIGMA = 1.3489795
+
+_VOTERS = 80
+_VOTE_BIN_PX = 3.0
+_LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3
+_SAME_STAR_PX = 2.0
+_SAME_PIXEL_PX = 0.75
+_COMPARED = 8  # neighbours in time of an image
+_SEEN_AGAIN_SNR = 8.0  # what is that bright is found again: the detection limit and three sigma
+_HOT_SHARE = 0.5
+_CHANCES = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FixedPattern:
+    """What is the same in all images of a sequence.
+
+    Parameters
+    ----------
+    level_dn : (rows, columns) float32, DN
+        Relative to the median over the detector.
+    hot : (rows, columns) bool
+        Pixels far brighter than those around, in all images.
+    n_images : int
+        It was made from.
+    """
+
+    level_dn: NDArray[np.float32]
+    hot: NDArray[np.bool_]
+    n_images: int
+
+    def removed_from(self, pixels: ArrayLike, *, saturation_dn: float = np.inf) -> NDArray[np.float32]:
+        """Return pixels (rows, columns), DN, without the pattern; saturated ones stay as they are.
+
+        An integer image also saturates at the end of its dtype; the caller must say so to the detection, because
+        the result is floating.
+
+        Raises
+        ------
+        InputError
+            The size differs.
+        """
+        array = np.asarray(pixels)
+        require(
+            array.shape == self.level_dn.shape,
+            f"the fixed pattern has {self.level_dn.shape} pixels, the image {array.shape}",
+        )
+        saturated = array >= saturation_of(array.dtype, saturation_dn)
+        return np.where(saturated, array, array - self.level_dn).astype(np.float32)
+
+
+def saturation_of(dtype: np.dtype[Any], saturation_dn: float) -> float:
+    """Where pixels of a dtype saturate, DN: at the detector's limit or at the end of an integer type."""
+    return min(saturation_dn, float(np.iinfo(dtype).max)) if dtype.kind in "iu" else saturation_dn
+
+
+def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = None) -> FixedPattern | Failure:
+    """Find what stays the same while the stars move: the median of each pixel over a sequence.
+
+    Of an even number of images the lower of the two middle values is taken: a star that passed can only raise a pixel.
+
+    Parameters
+    ----------
+    images : sequence of (rows, columns) real, DN
+        At least two of one size, that look at different stars; of more than 25, 25 spread over the sequence are used.
+    detector : Detector, optional
+        For the search for stars.
+
+    Returns
+    -------
+    FixedPattern or Failure
+        ``degenerate_geometry``: most of the brightest sources stay at their pixels, so that stars and pattern cannot
+        be told from each other.
+
+    Raises
+    ------
+    InputError
+        There are fewer than two images, or their sizes differ.
+
+    Examples
+    --------
+    >>> random = np.random.default_rng(1)
+    >>> pattern = random.normal(100.0, 20.0, (40, 40))
+    >>> found = fixed_pattern([pattern + random.normal(0.0, 1.0, (40, 40)) for _ in range(5)])
+    >>> bool(np.std(found.removed_from(pattern)) < 1.0)
+    True
+    """
+    arrays = [np.asarray(image) for image in images]
+    require(len(arrays) >= 2, f"a sequence needs at least two images, got {len(arrays)}")
+    shapes = {array.shape for array in arrays}
+    require(len(shapes) == 1 and arrays[0].ndim == 2, f"images of a sequence must have one size, got {sorted(shapes)}")
+    finite = all(array.dtype.kind != "f" or bool(np.isfinite(array).all()) for array in arrays)
+    require(finite, "a sequence needs finite pixels; Image.open puts zeros where they are not, and masks them")
+    share = _staying_share(arrays, Detector() if detector is None else detector)
+    if share > _STAY_SHARE:
+        return Failure(
+            Reason.DEGENERATE_GEOMETRY,
+            f"{share:.0%} of the brightest sources stay at their pixels: images of one pointing do not tell stars from "
+            "a fixed pattern, take images that look at different stars",
+        )
+    chosen = [arrays[k] for k in enough_images(len(arrays))]
+    rows, columns = arrays[0].shape[:2]
+    pattern = np.empty((rows, columns), dtype=np.float32)
+    strip = max(1, _STRIP_PX // (len(chosen) * columns))
+    middle = (len(chosen) - 1) // 2
+    for first in range(0, rows, strip):
+        stack = np.stack([array[first : first + strip] for array in chosen]).astype(np.float32)
+        pattern[first : first + strip] = np.partition(stack, middle, axis=0)[middle]
+    pattern -= np.median(pattern)
+    low, high = np.quantile(pattern, (0.25, 0.75))
+    hot = pattern > _HOT_SIGMAS * max(float(high - low) / _IQR_PER_SIGMA, 1.0)
+    return FixedPattern(level_dn=frozen(pattern), hot=frozen(hot), n_images=len(chosen))
+
+
+def enough_images(count: int) -> list[int]:
+    """Which of ``count`` images make the pattern: all, or as many as are enough, evenly chosen."""
+    chosen: list[int] = np.unique(np.linspace(0, count - 1, min(count, _MOST_IMAGES)).round().astype(int)).tolist()
+    return chosen
+
+
+def _staying_share(arrays: Sequence[NDArray[Any]], detector: Detector) -> float:
+    """Share of the brightest star-like sources of an image that the others have at the same pixels; the median."""
+    shares = []
+    looked_at = [arrays[k] for k in np.unique(np.linspace(0, len(arrays) - 1, _LOOKED_AT).round().astype(int))]
+    points = []
+    for array in looked_at:
+        found = detect_sources(array, detector=detector, options=DetectionOptions(max_sources=4 * _BRIGHTEST))
+        if isinstance(found, Detections) and found.clean.any():
+            points.append(found.points_px[found.clean][:_BRIGHTEST])
+    for here, there in ((a, b) for a in points for b in points if a is not b):
+        shares.append(float(np.mean(cKDTree(there).query(here)[0] < _STAY_PX)))
+    return float(np.median(shares)) if shares else 0.0
+
+
+def compare_sequence(detections: Sequence[Detections]) -> list[Detections]:
+    """Flag hot pixels and cosmic rays by what the other images of the sequence show.
+
+    The shift of the stars between two images is the one that most pairs of bright detections agree on; where there is
+    none (another field, too few stars) nothing can be said of sources that look like stars.
+
+    - ``HOT_PIXEL``: found at the same pixel in at least half of the images that the stars have moved in, or sharper
+      than a star and found there in any other image.
+    - ``COSMIC_RAY``: sharper than a star and never found there again; or bright enough to be found again, and not
+      found, neither with the stars nor at its pixel, in all of at least two images that show the place. So is a
+      body that moves among the stars by more than 2 px from image to image.
+
+    Parameters
+    ----------
+    detections : sequence of Detections
+        In order of time; images of one camera.
+
+    Returns
+    -------
+    list of Detections
+        The same with more flags.
+    """
+    if len(detections) < 2:
+        return list(detections)
+    return [_compared(k, detections) for k in range(len(detections))]
+
+
+def _compared(k: int, detections: Sequence[Detections]) -> Detections:
+    here = detections[k]
+    others = sorted((j for j in range(len(detections)) if j != k), key=lambda j: abs(j - k))[:_COMPARED]
+    others = [j for j in others if len(detections[j])]
+    if not others or not len(here):
+        return here
+    stays, moved = np.zeros(len(here), dtype=int), 0
+    fixed, again, chances = (np.zeros(len(here), dtype=int) for _ in range(3))
+    for j in others:
+        there = detections[j]
+        tree = cKDTree(there.points_px)
+        same_pixel = tree.query(here.points_px)[0] < _SAME_PIXEL_PX
+        stays += same_pixel
+        shift = _star_shift_px(here, there)
+        if shift is None:
+            continue
+        expected = here.points_px + shift
+        same_star = tree.query(expected)[0] < _SAME_STAR_PX
+        low, high = there.points_px.min(axis=0), there.points_px.max(axis=0)
+        chances += ((expected >= low) & (expected <= high)).all(axis=1)
+        again += same_star
+        if np.hypot(*shift) > 2.0 * _SAME_STAR_PX:
+            moved += 1
+            fixed += same_pixel & ~same_star
+    sharp = (here.flags & np.uint16(DetectionFlag.SHARP)) > 0
+    hot = (sharp & (stays > 0)) | ((moved > 0) & (fixed >= max(1.0, _HOT_SHARE * moved)))
+    bright = (here.snr >= _SEEN_AGAIN_SNR) & ((here.flags & np.uint16(DetectionFlag.SATURATED)) == 0)
+    once = ~hot & (stays == 0) & (sharp | (bright & (again == 0) & (chances >= _CHANCES)))
+    flags = here.flags.copy()
+    flags[hot] |= np.uint16(DetectionFlag.HOT_PIXEL)
+    flags[once] |= np.uint16(DetectionFlag.COSMIC_RAY)
+    return replace(here, flags=flags)
+
+
+def _star_shift_px(here: Detections, there: Detections) -> Float | None:
+    """Shift (2,) that takes the stars of one image to those of another; None where no shift stands out."""
+    a, b = (d.points_px[d.clean][:_VOTERS] for d in (here, there))
+    if min(len(a), len(b)) < _LEAST_VOTES:
+        return None
+    differences = (b[None, :, :] - a[:, None, :]).reshape(-1, 2)
+    votes = np.asarray(cKDTree(differences).query_ball_point(differences, _VOTE_BIN_PX / 2, return_length=True))
+    best = int(votes.argmax())
+    near = differences[np.hypot(*(differences - differences[best]).T) < _VOTE_BIN_PX]
+    rivals = votes[np.hypot(*(differences - differences[best]).T) > 2 * _VOTE_BIN_PX]
+    enough = max(_LEAST_VOTES, _LEAST_VOTE_SHARE * min(len(a), len(b)))
+    if votes[best] < enough or votes[best] < 2 * int(rivals.max(initial=0)):
+        return None
+    shift: Float = np.median(near, axis=0)
+    return shift

@@ -1,0 +1,255 @@
+r"""Light of a point that moved during the exposure: a line as wide as the point spread function.
+
+The model of a pixel is :math:`b + \frac{F}{2} \int_{-1}^{1} P_x(x + t h_x)\,P_y(y + t h_y)\,dt` with the pixel shares
+:math:`P` of a round Gaussian (:mod:`giantlike.processing.detection.centroid`) and half the streak :math:`(h_x, h_y)`: a source of
+constant brightness that moves evenly, blurred and then integrated over the pixels. The middle (x, y) is where the
+source was at mid-exposure. The integral is a Gauss-Legendre sum, exact to 1e-6 of the flux.
+
+Unknown per source: x, y, h_x, h_y, F, b. The width is that of the point spread function and given. Levenberg-Marquardt
+with weights :math:`1 / (\mathrm{noise}^2 + \mathrm{light} / \mathrm{gain})` from the model, renewed at every step; the
+covariance is the inverse Fisher information, times the reduced chi-square where that is more than noise explains.
+
+The same line with a width far below a pixel is the track of a charged particle in the detector
+(:mod:`giantlike.processing.detection.particles`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, frozen
+from giantlike.processing.detection.centroid import Patches, pixel_shares
+
+_MAX_STEPS = 40
+_SETTLED = 1e-3  # of a standard deviation of a free fit, or of 1e-3 px
+_NODE_SPACING = 1.5  # in widths of the line
+_SPARE_NODES = 4
+_CHI2_SIGMAS = 4.0
+_DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LineFits:
+    """Fitted lines of n sources.
+
+    Parameters
+    ----------
+    centers_px : (n, 2) float64, px
+        Middle of each.
+    halves_px : (n, 2) float64, px
+        Vector from the middle to one end; its sign means nothing, and is such that x (or else y) is not negative.
+    covariance_px2 : (n, 4, 4) float64, px^2
+        Of center x, y and half x, y.
+    flux_dn, background_dn : (n,) float64, DN
+    chi2 : (n,) float64
+        Weighted square residual.
+    n_pixels : (n,) int64
+        Pixels used.
+    converged : (n,) bool
+    """
+
+    centers_px: Float
+    halves_px: Float
+    covariance_px2: Float
+    flux_dn: Float
+    background_dn: Float
+    chi2: Float
+    n_pixels: NDArray[np.int64]
+    converged: NDArray[np.bool_]
+
+    @property
+    def lengths_px(self) -> Float:
+        """Distance (n,) between the ends, px."""
+        result: Float = 2.0 * np.hypot(self.halves_px[:, 0], self.halves_px[:, 1])
+        return result
+
+    @property
+    def ends_px(self) -> Float:
+        """Ends (n, 2, 2), px: first axis after the source is start or end, in no order of time."""
+        return np.stack([self.centers_px - self.halves_px, self.centers_px + self.halves_px], axis=1)
+
+    @property
+    def end_covariance_px2(self) -> Float:
+        """Covariance (n, 4, 4), px^2, of :attr:`ends_px`: x and y of the first, then of the second."""
+        both = np.kron(np.array([[1.0, -1.0], [1.0, 1.0]]), np.eye(2))
+        result: Float = both @ self.covariance_px2 @ both.T
+        return result
+
+    @property
+    def length_sigma_px(self) -> Float:
+        """Standard deviation (n,) of :attr:`lengths_px`, px."""
+        along = self.halves_px / np.maximum(self.lengths_px / 2.0, 1e-12)[:, None]
+        variance = np.einsum("ni,nij,nj->n", along, self.covariance_px2[:, 2:, 2:], along)
+        result: Float = 2.0 * np.sqrt(variance)
+        return result
+
+
+@lru_cache(maxsize=256)
+def _gauss_legendre(count: int) -> tuple[Float, Float]:
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return frozen(nodes), frozen(weights)
+
+
+def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px: float) -> tuple[Float, Float]:
+    """Share of a unit line in each pixel, and its derivatives.
+
+    Parameters
+    ----------
+    patches : Patches
+        Only corners and size are used.
+    centers_px, halves_px : (n, 2) float64, px
+        Middle, and vector from there to one end.
+    sigma_px : float, px
+        Gaussian width of the line, > 0.
+
+    Returns
+    -------
+    shares : (n, w, w) float64
+    derivatives : (n, 4, w, w) float64, 1/px
+        By center x, y and half x, y.
+    """
+    size, n = patches.values_dn.shape[1], len(centers_px)
+    longest = 2.0 * float(np.hypot(*halves_px.T).max(initial=0.0))
+    nodes, weights = _gauss_legendre(math.ceil(longest / (_NODE_SPACING * sigma_px)) + _SPARE_NODES)
+    k = len(nodes)
+    along = centers_px[:, None, :] + nodes[:, None] * halves_px[:, None, :]
+    corner = np.repeat(patches.corner_px, k, axis=0)
+    width = np.full(n * k, sigma_px)
+    px, dpx = (v.reshape(n, k, size) for v in pixel_shares(corner[:, 0], size, along[..., 0].ravel(), width)[:2])
+    py, dpy = (v.reshape(n, k, size) for v in pixel_shares(corner[:, 1], size, along[..., 1].ravel(), width)[:2])
+    down = (py * (0.5 * weights)[:, None]).swapaxes(1, 2)
+    slope = (dpy * (0.5 * weights)[:, None]).swapaxes(1, 2)
+    moved = nodes[:, None]
+    shares = down @ px
+    derivatives = np.stack([down @ dpx, slope @ px, down @ (moved * dpx), slope @ (moved * px)], axis=1)
+    return shares, derivatives
+
+
+def fit_lines(
+    patches: Patches,
+    *,
+    centers_px: Float,
+    halves_px: Float,
+    flux_dn: Float,
+    background_dn: Float,
+    noise_dn: Float,
+    sigma_px: float,
+    gain_e_per_dn: float,
+) -> LineFits:
+    """Fit a line to each patch.
+
+    Parameters
+    ----------
+    patches : Patches
+        Saturated pixels are lower bounds.
+    centers_px, halves_px : (n, 2) float64, px
+        First guess; a half of no length stays so.
+    flux_dn, background_dn : (n,) float64, DN
+        First guess.
+    noise_dn : (n,) float64, DN
+        Background noise of a pixel.
+    sigma_px : float, px
+        Width of the line, > 0.
+    gain_e_per_dn : float, electron/DN
+
+    Returns
+    -------
+    LineFits
+    """
+    problem = _Problem(patches, noise_dn, sigma_px, gain_e_per_dn)
+    start = np.concatenate([centers_px, halves_px, flux_dn[:, None], background_dn[:, None]], axis=1)
+    return problem.finish(*problem.solve(start))
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Least squares of all lines: parameters (n, 6) are x, y, half x, half y, flux, background."""
+
+    patches: Patches
+    noise_dn: Float
+    sigma_px: float
+    gain_e_per_dn: float
+
+    def select(self, which: NDArray[np.integer]) -> _Problem:
+        return _Problem(self.patches.select(which), self.noise_dn[which], self.sigma_px, self.gain_e_per_dn)
+
+    def linearise(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
+        """Normal matrices (n, 6, 6), right sides (n, 6), chi-squares (n,) and numbers of pixels (n,)."""
+        patches, n = self.patches, len(parameters)
+        flux = parameters[:, 4, None, None]
+        shares, derivatives = line_shares(patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
+        jacobian = np.concatenate(
+            [flux[:, None] * derivatives, shares[:, None], np.ones_like(shares)[:, None]], axis=1
+        ).reshape(n, 6, -1)
+        light = flux * shares
+        model = parameters[:, 5, None, None] + light
+        used = patches.valid & ~(patches.saturated & (model >= patches.values_dn))
+        residual = np.where(used, patches.values_dn - model, 0.0).reshape(n, -1)
+        variance = self.noise_dn[:, None, None] ** 2 + np.maximum(light, 0.0) / self.gain_e_per_dn
+        weight = (used / variance).reshape(n, -1)
+        weighted = jacobian * weight[:, None, :]
+        normal = weighted @ jacobian.swapaxes(1, 2)
+        right = (weighted @ residual[:, :, None])[:, :, 0]
+        chi2 = np.sum(weight * residual**2 + np.where(weight > 0, np.log(variance.reshape(n, -1)), 0.0), axis=1)
+        return normal, right, chi2, np.count_nonzero(used.reshape(n, -1), axis=1)
+
+    def solve(self, start: Float) -> tuple[Float, NDArray[np.bool_]]:
+        """Levenberg-Marquardt from ``start`` (n, 6); returns parameters and which (n,) came to rest inside."""
+        best = start.copy()
+        damping = np.full(len(start), _DAMPING_START)
+        active = np.arange(len(start))
+        normal, right, cost, _ = self.linearise(best)
+        for _ in range(_MAX_STEPS):
+            if not active.size:
+                break
+            diagonal = np.einsum("nii->ni", normal[active])
+            floor = 1e-9 * diagonal.max(axis=1, keepdims=True)
+            damped = normal[active] + np.eye(6) * (damping[active, None] * diagonal + floor)[:, None, :]
+            step = np.linalg.solve(damped, right[active, :, None])[:, :, 0]
+            trial = best[active] + step
+            trial[:, 4] = np.maximum(trial[:, 4], 0.1 * best[active, 4])
+            t_normal, t_right, t_cost, _ = self.select(active).linearise(trial)
+            better = np.isfinite(t_cost) & (t_cost <= cost[active])
+            settled = (np.einsum("ni,ni->n", step, right[active]) < _SETTLED) & (better | (damping[active] > 1.0))
+            taken = active[better]
+            best[taken], cost[taken] = trial[better], t_cost[better]
+            normal[taken], right[taken] = t_normal[better], t_right[better]
+            damping[active] = np.clip(damping[active] * np.where(better, 0.2, 8.0), _DAMPING_LEAST, _DAMPING_MOST)
+            active = active[~settled]
+        middle = self.patches.corner_px + self.patches.half_px
+        inside = np.asarray((np.abs(best[:, :2] - middle) < self.patches.half_px + 1.0).all(axis=1))
+        inside[active] = False
+        return best, inside
+
+    def finish(self, parameters: Float, good: NDArray[np.bool_]) -> LineFits:
+        """Covariances and quality of the solution."""
+        normal, _, _, count = self.linearise(parameters)
+        shares, _ = line_shares(self.patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
+        light = parameters[:, 4, None, None] * shares
+        model = parameters[:, 5, None, None] + light
+        used = self.patches.valid & ~(self.patches.saturated & (model >= self.patches.values_dn))
+        variance = self.noise_dn[:, None, None] ** 2 + np.maximum(light, 0.0) / self.gain_e_per_dn
+        chi2 = np.sum(np.where(used, (self.patches.values_dn - model) ** 2 / variance, 0.0), axis=(1, 2))
+        freedom = np.maximum(count - 6, 1)
+        reduced = chi2 / freedom
+        inflation = np.where(reduced > 1.0 + _CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)
+        covariance = np.linalg.pinv(normal, hermitian=True)[:, :4, :4] * inflation[:, None, None]
+        half = parameters[:, 2:4]
+        turned = (half[:, 0] < 0) | ((half[:, 0] == 0) & (half[:, 1] < 0))
+        sign = np.where(turned, -1.0, 1.0)
+        flip = np.stack([np.ones_like(sign), np.ones_like(sign), sign, sign], axis=1)
+        return LineFits(
+            centers_px=parameters[:, :2].copy(),
+            halves_px=half * sign[:, None],
+            covariance_px2=covariance * flip[:, :, None] * flip[:, None, :],
+            flux_dn=parameters[:, 4].copy(),
+            background_dn=parameters[:, 5].copy(),
+            chi2=chi2,
+            n_pixels=count,
+            converged=good & (count > 6) & (parameters[:, 4] > 0),
+        )

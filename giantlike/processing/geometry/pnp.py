@@ -1,0 +1,366 @@
+"""Perspective-n-point: where a body stands before a camera, and how it is turned, from points of it seen in an image.
+
+Samples of the fewest points that fix a pose, and the pose that most points agree with (RANSAC); then Gauss-Newton over
+the points that agree, weighted by their covariances, with what is known of the attitude beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.geometry.p3p import poses_of_three_points
+
+Mask = NDArray[np.bool_]
+
+_SETTLED = 1e-9  # of a standard deviation
+_CONDITION_LIMIT = 1e14
+_ROUNDS = 5  # of choosing the points that agree and fitting them
+_FLOOR_STEPS = 25
+_PRIOR_SIGMAS = 3.0
+_OUTLIER_SIGMAS = 5.0
+_CHI2_MEDIAN = 1.386  # of two degrees of freedom
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PnpOptions:
+    """How a pose is found.
+
+    Parameters
+    ----------
+    inlier_px : float, px
+        A point agrees with a pose that projects it so near to where it was seen, and in the end not more than five
+        standard deviations off, as the scatter of the others shows them.
+    attitude_sigma_rad : float, rad
+        Standard deviation, about each axis, of the attitude that is given: 0 trusts it, infinity leaves it free.
+    max_samples : int
+        Samples of the fewest points that fix a pose.
+    min_inliers : int
+        Fewer points that agree are a failure.
+    max_iterations : int
+        Gauss-Newton steps at most.
+    seed : int
+        Which samples are drawn.
+    """
+
+    inlier_px: float = 2.0
+    attitude_sigma_rad: float = math.inf
+    max_samples: int = 200
+    min_inliers: int = 5
+    max_iterations: int = 30
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require(self.inlier_px > 0.0, f"inlier_px must be > 0, got {self.inlier_px}")
+        require(self.attitude_sigma_rad >= 0.0, f"attitude_sigma_rad must be >= 0, got {self.attitude_sigma_rad}")
+        require(self.max_samples >= 1, f"max_samples must be >= 1, got {self.max_samples}")
+        require(self.min_inliers >= self.sample_size, f"min_inliers must be >= {self.sample_size}")
+        require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
+
+    @property
+    def sample_size(self) -> int:
+        """How many points fix a pose: three, or two where the attitude is known about."""
+        return 3 if math.isinf(self.attitude_sigma_rad) else 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PnpFix:
+    """A pose that points of a body agree with.
+
+    Parameters
+    ----------
+    position_camera_km : (3,) float64, km, camera axes
+        From the camera to the origin of the body axes.
+    camera_from_body : Rotation
+    covariance : (6, 6) float64, km and rad
+        Of the position and of the small rotation ``e`` about the camera axes with
+        ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero where the attitude is trusted.
+    inliers : (n,) bool
+        Which points agree.
+    residuals_px : (n, 2) float64, px
+        Seen minus projected, of all points.
+    floor_px : float, px
+        Standard deviation per axis of what errs beyond the covariances given; it is in ``covariance``.
+    iterations : int
+        Gauss-Newton steps of the last fit.
+    """
+
+    position_camera_km: Float
+    camera_from_body: Rotation
+    covariance: Float
+    inliers: Mask
+    residuals_px: Float
+    floor_px: float
+    iterations: int
+
+
+def solve_pnp(
+    points_body_km: ArrayLike,
+    observed_px: ArrayLike,
+    covariance_px2: ArrayLike,
+    model: CameraModel,
+    camera_from_body: Rotation,
+    *,
+    options: PnpOptions = PnpOptions(),
+) -> PnpFix | Failure:
+    r"""Pose of a body from points of it, some of which may have been taken for others.
+
+    Parameters
+    ----------
+    points_body_km : (n, 3) float64, km, body axes
+    observed_px : (n, 2) float64, px
+        Where they were seen.
+    covariance_px2 : (n, 2, 2) float64, px^2
+        Of where they were seen.
+    model : CameraModel
+    camera_from_body : Rotation
+        A priori; counts only as far as ``options.attitude_sigma_rad`` says.
+    options : PnpOptions
+
+    Returns
+    -------
+    PnpFix or Failure
+        ``TOO_FEW_MATCHES`` when too few points agree, ``DEGENERATE_GEOMETRY`` when those that do leave the pose free,
+        ``NOT_CONVERGED``.
+
+    Raises
+    ------
+    InputError
+        Shapes disagree, a number is not finite, or a covariance is not positive.
+
+    Notes
+    -----
+    Samples hold three points, or two where the attitude is known, for which the position is the linear solution of
+    ``u x (r + R x) = 0``, u the ray to a point x. The cost of a pose is the sum of squared distances, each cut at that
+    of a point that does not agree.
+
+    The residuals of the fit say what errs beyond the covariances: an isotropic variance, the same for all points, with
+    which the sum of squares equals its degrees of freedom. The covariance is widened by ``m / (m - 2)`` for m degrees
+    of freedom, because that variance is itself an estimate: squared errors then have the expectation that they claim.
+    """
+    points = as_floats(points_body_km, (3,), "points_body_km")
+    require(points.ndim == 2, f"points_body_km must have shape (n, 3), got {points.shape}")
+    pixels = as_finite(observed_px, (len(points), 2), "observed_px")
+    spread = as_finite(covariance_px2, (len(points), 2, 2), "covariance_px2")
+    require(bool(np.isfinite(points).all()), "points_body_km must be finite")
+    require(bool((np.linalg.eigvalsh(spread) > 0.0).all()), "covariance_px2 must be positive definite")
+    if len(points) < options.min_inliers:
+        return Failure(Reason.TOO_FEW_MATCHES, f"needed {options.min_inliers} points, got {len(points)}")
+    problem = _Problem(points, pixels, spread, model, camera_from_body, options)
+    start = _ransac(problem)
+    return start if isinstance(start, Failure) else _refined(problem, *start)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """What :func:`solve_pnp` was given, checked."""
+
+    points: Float
+    pixels: Float
+    spread: Float
+    model: CameraModel
+    known: Rotation
+    options: PnpOptions
+
+    def projected(self, rotations: Float, positions: Float) -> Float:
+        """Pixels (m, n, 2) of all points under poses (m, 3, 3), (m, 3)."""
+        return self.model.project(self.points @ np.swapaxes(rotations, -1, -2) + positions[:, None])
+
+    @property
+    def weighs_attitude(self) -> bool:
+        """Whether the attitude is estimated with what is known of it."""
+        return 0.0 < self.options.attitude_sigma_rad < math.inf
+
+
+def _ransac(problem: _Problem) -> tuple[Rotation, Float, Mask] | Failure:
+    """The pose of a sample that most points agree with, and which they are."""
+    options, count = problem.options, len(problem.points)
+    random = np.random.default_rng(options.seed)
+    samples = np.argsort(random.random((options.max_samples, count)), axis=1)[:, : options.sample_size]
+    rays, points = problem.model.unproject(problem.pixels)[samples], problem.points[samples]
+    if options.sample_size == 2:
+        rotation = problem.known.as_matrix()
+        positions = _positions(rays, points @ rotation.T)
+        rotations = np.broadcast_to(rotation, (len(positions), 3, 3))
+    else:
+        rotations, positions = poses_of_three_points(points, rays)
+    sound = np.isfinite(positions).all(axis=1) & np.isfinite(rotations).all(axis=(1, 2))
+    rotations, positions = rotations[sound], positions[sound]
+    if not len(positions):
+        return Failure(Reason.DEGENERATE_GEOMETRY, "no sample of the points fixes a pose: do they lie along one line?")
+    distances = np.linalg.norm(problem.projected(rotations, positions) - problem.pixels, axis=-1)
+    limit = np.full(count, options.inlier_px)
+    if problem.weighs_attitude:  # the samples trust an attitude that is a little off
+        limit = limit + _PRIOR_SIGMAS * options.attitude_sigma_rad * _levers_px(problem, positions)
+    cost = np.where(distances < limit, (distances / limit) ** 2, 1.0).sum(axis=1)
+    best = int(np.argmin(cost))
+    agree: Mask = distances[best] < limit
+    if int(agree.sum()) < options.min_inliers:
+        detail = f"{int(agree.sum())} of {count} points agree to {options.inlier_px:g} px, needed {options.min_inliers}"
+        return Failure(Reason.TOO_FEW_MATCHES, detail)
+    return Rotation.from_matrix(rotations[best]), positions[best], agree
+
+
+def _levers_px(problem: _Problem, positions: Float) -> Float:
+    """How far (n,), px/rad, points move with a turn of the body, at most."""
+    range_km = float(np.median(np.linalg.norm(positions, axis=1)))
+    result: Float = np.linalg.norm(problem.points, axis=1) / range_km * problem.model.focal_length_px
+    return result
+
+
+def _positions(rays: Float, turned: Float) -> Float:
+    """Positions (m, 3) from rays (m, k, 3) to points that lie at ``turned`` (m, k, 3) from them; NaN where free."""
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    normal = across.sum(axis=1)
+    right = -np.einsum("mkij,mkj->mi", across, turned)
+    free = ~np.isfinite(normal).all(axis=(1, 2)) | ~np.isfinite(right).all(axis=1)
+    normal[free], right[free] = np.eye(3), 0.0
+    free |= ~(np.linalg.cond(normal) < _CONDITION_LIMIT)
+    normal[free] = np.eye(3)
+    result: Float = np.linalg.solve(normal, right[..., None])[..., 0]
+    result[free] = np.nan
+    return result
+
+
+def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask) -> PnpFix | Failure:
+    """Fit the points that agree, choose anew which do, and so on until they are the same."""
+    options, floor2 = problem.options, 0.0
+    for _ in range(_ROUNDS):
+        fit = _gauss_newton(problem, rotation, position, agree, floor2)
+        if isinstance(fit, Failure):
+            return fit
+        rotation, position, iterations = fit
+        left = problem.pixels - problem.projected(rotation.as_matrix()[None], position[None])[0]
+        before, agree = agree, _agreeing(left, problem.spread, agree, options.inlier_px)
+        if int(agree.sum()) < options.min_inliers:
+            detail = f"{int(agree.sum())} points agree to {options.inlier_px:g} px, needed {options.min_inliers}"
+            return Failure(Reason.TOO_FEW_MATCHES, detail)
+        floor2, was = _floor(left[agree], problem.spread[agree], _free_parameters(problem)), floor2
+        if np.array_equal(before, agree) and abs(floor2 - was) <= 1e-3 * (was + 1e-12):
+            break
+    design = _design(problem, rotation, position)[agree]
+    information = _information(problem, design, agree, floor2)
+    freedom = 2 * int(agree.sum()) - _free_parameters(problem)
+    scaled, scale = _scaled(information)
+    covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
+    if freedom > 2:
+        share = floor2 / (floor2 + 0.5 * float(np.mean(np.trace(problem.spread[agree], axis1=1, axis2=2))))
+        covariance = covariance * (1.0 + 2.0 * share / (freedom - 2.0))
+    whole = np.zeros((6, 6))
+    size = len(covariance)
+    whole[:size, :size] = covariance
+    return PnpFix(
+        position_camera_km=position,
+        camera_from_body=rotation,
+        covariance=whole,
+        inliers=agree,
+        residuals_px=left,
+        floor_px=math.sqrt(floor2),
+        iterations=iterations,
+    )
+
+
+def _free_parameters(problem: _Problem) -> int:
+    return 3 if problem.options.attitude_sigma_rad == 0.0 else 6
+
+
+def _gauss_newton(
+    problem: _Problem, rotation: Rotation, position: Float, used: Mask, floor2: float
+) -> tuple[Rotation, Float, int] | Failure:
+    """The best pose for some of the points, and the steps it took."""
+    options = problem.options
+    for step in range(1, options.max_iterations + 1):
+        design = _design(problem, rotation, position)[used]
+        left = (problem.pixels - problem.projected(rotation.as_matrix()[None], position[None])[0])[used]
+        if not (np.isfinite(design).all() and np.isfinite(left).all()):
+            return Failure(Reason.NOT_CONVERGED, "the fit of the pose left the field of the camera")
+        information = _information(problem, design, used, floor2)
+        scaled, scale = _scaled(information)
+        if not np.linalg.cond(scaled) < _CONDITION_LIMIT:
+            return Failure(
+                Reason.DEGENERATE_GEOMETRY, f"{int(used.sum())} points leave the pose free: do they lie along one line?"
+            )
+        weights = _weights(problem, used, floor2)
+        right = np.einsum("nki,nkl,nl->i", design, weights, left)
+        if problem.weighs_attitude:
+            turned = (rotation * problem.known.inv()).as_rotvec()
+            right[3:] -= turned / options.attitude_sigma_rad**2
+        change = scale * np.linalg.solve(scaled, scale * right)
+        position = position + change[:3]
+        if len(change) == 6:
+            rotation = Rotation.from_rotvec(change[3:]) * rotation
+        if float(change @ information @ change) < _SETTLED:
+            return rotation, position, step
+    return Failure(Reason.NOT_CONVERGED, f"the pose still moves after {options.max_iterations} steps")
+
+
+def _design(problem: _Problem, rotation: Rotation, position: Float) -> Float:
+    """Derivatives (n, 2, k) of the pixels by position and, where it is not trusted, rotation about the camera axes."""
+    turned = rotation.apply(problem.points)
+    by_position = problem.model.project_jacobian(turned + position)
+    if _free_parameters(problem) == 3:
+        return by_position
+    x, y, z = turned.T
+    zero = np.zeros_like(x)
+    by_turn = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1), np.stack([y, -x, zero], -1)], -2)
+    return np.concatenate([by_position, by_position @ by_turn], axis=-1)
+
+
+def _weights(problem: _Problem, used: Mask, floor2: float) -> Float:
+    return np.asarray(np.linalg.inv(problem.spread[used] + floor2 * np.eye(2)), dtype=np.float64)
+
+
+def _information(problem: _Problem, design: Float, used: Mask, floor2: float) -> Float:
+    result: Float = np.einsum("nki,nkl,nlj->ij", design, _weights(problem, used, floor2), design)
+    if problem.weighs_attitude:
+        result[3:, 3:] += np.eye(3) / problem.options.attitude_sigma_rad**2
+    return result
+
+
+def _scaled(information: Float) -> tuple[Float, Float]:
+    """Information with ones on its diagonal, and the scales (k,) that make it so."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return information * np.outer(scale, scale), scale
+
+
+def _floor(residuals: Float, spread: Float, parameters: int) -> float:
+    """Variance per axis, px^2, that brings the sum of squares of residuals (n, 2) to its degrees of freedom."""
+    freedom = residuals.size - parameters
+    if freedom <= 0:
+        return 0.0
+    highest = float(np.sum(residuals**2)) / freedom
+    return _least(highest, lambda floor2: float(np.sum(_squares(residuals, spread, floor2))) <= freedom)
+
+
+def _agreeing(residuals: Float, spread: Float, before: Mask, inlier_px: float) -> Mask:
+    """Points (n,) near enough, and no farther off than the scatter of those before explains."""
+    near = np.linalg.norm(residuals, axis=1) < inlier_px
+    fair, given = residuals[before], spread[before]
+    middle2 = _least(inlier_px**2, lambda floor2: float(np.median(_squares(fair, given, floor2))) <= _CHI2_MEDIAN)
+    agree: Mask = near & (_squares(residuals, spread, middle2) < _OUTLIER_SIGMAS**2)
+    return agree
+
+
+def _squares(residuals: Float, spread: Float, floor2: float) -> Float:
+    """Squared residuals (n,) over their covariances, to which a variance is added."""
+    result: Float = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(spread + floor2 * np.eye(2)), residuals)
+    return result
+
+
+def _least(highest: float, enough: Callable[[float], bool]) -> float:
+    """The least variance that is enough, by bisection up to the highest."""
+    if enough(0.0):
+        return 0.0
+    low, high = 0.0, highest
+    for _ in range(_FLOOR_STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high

@@ -1,0 +1,379 @@
+"""Limb scanning: where along lines across a predicted outline the edge in the image lies.
+
+Lines run along outward normals. What lies between image and prediction is found in two steps: a search for the
+whole outline at once (:mod:`giantlike.processing.limb.search`), then for each line a least-squares match of its
+profile with the profile expected there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from scipy.special import ndtr
+
+from giantlike.core.arrays import Float, require
+
+Mask = NDArray[np.bool_]
+
+SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
+"""Variance of the cubic B-spline through which lines are sampled: it widens every edge by so much."""
+PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+
+_SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
+_SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
+_RIVAL_PX = 2.0
+_RIVAL_CORRELATION = 0.98
+_REFINEMENTS = 2
+_MAD_TO_SIGMA = 1.4826
+_LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
+_WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scans:
+    """Image values along lines.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+        Where the lines have their zero.
+    normals_px : (n, 2) float64, unitless
+        Their directions, outward.
+    offsets_px : (m,) float64, px
+        Places along every line, evenly spaced and symmetric about zero.
+    values_dn : (n, m) float64
+    usable : (n, m) bool
+        False where a pixel that the value is made from is bad or outside the image.
+    """
+
+    points_px: Float
+    normals_px: Float
+    offsets_px: Float
+    values_dn: Float
+    usable: Mask
+
+    @property
+    def step_px(self) -> float:
+        """Distance between neighbouring places, px."""
+        return float(self.offsets_px[1] - self.offsets_px[0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProfileMatch:
+    """How far along each line its profile lies from the expected one.
+
+    Parameters
+    ----------
+    complete : (n,) bool
+        Every value needed is usable; the other arrays mean nothing where not.
+    shift_px : (n,) float64, px
+        Positive outward.
+    sigma_px : (n,) float64, px
+        Standard deviation of the shift by pixel noise.
+    without_slope_px : (n,) float64, px
+        How much farther out the limb would lie if the slope were not freed: small where the expected brightness holds.
+    gain_dn : (n,) float64, DN
+        Brightness of the image over that of the expected profile.
+    correlation : (n,) float64
+        Normalised correlation at the best shift.
+    unexplained : (n,) float64
+        Root mean square of what the match leaves, over the height of the profile in the image.
+    at_border : (n,) bool
+        The best shift is the largest that was allowed.
+    rivalled : (n,) bool
+        Another place on the line fits as well.
+    """
+
+    complete: Mask
+    shift_px: Float
+    sigma_px: Float
+    without_slope_px: Float
+    gain_dn: Float
+    correlation: Float
+    unexplained: Float
+    at_border: Mask
+    rivalled: Mask
+
+
+def line_offsets(reach_px: float, step_px: float) -> Float:
+    """Places (m,) along a line from ``-reach_px`` to ``reach_px``, zero among them.
+
+    >>> line_offsets(1.0, 0.5).tolist()
+    [-1.0, -0.5, 0.0, 0.5, 1.0]
+    """
+    count = int(np.ceil(reach_px / step_px - 1e-9))
+    return np.arange(-count, count + 1, dtype=np.float64) * step_px
+
+
+def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Float, offsets_px: Float) -> Scans:
+    """Sample an image along lines.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns) float64
+    usable : (rows, columns) bool
+    points_px, normals_px : (n, 2) float64
+    offsets_px : (m,) float64, px
+        As of :func:`line_offsets`.
+
+    Notes
+    -----
+    Values are weighted means of 4 x 4 pixels, the weights a cubic B-spline about the place: smooth in the place,
+    never beyond the pixels' range, and the same for an image and a template, so that what it blurs cancels.
+    """
+    require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
+    places = points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
+    coordinates = np.moveaxis(places[..., ::-1], -1, 0)
+    values = map_coordinates(pixels_dn, coordinates, order=3, mode="nearest", prefilter=False)
+    clean = usable
+    if not usable.all():
+        clean = cv2.erode(usable.view(np.uint8), np.ones((5, 5), np.uint8), borderValue=1).view(np.bool_)
+    return Scans(points_px, normals_px, offsets_px, values, _inside(places, usable.shape, 1.0) & _at(clean, places))
+
+
+def step_profile(offsets_px: Float, width_px: float) -> Float:
+    """A bright half-line up to zero seen through a Gaussian of standard deviation ``width_px``: values (m,), 1 to 0."""
+    result: Float = ndtr(-offsets_px / width_px)
+    return result
+
+
+def match_profiles(
+    scans: Scans,
+    expected: Float,
+    *,
+    variance_dn2: Callable[[Float], Float],
+    window_px: float,
+    search_px: float,
+    model_error: float = 0.02,
+) -> ProfileMatch:
+    """Match the profile of every line with the one expected there, in shift, gain, offset and slope.
+
+    Parameters
+    ----------
+    scans : Scans
+        Must reach ``window_px + search_px`` to both sides.
+    expected : (n, m) float64
+        Expected brightness at the same places, any unit, the limb at zero.
+    variance_dn2 : callable
+        Noise variance of pixels of a brightness, DN^2 (:meth:`giantlike.core.detector.Detector.variance_dn2`).
+    window_px : float, px
+        How far to both sides of the limb profiles are compared.
+    search_px : float, px
+        Largest shift.
+    model_error : float
+        Error of the expected profile as a fraction of its height: without it the dark side, where the noise is
+        least, would rule, and with it whatever little light is there besides.
+
+    Notes
+    -----
+    The best multiple of the step is that of the highest normalised correlation; a least-squares fit of
+    ``gain (1 + slope u) expected(u - shift) + offset`` then gives the rest, in three linear steps. How far slopes are
+    from nothing is learnt from all lines together. Shift and noise are those of the weighted fit, the noise with the
+    correlation that sampling by a B-spline puts into it.
+    """
+    step = scans.step_px
+    half, most = round(window_px / step), round(search_px / step)
+    middle = scans.offsets_px.size // 2
+    require(
+        half + most <= middle,
+        f"lines reach {scans.offsets_px[-1]:g} px, needed window + search = {window_px + search_px:g} px",
+    )
+    part = slice(middle - half, middle + half + 1)
+    profile, offsets = expected[:, part], scans.offsets_px[part]
+    near = slice(middle - half - most, middle + half + most + 1)
+    windows = sliding_window_view(scans.values_dn[:, near], 2 * half + 1, axis=1)
+    correlation = _correlations(windows, profile)
+    lag = np.argmax(correlation, axis=1)
+    lines = np.arange(lag.size)
+    best = correlation[lines, lag]
+    far = np.abs(np.arange(2 * most + 1)[None] - lag[:, None]) * step > _RIVAL_PX
+    rival = np.max(np.where(far & _local_maxima(correlation), correlation, -1.0), axis=1)
+    data = windows[lines, lag]
+    shift = np.zeros(lag.size)
+    columns = _design(expected, offsets, part, step)
+    variance, weights = _weights(data, columns, variance_dn2, model_error)
+    for _ in range(_REFINEMENTS):
+        solution = _solve(columns, data, weights)
+        shift = np.clip(shift + _quotient(solution), -step, step)
+        columns = _design(_moved(expected, shift / step), offsets, part, step)
+    fit = _fit(data, columns, offsets, variance, weights)
+    shift = np.clip(shift + fit.shift_px, -step, step)
+    height = np.abs(fit.gain_dn) * np.ptp(profile, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unexplained = fit.rms_dn / height
+    return ProfileMatch(
+        complete=np.all(scans.usable[:, near], axis=1),
+        shift_px=(lag - most) * step + shift,
+        sigma_px=fit.sigma_px,
+        without_slope_px=fit.without_slope_px,
+        gain_dn=fit.gain_dn,
+        correlation=best,
+        unexplained=np.where(np.isfinite(unexplained), unexplained, np.inf),
+        at_border=(lag == 0) | (lag == 2 * most),
+        rivalled=rival > _RIVAL_CORRELATION * best,
+    )
+
+
+def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], window_px: float, search_px: float) -> float:
+    """Standard deviation, px, of the Gaussian that blurs the edges on the lines, median over the lines.
+
+    All that blurs is in it: point spread, pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
+    (:data:`SAMPLING_VARIANCE_PX2`).
+    """
+    misfit = []
+    for width in _WIDTHS_PX:
+        expected = np.broadcast_to(step_profile(scans.offsets_px, float(width)), scans.values_dn.shape)
+        match = match_profiles(scans, expected, variance_dn2=variance_dn2, window_px=window_px, search_px=search_px)
+        misfit.append(np.where(match.complete & (match.gain_dn > 0), match.unexplained, np.inf))
+    best = np.argmin(np.array(misfit), axis=0)
+    found = np.isfinite(np.array(misfit)).any(axis=0)
+    require(bool(found.any()), "no line holds an edge whose width could be measured")
+    return float(np.median(_WIDTHS_PX[best[found]]))
+
+
+def _inside(places_px: Float, shape: tuple[int, ...], margin_px: float = 0.0) -> Mask:
+    rows, columns = shape
+    result: Mask = np.all(
+        (places_px >= margin_px) & (places_px <= np.array([columns, rows]) - 1.0 - margin_px), axis=-1
+    )
+    return result
+
+
+def _at(mask: Mask, places_px: Float) -> Mask:
+    """Values of a mask at the nearest pixels; those of the edge for places outside."""
+    rows, columns = mask.shape
+    index = np.rint(places_px).astype(np.intp)
+    return mask[np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)]
+
+
+def _correlations(windows: Float, profile: Float) -> Float:
+    """Normalised correlation (n, lags) of windows (n, lags, w) with profiles (n, w); 0 where one is flat."""
+    target = profile - profile.mean(axis=1, keepdims=True)
+    target = target / np.maximum(np.linalg.norm(target, axis=1, keepdims=True), 1e-300)
+    total, square = windows.sum(axis=2), np.einsum("nlw,nlw->nl", windows, windows)
+    spread = np.sqrt(np.maximum(square - total**2 / windows.shape[2], 0.0))
+    product = np.einsum("nlw,nw->nl", windows, target)
+    return np.where(spread > 1e-9 * np.sqrt(square), product / np.maximum(spread, 1e-300), 0.0)
+
+
+def _local_maxima(values: Float) -> Mask:
+    padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
+    result: Mask = (values >= padded[:, :-2]) & (values >= padded[:, 2:])
+    return result
+
+
+def _moved(values: Float, steps: Float) -> Float:
+    """Rows (n, m) moved towards larger indices by fractions of a sample (n,), by cubics through four samples."""
+    padded = np.pad(values, ((0, 0), (2, 2)), mode="edge")
+    near = np.floor(-steps).astype(np.intp)
+    t = (-steps - near)[:, None]
+    index = np.arange(values.shape[1]) + 2 + near[:, None]
+    a, b, c, d = (np.take_along_axis(padded, np.clip(index + k, 0, padded.shape[1] - 1), axis=1) for k in range(-1, 3))
+    result: Float = (
+        -a * t * (t - 1) * (t - 2) / 6
+        + b * (t + 1) * (t - 1) * (t - 2) / 2
+        - c * (t + 1) * t * (t - 2) / 2
+        + d * (t + 1) * t * (t - 1) / 6
+    )
+    return result
+
+
+def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
+    """Columns (n, w, 4) of the match: profile, offset, outward shift, slope."""
+    profile = expected[:, part]
+    outward = -np.gradient(expected, step, axis=1)[:, part]
+    return np.stack([profile, np.ones_like(profile), outward, offsets * profile], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Fit:
+    """Fine shifts (n,), their noise, and what the fits leave."""
+
+    gain_dn: Float
+    shift_px: Float
+    sigma_px: Float
+    without_slope_px: Float
+    rms_dn: Float
+
+
+def _weights(
+    data: Float, columns: Float, variance_dn2: Callable[[Float], Float], model_error: float
+) -> tuple[Float, Float]:
+    """Noise variance (n, w) of data (n, w), DN^2, from an unweighted fit, and weights that allow for model error."""
+    first = _solve(columns, data, np.ones_like(data))
+    bright = np.maximum(np.einsum("nwk,nk->nw", columns[..., :2], first[:, :2]), 0.0)
+    variance = variance_dn2(bright)
+    return variance, 1.0 / (variance + (model_error * bright.max(axis=1, keepdims=True)) ** 2)
+
+
+def _fit(data: Float, columns: Float, offsets: Float, variance: Float, weights: Float) -> _Fit:
+    """Weighted fit of data (n, w) by columns (n, w, 4), slopes held as :func:`_stiffness` says."""
+    free = _solve(columns, data, weights)
+    stiff = _solve(columns[..., :3], data, weights)
+    operator = _gain(columns, weights, _stiffness(columns, weights, free))
+    solution = np.einsum("nkw,nw->nk", operator, data)
+    apart = offsets[:, None] - offsets
+    correlation = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
+    noise = operator[:, 2] * np.sqrt(variance)
+    sigma = np.sqrt(np.einsum("nw,nw->n", noise @ correlation, noise))
+    left = data - np.einsum("nwk,nk->nw", columns, solution)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = sigma / np.abs(solution[:, 0])
+    return _Fit(
+        gain_dn=solution[:, 0],
+        shift_px=_quotient(solution),
+        sigma_px=np.where(np.isfinite(sigma), sigma, np.inf),
+        without_slope_px=_quotient(stiff) - _quotient(free),
+        rms_dn=np.sqrt(np.mean(left**2, axis=1)),
+    )
+
+
+def _stiffness(columns: Float, weights: Float, free: Float) -> Float:
+    """Information (n,) on the slopes, 1/DN^2, that all lines together give: they are as small as most are.
+
+    ``free`` (n, 4) are solutions with free slopes. What these scatter by more than noise is how far slopes are from
+    nothing: where the expected brightness holds that is little, and a slope that is free only adds noise to the shift.
+    """
+    slope = np.abs(np.nan_to_num(free[:, 3] / np.where(free[:, 0] > 0.0, free[:, 0], np.nan)))
+    normal, scale = _normal(columns, weights)
+    variance = np.linalg.inv(normal)[:, 3, 3] / scale[:, 3, 0] ** 2
+    noise = np.median(variance / np.where(free[:, 0] == 0.0, np.inf, free[:, 0]) ** 2)
+    excess = (_MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
+    spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
+    result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
+    return result
+
+
+def _quotient(solution: Float) -> Float:
+    """Shift (n,), px, of solutions (n, k): that of the outward column over the gain; 0 where there is no gain."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(solution[:, 2] / solution[:, 0], posinf=0.0, neginf=0.0)
+
+
+def _solve(columns: Float, data: Float, weights: Float) -> Float:
+    """Batched weighted least squares (n, k)."""
+    result: Float = np.einsum("nkw,nw->nk", _gain(columns, weights), data)
+    return result
+
+
+def _gain(columns: Float, weights: Float, stiffness: Float | None = None) -> Float:
+    """The matrices (n, k, w) that give the solutions of weighted least squares, the last parameter held or not."""
+    normal, scale = _normal(columns, weights)
+    if stiffness is not None:
+        normal[:, -1, -1] += stiffness / scale[:, -1, 0] ** 2
+    weighted = np.swapaxes(columns * weights[..., None], 1, 2)
+    result: Float = (np.linalg.inv(normal) / scale) @ (weighted / scale)
+    return result
+
+
+def _normal(columns: Float, weights: Float) -> tuple[Float, Float]:
+    """Normal matrices (n, k, k) of weighted least squares scaled to a diagonal of 1, and the scales (n, k, 1)."""
+    normal = np.swapaxes(columns * weights[..., None], 1, 2) @ columns
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))[..., None]
+    return normal / (scale * np.swapaxes(scale, 1, 2)) + 1e-12 * np.eye(normal.shape[1]), scale

@@ -1,0 +1,136 @@
+"""The empirical point spread function: what the stars of an image look like, on a grid finer than the pixels.
+
+Each pixel near a star samples the function (already integrated over the pixel) at the pixel's distance from the star.
+The analytic shape is taken off, and the rest averaged on the grid with the weights of the noise, so that the grid has
+to hold only what is small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.detector import Detector
+from giantlike.processing.detection.centroid import cut_patches
+from giantlike.processing.detection.detections import Detections
+from giantlike.processing.psf.profile import shape_shares
+from giantlike.processing.psf.estimate import UNUSABLE, PsfEstimate
+
+_MOST_STARS = 400
+_PRIOR_SAMPLES = 0.5  # so many that show the analytic shape itself are added to each node
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EmpiricalPsf:
+    """Pixel-integrated point spread function on a grid.
+
+    Parameters
+    ----------
+    shares : (m, m) float64
+        Share of the light in a pixel whose centre lies at the offset of the node from the star, rows along y.
+    sigma : (m, m) float64
+        Standard error of each; huge where there are no samples.
+    step_px : float, px
+        Between nodes; the middle node is the star itself.
+    n_used : int
+        Stars.
+    """
+
+    shares: Float
+    sigma: Float
+    step_px: float
+    n_used: int
+
+    @property
+    def reach_px(self) -> float:
+        """Largest offset of the grid, px."""
+        return (len(self.shares) - 1) / 2 * self.step_px
+
+    def shares_at(self, offsets_px: ArrayLike) -> Float:
+        """Shares (...,) of pixels at offsets (..., 2), px, from the star, by cubic interpolation; 0 beyond the grid."""
+        offsets = np.asarray(offsets_px, dtype=np.float64)
+        x, y = offsets.reshape(-1, 2).T / self.step_px + (len(self.shares) - 1) / 2
+        found: Float = map_coordinates(self.shares, [y, x], order=3, mode="constant")
+        return found.reshape(offsets.shape[:-1])
+
+
+def empirical_psf(
+    pixels: ArrayLike,
+    detections: Detections,
+    psf: PsfEstimate,
+    *,
+    detector: Detector,
+    mask: ArrayLike | None = None,
+    oversampling: int = 4,
+    half_px: int = 5,
+) -> EmpiricalPsf:
+    """Average the stars of an image on a grid.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+    detections : Detections
+        Of this image, best measured with ``psf`` (:func:`~giantlike.processing.psf.estimate.remeasure`): errors of
+        their places widen the result.
+    psf : PsfEstimate
+        What is taken off first; it gives the shape where there are no samples.
+    detector : Detector
+        Gain, for the shot noise.
+    mask : (rows, columns) bool, optional
+    oversampling : int
+        Nodes per pixel.
+    half_px : int, px
+        Reach of the grid.
+
+    Raises
+    ------
+    InputError
+        A number is below 1.
+    """
+    require(oversampling >= 1 and half_px >= 1, f"needed numbers >= 1, got {oversampling} and {half_px}")
+    usable = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)[:_MOST_STARS]
+    stars = detections.select(usable)
+    bad = None if mask is None else np.asarray(mask, dtype=bool)
+    patches = cut_patches(
+        np.asarray(pixels), bad, np.rint(stars.points_px).astype(np.int64), half_px + 1, detector.saturation_dn
+    )
+    size, n = patches.values_dn.shape[1], len(stars)
+    model = shape_shares(patches.corner_px, size, stars.points_px, psf.shapes_at(stars.points_px))
+    flux = stars.flux_dn[:, None, None]
+    left = (patches.values_dn - stars.background_dn[:, None, None]) / flux - model
+    weight = np.where(
+        patches.valid & ~patches.saturated,
+        flux**2 / (stars.noise_dn**2 + np.maximum(flux * model, 0.0) / detector.gain_e_per_dn),
+        0.0,
+    )
+    dx, dy = patches.offsets_px(stars.points_px)
+    side = 2 * half_px * oversampling + 1
+    column = np.broadcast_to(np.rint(dx * oversampling)[:, None, :], (n, size, size)).astype(np.int64) + side // 2
+    row = np.broadcast_to(np.rint(dy * oversampling)[:, :, None], (n, size, size)).astype(np.int64) + side // 2
+    inside = (column >= 0) & (column < side) & (row >= 0) & (row < side)
+    index = (row * side + column)[inside]
+    total = _summed(index, weight[inside], side)
+    mean = _summed(index, (weight * left)[inside], side)
+    count = _summed(index, (weight > 0.0)[inside].astype(np.float64), side)
+    certain = total * (1.0 + _PRIOR_SAMPLES / np.maximum(count, 1.0))
+    middle = np.array([(psf.columns - 1) / 2, (psf.rows - 1) / 2])
+    nodes = (np.arange(side) - side // 2) / oversampling
+    x, y = np.meshgrid(nodes, nodes)
+    offsets = -np.stack([x.ravel(), y.ravel()], axis=1)
+    shape = np.repeat(psf.shapes_at([middle]), side * side, axis=0)
+    smooth = shape_shares(np.zeros((side * side, 2), dtype=np.int64), 1, offsets, shape).reshape(side, side)
+    return EmpiricalPsf(
+        shares=smooth + mean / np.maximum(certain, 1e-300),
+        sigma=1.0 / np.sqrt(np.maximum(certain, 1e-300)),
+        step_px=1.0 / oversampling,
+        n_used=n,
+    )
+
+
+def _summed(index: NDArray[np.int64], values: NDArray[np.floating[Any]], side: int) -> Float:
+    return np.bincount(index, weights=values, minlength=side * side).astype(np.float64).reshape(side, side)

@@ -1,0 +1,394 @@
+r"""The point spread function of an image from its own stars, the same everywhere or varying over the field.
+
+All chosen stars are fitted at once: place, flux and background of each, and the shape of
+:mod:`giantlike.processing.psf.profile`, whose parameters are polynomials of the place in the image. Gauss-Newton with noise
+weights; the stars are eliminated from the normal equations one by one (Schur complement), so that the cost grows
+linearly with their number. Stars that fit far worse than the others (blends, hit by particles) are left out and the
+rest is fitted again. With the shape known, :func:`remeasure` fits places, fluxes and backgrounds alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.detector import Detector
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.detection.centroid import Patches, cut_patches
+from giantlike.processing.detection.detections import DetectionFlag, Detections
+from giantlike.processing.detection.matched_filter import recorded_width_px
+from giantlike.processing.psf.profile import N_SHAPE, SHAPE_NAMES, PsfKind, shape_shares
+
+_MOST_STARS = 200
+_LEAST_SNR = 15.0
+_STEPS = 25
+_SETTLED = 1e-3  # of a standard deviation
+_GAINED = 1e-6  # of the chi-square
+_DIFFERENCE = 1e-4
+_LONGEST_STEP = 0.3
+_MOST_ELONGATED, _MOST_WINGED = 0.9, 0.9
+_OUTLIER = 4.0
+_PATCH_WIDTHS = 4.0
+_REMEASURE_STEPS = 6
+_CHI2_SIGMAS = 4.0
+UNUSABLE = (
+    DetectionFlag.SATURATED
+    | DetectionFlag.MASKED
+    | DetectionFlag.CUT_BY_FRAME
+    | DetectionFlag.BLENDED
+    | DetectionFlag.EXTENDED
+    | DetectionFlag.SHARP
+    | DetectionFlag.FIT_FAILED
+    | DetectionFlag.COSMIC_RAY
+    | DetectionFlag.HOT_PIXEL
+    | DetectionFlag.STREAK
+)
+"""Flags of detections that say nothing of the point spread function."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PsfEstimate:
+    """Point spread function estimated from stars.
+
+    Parameters
+    ----------
+    kind : PsfKind
+    coefficients : (k, t) float64
+        Of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x, y, x^2, x y, y^2, ... of
+        ``degree``, where x and y go from -1 to 1 over the image.
+    covariance : (k t, k t) float64
+        Of the coefficients, parameter by parameter; times the reduced chi-square where that is above 1.
+    degree : int
+    columns, rows : int
+        Of the image.
+    reduced_chi2 : float
+    residual_power : float
+        Square of what the model leaves over that of the light, median of the stars: the quality of the shape, 0 for a
+        perfect one without noise.
+    n_used, n_rejected : int
+        Stars.
+    """
+
+    kind: PsfKind
+    coefficients: Float
+    covariance: Float
+    degree: int
+    columns: int
+    rows: int
+    reduced_chi2: float
+    residual_power: float
+    n_used: int
+    n_rejected: int
+
+    def to_mapping(self) -> dict[str, Any]:
+        """What JSON shows of it."""
+        return {
+            "kind": str(self.kind),
+            "degree": self.degree,
+            "sigma_px": self.sigma_px,
+            "sigma_error_px": self.sigma_error_px,
+            "coefficients": dict(zip(SHAPE_NAMES, self.coefficients.tolist(), strict=False)),
+            "standard_errors": dict(
+                zip(
+                    SHAPE_NAMES,
+                    np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape).tolist(),
+                    strict=False,
+                )
+            ),
+            "reduced_chi2": self.reduced_chi2,
+            "residual_power": self.residual_power,
+            "n_used": self.n_used,
+            "n_rejected": self.n_rejected,
+        }
+
+    def shapes_at(self, points_px: ArrayLike) -> Float:
+        """Shape (n, 4) at pixels (n, 2): ln sigma, e1, e2, 1/beta."""
+        points = np.atleast_2d(np.asarray(points_px, dtype=np.float64))
+        free = field_terms(points, self.columns, self.rows, self.degree) @ self.coefficients.T
+        return np.pad(free, ((0, 0), (0, N_SHAPE - free.shape[1])))
+
+    @property
+    def sigma_px(self) -> float:
+        """Geometric mean width in the middle of the image, px: the half width at half maximum over 1.1774."""
+        middle = [(self.columns - 1) / 2.0, (self.rows - 1) / 2.0]
+        shape = self.shapes_at([middle])[0]
+        return float(np.exp(shape[0]) * (1.0 - shape[1] ** 2 - shape[2] ** 2) ** 0.25)
+
+    @property
+    def sigma_error_px(self) -> float:
+        """Standard error of the width in the middle of the image, px."""
+        return float(self.sigma_px * math.sqrt(self.covariance[0, 0]))
+
+
+def field_terms(points_px: Float, columns: int, rows: int, degree: int) -> Float:
+    """Terms (n, t) of a polynomial of the place in the image, constant first."""
+    half = np.array([columns - 1, rows - 1]) / 2.0
+    x, y = ((points_px - half) / np.maximum(half, 1.0)).T
+    return np.stack([x ** (total - k) * y**k for total in range(degree + 1) for k in range(total + 1)], axis=1)
+
+
+def estimate_psf(
+    pixels: ArrayLike,
+    detections: Detections,
+    *,
+    detector: Detector,
+    kind: PsfKind = PsfKind.GAUSSIAN,
+    degree: int = 0,
+    mask: ArrayLike | None = None,
+    min_snr: float = _LEAST_SNR,
+) -> PsfEstimate | Failure:
+    """Estimate the point spread function from isolated, unsaturated stars of an image.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+    detections : Detections
+        Of this image; the 200 brightest that have no flags and reach ``min_snr`` are used.
+    detector : Detector
+        Gain, for the shot noise, and saturation.
+    kind : PsfKind
+    degree : int
+        Of the polynomials of the place in the image, 0 to 3; 0 is one function for the whole image.
+    mask : (rows, columns) bool, optional
+        True where a pixel is bad.
+    min_snr : float
+
+    Returns
+    -------
+    PsfEstimate or Failure
+        ``too_few_detections``: fewer than three usable stars for each term; ``not_converged``.
+
+    Raises
+    ------
+    InputError
+        The degree is out of range, or pixels and mask differ in size.
+    """
+    array = np.asarray(pixels)
+    bad = None if mask is None else np.asarray(mask, dtype=bool)
+    require(0 <= degree <= 3, f"degree must be 0 to 3, got {degree}")
+    require(array.ndim == 2, f"pixels must be a 2-D array, got shape {array.shape}")
+    require(bad is None or bad.shape == array.shape, "the mask has another size than the pixels")
+    usable = ((detections.flags & np.uint16(UNUSABLE)) == 0) & (detections.snr >= min_snr)
+    stars = detections.select(np.flatnonzero(usable)[:_MOST_STARS])
+    n_terms = (degree + 1) * (degree + 2) // 2
+    if len(stars) < 3 * n_terms:
+        return Failure(
+            Reason.TOO_FEW_DETECTIONS,
+            f"{len(stars)} stars of a signal to noise ratio of {min_snr:g} stand alone, {3 * n_terms} are needed",
+        )
+    half = math.ceil(_PATCH_WIDTHS * recorded_width_px(stars.psf_sigma_px)) + 1
+    peaks = np.rint(stars.points_px).astype(np.int64)
+    patches = cut_patches(array, bad, peaks, half, detector.saturation_dn)
+    terms = field_terms(stars.points_px, array.shape[1], array.shape[0], degree)
+    problem = _Problem(patches, terms, np.full(len(stars), stars.noise_dn), detector.gain_e_per_dn, kind.n_free)
+    local = np.column_stack([stars.points_px, stars.flux_dn, stars.background_dn])
+    start = np.zeros((kind.n_free, n_terms))
+    start[0, 0] = math.log(stars.psf_sigma_px)
+    if kind is PsfKind.MOFFAT:
+        start[3, 0] = 0.2
+    solution = problem.solve(local, start)
+    quality = problem.star_chi2(solution.local, solution.shared)
+    spread = np.median(np.abs(quality - np.median(quality))) * 1.4826
+    kept = np.flatnonzero(quality <= np.median(quality) + _OUTLIER * max(float(spread), 0.1))
+    if len(kept) < len(stars) and len(kept) >= 3 * n_terms:
+        problem = problem.select(kept)
+        solution = problem.solve(solution.local[kept], solution.shared)
+    if not solution.settled:
+        return Failure(Reason.NOT_CONVERGED, f"a {kind} function does not come to rest on {len(kept)} stars")
+    return problem.estimate(solution, kind, degree, array.shape, len(stars))
+
+
+def remeasure(
+    pixels: ArrayLike,
+    detections: Detections,
+    psf: PsfEstimate,
+    *,
+    detector: Detector,
+    mask: ArrayLike | None = None,
+) -> Detections:
+    """Fit places and fluxes again with an estimated point spread function.
+
+    Only what stands alone and may be a star: not what is blended, cut, saturated or no star. The others stay as they
+    were, also where the fit moves by more than a pixel.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+    detections : Detections
+        Of this image.
+    psf : PsfEstimate
+    detector : Detector
+        Gain, for the shot noise.
+    mask : (rows, columns) bool, optional
+
+    Returns
+    -------
+    Detections
+        In the same order; covariances are the inverse Fisher information, times the reduced chi-square where that is
+        more than noise explains.
+    """
+    array = np.asarray(pixels)
+    bad = None if mask is None else np.asarray(mask, dtype=bool)
+    chosen = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)
+    if not chosen.size:
+        return detections
+    stars = detections.select(chosen)
+    half = math.ceil(_PATCH_WIDTHS * recorded_width_px(detections.psf_sigma_px)) + 1
+    patches = cut_patches(array, bad, np.rint(stars.points_px).astype(np.int64), half, detector.saturation_dn)
+    terms = field_terms(stars.points_px, psf.columns, psf.rows, psf.degree)
+    noise = np.full(len(stars), detections.noise_dn)
+    problem = _Problem(patches, terms, noise, detector.gain_e_per_dn, psf.kind.n_free)
+    local = np.column_stack([stars.points_px, stars.flux_dn, stars.background_dn])
+    for _ in range(_REMEASURE_STEPS):
+        _, _, _, step = problem.normal(local, psf.coefficients)
+        local = local + np.clip(step, [-0.5, -0.5, -np.inf, -np.inf], [0.5, 0.5, np.inf, np.inf])
+    left, weight, _ = problem.residuals(local, psf.coefficients)
+    rows, _ = problem.jacobians(local, psf.coefficients)
+    covariance = np.linalg.pinv((rows * weight[:, None, :]) @ rows.swapaxes(1, 2), hermitian=True)
+    freedom = np.maximum(np.count_nonzero(weight, axis=1) - 4, 1)
+    reduced = np.sum(weight * left**2, axis=1) / freedom
+    covariance *= np.where(reduced > 1.0 + _CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)[:, None, None]
+    good = (np.hypot(*(local[:, :2] - stars.points_px).T) < 1.0) & (local[:, 2] > 0)
+    points, flux, level = detections.points_px.copy(), detections.flux_dn.copy(), detections.background_dn.copy()
+    errors = detections.covariance_px2.copy()
+    points[chosen[good]], flux[chosen[good]], level[chosen[good]] = local[good, :2], local[good, 2], local[good, 3]
+    errors[chosen[good]] = covariance[good, :2, :2]
+    return replace(detections, points_px=points, flux_dn=flux, background_dn=level, covariance_px2=errors)
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    local: Float
+    shared: Float
+    settled: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Stars (n): local parameters (n, 4) x, y, flux, background; shared ones (k, t)."""
+
+    patches: Patches
+    terms: Float
+    noise_dn: Float
+    gain_e_per_dn: float
+    n_free: int
+
+    def select(self, which: NDArray[np.integer[Any]]) -> _Problem:
+        return _Problem(
+            self.patches.select(which), self.terms[which], self.noise_dn[which], self.gain_e_per_dn, self.n_free
+        )
+
+    def shapes(self, shared: Float) -> Float:
+        free = self.terms @ shared.T
+        shapes = np.pad(free, ((0, 0), (0, N_SHAPE - free.shape[1])))
+        size = np.maximum(np.hypot(shapes[:, 1], shapes[:, 2]) / _MOST_ELONGATED, 1.0)
+        shapes[:, 1:3] /= size[:, None]
+        shapes[:, 3] = np.clip(shapes[:, 3], 0.0, _MOST_WINGED)
+        return shapes
+
+    def shares(self, points_px: Float, shapes: Float) -> Float:
+        size = self.patches.values_dn.shape[1]
+        return shape_shares(self.patches.corner_px, size, points_px, shapes).reshape(len(points_px), -1)
+
+    def residuals(self, local: Float, shared: Float) -> tuple[Float, Float, Float]:
+        """Residuals, weights and star light (n, pixels)."""
+        light = local[:, 2, None] * self.shares(local[:, :2], self.shapes(shared))
+        used = (self.patches.valid & ~self.patches.saturated).reshape(light.shape)
+        variance = self.noise_dn[:, None] ** 2 + np.maximum(light, 0.0) / self.gain_e_per_dn
+        left = self.patches.values_dn.reshape(light.shape) - local[:, 3, None] - light
+        return np.where(used, left, 0.0), used / variance, light
+
+    def star_chi2(self, local: Float, shared: Float) -> Float:
+        left, weight, _ = self.residuals(local, shared)
+        result: Float = np.sum(weight * left**2, axis=1) / np.maximum(np.count_nonzero(weight, axis=1) - 4, 1)
+        return result
+
+    def jacobians(self, local: Float, shared: Float) -> tuple[Float, Float]:
+        """By local (n, 4, pixels) and by shared parameters (n, k t, pixels), by central differences."""
+        points, flux, shapes = local[:, :2], local[:, 2, None], self.shapes(shared)
+        by_local = [
+            flux * (self.shares(points + step, shapes) - self.shares(points - step, shapes)) / (2.0 * _DIFFERENCE)
+            for step in _DIFFERENCE * np.eye(2)
+        ]
+        star = self.shares(points, shapes)
+        by_shape = []
+        for k in range(self.n_free):
+            step = _DIFFERENCE * np.eye(N_SHAPE)[k]
+            low = np.maximum(shapes - step, 0.0) if k == 3 else shapes - step
+            apart = (shapes + step - low)[:, k, None]
+            by_shape.append(flux * (self.shares(points, shapes + step) - self.shares(points, low)) / apart)
+        shape_rows = np.stack(by_shape, axis=1)
+        by_shared = shape_rows[:, :, None, :] * self.terms[:, None, :, None]
+        n, n_pixels = len(local), by_shared.shape[-1]
+        return np.stack([*by_local, star, np.ones_like(star)], axis=1), by_shared.reshape(n, -1, n_pixels)
+
+    def normal(self, local: Float, shared: Float) -> tuple[Float, Float, Float, Float]:
+        """Reduced normal matrix and right side of the shared parameters, and what gives the local steps."""
+        left, weight, _ = self.residuals(local, shared)
+        rows_local, rows_shared = self.jacobians(local, shared)
+        weighted = rows_local * weight[:, None, :]
+        inner = weighted @ rows_local.swapaxes(1, 2)
+        inner[:, range(4), range(4)] *= 1.0 + 1e-9
+        cross = weighted @ rows_shared.swapaxes(1, 2)
+        outer = (rows_shared * weight[:, None, :]) @ rows_shared.swapaxes(1, 2)
+        right_local = (weighted @ left[:, :, None])[:, :, 0]
+        right_shared = ((rows_shared * weight[:, None, :]) @ left[:, :, None])[:, :, 0]
+        gain = np.linalg.solve(inner, np.concatenate([cross, right_local[:, :, None]], axis=2))
+        matrix = np.sum(outer - cross.swapaxes(1, 2) @ gain[:, :, :-1], axis=0)
+        side = np.sum(right_shared - np.einsum("nij,ni->nj", cross, gain[:, :, -1]), axis=0)
+        return matrix, side, gain[:, :, :-1], gain[:, :, -1]
+
+    def solve(self, local: Float, shared: Float) -> _Solution:
+        """Gauss-Newton, each step as long as the chi-square falls."""
+        local, shared = local.copy(), shared.copy()
+        cost = float(self.star_chi2(local, shared).sum())
+        for _ in range(_STEPS):
+            matrix, side, gain, alone = self.normal(local, shared)
+            covariance = np.linalg.pinv(matrix, hermitian=True)
+            step = covariance @ side
+            step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+            pace = 1.0
+            for _ in range(6):
+                new_shared = shared + pace * step.reshape(shared.shape)
+                new_local = local + pace * np.clip(
+                    alone - gain @ step, -0.5 * np.abs(local) - 0.5, 0.5 * np.abs(local) + 0.5
+                )
+                new_cost = float(self.star_chi2(new_local, new_shared).sum())
+                if new_cost <= cost * (1.0 + 1e-9):
+                    break
+                pace *= 0.4
+            else:
+                return _Solution(local, shared, True)
+            gained = cost - new_cost
+            local, shared, cost = new_local, new_shared, new_cost
+            small = np.abs(step) <= _SETTLED * np.sqrt(np.maximum(np.diag(covariance), 0.0)) + 1e-9
+            if bool(small.all()) or gained < _GAINED * cost:
+                return _Solution(local, shared, True)
+        return _Solution(local, shared, False)
+
+    def estimate(
+        self, solution: _Solution, kind: PsfKind, degree: int, shape: tuple[int, ...], offered: int
+    ) -> PsfEstimate:
+        matrix, _, _, _ = self.normal(solution.local, solution.shared)
+        left, weight, light = self.residuals(solution.local, solution.shared)
+        freedom = max(int(np.count_nonzero(weight)) - 4 * len(left) - solution.shared.size, 1)
+        reduced = float(np.sum(weight * left**2)) / freedom
+        noise = self.noise_dn**2 * np.count_nonzero(weight, axis=1)
+        power = (np.sum(left**2, axis=1) - noise) / np.sum(light**2, axis=1)
+        return PsfEstimate(
+            kind=kind,
+            coefficients=solution.shared,
+            covariance=np.asarray(np.linalg.pinv(matrix, hermitian=True) * max(1.0, reduced), dtype=np.float64),
+            degree=degree,
+            columns=int(shape[1]),
+            rows=int(shape[0]),
+            reduced_chi2=reduced,
+            residual_power=float(max(np.median(power), 0.0)),
+            n_used=len(left),
+            n_rejected=offered - len(left),
+        )

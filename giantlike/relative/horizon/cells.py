@@ -1,0 +1,292 @@
+"""Pixels along the lit horizon of an ellipsoid, in cells, each fitted by the profile across its piece of horizon.
+
+A cell has its own brightness: gain, growth along the horizon and inward, and background. What it tells about the
+horizon's place, about the width of the blur and about how the law is wrong is kept as information, so that it can be
+used cell by cell (the Christian-Robinson algorithm) or added up over all of them (the sigmoid fit).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float
+from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
+from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
+
+Mask = NDArray[np.bool_]
+
+_ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
+_FOOT_STEPS = 3
+_RIDGE = 1e-12
+_REFITS = 2
+_MIN_FREEDOM = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbPixels:
+    """Pixels near a horizon, by cells of it; arrays (c, p) are padded where ``good`` is False.
+
+    Parameters
+    ----------
+    columns, rows : (c, p) int64, px
+    nodes : (c, p) int64
+        Nearest point of the horizon.
+    outward_px : (c, p) float64, px
+        Distance from the horizon.
+    along : (c, p) float64
+        Place in the cell, over its length, from about -1/2 to 1/2.
+    good : (c, p) bool
+        A pixel, and usable.
+    middles : (c,) int64
+        The point of the horizon in the middle of each cell.
+    filled : (c,) float64
+        Share of the cell's area whose pixels are in the frame and usable.
+    """
+
+    columns: Indices
+    rows: Indices
+    nodes: Indices
+    outward_px: Float
+    along: Float
+    good: Mask
+    middles: Indices
+    filled: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CellFits:
+    """What each cell says about three things, its brightness left free.
+
+    They are the outward shift of the horizon, px; the variance that the blur has besides, px^2; and the coefficient
+    of the next power of the cosine of emission, over the gain.
+
+    Parameters
+    ----------
+    information : (c, 3, 3) float64
+    pull : (c, 3) float64
+        Information times estimate.
+    chi2 : (c,) float64
+        Per degree of freedom, all free, by pixel noise.
+    gain_dn : (c,) float64, DN
+        Brightness over that of the law.
+    contrast : (c,) float64
+        Brightness inside over the noise of the dark.
+    unexplained : (c,) float64
+        Root mean square of what is left with all free, over the brightness inside.
+    """
+
+    information: Float
+    pull: Float
+    chi2: Float
+    gain_dn: Float
+    contrast: Float
+    unexplained: Float
+
+    @property
+    def sigma_px(self) -> Float:
+        """Standard deviation (c,) of the shift with blur and law known."""
+        result: Float = 1.0 / np.sqrt(self.information[:, 0, 0])
+        return result
+
+    @property
+    def shared(self) -> Float:
+        """Shift (c, 2) taken for a unit of blur and of law error."""
+        result: Float = self.information[:, 0, 1:] / self.information[:, 0, :1]
+        return result
+
+    @property
+    def raw_shift_px(self) -> Float:
+        """Shift (c,) with blur and law as assumed."""
+        result: Float = self.pull[:, 0] / self.information[:, 0, 0]
+        return result
+
+    def about_shared(self, keep: Mask) -> tuple[Float, Float]:
+        """Information (2, 2) on blur and law of the cells in ``keep``, every shift free, and their pull (2,)."""
+        gained = self.information[keep, 1:, 1:] - np.einsum(
+            "ca,cb->cab", self.information[keep, 1:, 0], self.shared[keep]
+        )
+        pull = self.pull[keep, 1:] - self.information[keep, 1:, 0] * self.raw_shift_px[keep, None]
+        return gained.sum(axis=0), pull.sum(axis=0)
+
+
+def limb_pixels(
+    arc: HorizonArc,
+    model: CameraModel,
+    figure: Figure,
+    position_camera_km: Float,
+    usable: Mask,
+    *,
+    window_px: float,
+    cell_px: float,
+) -> LimbPixels | None:
+    """Gather the pixels within ``window_px`` of the points of ``arc``; None when there is no usable one.
+
+    Parameters
+    ----------
+    arc : HorizonArc
+        The part of the horizon that counts.
+    model : CameraModel
+    figure : Figure
+    position_camera_km : (3,) float64, km, camera axes
+    usable : (rows, columns) bool
+    window_px, cell_px : float, px
+        Reach across the horizon; length of a cell along it.
+    """
+    across = np.arange(-window_px, window_px + _ACROSS_STEP_PX, _ACROSS_STEP_PX)
+    pieces = max(round(arc.spacing_px / _ALONG_STEP_PX), 1)
+    along = ((np.arange(pieces) + 0.5) / pieces - 0.5) * arc.spacing_px
+    places = (
+        arc.points_px[:, None, None]
+        + across[:, None, None] * arc.normals_px[:, None, None]
+        + along[:, None] * arc.tangents_px[:, None, None]
+    )
+    pixels = np.rint(places).astype(np.int64).reshape(-1, 2)
+    nodes = np.repeat(np.arange(len(arc.points_px)), across.size * pieces)
+    inside = np.all((pixels >= 0) & (pixels < [usable.shape[1], usable.shape[0]]), axis=1)
+    pixels, nodes = pixels[inside], nodes[inside]
+    first = _firsts(pixels)
+    pixels, nodes = pixels[first], nodes[first]
+    rays = PixelRays(model.unproject(pixels.astype(np.float64)), arc.rays.by_pixel[nodes])
+    outward, _, _ = ray_residuals(rays, figure, position_camera_km, steps=_FOOT_STEPS)
+    near = (np.abs(outward) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
+    if not near.any():
+        return None
+    pixels, nodes, outward = pixels[near], nodes[near], outward[near]
+    return _in_cells(arc, pixels, nodes, outward, window_px, cell_px)
+
+
+def fit_cells(
+    pixels: LimbPixels, data_dn: Float, table: ProfileTable, variance_dn2: Callable[[Float], Float]
+) -> CellFits:
+    """Fit the profiles of a table to the pixels of each cell.
+
+    Parameters
+    ----------
+    pixels : LimbPixels
+    data_dn : (rows, columns) float64, DN
+    table : ProfileTable
+        Its last power is the one that is taken for the error of the law; those before are free in each cell.
+    variance_dn2 : callable
+        Noise variance of pixels of a brightness, DN^2.
+
+    Notes
+    -----
+    Least squares weighted by the noise of the fitted brightness, linear in everything but the shift, for which the
+    profile is linearised; blur enters through half the second derivative of the profile.
+    """
+    good = pixels.good
+    value, slope, curve = (
+        part.reshape(*good.shape, -1) for part in table.at(pixels.nodes.ravel(), pixels.outward_px.ravel())
+    )
+    data = np.where(good, data_dn[pixels.rows, pixels.columns], 0.0)
+    columns = np.concatenate(
+        [value[..., :-1], pixels.along[..., None] * value[..., :1], np.ones((*good.shape, 1))], axis=-1
+    )
+    weights = good / variance_dn2(np.maximum(data, 0.0))
+    for _ in range(_REFITS):
+        solution, _ = _solved(columns, weights, data)
+        fitted = (columns @ solution[..., None])[..., 0]
+        weights = good / variance_dn2(np.maximum(fitted, 0.0))
+    solution, solver = _solved(columns, weights, data)
+    powers = solution[:, : value.shape[2] - 1]
+    inside = np.where(good, (value[..., :-1] @ powers[..., None])[..., 0], 0.0).max(axis=1)
+    gain = inside / np.maximum(np.where(good, value[..., 0], 0.0).max(axis=1), _RIDGE)
+    extra = np.stack(
+        [
+            -(slope[..., :-1] @ powers[..., None])[..., 0],
+            0.5 * (curve[..., :-1] @ powers[..., None])[..., 0],
+            value[..., -1] * gain[:, None],
+        ],
+        axis=-1,
+    )
+    weighted = extra * weights[..., None]
+    crossed = np.swapaxes(columns, 1, 2) @ weighted  # (c, n, 3)
+    information = np.swapaxes(extra, 1, 2) @ weighted - np.swapaxes(crossed, 1, 2) @ (solver @ crossed)
+    left = data - (columns @ solution[..., None])[..., 0]
+    pull = (np.swapaxes(weighted, 1, 2) @ left[..., None])[..., 0]
+    return _cell_fits(information, pull, left, weights, good, columns.shape[2], inside, gain)
+
+
+def _cell_fits(
+    information: Float,
+    pull: Float,
+    left: Float,
+    weights: Float,
+    good: Mask,
+    free: int,
+    inside: Float,
+    gain: Float,
+) -> CellFits:
+    """Put together; cells that say nothing get hardly any information instead of none."""
+    poor = good.sum(axis=1) < free + 3 + _MIN_FREEDOM  # rounding alone may be left of their information
+    information = np.where(poor[:, None, None], _RIDGE * np.eye(3), information)
+    least = _RIDGE * np.maximum(np.trace(information, axis1=1, axis2=2), 1e-30)
+    information = information + least[:, None, None] * np.eye(3)
+    explained = np.einsum("ci,ci->c", pull, np.linalg.solve(information, pull[..., None])[..., 0])
+    free = free + 3
+    remains = np.maximum((weights * left**2).sum(axis=1) - explained, 0.0)
+    chi2 = np.where(poor, np.inf, remains / np.maximum(good.sum(axis=1) - free, 1))
+    dark_noise = 1.0 / np.sqrt(weights.max(axis=1))
+    rms = np.sqrt(remains / weights.sum(axis=1))
+    return CellFits(
+        information=information,
+        pull=pull,
+        chi2=chi2,
+        gain_dn=gain,
+        contrast=inside / dark_noise,
+        unexplained=np.where(inside > 0.0, rms / np.where(inside > 0.0, inside, 1.0), np.inf),
+    )
+
+
+def _solved(columns: Float, weights: Float, data: Float) -> tuple[Float, Float]:
+    """Weighted least squares of every cell: solution (c, n) and the inverse (c, n, n) of its normal matrix."""
+    weighted = np.swapaxes(columns * weights[..., None], 1, 2)
+    normal = weighted @ columns
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
+    scaled = normal / (scale[:, :, None] * scale[:, None, :]) + _RIDGE * np.eye(normal.shape[1])
+    inverse = np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :])
+    return (inverse @ (weighted @ data[..., None]))[..., 0], inverse
+
+
+def _in_cells(
+    arc: HorizonArc, pixels: Indices, nodes: Indices, outward: Float, window_px: float, cell_px: float
+) -> LimbPixels:
+    """Sort pixels (n, 2) into cells and pad them."""
+    number = (arc.along_px / cell_px).astype(np.int64)
+    cell = number[nodes]
+    order = np.argsort(cell, kind="stable")
+    pixels, nodes, outward, cell = pixels[order], nodes[order], outward[order], cell[order]
+    present, start, count = np.unique(cell, return_index=True, return_counts=True)
+    index = start[:, None] + np.minimum(np.arange(count.max()), count[:, None] - 1)
+    good = np.arange(count.max()) < count[:, None]
+    first = np.searchsorted(number, present, side="left")
+    last = np.searchsorted(number, present, side="right") - 1
+    middles = (first + last) // 2
+    offset = pixels[index] - arc.points_px[middles][:, None]
+    along = np.einsum("cpi,ci->cp", offset, arc.tangents_px[middles]) / cell_px
+    return LimbPixels(
+        columns=pixels[index, 0],
+        rows=pixels[index, 1],
+        nodes=nodes[index],
+        outward_px=outward[index],
+        along=along,
+        good=good,
+        middles=middles,
+        filled=count / (2.0 * window_px * cell_px),
+    )
+
+
+def _firsts(pixels: Indices) -> Indices:
+    """One occurrence of each of the pixels (n, 2)."""
+    if len(pixels) == 0:
+        return np.zeros(0, dtype=np.int64)
+    corner = pixels - pixels.min(axis=0)
+    keys = corner[:, 1] * (corner[:, 0].max() + 1) + corner[:, 0]
+    where = np.zeros(int(keys.max()) + 1, dtype=np.int64)
+    where[keys] = np.arange(keys.size)
+    return np.flatnonzero(where[keys] == np.arange(keys.size))

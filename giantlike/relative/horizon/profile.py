@@ -1,0 +1,283 @@
+"""How bright an ellipsoid is across its horizon: closed form, without a ray traced or an image rendered.
+
+A blurred step whose place is that of the horizon, times brightness that grows or falls inward as the slant of the
+surface does: the ellipsoidal sigmoid that the estimators on horizons fit to pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
+from giantlike.ray_tracing import Reflectance
+from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
+from giantlike.shapes import Ellipsoid
+from giantlike.shapes.limbs import limb_ellipse
+
+Indices = NDArray[np.int64]
+
+_OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 180, 1200
+_NODE_PX = 2.0
+_DEPTHS, _DEPTH_WEIGHTS = np.polynomial.legendre.leggauss(36)
+_REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
+_LEAST_RADIUS = 0.3  # of lines of equal depth over that of the horizon
+_TABLE_STEP = 0.35  # of the width of the blur
+_LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HorizonArc:
+    """Points of a horizon in even steps along its image, those that the camera model images.
+
+    Parameters
+    ----------
+    points_px : (k, 2) float64, px
+    points_camera_km : (k, 3) float64, km, camera axes
+        The same points in space.
+    normals_px : (k, 2) float64, unitless
+        Outward.
+    design : (k, 3) float64, px/km
+        Outward motion with the position of the body.
+    along_px : (k,) float64, px
+        Length of the horizon from its start; what is not imaged counts nothing.
+    spacing_px, perimeter_px : float, px
+    complete : bool
+        All of the horizon has an image.
+    rays : PixelRays
+        Of the points.
+    """
+
+    points_px: Float
+    points_camera_km: Float
+    normals_px: Float
+    design: Float
+    along_px: Float
+    spacing_px: float
+    perimeter_px: float
+    complete: bool
+    rays: PixelRays
+
+    @property
+    def tangents_px(self) -> Float:
+        """Unit vectors (k, 2) along the horizon."""
+        return np.stack([-self.normals_px[:, 1], self.normals_px[:, 0]], axis=-1)
+
+    def thinned(self, cell_px: float, every: int) -> HorizonArc:
+        """One cell of ``every`` so many."""
+        return self.only((self.along_px / cell_px).astype(np.int64) % every == 0)
+
+    def only(self, chosen: NDArray[np.bool_]) -> HorizonArc:
+        """The points that are ``chosen`` (k,)."""
+        return HorizonArc(
+            points_px=self.points_px[chosen],
+            points_camera_km=self.points_camera_km[chosen],
+            normals_px=self.normals_px[chosen],
+            design=self.design[chosen],
+            along_px=self.along_px[chosen],
+            spacing_px=self.spacing_px,
+            perimeter_px=self.perimeter_px,
+            complete=self.complete,
+            rays=PixelRays(self.rays.directions[chosen], self.rays.by_pixel[chosen]),
+        )
+
+
+def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -> HorizonArc | Failure:
+    """Lay points on the horizon of an ellipsoid.
+
+    Parameters
+    ----------
+    model : CameraModel
+    figure : Figure
+    position_camera_km : (3,) float64, km, camera axes
+
+    Returns
+    -------
+    HorizonArc or Failure
+        ``OUT_OF_FRAME`` when the model images none of it; ``DEGENERATE_GEOMETRY`` for a camera inside.
+    """
+    turn = figure.camera_from_axes
+    ellipse = limb_ellipse(Ellipsoid(radii_km=figure.radii_km), turn.inv().apply(-position_camera_km))
+    middle, first, second = (turn.apply(vector) for vector in ellipse)
+    if not np.isfinite(middle).all():
+        return Failure(Reason.DEGENERATE_GEOMETRY, "the camera lies inside the ellipsoid")
+    angles = np.linspace(0.0, 2.0 * np.pi, _OVERVIEW + 1)
+
+    def at(turns: Float) -> Float:
+        result: Float = position_camera_km + middle + np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
+        return result
+
+    corners = model.project(at(angles))
+    lengths = np.nan_to_num(np.linalg.norm(np.diff(corners, axis=0), axis=1))
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    perimeter = float(along[-1])
+    if not perimeter > 0.0:
+        return Failure(Reason.OUT_OF_FRAME, "the camera model images no part of the horizon")
+    count = int(np.clip(perimeter / _NODE_PX, _LEAST_NODES, _MOST_NODES))
+    places = np.asarray((np.arange(count) + 0.5) * perimeter / count, dtype=np.float64)
+    points = at(np.interp(places, along, angles).astype(np.float64))
+    pixels = model.project(points)
+    imaged = np.isfinite(pixels).all(axis=1)
+    rays = PixelRays.through(pixels[imaged], model)
+    _, design, normals = ray_residuals(rays, figure, position_camera_km)
+    return HorizonArc(
+        points_px=pixels[imaged],
+        points_camera_km=points[imaged],
+        normals_px=normals,
+        design=design,
+        along_px=places[imaged],
+        spacing_px=perimeter / count,
+        perimeter_px=perimeter,
+        complete=bool(np.isfinite(corners).all()),
+        rays=rays,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProfileTable:
+    """Brightness across a horizon, by powers of the cosine of emission, tabulated on distances from it.
+
+    Parameters
+    ----------
+    first_px, step_px : float, px
+        The distances are ``first + i step``, positive outward.
+    values : (d, k, m, p) float64
+        The d-th derivative by distance, 1/px^d, at k points of the horizon and m distances, for p powers.
+    """
+
+    first_px: float
+    step_px: float
+    values: Float
+
+    def at(self, nodes: Indices, outward_px: Float) -> tuple[Float, Float, Float]:
+        """Brightness (n, p) and its first two derivatives at distances (n,) from points ``nodes`` (n,)."""
+        place = (outward_px - self.first_px) / self.step_px
+        index = np.clip(np.floor(place).astype(np.int64), 0, self.values.shape[2] - 2)
+        t = (place - index)[:, None]
+        near, far = self.values[:, nodes, index], self.values[:, nodes, index + 1]
+        value = _hermite(near[0], far[0], self.step_px * near[1], self.step_px * far[1], t)
+        slope = _hermite(near[1], far[1], self.step_px * near[2], self.step_px * far[2], t)
+        return value, slope, (1.0 - t) * near[2] + t * far[2]
+
+
+def profile_table(
+    arc: HorizonArc,
+    figure: Figure,
+    position_camera_km: Float,
+    *,
+    sun_direction_camera: Float,
+    law: Reflectance | None,
+    width_px: float,
+    window_px: float,
+    powers: int,
+) -> ProfileTable:
+    r"""Tabulate what a blurred image of an ellipsoid holds across its horizon.
+
+    Parameters
+    ----------
+    arc : HorizonArc
+    figure : Figure
+    position_camera_km : (3,) float64, km, camera axes
+    sun_direction_camera : (3,) float64, unitless, camera axes
+    law : Reflectance or None
+        Brightness of the surface; None for surface of brightness 1, lit or not: a plain sigmoid.
+    width_px : float, px
+        Standard deviation of all that blurs.
+    window_px : float, px
+        How far from the horizon the table reaches.
+    powers : int
+        ``law mu^j`` is tabulated for j from 0 up to this, not included.
+
+    Notes
+    -----
+    At the depth t inside the horizon, in px along its normal, a ray x meets the ellipsoid where the discriminant
+    ``x.M.x`` says, which is quadratic in t and zero at t = 0; so the cosine of emission mu grows as the square root
+    of t, and every reflectance law that is smooth in the cosines is smooth in ``sqrt(t)``. With ``t = v^2`` the
+    convolution with the blur is a Gauss-Legendre sum over v. A round blur of width w also averages along the
+    horizon: that adds ``w^2 / 2`` times slope times curvature, ``c / (1 - c t)`` at the depth t under a horizon of
+    curvature c; this is the first term of a series, whose next one counts only for discs of few widths.
+    """
+    _, conic = figure.cone(position_camera_km)
+    deepest = window_px + _REACH_WIDTHS * width_px
+    roots = 0.5 * math.sqrt(deepest) * (_DEPTHS + 1.0)
+    depths, weights = roots**2, math.sqrt(deepest) * _DEPTH_WEIGHTS * roots
+    inward = -(arc.rays.by_pixel @ arc.normals_px[..., None])[..., 0]
+    light, emission = _surface(arc, figure, position_camera_km, depths, inward, sun_direction_camera, law)
+    basis = np.stack([light * emission**power for power in range(powers)])  # (p, k, q)
+    step = _TABLE_STEP * width_px
+    count = math.ceil((window_px + 1.0) / step)
+    offsets = np.arange(-count, count + 1) * step
+    sideways = (arc.rays.by_pixel @ arc.tangents_px[..., None])[..., 0]
+    slope = 2.0 * np.einsum("ki,ij,kj->k", arc.rays.directions, conic, inward)
+    bend = -2.0 * np.einsum("ki,ij,kj->k", sideways, conic, sideways) / slope  # curvature, 1/px
+    kernels = _kernels(offsets[None] + depths[:, None], width_px) * weights[:, None]
+    bends = bend[:, None] / np.maximum(1.0 - bend[:, None] * depths, _LEAST_RADIUS)  # of the lines of equal depth
+    turned, sharper = (0.5 * width_px**2 * basis * part for part in (bends, bends**2))
+    values = np.stack(
+        [np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1], 0, -1) for d in range(3)]
+    )  # (3, k, m, p)
+    return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values)
+
+
+def brightness_inside(
+    arc: HorizonArc, figure: Figure, position_camera_km: Float, *, sun_direction_camera: Float, law: Reflectance
+) -> Float:
+    """Mean brightness (k,) of the first pixels inside a horizon, by the law's own scale.
+
+    On the horizon itself the cosine of incidence says little: with the Sun behind the camera it is zero all around,
+    however bright the limb.
+    """
+    inward = -(arc.rays.by_pixel @ arc.normals_px[..., None])[..., 0]
+    light, _ = _surface(arc, figure, position_camera_km, _LIT_DEPTHS_PX, inward, sun_direction_camera, law)
+    return np.asarray(light.mean(axis=1), dtype=np.float64)
+
+
+def blur_width_px(psf_variance_px2: float) -> float:
+    """Standard deviation, px, of a point spread function and the pixel together."""
+    return math.sqrt(psf_variance_px2 + PIXEL_VARIANCE_PX2)
+
+
+def _surface(
+    arc: HorizonArc,
+    figure: Figure,
+    position_km: Float,
+    depths_px: Float,
+    inward: Float,
+    sun: Float,
+    law: Reflectance | None,
+) -> tuple[Float, Float]:
+    """Brightness and cosine of emission (k, q) of the surface at depths (q,) inside points of the horizon."""
+    pull, conic = figure.cone(position_km)
+    rays = arc.rays.directions[:, None] + depths_px[None, :, None] * inward[:, None]
+    rays /= np.sqrt(np.einsum("kqi,kqi->kq", rays, rays))[..., None]
+    inside = np.einsum("kqi,kqi->kq", rays @ conic, rays)
+    stretch = np.einsum("kqi,kqi->kq", rays @ figure.shape_matrix, rays)
+    distance = (rays @ pull - np.sqrt(np.maximum(inside, 0.0))) / stretch
+    normals = (distance[..., None] * rays - position_km) @ figure.shape_matrix
+    normals /= np.sqrt(np.einsum("kqi,kqi->kq", normals, normals))[..., None]
+    emission = np.clip(-np.einsum("kqi,kqi->kq", normals, rays), 0.0, 1.0)
+    meets = inside > 0.0
+    if law is None:
+        return meets.astype(np.float64), emission
+    phase = np.arccos(np.clip(-(rays @ sun), -1.0, 1.0))
+    return np.where(meets, law(np.clip(normals @ sun, -1.0, 1.0), emission, phase), 0.0), emission
+
+
+def _kernels(distances: Float, width: float) -> Float:
+    """A Gaussian and its first three derivatives (4, ...)."""
+    z = distances / width
+    bell = np.exp(-0.5 * z**2) / (width * math.sqrt(2.0 * np.pi))
+    return np.stack([bell, -z / width * bell, (z**2 - 1.0) / width**2 * bell, (3.0 * z - z**3) / width**3 * bell])
+
+
+def _hermite(near: Float, far: Float, near_slope: Float, far_slope: Float, t: Float) -> Float:
+    """Cubic between two places from values and slopes per interval."""
+    s = 1.0 - t
+    result: Float = s * s * ((1.0 + 2.0 * t) * near + t * near_slope) + t * t * ((3.0 - 2.0 * t) * far - s * far_slope)
+    return result

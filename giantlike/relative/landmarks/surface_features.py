@@ -1,0 +1,431 @@
+"""Surface features: position, and attitude if asked, from landmarks that are rendered and found one by one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, require
+from giantlike.core.detector import GaussianPsf
+from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
+from giantlike.core.units import RAD_PER_DEG
+from giantlike.image import Image
+from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
+from giantlike.ray_tracing import Body
+from giantlike.relative.estimator import EstimatorInputs, center_of_position, gather
+from giantlike.relative.landmarks.selection import landmarks_of
+from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
+from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, rays_for
+from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
+from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
+from giantlike.scene import Scene
+from giantlike.shapes import LevelsOfDetail, TriangleMesh
+from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks
+
+_NEAR_PX = 3  # search once a pose is known
+_FREE_TURN_RAD = 0.03  # how far a free attitude may be off for landmarks to be looked for near enough
+_LOW_SCORE = 0.6
+_LARGE_RESIDUALS_PX = 0.5
+_NEAR_SEARCH_LIMIT = 0.9
+_SETTLED_SIGMA = 0.3
+_DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders
+_LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceFeaturesOptions:
+    """How landmarks are looked for and what the pose may be.
+
+    Parameters
+    ----------
+    landmarks : Path, optional
+        Landmarks: a catalogue (.npz), a maplet (.MAP), or a folder of maplets. Without one they are chosen on
+        the shape of the target, if it is a mesh.
+    search_px : int, px
+        How far from the prediction to look at first, along each axis.
+    search_range : float
+        Largest relative error of the predicted range.
+    attitude_sigma_deg : float, deg
+        Standard deviation of the predicted attitude of the body in the camera, about each axis: 0 trusts it, infinity
+        leaves it free. In between and beyond, the fix has an attitude of its own.
+    min_landmarks : int
+        Fewer that are found and agree are a failure.
+    min_score : float
+        Correlation below which a landmark is not found.
+    inlier_px : float, px
+        How near a found landmark must lie to where the pose projects it.
+    free_reflectance : bool
+        Let the image mix another reflectance law into that of the target.
+    max_iterations : int
+        Renders at most.
+    tolerance_px : float, px
+        The pose has settled when no landmark moves by more.
+    visibility : VisibilityOptions
+    """
+
+    landmarks: Path | None = None
+    search_px: int = 40
+    search_range: float = 0.03
+    attitude_sigma_deg: float = 0.0
+    min_landmarks: int = 6
+    min_score: float = 0.5
+    inlier_px: float = 1.0
+    free_reflectance: bool = True
+    max_iterations: int = 8
+    tolerance_px: float = 0.02
+    visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.search_px, int) and 1 <= self.search_px <= 1000
+        require(whole, f"search_px must be a whole number in [1, 1000], got {self.search_px}")
+        if self.landmarks is not None:
+            object.__setattr__(self, "landmarks", Path(self.landmarks))
+        require(0.0 < self.search_range < 0.5, f"search_range must be in (0, 0.5), got {self.search_range}")
+        require(self.attitude_sigma_deg >= 0.0, f"attitude_sigma_deg must be >= 0, got {self.attitude_sigma_deg}")
+        require(self.min_landmarks >= 4, f"min_landmarks must be >= 4, got {self.min_landmarks}")
+        require(0.0 < self.min_score < 1.0, f"min_score must be in (0, 1), got {self.min_score}")
+        require(self.inlier_px > 0.0, f"inlier_px must be > 0, got {self.inlier_px}")
+        whole = isinstance(self.max_iterations, int) and self.max_iterations >= 2
+        require(whole, f"max_iterations must be a whole number >= 2, got {self.max_iterations}")
+        require(self.tolerance_px > 0.0, f"tolerance_px must be > 0, got {self.tolerance_px}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LandmarkFix(PositionFix):
+    """A :class:`~giantlike.core.outcomes.PositionFix` from landmarks, with the attitude of the body in the camera.
+
+    Parameters
+    ----------
+    camera_from_body : Rotation
+        As estimated; the predicted one where that is trusted.
+    pose_covariance : (6, 6) float64, km and rad
+        Of the position and of the small rotation ``e`` about the camera axes with
+        ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero where it is trusted.
+    attitude_change_rad : (3,) float64, rad
+        The estimated attitude over the predicted one, as a rotation vector about the camera axes.
+    landmark_names : tuple of str
+        Of the landmarks used.
+    landmark_px, landmark_predicted_px : (n, 2) float64, px
+        Where they were found, and where the pose puts them.
+    """
+
+    camera_from_body: Rotation
+    pose_covariance: Float
+    attitude_change_rad: Float
+    landmark_names: tuple[str, ...]
+    landmark_px: Float
+    landmark_predicted_px: Float
+
+    def unwrap(self) -> LandmarkFix:
+        """Return the fix itself."""
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Found:
+    """What one look at the image gave: landmarks matched, in the order of the catalogue, and the pose they agree on."""
+
+    matches: tuple[LandmarkMatch, ...]
+    observed_px: Float
+    pose: PnpFix
+    tried: int
+
+
+class SurfaceFeatures:
+    """Full position of a body, and its attitude if asked, from landmarks on its surface.
+
+    The landmarks that can be seen at the predicted pose are rendered and correlated with the image. The shift that most
+    of them share is found first, then each near it; a pose that most agree with (RANSAC) tells the wrong ones. Rendered
+    anew there, each is fitted to the pixels, and the pose improved by least squares, until it stands still.
+
+    ``score`` of the fix is the mean correlation of the landmarks used; ``residuals`` are found minus projected, px, x
+    and y in turn; ``limb_px`` is where the landmarks were found. Landmarks that lie off the pose by more than the
+    scatter of the others explains are left out. The covariance holds the noise of the pixels and what the residuals
+    show beyond it, the same for all landmarks: errors of the maps, the shape, the sampling and the law.
+
+    Parameters
+    ----------
+    options : SurfaceFeaturesOptions
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Surface Feature
+       Navigation" and "Template Matching".
+    """
+
+    name: ClassVar[str] = "surface_features"
+
+    def __init__(self, options: SurfaceFeaturesOptions | None = None) -> None:
+        self.options = options or SurfaceFeaturesOptions()
+
+    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> LandmarkFix | Failure:
+        """Find a target of ``scene`` in ``image``.
+
+        Parameters
+        ----------
+        image : Image
+        camera : Camera
+        scene : Scene
+        target : str, optional
+            May be left out when there is only one.
+
+        Returns
+        -------
+        LandmarkFix or Failure
+            ``WRONG_SHAPE`` without landmarks; ``OUT_OF_FRAME``, ``NOT_LIT`` or ``TOO_FEW_MATCHES`` when too few can be
+            used or are found, ``LOW_CORRELATION`` when they are not like the image, ``PEAK_AT_EDGE`` when the body may
+            lie beyond the search range, ``DEGENERATE_GEOMETRY``, ``NOT_CONVERGED``, and what ``gather`` fails for.
+
+        Raises
+        ------
+        InputError
+            The image has another size than the camera, or there is no such target.
+        DataError
+            The file of landmarks is missing or damaged, or SPICE kernels do not cover the epoch.
+        """
+        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
+        if isinstance(inputs, Failure):
+            return inputs
+        catalog = self._landmarks(inputs)
+        if isinstance(catalog, Failure):
+            return inputs.fail(catalog.reason, catalog.detail)
+        search = _Search(inputs, catalog, self.options)
+        result = search.settled()
+        return inputs.fail(result.reason, result.detail) if isinstance(result, Failure) else result
+
+    def _landmarks(self, inputs: EstimatorInputs) -> LandmarkCatalog | Failure:
+        """The landmarks of the file, read once, or those of the target's mesh."""
+        if self.options.landmarks is not None:
+            return _read_once(str(self.options.landmarks.resolve()))
+        shape = inputs.geometry.target.shape
+        mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
+        if not isinstance(mesh, TriangleMesh):
+            detail = f"landmarks need a mesh or a file of landmarks, the target is a {type(shape).__name__}"
+            return Failure(Reason.WRONG_SHAPE, detail)
+        return landmarks_of(mesh)
+
+
+def _moved(body: Body, pose: PnpFix, share: float) -> Body:
+    """A body moved towards a pose, by a share of the way."""
+    turn = (pose.camera_from_body * body.camera_from_body.inv()).as_rotvec()
+    return replace(
+        body,
+        position_camera_km=body.position_camera_km + share * (pose.position_camera_km - body.position_camera_km),
+        camera_from_body=Rotation.from_rotvec(share * turn) * body.camera_from_body,
+    )
+
+
+def _within_noise(before: Body, pose: PnpFix) -> bool:
+    """Whether the last step was small against the standard deviation of the position, along every direction."""
+    step = pose.position_camera_km - before.position_camera_km
+    return float(step @ np.linalg.solve(pose.covariance[:3, :3], step)) < _SETTLED_SIGMA**2
+
+
+@lru_cache(maxsize=4)
+def _read_once(path: str) -> LandmarkCatalog:
+    return load_landmarks(Path(path))
+
+
+class _Search:
+    """One image before one estimator: what stays the same from render to render."""
+
+    def __init__(self, inputs: EstimatorInputs, catalog: LandmarkCatalog, options: SurfaceFeaturesOptions) -> None:
+        self.inputs, self.catalog, self.options = inputs, catalog, options
+        self.start = inputs.geometry.body()
+        self.viewer = viewer_for(catalog, self.start.shape)
+        sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
+        self.renderer = LandmarkRenderer(
+            catalog,
+            inputs.camera.model,
+            sun_direction_camera=inputs.geometry.sun_direction_camera,
+            psf=GaussianPsf(sigma_px=sigma_px),
+            max_size_px=options.visibility.max_size_px,
+            rays_per_pixel_side=rays_for(sigma_px),
+            other_law=options.free_reflectance,
+        )
+
+    def settled(self) -> LandmarkFix | Failure:
+        """Look, solve, render anew, until the pose stands still."""
+        body, change_px = self.start, math.inf
+        seen = self._seen(body)
+        for iteration in range(self.options.max_iterations):
+            if isinstance(seen, Failure):
+                return seen
+            renderer = self.renderer.roughly() if iteration == 0 else self.renderer
+            patches = renderer.patches(body, seen)
+            found = self._found(body, patches, first=iteration == 0)
+            if isinstance(found, Failure):
+                return found
+            before, moved = body, _moved(body, found.pose, 1.0 if iteration < _DAMPED_AFTER else 0.5)
+            change_px = self._change_px(body, moved, seen)
+            body = moved
+            if iteration > 0 and (change_px < self.options.tolerance_px or _within_noise(before, found.pose)):
+                return self._fix(body, found)
+            seen = self._seen(body) if iteration == 0 else self._again(body, seen)
+        detail = f"the pose still moves by {change_px:.3f} px after {self.options.max_iterations} renders"
+        return Failure(Reason.NOT_CONVERGED, detail)
+
+    def _seen(self, body: Body) -> SeenLandmarks | Failure:
+        camera, options = self.inputs.camera, self.options
+        seen = self.viewer.seen(
+            body,
+            camera.model,
+            sun_direction_camera=self.inputs.geometry.sun_direction_camera,
+            columns=camera.columns,
+            rows=camera.rows,
+            options=options.visibility,
+        )
+        if seen.numbers.size >= options.min_landmarks:
+            return seen
+        reason = Reason.TOO_FEW_MATCHES
+        if seen.numbers.size == 0 and seen.dark > 0 and seen.small == 0:
+            reason = Reason.NOT_LIT
+        elif seen.numbers.size == 0 and seen.outside > 0:
+            reason = Reason.OUT_OF_FRAME
+        return Failure(reason, f"{seen}; needed {options.min_landmarks}")
+
+    def _again(self, body: Body, seen: SeenLandmarks) -> SeenLandmarks:
+        """The same landmarks at another pose."""
+        return replace(seen, predicted_px=self._projected(body)[seen.numbers])
+
+    def _projected(self, body: Body) -> Float:
+        points = body.to_camera(self.viewer.points_body_km) + body.position_camera_km
+        return self.inputs.camera.model.project(points)
+
+    def _found(self, body: Body, patches: tuple[Patch, ...], *, first: bool) -> _Found | Failure:
+        """Find the landmarks of some patches, and the pose that they agree on."""
+        matches = self._matches(body, patches, first=first)
+        if isinstance(matches, Failure):
+            return matches
+        numbers = np.array([match.number for match in matches], dtype=np.int64)
+        observed = self._projected(body)[numbers] + np.array([match.offset_px for match in matches]).reshape(-1, 2)
+        options = self.options
+        pose = solve_pnp(
+            self.viewer.points_body_km[numbers],
+            observed,
+            np.array([match.covariance_px2 for match in matches]).reshape(-1, 2, 2),
+            self.inputs.camera.model,
+            self.inputs.geometry.camera_from_body,
+            options=PnpOptions(
+                inlier_px=options.inlier_px * (_LOOSE if first else 1.0),
+                attitude_sigma_rad=options.attitude_sigma_deg * RAD_PER_DEG,
+                min_inliers=options.min_landmarks,
+            ),
+        )
+        if isinstance(pose, Failure):
+            return pose
+        return _Found(matches=matches, observed_px=observed, pose=pose, tried=len(patches))
+
+    def _matches(self, body: Body, patches: tuple[Patch, ...], *, first: bool) -> tuple[LandmarkMatch, ...] | Failure:
+        """Landmarks found, each near the shift that all share."""
+        inputs, options = self.inputs, self.options
+        search_px = options.search_px if first else _NEAR_PX
+        surfaces = [correlation_surface(inputs.pixels_dn, ~inputs.masked, patch, search_px) for patch in patches]
+        shift, radii = np.zeros(2, np.int64), np.full(len(patches), float(search_px))
+        if first and patches:
+            radii = self._radii(body, patches)
+            shift = common_shift(surfaces, radii)
+            if int(np.abs(shift).max()) >= search_px:
+                detail = f"best match at the edge of the search region, {shift.tolist()} px from the prediction"
+                return Failure(Reason.PEAK_AT_EDGE, f"{detail}; widen search_px")
+        matches, scores = [], []
+        for patch, surface, radius in zip(patches, surfaces, radii, strict=True):
+            peak = peak_near(surface, shift, float(radius))
+            if peak is None:
+                continue
+            scores.append(peak[1])
+            if peak[1] < options.min_score:
+                continue
+            whole = np.rint(peak[0]).astype(np.int64)
+            variance = inputs.camera.detector.variance_dn2
+            match = fit_patch(inputs.pixels_dn, inputs.usable, patch, whole, peak[1], variance)
+            if match is not None:
+                matches.append(match)
+        if len(matches) >= options.min_landmarks:
+            return tuple(matches)
+        detail = f"{len(matches)} of {len(patches)} landmarks found, needed {options.min_landmarks}"
+        if scores and float(np.median(scores)) < options.min_score:
+            detail += f"; their correlations have a median of {np.median(scores):.2f}, needed {options.min_score:g}"
+            return Failure(Reason.LOW_CORRELATION, detail)
+        return Failure(Reason.TOO_FEW_MATCHES, detail)
+
+    def _radii(self, body: Body, patches: tuple[Patch, ...]) -> Float:
+        """How far (n,), px, landmarks may lie from the shift that they share, by errors of range and attitude."""
+        numbers = [patch.number for patch in patches]
+        model = self.inputs.camera.model
+        arms = np.linalg.norm(self._projected(body)[numbers] - self.inputs.predicted_px, axis=1)
+        turn = 3.0 * self.options.attitude_sigma_deg * RAD_PER_DEG
+        levers = np.linalg.norm(self.viewer.points_body_km[numbers], axis=1) * model.focal_length_px
+        levers = levers / float(np.linalg.norm(body.position_camera_km))
+        arms = np.minimum(arms, levers)
+        result: Float = 1.5 + self.options.search_range * arms + min(turn, _FREE_TURN_RAD) * levers
+        return np.minimum(result, self.options.search_px)
+
+    def _change_px(self, before: Body, after: Body, seen: SeenLandmarks) -> float:
+        moved = self._projected(after)[seen.numbers] - self._projected(before)[seen.numbers]
+        return float(np.abs(moved).max())
+
+    def _fix(self, body: Body, found: _Found) -> LandmarkFix:
+        """The fix of a pose that stands still."""
+        inputs, pose = self.inputs, found.pose
+        used = [match for match, inlier in zip(found.matches, pose.inliers, strict=True) if inlier]
+        numbers = np.array([match.number for match in used])
+        covariance = pose.covariance[:3, :3]
+        center, covariance_px2 = center_of_position(inputs.camera.model, pose.position_camera_km, covariance)
+        score = float(np.mean([match.score for match in used]))
+        observed = found.observed_px[pose.inliers]
+        position = PositionFix(
+            estimator=SurfaceFeatures.name,
+            target=inputs.target_name,
+            center_px=center,
+            covariance_px2=covariance_px2,
+            predicted_px=inputs.predicted_px,
+            residuals=pose.residuals_px[pose.inliers].ravel(),
+            n_used=len(used),
+            n_rejected=found.tried - len(used),
+            score=score,
+            flags=self._flags(found, observed, score),
+            provenance=self._provenance(),
+            position_camera_km=pose.position_camera_km,
+            covariance_camera_km2=covariance,
+            limb_px=observed,
+        )
+        known = inputs.geometry.camera_from_body
+        return LandmarkFix(
+            **{each.name: getattr(position, each.name) for each in fields(PositionFix)},
+            camera_from_body=pose.camera_from_body,
+            pose_covariance=pose.covariance,
+            attitude_change_rad=(pose.camera_from_body * known.inv()).as_rotvec(),
+            landmark_names=tuple(self.catalog.landmarks[number].name for number in numbers),
+            landmark_px=observed,
+            landmark_predicted_px=self._projected(body)[numbers],
+        )
+
+    def _flags(self, found: _Found, observed_px: Float, score: float) -> Quality:
+        inputs, options = self.inputs, self.options
+        area = np.zeros_like(inputs.usable)
+        columns, rows = np.rint(observed_px).astype(np.int64).T
+        area[np.clip(rows, 0, area.shape[0] - 1), np.clip(columns, 0, area.shape[1] - 1)] = True
+        flags = inputs.flags_at(area)
+        if score < _LOW_SCORE:
+            flags |= Quality.LOW_SCORE
+        if 2 * len(observed_px) < found.tried:
+            flags |= Quality.MANY_REJECTED
+        left = found.pose.residuals_px[found.pose.inliers]
+        if math.sqrt(float(np.mean(left**2))) > _LARGE_RESIDUALS_PX:
+            flags |= Quality.LARGE_RESIDUALS
+        center = inputs.camera.model.project(found.pose.position_camera_km)
+        if float(np.abs(center - inputs.predicted_px).max()) > _NEAR_SEARCH_LIMIT * options.search_px:
+            flags |= Quality.FAR_FROM_PREDICTION
+        return flags
+
+    def _provenance(self) -> Mapping[str, str]:
+        return {**self.inputs.provenance, "landmarks_sha256": self.catalog.sha256}

@@ -1,0 +1,458 @@
+"""Moment algorithm: centre of brightness of a resolved body, corrected to the centre of its figure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, require
+from giantlike.core.detector import GaussianPsf
+from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
+from giantlike.image import Image
+from giantlike.processing.limb.segmentation import (
+    Background,
+    Blobs,
+    ExpectedBlob,
+    background_of,
+    connected_blobs,
+    identify_blobs,
+    otsu_threshold,
+)
+from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, trace_body
+from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
+from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
+from giantlike.relative.light.unresolved import Correction, modelled_correction_px
+from giantlike.scene import Scene, TargetGeometry
+
+Mask = NDArray[np.bool_]
+
+_LIGHT_SIGMAS = 5.0  # over the background: what is light at all
+_MIN_AREA_PX = 4
+_MIN_BACKGROUND_PX = 100
+_VISIBLE = 0.02  # of the brightest pixel of a template: its expected blob
+_TRACE = 0.002  # the same, for the region that the light of a body is taken from
+_REGION_MARGIN = 0.05  # of the radius, for errors of range and law
+_REGION_MARGIN_PX = 3
+_OTSU_MARGIN = 0.25  # of the radius, for enough dark pixels
+_LOWER_THRESHOLD = 0.5
+_SAMPLING_PX = 0.02  # rays of the template on a large body
+_MAX_SATURATED = 0.2
+_INCONSISTENT_SIGMAS = 4.0
+_EDGE_PX = 1.0  # how far off the edge of the lit area may be, by the point spread function above all
+_MAX_STRAY = 0.05
+_SETTLING, _SETTLED_PX = 4, 2
+_BLOCK = 0.25  # of the radius: markings larger than that are few
+_RAYS_ACROSS = 300
+_OTHER_LAWS = (LommelSeeliger(), Lambert())  # flat and dark at the terminator: those of bodies lie between, about
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MomentOptions:
+    """Options of :class:`Moment`.
+
+    Parameters
+    ----------
+    search_px : float, px
+        Largest distance of the light from where it is predicted.
+    correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
+        As for ``unresolved``.
+    range_sigma : float
+        A priori standard deviation of the range as a fraction of it; it scales the correction.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    search_px: float = 40.0
+    correction: str = Correction.RENDERED.value
+    range_sigma: float = 0.02
+
+    def __post_init__(self) -> None:
+        require(1 <= self.search_px <= 2000, f"search_px must be in [1, 2000], got {self.search_px}")
+        require(0 < self.range_sigma < 1, f"range_sigma must be in (0, 1), got {self.range_sigma}")
+        known = [str(kind) for kind in Correction]
+        require(self.correction in known, f"correction must be one of {', '.join(known)}, got {self.correction!r}")
+
+
+class Moment:
+    """Centre of the light of a body that is all in the frame, and a correction for its phase.
+
+    What stands out from the background is joined to blobs; that of the target, told from those of the other targets of
+    the scene by place and size, is parted from the dark by Otsu's method, and the brightness above background gives the
+    centre of light (paper 1 eq. 4). The correction to the centre of the figure is by default that of the body rendered
+    at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is the one of the paper. It grows
+    with the size of the body, predicted (``range_sigma``) and measured by the lit area.
+
+    No limb and no detail of the surface counts, so nothing can be mistaken for them; in return the reflectance law is
+    fully believed. ``score`` is the lit area over that expected, ``residuals`` are image minus template, shifted by
+    whole pixels, over the brightest pixel of the template. The covariance holds the noise, the error of the size, and
+    systematic terms, each as one sigma: what the laws of Lommel-Seeliger and Lambert would do, and what a threshold
+    half as high does. For ``kaasalainen_tanga`` and ``none`` the difference from the rendered correction stands for the
+    law. Markings and rings, which the template has not, count by the residuals that they leave.
+
+    Parameters
+    ----------
+    options : MomentOptions
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Moment Algorithms",
+       eqs. 3 and 4.
+    """
+
+    name: ClassVar[str] = "moment"
+
+    def __init__(self, options: MomentOptions | None = None) -> None:
+        self.options = MomentOptions() if options is None else options
+
+    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> CenterFix | Failure:
+        """Find a target of ``scene`` in ``image``; ``target`` may be left out when there is only one.
+
+        Returns
+        -------
+        CenterFix or Failure
+            ``NO_SIGNAL``, ``AMBIGUOUS``, ``OUT_OF_FRAME`` where light reaches the edge of the image, ``SATURATED``,
+            ``NOT_LIT``, and what ``gather`` fails for.
+
+        Raises
+        ------
+        InputError
+            The image has another size than the camera, or there is no such target.
+        DataError
+            SPICE kernels do not cover the epoch.
+        """
+        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
+        if isinstance(inputs, Failure):
+            return inputs
+        templates = _templates(inputs, margin_px=math.ceil(self.options.search_px))
+        if isinstance(templates, Failure):
+            return inputs.fail(templates.reason, templates.detail)
+        others = _other_targets(image, scene, inputs)
+        light = _light_of(inputs, templates[0], others, self.options.search_px)
+        return light if isinstance(light, Failure) else self._fix(inputs, templates, light)
+
+    def _fix(self, inputs: EstimatorInputs, templates: list[Template], light: _Light) -> CenterFix:
+        """Centre of light and the correction, with all that is known of its errors."""
+        template, other_laws = templates[0], templates[1:]
+        center_px, noise_px2 = light.centroid(inputs, light.threshold_dn)
+        rendered = light.offset_px(template, light.threshold_dn)
+        by_law = [light.offset_px(other, light.threshold_dn) - rendered for other in other_laws]
+        low_dn = _LOWER_THRESHOLD * light.threshold_dn
+        by_threshold = light.centroid(inputs, low_dn)[0] - center_px + light.offset_px(template, low_dn) - rendered
+        offset, by_correction = self._corrected(inputs, rendered, by_law)
+        size = _measured_size(light, templates, self.options.range_sigma)
+        terms = [*by_correction, by_threshold, size.sigma * offset]
+        covariance = noise_px2 + _SAMPLING_PX**2 * np.eye(2) + sum(np.outer(term, term) for term in terms)
+        covariance = covariance + light.unexplained_px2(template, center_px, inputs.radius_px)
+        left, peak_dn = light.left(template)
+        flags = inputs.flags_at(light.bright)
+        if not size.consistent or light.stray > _MAX_STRAY:
+            flags |= Quality.LARGE_RESIDUALS
+        if float(np.linalg.norm(center_px + rendered - template.center_px)) > 0.95 * self.options.search_px:
+            flags |= Quality.FAR_FROM_PREDICTION
+        return CenterFix(
+            estimator=self.name,
+            target=inputs.target_name,
+            center_px=center_px + size.scale * offset,
+            covariance_px2=covariance,
+            predicted_px=inputs.predicted_px,
+            residuals=left[light.bright] / peak_dn,
+            n_used=int(np.count_nonzero(light.bright)),
+            n_rejected=0,
+            score=size.area_ratio,
+            flags=flags,
+            provenance=inputs.provenance,
+        )
+
+    def _corrected(self, inputs: EstimatorInputs, rendered: Float, by_law: list[Float]) -> tuple[Float, list[Float]]:
+        """From the centre of light to that of the figure (2,), px, and errors (2,) of it, each as one sigma."""
+        kind = Correction(self.options.correction)
+        if kind is Correction.RENDERED:
+            return rendered, by_law
+        if kind is Correction.NONE:
+            return np.zeros(2), [rendered]
+        published = modelled_correction_px(inputs, kind)
+        return published, [published - rendered]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Light:
+    """The light of one body in the image.
+
+    Parameters
+    ----------
+    signal_dn : (rows, columns) float64, DN
+        Background taken off, bad pixels filled.
+    region : (rows, columns) bool
+        Where light counts as the body's.
+    threshold_dn : float, DN
+        Otsu's, above background.
+    background : Background
+    shift_px : (2,) int64, px
+        From a template at the predicted place to the light.
+    expected : (rows, columns) bool
+        Where light of the body is expected, with a margin.
+    """
+
+    signal_dn: Float
+    region: Mask
+    threshold_dn: float
+    background: Background
+    shift_px: NDArray[np.int64]
+    expected: Mask
+
+    @property
+    def stray(self) -> float:
+        """Share of the bright pixels where no light of the body is expected."""
+        bright = self.bright
+        return float(np.count_nonzero(bright & ~self.expected)) / float(np.count_nonzero(bright))
+
+    @property
+    def bright(self) -> Mask:
+        """Pixels of the body above threshold."""
+        result: Mask = self.region & (self.signal_dn > self.threshold_dn)
+        return result
+
+    def centroid(self, inputs: EstimatorInputs, threshold_dn: float) -> tuple[Float, Float]:
+        """Centre of the light above a threshold (2,), px, and its covariance (2, 2) by noise, px^2."""
+        rows, columns = np.nonzero(self.region & (self.signal_dn > threshold_dn))
+        values = self.signal_dn[rows, columns]
+        pixels = np.stack([columns, rows], axis=1).astype(np.float64)
+        center = values @ pixels / values.sum()
+        variance = inputs.camera.detector.variance_dn2(values)
+        variance = variance - float(inputs.camera.detector.variance_dn2(np.zeros(1))[0]) + self.background.sigma_dn**2
+        arms = (pixels - center) / values.sum()
+        return center, (arms * variance[:, None]).T @ arms
+
+    def gain_dn(self, template: Template) -> float:
+        """Signal of a surface of relative brightness 1, DN: by all of the light."""
+        return float(self.signal_dn[self.region].sum()) / float(template.brightness.sum())
+
+    def offset_px(self, template: Template, threshold_dn: float) -> Float:
+        """From the centre of a template's light, cut at the same level, to the centre of its body (2,), px."""
+        brightness = template.brightness
+        kept = np.where(brightness * self.gain_dn(template) > threshold_dn, brightness, 0.0)
+        if not kept.any():
+            kept = brightness
+        by_column, by_row = kept.sum(axis=0), kept.sum(axis=1)
+        along = np.array([by_column @ np.arange(by_column.size), by_row @ np.arange(by_row.size)])
+        center = along / float(by_column.sum())
+        result: Float = template.center_px - center - template.corner_px
+        return result
+
+    def left(self, template: Template) -> tuple[Float, float]:
+        """Image minus template at the nearest whole pixels (rows, columns), DN, and the template's peak, DN."""
+        rows, columns = self.region.shape
+        expected = np.zeros((rows, columns))
+        height, width = template.brightness.shape
+        x, y = (int(value) for value in template.corner_px + self.shift_px)
+        x0, x1, y0, y1 = max(x, 0), min(x + width, columns), max(y, 0), min(y + height, rows)
+        expected[y0:y1, x0:x1] = template.brightness[y0 - y : y1 - y, x0 - x : x1 - x]
+        gain = self.gain_dn(template)
+        return self.signal_dn - gain * expected, gain * float(template.brightness.max())
+
+    def unexplained_px2(self, template: Template, center_px: Float, radius_px: float) -> Float:
+        """Covariance (2, 2) of the centre by markings: residuals of blocks of a quarter radius, each as one sigma."""
+        rows, columns = np.nonzero(self.bright)
+        left = self.left(template)[0][rows, columns]
+        arms = np.stack([columns, rows], axis=1) - center_px
+        block = np.floor(arms / max(_BLOCK * radius_px, 1.0)).astype(np.int64)
+        block -= block.min(axis=0)
+        number = block[:, 1] * (int(block[:, 0].max()) + 1) + block[:, 0]
+        flux = float(self.signal_dn[rows, columns].sum())
+        pulls = np.stack([np.bincount(number, left * arms[:, axis]) for axis in range(2)], axis=-1) / flux
+        result: Float = pulls.T @ pulls
+        return result
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Size:
+    """How large the body is in the image: ``scale`` times its prediction, with a relative ``sigma``."""
+
+    scale: float
+    sigma: float
+    area_ratio: float
+    consistent: bool
+
+
+def _measured_size(light: _Light, templates: list[Template], range_sigma: float) -> _Size:
+    """Size by the lit area, which depends little on the law: predicted and measured size, weighted."""
+    level = max(_LIGHT_SIGMAS * light.background.sigma_dn, _TRACE * float(light.signal_dn[light.region].max()))
+    measured = float(np.count_nonzero(light.region & (light.signal_dn > level)))
+    areas = [float(np.count_nonzero(one.brightness * light.gain_dn(one) > level)) for one in templates]
+    own = max(areas[0], 1.0)
+    ratio = max(measured, 1.0) / own
+    by_law = max(abs(math.log(max(area, 1.0) / own)) for area in areas[1:])
+    variance = (0.5 * by_law) ** 2 + 0.25 / own + (0.5 * _EDGE_PX / math.sqrt(own)) ** 2
+    log_size = 0.5 * math.log(ratio)
+    if abs(log_size) > _INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance):  # halo, or another body
+        return _Size(scale=1.0, sigma=range_sigma, area_ratio=ratio, consistent=False)
+    weight = range_sigma**2 / (range_sigma**2 + variance)
+    return _Size(
+        scale=math.exp(weight * log_size), sigma=math.sqrt(weight * variance), area_ratio=ratio, consistent=True
+    )
+
+
+def _templates(inputs: EstimatorInputs, *, margin_px: int) -> list[Template] | Failure:
+    """The body at its predicted place under its own law and then others."""
+    sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
+    trace = trace_body(
+        inputs.geometry.body(),
+        inputs.camera.model,
+        sun_direction_camera=inputs.geometry.sun_direction_camera,
+        psf=GaussianPsf(sigma_px=sigma_px),
+        columns=inputs.camera.columns,
+        rows=inputs.camera.rows,
+        options=RenderOptions(rays_per_pixel_side=1, min_rays_across=_RAYS_ACROSS, margin_px=margin_px),
+    )
+    if isinstance(trace, Failure):
+        return trace
+    own = inputs.geometry.target.reflectance
+    found = []
+    for law in (own, *(law for law in _OTHER_LAWS if type(law) is not type(own))):
+        template = trace.with_reflectance(law).template()
+        if isinstance(template, Failure):
+            return template
+        found.append(template)
+    return found
+
+
+def _light_of(
+    inputs: EstimatorInputs, template: Template, others: list[ExpectedBlob], search_px: float
+) -> _Light | Failure:
+    """Find the light of the body and part it from the dark and from other bodies."""
+    background = _background(inputs, search_px)
+    if isinstance(background, Failure):
+        return background
+    signal = _filled(inputs) - background.level_dn
+    blobs = connected_blobs(signal, signal > _LIGHT_SIGMAS * background.sigma_dn, min_area_px=_MIN_AREA_PX)
+    visible = template.brightness > _VISIBLE * float(template.brightness.max())
+    own = ExpectedBlob(
+        center_px=(float(template.photocenter_px[0]), float(template.photocenter_px[1])),
+        area_px=float(np.count_nonzero(visible)),
+    )
+    chosen = identify_blobs(blobs, [own, *others], search_px=search_px)
+    if isinstance(chosen, Failure) and chosen.reason is Reason.NO_SIGNAL and others:
+        chosen = identify_blobs(blobs, [own], search_px=search_px)  # another body may be too faint, or hidden
+    if isinstance(chosen, Failure):
+        return inputs.fail(chosen.reason, chosen.detail)
+    blob = int(chosen[0])
+    if bool(blobs.touch_frame[blob]):
+        return inputs.fail(
+            Reason.OUT_OF_FRAME, "the light of the body reaches the edge of the image: its centre is not that of a part"
+        )
+    foreign = np.isin(blobs.labels, chosen[1:] + 1)
+    shift = np.rint(blobs.centroids_px[blob] - template.photocenter_px).astype(np.int64)
+    for _ in range(_SETTLING):
+        region, expected, around = _regions(inputs, template, shift, blobs, blob)
+        light = _Light(
+            signal_dn=signal,
+            region=region & ~foreign,
+            threshold_dn=otsu_threshold(signal[around & ~foreign]),
+            background=background,
+            shift_px=shift,
+            expected=expected,
+        )
+        bright = light.bright
+        if not bright.any():
+            return inputs.fail(Reason.NO_SIGNAL, f"no pixel is above {light.threshold_dn:.4g} DN over background")
+        center = light.centroid(inputs, light.threshold_dn)[0] + light.offset_px(template, light.threshold_dn)
+        before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
+        if np.abs(shift - before).max() <= _SETTLED_PX:
+            break
+    saturated = float(inputs.saturated[bright].mean())
+    if saturated > _MAX_SATURATED:
+        return inputs.fail(
+            Reason.SATURATED, f"{saturated:.0%} of the bright pixels are saturated, allowed {_MAX_SATURATED:.0%}"
+        )
+    return light
+
+
+def _background(inputs: EstimatorInputs, search_px: float) -> Background | Failure:
+    """Level and noise of the sky: of all that the body cannot reach."""
+    rows, columns = np.ogrid[: inputs.camera.rows, : inputs.camera.columns]
+    x, y = inputs.predicted_px
+    away = np.hypot(columns - x, rows - y) > inputs.reach_px + search_px
+    values = inputs.pixels_dn[away & inputs.usable]
+    if values.size < _MIN_BACKGROUND_PX:
+        return inputs.fail(
+            Reason.OUT_OF_FRAME,
+            f"{values.size} pixels lie more than {search_px:g} px from the body, needed {_MIN_BACKGROUND_PX} for a "
+            "background; it fills the image",
+        )
+    found = background_of(values)
+    floor = math.sqrt(float(inputs.camera.detector.variance_dn2(np.zeros(1))[0]))
+    return Background(level_dn=found.level_dn, sigma_dn=max(found.sigma_dn, 0.1 * floor, 1e-9))
+
+
+def _filled(inputs: EstimatorInputs) -> Float:
+    """Pixels with bad ones replaced by the mean of the good ones around."""
+    bad = inputs.masked
+    if not bad.any():
+        return inputs.pixels_dn
+    share = cv2.blur((~bad).astype(np.float64), (5, 5))
+    near = cv2.blur(np.where(bad, 0.0, inputs.pixels_dn), (5, 5)) / np.maximum(share, 1e-6)
+    result: Float = np.where(bad, near, inputs.pixels_dn)
+    return result
+
+
+def _regions(
+    inputs: EstimatorInputs, template: Template, shift_px: NDArray[np.int64], blobs: Blobs, blob: int
+) -> tuple[Mask, Mask, Mask]:
+    """Where light counts as the body's, where it is expected, and a box with enough dark around for a threshold."""
+    rows, columns = inputs.camera.rows, inputs.camera.columns
+    trace = template.brightness > _TRACE * float(template.brightness.max())
+    y, x = np.nonzero(trace)
+    x, y = x + template.corner_px[0] + shift_px[0], y + template.corner_px[1] + shift_px[1]
+    inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+    expected = np.zeros((rows, columns), dtype=bool)
+    expected[y[inside], x[inside]] = True
+    margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * inputs.radius_px)
+    down, right = np.ogrid[-margin : margin + 1, -margin : margin + 1]
+    disc = (np.hypot(down, right) <= margin).astype(np.uint8)
+    region, expected = (
+        np.asarray(cv2.dilate(part.astype(np.uint8), disc), dtype=bool)
+        for part in (expected | (blobs.labels == blob + 1), expected)
+    )
+    y, x = np.nonzero(region)
+    more = math.ceil(_OTSU_MARGIN * inputs.radius_px)
+    around = np.zeros(region.shape, dtype=bool)
+    around[max(y.min() - more, 0) : y.max() + more + 1, max(x.min() - more, 0) : x.max() + more + 1] = True
+    return region, expected, around
+
+
+def _other_targets(image: Image, scene: Scene, inputs: EstimatorInputs) -> list[ExpectedBlob]:
+    """How the other targets in the frame should look, as spheres."""
+    found = []
+    for target in scene.targets:
+        if target.name == inputs.target_name:
+            continue
+        geometry = scene.geometry(image, target.name)
+        if not isinstance(geometry, Failure):
+            found += _expected(geometry, inputs.camera)
+    return found
+
+
+def _expected(geometry: TargetGeometry, camera: Camera) -> list[ExpectedBlob]:
+    """A sphere in the place of a body, none where its light is not in the frame or but a point."""
+    center = camera.model.project(geometry.position_camera_km)
+    if not np.isfinite(center).all() or geometry.range_km <= geometry.target.shape.circumscribing_radius_km:
+        return []
+    radius = apparent_radius_px(camera, center, geometry.target.shape.mean_radius_km, geometry.range_km)
+    along = camera.model.project_jacobian(geometry.position_camera_km) @ geometry.sun_direction_camera
+    length = float(np.linalg.norm(along))
+    phase = geometry.phase_angle_rad
+    if length > 0:
+        center = center + along / length * radius * float(disk_photocenter(Lambert(), phase))
+    area = math.pi * radius**2 * 0.5 * (1.0 + math.cos(phase))
+    if area < _MIN_AREA_PX or not bool(camera.contains(center)):
+        return []
+    return [ExpectedBlob(center_px=(float(center[0]), float(center[1])), area_px=area)]

@@ -1,0 +1,305 @@
+"""The comparison of a run with truth, on tables made by hand; and the demonstration itself."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
+from giantlike.campaign import demo
+from giantlike.campaign.demo import DemoReport, Goal, run_demo
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.simulation import ApproachOptions, Visit
+from giantlike.simulation.compare import Comparison, ObservationError, compare_run, score_attitudes, score_observations
+from giantlike.simulation.write import TRUTH_COLUMNS
+
+EXACT = 1e-9  # arithmetic on numbers written with all their digits
+
+ATTITUDE_COLUMNS = ("file", "status", "reason", "source", "qx", "qy", "qz", "qw", "sigma_x_arcsec", "sigma_y_arcsec",
+                    "sigma_z_arcsec")  # fmt: skip
+OBSERVATION_COLUMNS = ("file", "target", "estimator", "status", "reason", "x_px", "y_px", "sigma_x_px", "sigma_y_px",
+                       "rho_xy", "range_km", "sigma_range_km")  # fmt: skip
+
+
+def write_table(path: Path, columns: tuple[str, ...], rows: list[dict[str, object]]) -> None:
+    with path.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, columns, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def files_in(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def attitude_cells(rotation: Rotation) -> dict[str, object]:
+    return dict(zip(("qx", "qy", "qz", "qw"), quaternion_xyzw(rotation).tolist(), strict=True))
+
+
+@pytest.fixture
+def camera() -> Camera:
+    model = PinholeModel(fx_px=100_000.0, fy_px=100_000.0, cx_px=49.5, cy_px=49.5)  # narrow: the same shift all over
+    return Camera(name="narrow", columns=100, rows=100, model=model)
+
+
+@pytest.fixture
+def truth(tmp_path: Path) -> Path:
+    attitude = attitude_cells(Rotation.from_rotvec([0.3, -0.2, 1.0]))
+    body = {"target": "ROCK", "x_px": 50.0, "y_px": 60.0, "range_km": 200.0, "diameter_px": 80.0, "phase_deg": 45.0}
+    path = tmp_path / "truth.csv"
+    write_table(path, TRUTH_COLUMNS, [{"file": name, **attitude, **body} for name in ("a.fits", "b.fits")])
+    return path
+
+
+def observation(file: str = "a.fits", **cells: object) -> dict[str, object]:
+    return {"file": file, "target": "ROCK", "estimator": "limb_matching", "status": "ok", **cells}
+
+
+def test_a_turn_about_x_and_y_moves_the_image_by_focal_length_times_angle(
+    tmp_path: Path, truth: Path, camera: Camera
+) -> None:
+    error = np.array([2e-6, -5e-6, 0.0])
+    found = Rotation.from_rotvec(-error) * Rotation.from_rotvec([0.3, -0.2, 1.0])
+    sigma = [1e-6 * ARCSEC_PER_RAD] * 3
+    cells = dict(zip(ATTITUDE_COLUMNS[-3:], sigma, strict=True))
+    row = {"file": "a.fits", "status": "ok", "source": "stars", **attitude_cells(found), **cells}
+    write_table(tmp_path / "attitudes.csv", ATTITUDE_COLUMNS, [row])
+    write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, [])
+    (only,) = compare_run(tmp_path, truth, camera).attitudes
+    assert only.error_px is not None
+    assert only.normalised is not None
+    assert_allclose(only.error_px, [0.5, 0.2], rtol=0, atol=1e-5)  # 1e-5: the frame is 1e-3 rad wide
+    assert_allclose(only.normalised, [2.0, -5.0, 0.0], rtol=0, atol=1e-6)
+    score = score_attitudes([only])
+    assert score.dof == 3
+    assert_allclose(score.chi2, 29.0, rtol=0, atol=1e-5)
+    assert_allclose(score.sigma_px, [0.1, 0.1], rtol=0, atol=1e-4)
+
+
+def test_centre_and_range_errors_are_found_minus_true(tmp_path: Path, truth: Path, camera: Camera) -> None:
+    fix = observation(
+        x_px=50.3, y_px=59.6, sigma_x_px=0.1, sigma_y_px=0.2, rho_xy=0.0, range_km=201.0, sigma_range_km=0.5
+    )
+    centre_only = observation(file="b.fits", x_px=50.0, y_px=60.1, sigma_x_px=0.1, sigma_y_px=0.1, rho_xy=0.5)
+    write_table(tmp_path / "attitudes.csv", ATTITUDE_COLUMNS, [])
+    write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, [fix, centre_only])
+    first, second = compare_run(tmp_path, truth, camera).observations
+    assert first.error_px is not None
+    assert_allclose(first.error_px, [0.3, -0.4], rtol=0, atol=EXACT)
+    assert first.nees == pytest.approx(9.0 + 4.0, abs=EXACT)
+    assert first.range_error == pytest.approx(0.005, abs=EXACT)
+    assert first.range_sigma == pytest.approx(0.0025, abs=EXACT)
+    assert second.nees == pytest.approx(1.0 / (1.0 - 0.25), abs=EXACT)  # correlation makes a lone error less likely
+    assert second.range_error is None
+    score = score_observations([first, second])
+    assert (score.n_fixes, score.dof, score.n_ranges) == (2, 4, 1)
+    assert_allclose(score.rms_px, np.sqrt([0.09 / 2, 0.17 / 2]), rtol=0, atol=EXACT)
+    assert score.range_chi2 == pytest.approx(4.0, abs=EXACT)
+
+
+def test_failed_and_suspect_rows_are_counted_and_do_not_enter_the_errors(
+    tmp_path: Path, truth: Path, camera: Camera
+) -> None:
+    rows = [
+        observation(status="failed", reason="not_unresolved"),
+        observation(file="b.fits", status="suspect", x_px=99.0, y_px=0.0, sigma_x_px=0.1, sigma_y_px=0.1, rho_xy=0.0),
+    ]
+    write_table(tmp_path / "attitudes.csv", ATTITUDE_COLUMNS, [{"file": "a.fits", "status": "failed", "reason": "x"}])
+    write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, rows)
+    comparison = compare_run(tmp_path, truth, camera)
+    score = score_observations(comparison.observations)
+    assert (score.n_images, score.n_fixes, score.n_suspect, dict(score.failures)) == (2, 0, 1, {"not_unresolved": 1})
+    assert np.isnan(score.rms_px).all()
+    assert score_attitudes(comparison.attitudes).failures == {"x": 1}
+
+
+def test_a_run_on_images_without_truth_is_refused(tmp_path: Path, truth: Path, camera: Camera) -> None:
+    write_table(tmp_path / "attitudes.csv", ATTITUDE_COLUMNS, [{"file": "other.fits", "status": "failed"}])
+    write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, [])
+    with pytest.raises(DataError, match=r"other\.fits"):
+        compare_run(tmp_path, truth, camera)
+    with pytest.raises(DataError, match=r"attitudes\.csv"):
+        compare_run(tmp_path / "elsewhere", truth, camera)
+
+
+def test_a_goal_is_missed_beyond_its_limits_and_where_nothing_was_measured() -> None:
+    assert Goal(text="g", value=0.1, high=0.1).met
+    assert not Goal(text="g", value=0.11, high=0.1).met
+    assert not Goal(text="g", value=0.2, low=0.3, high=2.0).met
+    assert not Goal(text="g", value=float("nan"), high=1.0).met
+
+
+def report_of(errors: list[ObservationError]) -> DemoReport:
+    comparison = Comparison(attitudes=(), observations=tuple(errors))
+    return DemoReport(output=Path("demo"), comparison=comparison, simulate_s=1.0, run_s=2.0)
+
+
+def limb(error_px: float, sigma_px: float) -> ObservationError:
+    return ObservationError(
+        file="a.fits",
+        target="ROCK",
+        estimator="limb_matching",
+        status="ok",
+        reason="",
+        diameter_px=100.0,
+        phase_deg=30.0,
+        error_px=np.array([error_px, -error_px]),
+        sigma_px=np.array([sigma_px, sigma_px]),
+        nees=2.0 * (error_px / sigma_px) ** 2,
+    )
+
+
+def test_errors_far_from_the_stated_sigmas_miss_the_goal_on_either_side() -> None:
+    for error_px, met in ((0.01, True), (0.1, False), (0.0001, False)):
+        goals = report_of([limb(error_px, 0.01)] * 6).goals
+        (consistency,) = [goal for goal in goals if "variances" in goal.text]
+        assert consistency.met is met
+
+
+def test_the_report_without_any_fix_is_readable_and_misses_its_goals() -> None:
+    report = report_of([])
+    assert not report.met
+    assert "MISSED" in report.text()
+    assert json.loads(report.to_json())["goals"][0]["value"] is None
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(InputError, match=r"thesis\.txt"):
+        run_demo(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_a_campaign_of_somebody_else_is_not_taken_for_a_demonstration(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    mine = ["campaign.toml", "images/flight.fits", "truth.csv"]
+    for name in mine:
+        (tmp_path / name).write_text("years of work")
+    with pytest.raises(InputError, match=r"no earlier demonstration \(no \.giantlike-demo\)"):
+        run_demo(tmp_path)
+    assert files_in(tmp_path) == mine
+
+
+@pytest.mark.parametrize("stage", ["planning", "taking images"])
+def test_an_interrupted_demonstration_does_not_block_the_next_and_other_files_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str
+) -> None:
+    seen: list[list[str]] = []
+
+    def interrupted(*_: object) -> NoReturn:
+        seen.append(files_in(tmp_path))
+        if stage == "taking images":
+            (tmp_path / "images").mkdir()
+            (tmp_path / "images" / "half.fits").write_text("SIMPLE")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo, "plan_approach", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run_demo(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(KeyboardInterrupt):
+        run_demo(tmp_path)
+    assert seen == [[".giantlike-demo"], [".giantlike-demo", "notes.txt"]]
+
+
+def test_files_behind_a_link_in_the_folder_of_a_demonstration_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo, "plan_approach", interrupted)
+    output, archive = tmp_path / "demo", tmp_path / "archive"
+    archive.mkdir()
+    (archive / "flight.fits").write_text("years of work")
+    with pytest.raises(KeyboardInterrupt):
+        run_demo(output)
+    (output / "images").symlink_to(archive)
+    with pytest.raises(KeyboardInterrupt):
+        run_demo(output)
+    assert files_in(tmp_path) == ["archive/flight.fits", "demo/.giantlike-demo"]
+    assert not (output / "images").is_symlink()
+
+
+# the demonstration itself ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="module")
+def report(home: Path) -> DemoReport:
+    return run_demo(home / "demo-output", workers=2)
+
+
+def test_the_demonstration_reaches_its_goals(report: DemoReport) -> None:
+    missed = [f"{goal.text}: {goal.value:.3g}" for goal in report.goals if not goal.met]
+    assert missed == []
+    assert report.met
+
+
+def test_every_estimator_and_every_way_to_an_attitude_is_exercised(report: DemoReport) -> None:
+    attitudes = report.attitude_scores()
+    assert (attitudes["stars"].n_fixes, attitudes["interpolated"].n_fixes) == (26, 13)
+    fixes = {pair: score.n_fixes for pair, score in report.estimator_scores().items()}
+    assert fixes[("ROCK", "unresolved")] == 3
+    assert fixes[("ROCK", "cross_correlation")] == 11
+    assert fixes[("ROCK", "limb_matching")] >= 6
+    assert fixes[("MOON", "ellipsoid_cra")] == 2
+
+
+def test_the_lost_visit_is_solved_without_an_a_priori_attitude(report: DemoReport) -> None:
+    with (report.output / "geometry.csv").open() as stream:
+        lost = {row["file"] for row in csv.DictReader(stream) if not row["qx"]}
+    assert lost == {"rock_07_long1.fits", "rock_07_short.fits", "rock_07_long2.fits"}
+    assert {error.status for error in report.comparison.attitudes if error.file in lost} == {"ok"}
+
+
+def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(report: DemoReport) -> None:
+    text, table = report.text(), json.loads(report.to_json())
+    assert len(re.findall(r"[+-]\d\.\d{3} \+- \d\.\d{3}", text)) >= 2 * 24
+    assert "MISSED" not in text
+    assert table["met"] is True
+    assert {entry["estimator"] for entry in table["estimators"]} >= {"unresolved", "limb_matching", "ellipsoid_cra"}
+
+
+def test_the_python_example_of_the_readme_runs(
+    report: DemoReport, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readme = Path(__file__).resolve().parents[2] / "README.md"
+    (example,) = re.findall(r"```python\n(.*?)```", readme.read_text(), flags=re.DOTALL)
+    monkeypatch.chdir(home)
+    exec(compile(example, "README.md", "exec"), {})
+    shown = capsys.readouterr().out
+    assert "cross_correlation [" in shown
+    assert "limb_matching [" in shown
+
+
+def test_a_second_demonstration_in_the_same_folder_gives_the_same_results(tmp_path: Path) -> None:
+    visits = (Visit(day=0.0, diameter_px=1.5, phase_deg=40.0), Visit(day=1.0, diameter_px=40.0, phase_deg=70.0))
+    options = ApproachOptions(seed=3, approach=visits, moon=(), facets=5000)
+    stages: list[str] = []
+
+    def progress(stage: str, done: int, total: int) -> None:
+        stages.append(stage)
+
+    tables = []
+    for workers in (1, 2):
+        run_demo(tmp_path, workers=workers, progress=progress, options=options)
+        with (tmp_path / "run" / "observations.csv").open() as stream:
+            tables.append([{k: v for k, v in row.items() if k != "time_s"} for row in csv.DictReader(stream)])
+    assert tables[0] == tables[1]
+    assert list(dict.fromkeys(stages))[:3] == ["taking images", "solving stars", "finding bodies"]

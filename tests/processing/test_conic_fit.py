@@ -1,0 +1,139 @@
+"""Ellipses through points: exact, unbiased where least squares is not, and as uncertain as they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import chi2
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import InputError
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.geometry.conic_fit import ConicFit, conic_matrix, ellipse_of, fit_ellipse
+
+ROUNDING = 1e-7  # relative; squares of coordinates lose half of the digits
+RARE = 1e-6
+ELLIPSE = np.array([512.0, 380.0, 150.0, 120.0, 0.6])
+
+
+def on_ellipse(ellipse: Float, turn: Float) -> Float:
+    x, y, major, minor, angle = ellipse
+    along, across = major * np.cos(turn), minor * np.sin(turn)
+    return np.stack(
+        [x + np.cos(angle) * along - np.sin(angle) * across, y + np.sin(angle) * along + np.cos(angle) * across],
+        axis=-1,
+    )
+
+
+def fitted(points: Float, sigma: float = 1.0) -> ConicFit:
+    fit = fit_ellipse(points, sigma=sigma)
+    assert isinstance(fit, ConicFit), fit
+    return fit
+
+
+@pytest.mark.parametrize("arc", [0.8, np.pi, 2 * np.pi])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (512.0, -3800.0)])
+def test_points_on_an_ellipse_give_that_ellipse(arc: float, place: tuple[float, float]) -> None:
+    ellipse = np.array([*place, 150.0, 120.0, 2.2])
+    fit = fitted(on_ellipse(ellipse, np.linspace(0.3, 0.3 + arc, 40)))
+    assert_allclose(fit.ellipse[:4], ellipse[:4], rtol=0, atol=150.0 * ROUNDING / min(arc, 1.0) ** 4)
+    assert_allclose(fit.ellipse[4], 2.2, rtol=0, atol=1e-6 / min(arc, 1.0) ** 4)
+    assert np.abs(fit.residuals).max() < 150.0 * ROUNDING
+    inside = np.array([*ellipse[:2], 1.0])
+    assert inside @ conic_matrix(fit.coefficients) @ inside > 0
+
+
+def test_half_an_ellipse_in_noise_is_unbiased_and_as_uncertain_as_it_says() -> None:
+    rng, sigma, draws = np.random.default_rng(4), 0.6, 400
+    turn = np.linspace(0.0, np.pi, 60)
+    truth = on_ellipse(ELLIPSE, turn)
+    found, nees = [], []
+    for _ in range(draws):
+        noisy = truth + sigma * rng.normal(size=truth.shape)
+        fit = fitted(noisy, sigma)
+        error = fit.ellipse - ELLIPSE
+        error[4] = (error[4] + np.pi / 2) % np.pi - np.pi / 2
+        found.append(error)
+        nees.append(float(error @ np.linalg.solve(fit.ellipse_covariance, error)))
+    errors = np.array(found)
+    standard = errors.std(axis=0) / np.sqrt(draws)
+    assert np.all(np.abs(errors.mean(axis=0)) < 5.0 * standard)
+    low, high = (float(chi2.ppf(chance, 5 * draws)) / draws for chance in (RARE, 1.0 - RARE))
+    assert 0.95 * low < np.mean(nees) < 1.1 * high  # covariances to first order
+
+
+def test_short_noisy_arcs_are_not_pulled_small_as_least_squares_pulls_them() -> None:
+    rng, sigma, draws, found, plain = np.random.default_rng(1), 1.0, 120, [], []
+    truth = on_ellipse(ELLIPSE, np.linspace(0.0, 2.0, 300))
+    for _ in range(draws):
+        noisy = truth + sigma * rng.normal(size=truth.shape)
+        found.append(fitted(noisy, sigma).ellipse[3] - ELLIPSE[3])
+        plain.append(least_squares_minor(noisy) - ELLIPSE[3])
+    standard = float(np.std(found)) / np.sqrt(draws)
+    assert np.mean(plain) < -12.0 * standard
+    assert abs(np.mean(found)) < 5.0 * standard
+
+
+def least_squares_minor(points: Float) -> float:
+    """Semi-minor axis by the eigenvector of the least eigenvalue, coordinates normalised."""
+    middle, scale = points.mean(axis=0), points.std()
+    x, y = ((points - middle) / scale).T
+    design = np.stack([x * x, 2 * x * y, y * y, 2 * x, 2 * y, np.ones_like(x)], axis=-1)
+    theta = np.linalg.svd(design)[2][-1]
+    return float(ellipse_of(theta)[3]) * float(scale)
+
+
+def test_weights_let_good_points_rule() -> None:
+    rng = np.random.default_rng(5)
+    truth = on_ellipse(ELLIPSE, np.linspace(0.0, 5.0, 80))
+    sigma = np.where(np.arange(80) % 2 == 0, 0.02, 3.0)
+    fit = fit_ellipse(truth + sigma[:, None] * rng.normal(size=truth.shape), sigma=sigma)
+    assert isinstance(fit, ConicFit)
+    assert np.sqrt(np.diag(fit.ellipse_covariance)[:4]).max() < 0.03
+    error = fit.ellipse - ELLIPSE
+    assert error @ np.linalg.solve(fit.ellipse_covariance, error) < float(chi2.ppf(1.0 - RARE, 5))
+
+
+def test_the_mean_radius_of_a_circle_is_certain_where_its_axes_are_alike() -> None:
+    rng, sigma = np.random.default_rng(6), 0.3
+    circle = np.array([10.0, 20.0, 100.0, 100.0, 0.0])
+    errors = []
+    for _ in range(100):
+        truth = on_ellipse(circle, np.linspace(0.0, 2 * np.pi, 100, endpoint=False))
+        fit = fitted(truth + sigma * rng.normal(size=truth.shape), sigma)
+        errors.append((fit.mean_radius - 100.0) / fit.sigma_mean_radius)
+    assert_allclose(fit.sigma_mean_radius, sigma / np.sqrt(100), rtol=0.05)
+    assert np.mean(np.square(errors)) < float(chi2.ppf(1.0 - RARE, 100)) / 100
+
+
+def test_errors_that_neighbours_share_widen_the_covariance() -> None:
+    rng, turn = np.random.default_rng(7), np.linspace(0.0, np.pi, 120)
+    truth = on_ellipse(ELLIPSE, turn)
+    normals = truth - ELLIPSE[:2]
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    shared = np.repeat(rng.normal(size=20), 6)
+    points = truth + 0.3 * shared[:, None] * normals + 0.02 * rng.normal(size=truth.shape)
+    alone = fit_ellipse(points, sigma=0.3)
+    aware = fit_ellipse(points, sigma=0.02, correlation_length=2.0)
+    assert isinstance(alone, ConicFit)
+    assert isinstance(aware, ConicFit)
+    assert aware.sigma_mean_radius > 1.3 * alone.sigma_mean_radius
+
+
+def test_what_is_no_ellipse_is_refused() -> None:
+    turn = np.linspace(-1.0, 1.0, 30)
+    few = fit_ellipse(on_ellipse(ELLIPSE, turn[:5]))
+    line = fit_ellipse(np.stack([turn, 2.0 * turn], axis=-1))
+    branch = fit_ellipse(np.stack([np.cosh(2 * turn), np.sinh(2 * turn)], axis=-1))
+    for failure, reason in (
+        (few, Reason.TOO_FEW_DETECTIONS),
+        (line, Reason.DEGENERATE_GEOMETRY),
+        (branch, Reason.DEGENERATE_GEOMETRY),
+    ):
+        assert isinstance(failure, Failure)
+        assert failure.reason is reason
+    with pytest.raises(InputError, match="finite"):
+        fit_ellipse(np.full((9, 2), np.nan))
+    with pytest.raises(InputError, match="sigma"):
+        fit_ellipse(on_ellipse(ELLIPSE, turn), sigma=0.0)

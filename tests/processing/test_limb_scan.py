@@ -1,0 +1,259 @@
+"""Limb scanning on edges that are known exactly, and least squares for residuals that err together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import ndtr
+from scipy.stats import chi2
+
+from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector
+from giantlike.core.errors import InputError
+from giantlike.processing.correlated_fit import correlated_solution, generalised_solution, robust_solution
+from giantlike.processing.limb.scan import (
+    PIXEL_VARIANCE_PX2,
+    SAMPLING_VARIANCE_PX2,
+    Scans,
+    edge_width_px,
+    line_offsets,
+    match_profiles,
+    scan_lines,
+    step_profile,
+)
+from giantlike.processing.limb.search import search_limb
+
+DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
+ROUNDING = 1e-9
+NOISELESS_PX = 0.005  # the shift is fitted linearly about the nearest half pixel
+SIGMA_RATIO = 0.15  # of 600 lines: five times the standard error of a standard deviation, 2.9 %
+MOST_CAUTION = 0.25  # waves longer than the arc cannot be excluded by the residuals: sigmas up to twice too large
+PSF_PX = 0.8
+RADIUS_PX = 120.0
+CENTER_PX = np.array([150.3, 149.6])
+SIZE = 300
+
+
+def disc(*, center_px: Float = CENTER_PX, radius_px: float = RADIUS_PX, level_dn: float = 2000.0) -> Float:
+    """A bright disc seen through a Gaussian; the pixel is a Gaussian of its variance, the curvature negligible."""
+    y, x = np.mgrid[:SIZE, :SIZE]
+    distance = np.hypot(x - center_px[0], y - center_px[1])
+    result: Float = level_dn * ndtr((radius_px - distance) / np.sqrt(PSF_PX**2 + PIXEL_VARIANCE_PX2))
+    return result
+
+
+def circle(count: int, *, radius_px: float = RADIUS_PX, center_px: Float = CENTER_PX) -> tuple[Float, Float]:
+    angles = (np.arange(count) + 0.37) * 2.0 * np.pi / count
+    normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return center_px + radius_px * normals, normals
+
+
+def scans_of(image: Float, points: Float, normals: Float, reach_px: float = 10.0) -> Scans:
+    return scan_lines(image, np.ones(image.shape, dtype=bool), points, normals, line_offsets(reach_px, 0.5))
+
+
+def expected_of(scans: Scans) -> Float:
+    width = np.sqrt(PSF_PX**2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
+    return np.tile(step_profile(scans.offsets_px, width), (len(scans.points_px), 1))
+
+
+def test_lines_over_a_plane_hold_exactly_its_values() -> None:
+    y, x = np.mgrid[:60, :50]
+    points, normals = np.array([[20.3, 31.7], [25.0, 30.0]]), np.array([[0.6, 0.8], [-1.0, 0.0]])
+    scans = scans_of(2.0 * x - 3.0 * y + 5.0, points, normals, reach_px=6.0)
+    places = points[:, None] + scans.offsets_px[:, None] * normals[:, None]
+    assert_allclose(scans.values_dn, 2.0 * places[..., 0] - 3.0 * places[..., 1] + 5.0, rtol=0, atol=ROUNDING)
+    assert scans.usable.all()
+
+
+def test_values_made_from_a_bad_pixel_or_from_beyond_the_edge_are_not_usable() -> None:
+    usable = np.ones((40, 40), dtype=bool)
+    usable[20, 24] = False
+    scans = scan_lines(
+        np.zeros((40, 40)), usable, np.array([[20.0, 20.0]]), np.array([[1.0, 0.0]]), line_offsets(24.0, 1.0)
+    )
+    columns = 20.0 + scans.offsets_px
+    clean = (np.abs(columns - 24.0) > 2.0) & (columns >= 1.0) & (columns <= 38.0)
+    assert scans.usable[0].tolist() == clean.tolist()
+
+
+@pytest.mark.parametrize("moved_px", [-2.9, -0.77, 0.0, 0.24, 1.5, 3.6])
+def test_a_match_finds_the_shift_of_a_blurred_edge_without_noise(moved_px: float) -> None:
+    points, normals = circle(90)
+    scans = scans_of(disc(radius_px=RADIUS_PX + moved_px), points, normals)
+    match = match_profiles(scans, expected_of(scans), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=4.0)
+    assert match.complete.all()
+    assert not match.at_border.any()
+    assert not match.rivalled.any()
+    assert_allclose(match.shift_px, moved_px, rtol=0, atol=NOISELESS_PX)
+    assert_allclose(match.gain_dn, 2000.0, rtol=0, atol=10.0)
+
+
+def test_the_scatter_of_shifts_is_the_stated_sigma() -> None:
+    points, normals = circle(150)
+    rng = np.random.default_rng(5)
+    clean = disc(level_dn=400.0)
+    shifts, sigmas = [], []
+    for _ in range(4):
+        scans = scans_of(rng.poisson(clean) + rng.normal(0.0, 5.0, clean.shape), points, normals)
+        match = match_profiles(
+            scans, expected_of(scans), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=4.0
+        )
+        shifts.append(match.shift_px)
+        sigmas.append(match.sigma_px)
+    scatter = np.std(np.concatenate(shifts))
+    stated = np.sqrt(np.mean(np.concatenate(sigmas) ** 2))
+    assert abs(scatter / stated - 1.0) < SIGMA_RATIO, (scatter, stated)
+
+
+def test_a_line_with_two_equal_edges_is_called_rivalled() -> None:
+    points, normals = circle(40)
+    y, x = np.mgrid[:SIZE, :SIZE]
+    distance = np.hypot(x - CENTER_PX[0], y - CENTER_PX[1])
+    rings = sum(ndtr((RADIUS_PX + off - distance) / 0.85) * sign for off, sign in ((3.5, 1), (0.0, -1), (-3.5, 1)))
+    scans = scans_of(1000.0 * np.asarray(rings), points, normals)
+    match = match_profiles(scans, expected_of(scans), variance_dn2=DETECTOR.variance_dn2, window_px=3.0, search_px=6.0)
+    assert match.rivalled.all()
+
+
+def test_freeing_the_slope_makes_no_difference_where_the_expected_brightness_holds() -> None:
+    points, normals = circle(60)
+    scans = scans_of(disc(), points, normals)
+    expected = expected_of(scans)
+    darker = expected * np.where(scans.offsets_px < 0, 1.0 + 0.08 * scans.offsets_px, 1.0)
+    options = {"variance_dn2": DETECTOR.variance_dn2, "window_px": 5.0, "search_px": 4.0}
+    right = match_profiles(scans, expected, **options)  # type: ignore[arg-type]
+    wrong = match_profiles(scans, darker, **options)  # type: ignore[arg-type]
+    assert np.abs(np.median(right.without_slope_px)) < NOISELESS_PX
+    assert np.abs(np.median(wrong.without_slope_px)) > 5 * NOISELESS_PX
+    assert np.abs(np.median(wrong.shift_px)) < np.abs(np.median(wrong.shift_px + wrong.without_slope_px))
+
+
+def test_lines_that_are_too_short_for_window_and_search_are_refused() -> None:
+    points, normals = circle(4)
+    scans = scans_of(disc(), points, normals, reach_px=6.0)
+    with pytest.raises(InputError, match="lines reach 6 px"):
+        match_profiles(scans, expected_of(scans), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=4.0)
+
+
+def test_the_width_of_an_edge_is_measured() -> None:
+    points, normals = circle(60)
+    width = edge_width_px(
+        scans_of(disc(), points, normals), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=3.0
+    )
+    truth = np.sqrt(PSF_PX**2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
+    assert abs(width / truth - 1.0) < 0.08  # half the spacing of the widths that are tried
+
+
+@pytest.mark.parametrize(("moved_px", "grown"), [((0.0, 0.0), 1.0), ((23.0, -31.0), 1.02), ((-38.0, 5.0), 0.975)])
+def test_an_outline_is_found_far_from_its_prediction(moved_px: tuple[float, float], grown: float) -> None:
+    radius = 80.0
+    points, normals = circle(120, radius_px=radius)
+    lit = normals[:, 0] > -0.3
+    rng = np.random.default_rng(1)
+    center = CENTER_PX + moved_px
+    image = disc(center_px=center, radius_px=radius * grown, level_dn=300.0) + rng.normal(0.0, 5.0, (SIZE, SIZE))
+    image *= np.indices(image.shape)[1] > center[0] - 0.35 * radius  # night on one side
+    coarse = search_limb(
+        image,
+        np.ones(image.shape, dtype=bool),
+        points[lit],
+        normals[lit],
+        np.ones(int(lit.sum())),
+        CENTER_PX,
+        search_px=40.0,
+        search_scale=0.03,
+        noise_dn=5.0,
+    )
+    limb_error = normals[lit] @ (coarse.shift_px - moved_px) + radius * (coarse.scale - grown)
+    assert np.abs(limb_error).max() < 2.0
+    assert coarse.contrast > 0.8
+
+
+def test_noise_has_no_outline() -> None:
+    points, normals = circle(120, radius_px=80.0)
+    image = np.random.default_rng(2).normal(0.0, 5.0, (SIZE, SIZE))
+    coarse = search_limb(
+        image,
+        np.ones(image.shape, dtype=bool),
+        points,
+        normals,
+        np.ones(120),
+        CENTER_PX,
+        search_px=30.0,
+        search_scale=0.03,
+        noise_dn=5.0,
+    )
+    assert coarse.contrast < 0.2
+
+
+# --- least squares on a limb ------------------------------------------------------------------------------------
+
+
+def arc(count: int = 120, *, length_rad: float = np.pi) -> tuple[Float, Float]:
+    """Points on an arc of 100 px and the design of centre and radius."""
+    angles = np.linspace(0.0, length_rad, count)
+    normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return 100.0 * normals, np.column_stack([normals, np.ones(count)])
+
+
+def test_a_quarter_of_outliers_on_one_side_does_not_move_a_robust_solution() -> None:
+    points, design = arc()
+    rng = np.random.default_rng(3)
+    truth = np.array([0.4, -0.2, 0.1])
+    sigma = np.full(len(points), 0.02)
+    residuals = design @ truth + rng.normal(0.0, sigma)
+    outliers = rng.choice(len(points), len(points) // 4, replace=False)
+    residuals[outliers] += rng.uniform(1.0, 4.0, outliers.size)
+    solution, keep = robust_solution(residuals, design, sigma, outlier_mad=4.0)
+    assert not keep[outliers].any()
+    assert keep.sum() > 0.7 * len(points)
+    assert_allclose(solution, truth, rtol=0, atol=0.02)  # 4 sigma of a half circle of 90 points
+
+
+def test_fewer_residuals_than_parameters_are_refused() -> None:
+    _, design = arc(3)
+    with pytest.raises(InputError, match="more than 3 residuals"):
+        robust_solution(np.zeros(3), design, np.ones(3), outlier_mad=4.0)
+    with pytest.raises(InputError, match="more than 4 residuals"):
+        correlated_solution(np.zeros(4), arc(4)[1], np.ones(4), arc(4)[0])
+
+
+def test_the_best_solution_is_never_worse_than_a_weighted_one_and_both_know_their_scatter() -> None:
+    points, design = arc(60)
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    noise = 0.3**2 * np.exp(-apart / 20.0) + np.diag(np.linspace(0.05, 0.4, 60) ** 2)
+    draws = np.linalg.cholesky(noise) @ np.random.default_rng(4).normal(size=(60, 4000))
+    _, best = generalised_solution(draws[:, 0], design, noise)
+    _, plain = generalised_solution(draws[:, 0], design, noise, weights=np.ones(60))
+    assert np.linalg.eigvalsh(plain - best).min() > -1e-12
+    for weights, stated in ((None, best), (np.ones(60), plain)):
+        found = np.array([generalised_solution(d, design, noise, weights=weights)[0] for d in draws.T])
+        assert_allclose(np.sqrt(np.diag(np.cov(found.T)) / np.diag(stated)), 1.0, rtol=0, atol=0.05)  # 4 sigma of 4000
+
+
+@pytest.mark.parametrize(
+    ("correlated", "length_px"),
+    [(0.0, 1.0), (0.05, 4.0), (0.2, 15.0), (0.2, 50.0)],
+    ids=["white", "short", "long", "half a radius"],
+)
+def test_the_covariance_holds_for_residuals_that_err_together(correlated: float, length_px: float) -> None:
+    points, design = arc(100)
+    sigma = np.linspace(0.02, 0.04, 100)
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    root = np.linalg.cholesky(correlated**2 * np.exp(-apart / length_px) + np.diag(sigma**2))
+    rng = np.random.default_rng(6)
+    nees = []
+    for _ in range(40):
+        fit = correlated_solution(root @ rng.normal(size=100), design, sigma, points, min_length=2.0)
+        nees.append(fit.solution @ np.linalg.solve(fit.covariance, fit.solution))
+    assert MOST_CAUTION * 3.0 < np.mean(nees) < chi2.ppf(1.0 - 1e-6, 3 * 40) / 40, np.mean(nees)
+
+
+def test_residuals_that_are_exactly_zero_give_a_finite_covariance() -> None:
+    points, design = arc(40)
+    fit = correlated_solution(np.zeros(40), design, np.full(40, 0.02), points)
+    assert_allclose(fit.solution, 0.0, rtol=0, atol=ROUNDING)
+    assert np.isfinite(fit.covariance).all()
+    assert np.isfinite(fit.residual_covariance(np.full(40, 0.02), points)).all()

@@ -1,0 +1,47 @@
+"""Covariances of a photometric fit: errors of the model of stated size, against draws of such errors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+from scipy.ndimage import gaussian_filter
+
+from giantlike.relative.template.covariance import Prior, error_covariance, larger
+
+SHAPE = (40, 44)
+DRAWS = 600
+SCATTER = 6.0 / np.sqrt(DRAWS)  # of a sample variance over its mean: six of its standard deviations
+GRID = 0.05  # of a variance: a field that is filtered on pixels is a little wider correlated than stated
+
+
+def test_the_covariance_of_a_stated_error_is_that_of_drawn_fields() -> None:
+    """Fields of unit variance with the stated correlation, times the error, through the linear fit."""
+    random, length_px = np.random.default_rng(3), 3.0
+    rows, columns = np.indices(SHAPE) / 20.0 - 1.0
+    design = np.stack([np.ones(SHAPE), rows, columns, rows * columns])
+    weights = 1.0 + 0.5 * columns
+    error = np.exp(-(rows**2) / 0.3) * np.sign(columns)
+    prior = Prior(np.zeros(4), np.array([0.0, 0.0, 0.0, 50.0]))
+    stated = error_covariance(design, weights, error, prior, length_px=length_px)
+
+    flat = design.reshape(4, -1)
+    inverse = np.linalg.inv((flat * weights.ravel()) @ flat.T + np.diag(prior.information))
+    moved = []
+    for _ in range(DRAWS):
+        white = random.normal(size=(SHAPE[0] + 40, SHAPE[1] + 40))
+        field = gaussian_filter(white, length_px / np.sqrt(2.0))[20:-20, 20:-20]
+        field *= np.sqrt(2.0 * np.pi) * length_px  # of unit variance
+        moved.append(inverse @ flat @ (weights * error * field).ravel())
+    root_inverse = np.linalg.inv(np.linalg.cholesky(stated))
+    whitened = root_inverse @ np.cov(np.array(moved).T) @ root_inverse.T
+    assert_allclose(np.linalg.eigvalsh(whitened), 1.0, rtol=0, atol=SCATTER + GRID)
+
+
+def test_the_larger_of_two_covariances_is_below_neither() -> None:
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        first, second = (root @ root.T for root in random.normal(size=(2, 3, 3)))
+        both = larger(first, second)
+        for one in (first, second):
+            assert np.linalg.eigvalsh(both - one).min() > -1e-9 * np.trace(both)
+    assert_allclose(larger(first, 0.5 * first), first, rtol=0, atol=1e-12 * np.trace(first))
