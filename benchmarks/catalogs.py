@@ -1,8 +1,8 @@
-"""Speed and completeness of star catalogues; prints JSON.
+"""Speed and completeness of star catalogs; prints JSON.
 
 Run with ``OMP_NUM_THREADS=1 python benchmarks/catalogs.py [--stars N] [--quick]`` (a minute). A synthetic sky of 2.5
 million stars, twice as dense in the plane of the galaxy and ten times as many of them 2.2 magnitudes fainter, about as
-Tycho-2 has them, is written into a catalogue file and asked for cones in random directions. ``cpu_ms`` is processor
+Tycho-2 has them, is written into a catalog file and asked for cones in random directions. ``cpu_ms`` is processor
 time of a whole ``cone`` call, which returns all columns, brightest first: the median over directions, each asked a
 second time, so that the pages of the file are in memory. The reference finds the same stars with scipy's ``cKDTree``
 (of two million nodes, in memory) and then gathers and sorts the same columns. Completeness: stars whose apparent
@@ -112,7 +112,7 @@ def speed(catalog: MemoryCatalog, stars: StarTable, directions: int) -> list[dic
 
 
 def completeness(catalog: MemoryCatalog, stars: StarTable, directions: int) -> dict[str, Any]:
-    """Count stars that brute force finds in cones and the catalogue does not."""
+    """Count stars that brute force finds in cones and the catalog does not."""
     rng = np.random.default_rng(3)
     missed, found = 0, 0
     for year in (1891.0, 2016.0, 2141.0):

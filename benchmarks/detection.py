@@ -1,7 +1,7 @@
 """Speed and accuracy of star detection, beside sep and photutils where installed; prints JSON.
 
 Run with ``OMP_NUM_THREADS=1 python benchmarks/detection.py``. One frame of 2592 x 1944 pixels with 300 stars, photon
-noise, read noise and quantisation. ``ratio_to_cramer_rao`` is the rms error per axis of the stars found over the rms
+noise, read noise and quantization. ``ratio_to_cramer_rao`` is the rms error per axis of the stars found over the rms
 of the bound of all; ``cpu_ms`` is processor time on one thread, the least of a few runs.
 """
 
@@ -68,8 +68,8 @@ def cramer_rao_px(points: Float, flux: Float, sigma_px: float) -> float:
     edges = np.arange(-12.5, 13.0)
     variances = []
     for (x, y), f in zip(points - np.round(points), flux, strict=True):
-        px, py = (np.diff(norm.cdf(edges, centre, sigma_px)) for centre in (x, y))
-        dx, dy = (-np.diff(norm.pdf(edges, centre, sigma_px)) for centre in (x, y))
+        px, py = (np.diff(norm.cdf(edges, center, sigma_px)) for center in (x, y))
+        dx, dy = (-np.diff(norm.pdf(edges, center, sigma_px)) for center in (x, y))
         star = np.outer(py, px)
         jacobian = np.stack([f * np.outer(py, dx), f * np.outer(dy, px), star, np.ones_like(star)]).reshape(4, -1)
         information = (jacobian / (NOISE_DN**2 + f * star.ravel() / GAIN)) @ jacobian.T
@@ -147,7 +147,7 @@ def with_psf_photometry(image: NDArray[np.uint16]) -> Float:
 
 
 def accuracy(draws: int) -> list[dict[str, Any]]:
-    """Errors, and mean normalised squared errors (2 when covariances are right), over the width of the PSF.
+    """Errors, and mean normalized squared errors (2 when covariances are right), over the width of the PSF.
 
     ``phase_bias_px`` is the largest mean error of the stars in an eighth of a pixel, with its standard error.
     """

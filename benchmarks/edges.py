@@ -1,6 +1,6 @@
 """Edges to a fraction of a pixel: accuracy without and with noise, and speed, of three methods; prints JSON.
 
-Discs of several radii, drawn ten times as fine and blurred, lit from twelve sides; errors are distances of the edge
+Disks of several radii, drawn ten times as fine and blurred, lit from twelve sides; errors are distances of the edge
 points from the circle. With noise the squared errors stand beside the stated variance (1 where that is honest).
 
 Usage: python benchmarks/edges.py [--quick]
@@ -27,7 +27,7 @@ LEVEL_DN = 1000.0
 FINE = 10
 
 
-def disc(radius_px: float, blur_px: float) -> tuple[Float, Float]:
+def disk(radius_px: float, blur_px: float) -> tuple[Float, Float]:
     size = int(2 * radius_px + 24)
     center = np.array([size / 2 + 0.23, size / 2 - 0.31])
     x, y = np.meshgrid(*[(np.arange(size * FINE) + 0.5) / FINE - 0.5] * 2)
@@ -60,7 +60,7 @@ def methods(blur_px: float, curvature: float) -> dict[str, Callable[[Float, Pixe
 
 
 def measured(radius_px: float, blur_px: float, *, noise: bool) -> dict[str, object]:
-    light, center = disc(radius_px, blur_px)
+    light, center = disk(radius_px, blur_px)
     report: dict[str, object] = {}
     for name, method in methods(blur_px, 1.0 / radius_px).items():
         errors, chi2, spent = [], [], 0.0

@@ -1,4 +1,4 @@
-"""Errors of the estimators over the size of the disc and over the phase angle, beside the Cramer-Rao bound: a figure.
+"""Errors of the estimators over the size of the disk and over the phase angle, beside the Cramer-Rao bound: a figure.
 
 An ellipsoid of known law, so that every estimator has something to do; noise, PSF and predictions as in monte_carlo.py.
 Writes ``error_curves.json`` and ``error_curves.svg``.
@@ -76,7 +76,7 @@ def cell(diameter_px: float, phase_deg: float, draws: int, count: int) -> dict[s
 
 
 def figure(by_size: list[dict[str, object]], by_phase: list[dict[str, object]]) -> str:
-    """Centre and range over size and over phase, as SVG."""
+    """Center and range over size and over phase, as SVG."""
     with drawing():
         drawn = new_figure(10.0, 7.0)
         panels = drawn.subplots(2, 2)

@@ -35,11 +35,11 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative import SurfaceFeatures, SurfaceFeaturesOptions
-from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
 from giantlike.relative.landmarks.matching import fit_patch
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, rays_for
-from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
+from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
 from giantlike.relative.landmarks.surface_features import LandmarkFix
+from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
 from giantlike.scene import Scene, Target
 from giantlike.shapes import irregular_body
 
@@ -118,7 +118,7 @@ def rendered(body: Body, sun: Float, options: RenderOptions) -> Float:
 
 
 def bound(one: Draw, fix: LandmarkFix) -> tuple[float, float]:
-    """Cramer-Rao bound of the centre, rms per axis, px, and of the range, over the range; attitude known."""
+    """Cramer-Rao bound of the center, rms per axis, px, and of the range, over the range; attitude known."""
     catalog = landmarks_of(one.body.shape)  # type: ignore[arg-type]
     viewer = viewer_for(catalog, one.body.shape)
     assert CAMERA.psf is not None

@@ -1,4 +1,4 @@
-"""Accuracy and consistency of the centre of brightness, over size, phase angle and reflectance law; prints JSON.
+"""Accuracy and consistency of the center of brightness, over size, phase angle and reflectance law; prints JSON.
 
 Irregular bodies rendered with rays at other places than the templates, Poisson and read noise, a priori errors of 10 px
 and a normal deviate of 2 % in range. Errors are given in percent of the radius, beside the correction of paper 1 eq. 3;

@@ -2,11 +2,11 @@
 
 Truth is rendered with many more rays, each at a random place of its cell; noise is Poisson and read noise; a priori the
 body is 10 px off. Each figure stands beside the Cramer-Rao bound of the noise, and each mean of squared error over
-covariance (NEES, 2 expected of a centre, 1 of a range) beside the band in which 95 % of such means lie.
+covariance (NEES, 2 expected of a center, 1 of a range) beside the band in which 95 % of such means lie.
 
 ``table`` has the rows of the requirements, 300 px unless said: exact shape and law, the range off by 1.5 or 5 %;
 truth McEwen and estimator told Lommel-Seeliger; truth with 1 % of relief that the estimator lacks, as one knows
-nothing of it and as one is told; a body of 2 px by each correction of ``unresolved``. ``sizes`` goes over discs and
+nothing of it and as one is told; a body of 2 px by each correction of ``unresolved``. ``sizes`` goes over disks and
 phase, ``small`` over bodies of a few pixels, ``speed`` over time for an image of 1024^2 beside one render.
 
 Usage: python benchmarks/estimators_template.py table|sizes|small|speed [--draws 200] [--sizes 20,60,...] [--rows ...]

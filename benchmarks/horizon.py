@@ -4,7 +4,7 @@
 range error of each method over its standard error. ``pass``: 102 images of the Moon in the geometry of paper 000, Table
 2 (Artemis I, pass 3), by the algorithm as flown (edges along the sunlight, whole pixels refined to a fraction, least
 squares), by ``sigmoid_limb`` and by ``ellipsoid_cra``; standard deviations and correlations beside the table's.
-``rows``: the rows of the table of targets, with the Cramer-Rao bound and the normalised error of the covariance.
+``rows``: the rows of the table of targets, with the Cramer-Rao bound and the normalized error of the covariance.
 ``sizes``: error against size. ``altitude``: a hazy limb, its altitude known or estimated.
 
 Usage: python benchmarks/horizon.py [bias pass rows sizes altitude] [--draws 12] [--truths 18] [--bias-draws 3000]
@@ -159,7 +159,7 @@ def pass_image(number: int) -> tuple[Image, Scene, Float]:
 
 
 def moon_pass(images: int) -> dict[str, object]:
-    """Residuals in centre and apparent radius against a trajectory whose pointing is off by a jitter."""
+    """Residuals in center and apparent radius against a trajectory whose pointing is off by a jitter."""
     report: dict[str, object] = {"images": images, "phase_deg": PASS_PHASE_DEG, "table_2": TABLE_2}
     camera = orion()
     found: dict[str, list[Float]] = {"as flown": [], "sigmoid_limb": [], "ellipsoid_cra": []}
@@ -183,7 +183,7 @@ def moon_pass(images: int) -> dict[str, object]:
 
 
 def _residual(camera: Camera, position: Float, known: Float) -> Float:
-    """Centre (x, y) and apparent radius, px, of a position less those of the trajectory."""
+    """Center (x, y) and apparent radius, px, of a position less those of the trajectory."""
     focal = camera.model.focal_length_px
     radius = [focal * math.tan(math.asin(MOON_KM / float(np.linalg.norm(place)))) for place in (position, known)]
     return np.array([*(camera.model.project(position) - camera.model.project(known)), radius[0] - radius[1]])

@@ -1,7 +1,7 @@
 """How often stars are named rightly, wrongly or not at all, and how long it takes; prints JSON as it goes.
 
 Run with ``OMP_NUM_THREADS=1 python benchmarks/identification.py [--draws 10000] [--only NAME ...]``. Fields of the
-default catalogue in random directions: the brightest stars of the field with 0.2 magnitudes of scatter and centroid
+default catalog in random directions: the brightest stars of the field with 0.2 magnitudes of scatter and centroid
 noise, some missing, and false detections of any of their brightnesses anywhere. A field counts as ``right`` when
 every corner of the image lies within ``RIGHT_PX`` of its place, as ``wrong`` when there is a solution and it does not.
 Times are CPU on one thread; ``identification_ms`` is all but the weighted fits of the attitude, which ``solve_ms``

@@ -71,12 +71,12 @@ class Truth:
 
     @property
     def center_px(self) -> Float:
-        """Where the centre of the body is (2,)."""
+        """Where the center of the body is (2,)."""
         return self.body.center_px(self.camera.model)
 
     @property
     def range_km(self) -> float:
-        """From the camera to the centre of the body."""
+        """From the camera to the center of the body."""
         return float(np.linalg.norm(self.body.position_camera_km))
 
 
@@ -159,7 +159,7 @@ def bound_of(truth: Truth, *, limb_only: bool) -> Float:
     """Cramer-Rao bound of the position: variances (3,) of x and y, px^2, and of the logarithm of the range.
 
     Brightness and background are freed, everything else is known. ``limb_only`` takes the pixels within 3 px of the
-    outline, on both sides: without the relief in the middle of the disc.
+    outline, on both sides: without the relief in the middle of the disk.
     """
     light = truth.light_dn
     by_x, by_y = (cv2.sepFilter2D(light, -1, *taps) for taps in ((_DERIVATIVE, _ONE), (_ONE, _DERIVATIVE)))

@@ -1,4 +1,4 @@
-"""Speed of reflectance laws beside the exponential alone, and of whole discs; prints JSON.
+"""Speed of reflectance laws beside the exponential alone, and of whole disks; prints JSON.
 
 Run with ``OMP_NUM_THREADS=1 python benchmarks/reflectance.py``. CPU time for each ray, least of several runs, in
 batches as large as a render hands over.
@@ -61,7 +61,7 @@ def main() -> None:
     report = {
         "ns_per_ray": {"exp": nanoseconds(partial(np.exp, -phase), RAYS)}
         | {name: nanoseconds(partial(law, mu0, mu, phase), RAYS) for name, law in LAWS.items()},
-        "ms_per_disc": {
+        "ms_per_disk": {
             name: round(1e-6 * nanoseconds(partial(disk_integrated, law, phases), phases.size, repeats=1), 2)
             for name, law in LAWS.items()
         },

@@ -161,7 +161,7 @@ def with_relief(
     """A shape with correlated relief on it, along its radii; ``rms`` over the mean radius.
 
     Plane waves of some wavenumbers (per radius; they are correlated over 1 / wavenumber radians), with equal slopes,
-    so that long waves are highest. What moves or scales the body is taken out: it would be another centre or range.
+    so that long waves are highest. What moves or scales the body is taken out: it would be another center or range.
     """
     length = np.linalg.norm(shape.vertices_km, axis=1)
     points = shape.vertices_km / length[:, None]
@@ -191,7 +191,7 @@ def rendered(body: Body, sun: Float, options: RenderOptions, *, psf_variance_px2
 
 
 def bounds(truth: Truth, *, range_sigma: float = math.inf) -> Float:
-    """Cramer-Rao bounds (2, 2) of the noise: of the centre, rms per axis, px, and of the logarithm of the range.
+    """Cramer-Rao bounds (2, 2) of the noise: of the center, rms per axis, px, and of the logarithm of the range.
 
     First row: with brightness, background and range unknown; second row: with blur and law as free as the fit has them.
     """

@@ -1,4 +1,4 @@
-"""Where stars are: catalogues, epochs, and how stars appear to an observer."""
+"""Where stars are: catalogs, epochs, and how stars appear to an observer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = [
 
 
 def load_catalog(name: str | Path = "default", *, band: str | Band | None = None) -> MemoryCatalog:
-    """Load a star catalogue.
+    """Load a star catalog.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def load_catalog(name: str | Path = "default", *, band: str | Band | None = None
     DataError
         The file is missing or damaged.
     InputError
-        The catalogue's magnitudes cannot be turned into those of the band.
+        The catalog's magnitudes cannot be turned into those of the band.
     """
     if str(name) == "default":
         from giantlike.catalogs.default import default_catalog
@@ -57,7 +57,7 @@ def load_catalog(name: str | Path = "default", *, band: str | Band | None = None
 
 def _of_file(path: Path) -> MemoryCatalog:
     if not path.exists():
-        raise DataError(path, "there is no such catalogue: give 'default', a built catalogue or a CSV file")
+        raise DataError(path, "there is no such catalog: give 'default', a built catalog or a CSV file")
     from giantlike.catalogs.stored import is_catalog_file, open_catalog
 
     if path.is_file() and is_catalog_file(path):

@@ -38,7 +38,7 @@ def apparent_directions(
 
     Stars move in straight lines at constant speed, radial motion included. Light time is that of the star's
     distance at either epoch and across the observer's place (Roemer delay). The observer's distance from the solar
-    system barycentre gives parallax; its velocity gives relativistic aberration. Light deflection by the Sun is left
+    system barycenter gives parallax; its velocity gives relativistic aberration. Light deflection by the Sun is left
     out unless asked for: 1.75 arcsec at the limb of the Sun, 0.0041 at 90 degrees from it, from 1 au.
 
     Parameters
@@ -47,9 +47,9 @@ def apparent_directions(
     et : float, s
         TDB seconds past J2000.
     observer_position_km : (3,) float64, km, inertial, optional
-        With respect to the solar system barycentre; without it no parallax.
+        With respect to the solar system barycenter; without it no parallax.
     observer_velocity_km_s : (3,) float64, km/s, inertial, optional
-        With respect to the solar system barycentre; without it no aberration.
+        With respect to the solar system barycenter; without it no aberration.
     light_deflection : bool
         Bend light in the field of the Sun.
 
@@ -67,7 +67,7 @@ def apparent_directions(
     -----
     Orbits of double stars are not followed: alpha Centauri A and B move as if each were alone.
 
-    A catalogue gives motions as they are seen: the time between two events on an approaching star appears shortened.
+    A catalog gives motions as they are seen: the time between two events on an approaching star appears shortened.
     They become true velocities as in ERFA's ``starpv``, the star moves between the two times of emission as in
     ``starpm``, and parallaxes that would make a star faster than 1 % of light are treated as in ``pmsafe`` [1]_, so
     that all three agree. A straight line without these terms is off by 4 mas in a century for Barnard's star.
@@ -113,7 +113,7 @@ def deflected(directions: Float, from_sun_km: ArrayLike) -> Float:
     """
     position_au = as_finite(from_sun_km, (3,), "from_sun_km") / AU_KM
     distance_au = float(np.linalg.norm(position_au))
-    require(distance_au > 0.0, "light deflection has no meaning for an observer in the centre of the Sun")
+    require(distance_au > 0.0, "light deflection has no meaning for an observer in the center of the Sun")
     e = position_au / distance_au
     limit = 1e-6 / max(distance_au**2, 1.0)
     along = directions @ e
@@ -122,10 +122,10 @@ def deflected(directions: Float, from_sun_km: ArrayLike) -> Float:
 
 
 def sun_position_km(et: float) -> Float:
-    """Position of the Sun (3,), km, ICRF axes, with respect to the solar system barycentre.
+    """Position of the Sun (3,), km, ICRF axes, with respect to the solar system barycenter.
 
     From the analytic ephemeris of ERFA, ``epv00``, that astropy has built in: no kernel is needed. Good to tens of
-    kilometres from 1900 to 2100, where light deflection asks for some thousand.
+    kilometers from 1900 to 2100, where light deflection asks for some thousand.
     """
     from astropy.coordinates import get_body_barycentric
 
@@ -134,7 +134,7 @@ def sun_position_km(et: float) -> Float:
 
 
 def tangent_axes(stars: StarTable) -> tuple[Float, Float]:
-    """Unit vectors east and north (n, 3) each, inertial, at the catalogue positions."""
+    """Unit vectors east and north (n, 3) each, inertial, at the catalog positions."""
     ra, dec = np.radians(stars.ra_deg), np.radians(stars.dec_deg)
     east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
     north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
@@ -142,7 +142,7 @@ def tangent_axes(stars: StarTable) -> tuple[Float, Float]:
 
 
 def _positions(stars: StarTable, years: Float, position_au: Float) -> Float:
-    """Vectors (n, 3) from the observer to the stars, in units of each star's distance at its catalogue epoch."""
+    """Vectors (n, 3) from the observer to the stars, in units of each star's distance at its catalog epoch."""
     radial = direction_from_radec(stars.ra_deg, stars.dec_deg)
     east, north = tangent_axes(stars)
     seen = (stars.pm_ra_mas_yr[:, None] * east + stars.pm_dec_mas_yr[:, None] * north) * RAD_PER_MAS

@@ -1,6 +1,6 @@
-"""Photometric bands: magnitudes in one from those in another and a colour.
+"""Photometric bands: magnitudes in one from those in another and a color.
 
-A band is a polynomial in one colour, added to the magnitude in the band that it rests on. Where that colour is
+A band is a polynomial in one color, added to the magnitude in the band that it rests on. Where that color is
 unknown, the other one stands in for it through a relation between the two; where none is known, a typical one.
 
 References
@@ -22,9 +22,9 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 
 COLORS = ("color_bp_rp", "color_bv")
-"""Colours that a :class:`~giantlike.catalogs.StarTable` has."""
+"""Colors that a :class:`~giantlike.catalogs.StarTable` has."""
 _BP_RP_OF_BV = (0.0168, 1.3774, -0.3363, 0.4844, -0.6262, 0.2528)
-"""Fitted to 97,000 stars of the default catalogue that have both colours: scatter 0.03 mag, 0.06 at the red end."""
+"""Fitted to 97,000 stars of the default catalog that have both colors: scatter 0.03 mag, 0.06 at the red end."""
 _BV_OF_BP_RP = (-0.0039, 0.7133, -0.0424, 0.2764, -0.1097, -0.0022)
 """Likewise, the other way round."""
 _BV_RANGE = (-0.3, 1.6)
@@ -34,26 +34,26 @@ _TYPICAL = MappingProxyType({"color_bp_rp": 1.15, "color_bv": 0.95})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Band:
-    """A band whose magnitudes are those of another one plus a polynomial in a colour.
+    """A band whose magnitudes are those of another one plus a polynomial in a color.
 
     Parameters
     ----------
     name : str
     base : str
-        The band that it rests on: ``"Gaia G"``, ``"V"`` or the band of the catalogue.
+        The band that it rests on: ``"Gaia G"``, ``"V"`` or the band of the catalog.
     coefficients : tuple of float
-        Of ascending powers of the colour: magnitude in this band minus magnitude in ``base``.
+        Of ascending powers of the color: magnitude in this band minus magnitude in ``base``.
     color : str
         ``"color_bp_rp"`` (Gaia BP-RP) or ``"color_bv"`` (Johnson B-V).
     color_range : (float, float)
-        Bluer and redder stars are taken as of the bluest and the reddest colour here.
+        Bluer and redder stars are taken as of the bluest and the reddest color here.
     typical_color : float, optional
-        Of stars whose colours are all unknown; default the median of the default catalogue.
+        Of stars whose colors are all unknown; default the median of the default catalog.
 
     Raises
     ------
     InputError
-        No coefficients, an unknown colour, or values that are not finite or in the wrong order.
+        No coefficients, an unknown color, or values that are not finite or in the wrong order.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Band:
         return f"{self.name} = {self.base} + ({numbers}) in {self.color.removeprefix('color_')}"
 
     def magnitude(self, base_magnitude: Float, *, color_bp_rp: Float, color_bv: Float) -> Float:
-        """Magnitudes (n,) in this band of stars with magnitudes (n,) in ``base`` and colours (n,), NaN unknown."""
+        """Magnitudes (n,) in this band of stars with magnitudes (n,) in ``base`` and colors (n,), NaN unknown."""
         if self.color == "color_bp_rp":
             own, other = color_bp_rp, _polynomial(np.clip(color_bv, *_BV_RANGE), _BP_RP_OF_BV)
         else:

@@ -19,8 +19,8 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
     """Merge stars that are nearer to each other than a camera resolves.
 
     Each star, the brightest first, takes in all fainter ones within ``radius_rad`` that no brighter one has taken.
-    The merged star has the identifier, colours and radial velocity of the brightest, the flux of all, and at ``et``
-    the place, motion and parallax of the centre of light: what a fit to the blended image finds while the separation
+    The merged star has the identifier, colors and radial velocity of the brightest, the flux of all, and at ``et``
+    the place, motion and parallax of the center of light: what a fit to the blended image finds while the separation
     is well below the width of the PSF. It is marked as double. Stars alone stay as they are.
 
     Parameters
@@ -45,8 +45,8 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 
     Notes
     -----
-    The merged place is a catalogue place again: its epoch is that of ``et``, so that the other functions can move
-    it, take parallax and aberration from there. The direction of the centre of light is right to second order in the
+    The merged place is a catalog place again: its epoch is that of ``et``, so that the other functions can move
+    it, take parallax and aberration from there. The direction of the center of light is right to second order in the
     separation; the motions of the members are averaged with their flux as weight.
     """
     require(0.0 < radius_rad < np.inf, f"radius_rad must be positive, got {radius_rad}")

@@ -1,4 +1,4 @@
-"""What a star catalogue is, and one that keeps its stars in arrays."""
+"""What a star catalog is, and one that keeps its stars in arrays."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class StarCatalog(Protocol):
 
 
 class MemoryCatalog:
-    """A catalogue held as arrays, which may be mapped from a file, sorted into cells of the sky.
+    """A catalog held as arrays, which may be mapped from a file, sorted into cells of the sky.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class MemoryCatalog:
     def of_columns(
         cls, columns: Mapping[str, Column], index: SkyIndex, *, name: str, band: str, version: str
     ) -> MemoryCatalog:
-        """Return the catalogue of columns that already are in the order of an index; nothing is copied."""
+        """Return the catalog of columns that already are in the order of an index; nothing is copied."""
         catalog = cls.__new__(cls)
         catalog._columns, catalog._index = columns, index
         catalog._name, catalog._band, catalog._version = name, band, version
@@ -151,7 +151,7 @@ class MemoryCatalog:
         Raises
         ------
         InputError
-            No way leads from the band of this catalogue to the one asked for.
+            No way leads from the band of this catalog to the one asked for.
         """
         steps = band_between(self._band, band)
         if not steps:

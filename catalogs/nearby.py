@@ -1,21 +1,21 @@
-"""Near and fast stars: motions that a merge of two catalogues cannot know well enough.
+"""Near and fast stars: motions that a merge of two catalogs cannot know well enough.
 
-Radial motion changes the proper motion of a near star (Barnard's by 1.3 mas/yr each year) and neither catalogue of
+Radial motion changes the proper motion of a near star (Barnard's by 1.3 mas/yr each year) and neither catalog of
 the default one has radial velocities. Orbits spoil the displacement between two epochs, and Hipparcos gives the two
 components of alpha Centauri parallaxes that differ by 42 mas. These values replace what the merge has.
 
 Values and where they come from; every number was read there:
 
-- ``S``: SIMBAD by its TAP service, as recorded with references in a public catalogue of near stars: proper motions of
+- ``S``: SIMBAD by its TAP service, as recorded with references in a public catalog of near stars: proper motions of
   Gaia EDR3 (2020yCat.1350....0G); radial velocities of 2020AJ....160..120J (Proxima), 2018A&A...616A...7S (Ross 154,
   epsilon Eridani, Lacaille 9352) and 2018MNRAS.475.1960F (Barnard, Lalande 21185, Ross 128).
 - ``G``: Gaia DR3 archive, source 4472832130942575872 (Barnard) and 5853498713190525696 (Proxima): proper motion and
   parallax with all digits.
 - ``H``: SIMBAD, with the proper motion and parallax of the new reduction of Hipparcos (2007A&A...474..653V), as
-  listed for celestial navigation; here only the radial velocity is taken, the catalogue has the rest.
+  listed for celestial navigation; here only the radial velocity is taken, the catalog has the rest.
 - ``K``: parallax of alpha Centauri from its orbit, 747.17 +- 0.61 mas, Kervella, Thevenin and Lovis (2016).
 - ``N``: the NOVAS example of Groombridge 1830, from SIMBAD.
-- ``L``: radial velocities as listed in a public catalogue of the nearest stars, good to about 1 km/s.
+- ``L``: radial velocities as listed in a public catalog of the nearest stars, good to about 1 km/s.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ SIGMA_PM_GAIA_MAS_YR = 0.05
 
 @dataclass(frozen=True, slots=True)
 class NearbyStar:
-    """What is known better of one star; None keeps the value of the catalogue.
+    """What is known better of one star; None keeps the value of the catalog.
 
     Parameters
     ----------
     name : str
     star_id : int
-        As in the default catalogue: Gaia DR3, or minus the Hipparcos number.
+        As in the default catalog: Gaia DR3, or minus the Hipparcos number.
     radial_velocity_km_s : float, km/s
     motion_mas_yr : (float, float), mas/yr, optional
         Proper motion in right ascension (with cos(dec)) and declination.
@@ -93,11 +93,11 @@ NEARBY: Sequence[NearbyStar] = (
     NearbyStar("Polaris", -11767, -16.42, None, None, "H"),
     NearbyStar("Canopus", -30438, 20.30, None, None, "H"),
 )
-"""Near and fast stars of the default catalogue, and bright ones whose radial velocity came with them."""
+"""Near and fast stars of the default catalog, and bright ones whose radial velocity came with them."""
 
 
 def radial_velocities(ids: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]]) -> Float:
-    """Radial velocities (n,), km/s, of stars of the default catalogue, 0 where none is known here."""
+    """Radial velocities (n,), km/s, of stars of the default catalog, 0 where none is known here."""
     known = {star.star_id: star.radial_velocity_km_s for star in NEARBY}
     return np.array([known.get(int(number), 0.0) for number in ids], dtype=np.float64)
 

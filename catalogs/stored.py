@@ -1,6 +1,6 @@
-"""The file that a built catalogue is kept in, mapped into memory when it is opened.
+"""The file that a built catalog is kept in, mapped into memory when it is opened.
 
-Form of a catalogue file (``.stars``), little endian throughout:
+Form of a catalog file (``.stars``), little endian throughout:
 
 ========  ==================================================================================
 bytes     content
@@ -52,12 +52,12 @@ _DTYPES: Mapping[str, str] = MappingProxyType(
     | {"directions": "<f4", "rank": "<i4", "starts": "<i8", "fast_margin_rad": "<f8"}
 )
 _INDEX = ("directions", "rank", "starts", "fast_margin_rad")
-_MENDED = "build the catalogue again with `giantlike catalog build`"
+_MENDED = "build the catalog again with `giantlike catalog build`"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """A file that a catalogue was made of.
+    """A file that a catalog was made of.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Source:
 
 
 def is_catalog_file(path: Path) -> bool:
-    """Whether a file begins as a built catalogue does.
+    """Whether a file begins as a built catalog does.
 
     Raises
     ------
@@ -82,11 +82,11 @@ def is_catalog_file(path: Path) -> bool:
         with path.open("rb") as stream:
             return stream.read(len(_MAGIC)) == _MAGIC
     except OSError as error:
-        raise DataError(path, f"cannot be read as a star catalogue: {error.strerror or error}") from error
+        raise DataError(path, f"cannot be read as a star catalog: {error.strerror or error}") from error
 
 
 def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[Source] = ()) -> None:
-    """Write a catalogue into one file, whole or not at all.
+    """Write a catalog into one file, whole or not at all.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
 
 
 def open_catalog(path: str | Path) -> MemoryCatalog:
-    """Open a built catalogue; its columns stay in the file until a cone asks for them.
+    """Open a built catalog; its columns stay in the file until a cone asks for them.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def open_catalog(path: str | Path) -> MemoryCatalog:
 
 
 def catalog_header(path: str | Path, *, check: bool = False) -> Mapping[str, Any]:
-    """Return what a built catalogue says of itself; see the module for the keys.
+    """Return what a built catalog says of itself; see the module for the keys.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _blocks(arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
 def _opened(path: Path) -> tuple[dict[str, Any], NDArray[np.uint8]]:
     """The header, checked for what the reader relies on, and all bytes of the file."""
     if not is_catalog_file(path):
-        raise DataError(path, f"is no built star catalogue (it does not begin with GLSTARS); {_MENDED}")
+        raise DataError(path, f"is no built star catalog (it does not begin with GLSTARS); {_MENDED}")
     size = path.stat().st_size
     raw = np.memmap(path, dtype=np.uint8, mode="r")
     length = int.from_bytes(raw[8:16].tobytes(), "little") if size >= 16 else size

@@ -18,14 +18,14 @@ _NO_FLAGS: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarTable:
-    """Astrometry of n stars at their catalogue epochs, barycentric, ICRF.
+    """Astrometry of n stars at their catalog epochs, barycentric, ICRF.
 
     Parameters
     ----------
     ids : (n,) int64
-        Catalogue identifiers: Gaia source ids, negative Hipparcos numbers, or the user's own.
+        Catalog identifiers: Gaia source ids, negative Hipparcos numbers, or the user's own.
     ra_deg, dec_deg : (n,) float64, deg
-        Position at ``epoch_jyear``, as seen from the solar system barycentre.
+        Position at ``epoch_jyear``, as seen from the solar system barycenter.
     pm_ra_mas_yr, pm_dec_mas_yr : (n,) float64, mas/yr
         Proper motion; the first one includes cos(dec).
     parallax_mas : (n,) float64, mas
@@ -35,7 +35,7 @@ class StarTable:
     epoch_jyear : (n,) float64
         Julian epoch (TDB) of the position.
     magnitude : (n,) float64
-        In the band of the catalogue.
+        In the band of the catalog.
     color_bv : (n,) float64
         Johnson B-V, NaN where unknown.
     sigma_mas : (n,) float64, mas
@@ -45,7 +45,7 @@ class StarTable:
     color_bp_rp : (n,) float64, optional
         Gaia BP-RP, NaN where unknown.
     is_double : (n,) bool, optional
-        Known doubles: the catalogue has a companion within a few arcseconds or says that the star is none alone,
+        Known doubles: the catalog has a companion within a few arcseconds or says that the star is none alone,
         or :func:`~giantlike.catalogs.blended` made one of several. Place, motion and magnitude of such a star are
         good for less than their standard deviations say.
     """

@@ -4,8 +4,8 @@ Run with the folder that holds ``lorri/*.fits``, ``lorri_stars.csv`` and ``lorri
 
     python examples/new_horizons_parallax.py STARS_FOLDER
 
-The frames hold too few catalogue stars to solve, so that the attitude is that of the world coordinates in the header.
-LORRI stores its rows from the bottom. The world coordinates were fitted to catalogue places of stars: aberration is in
+The frames hold too few catalog stars to solve, so that the attitude is that of the world coordinates in the header.
+LORRI stores its rows from the bottom. The world coordinates were fitted to catalog places of stars: aberration is in
 them, and is not applied again.
 """
 
@@ -51,7 +51,7 @@ class Sighting:
 
 
 def near_stars(table: Path) -> tuple[MemoryCatalog, dict[str, int]]:
-    """The default catalogue joined with the stars of a table, and their identifiers by name."""
+    """The default catalog joined with the stars of a table, and their identifiers by name."""
     mapping = column_map([*(f"{column}={column}" for column in COLUMNS), f"magnitude={MAGNITUDE}"])
     near = build_catalog([table], "table", name="near", mapping=mapping).catalog.stars
     rows = csv.DictReader(table.read_text().splitlines())

@@ -182,7 +182,7 @@ def table(data: Path, output: Path, only: str = "") -> Path:
                 _overlay(case, {name: fix for name, (fix, _) in found.items()}, output)
                 print("\n".join(_line(row) for row in rows[-len(found) :]), flush=True)
     (output / "table.json").write_text(json.dumps(rows, indent=1))
-    head = ["image", "estimator", "status", "centre, px", "sigma", "off, sigmas", "range, km", "sigma", "off, sigmas"]
+    head = ["image", "estimator", "status", "center, px", "sigma", "off, sigmas", "range, km", "sigma", "off, sigmas"]
     lines = [_line(dict.fromkeys(head, "") | dict(zip(head, head, strict=True)), head), "|" + " --- |" * len(head)]
     path = output / "table.md"
     path.write_text("\n".join([*lines, *(_line(row) for row in rows)]) + "\n")
@@ -208,7 +208,7 @@ def _row(case: Case, name: str, fix: CenterFix | Failure, spent_s: float) -> dic
     names = [flag for flag in fix.flags.names() if flag not in ("apriori_attitude", "saturated")]
     row["status"] = ("suspect" if fix.flags.suspect else "ok") + (f" ({', '.join(names)})" if names else "")
     sigma = np.sqrt(np.diag(fix.covariance_px2))
-    row |= {"centre, px": _text(fix.center_px, 2), "sigma": _text(sigma, 2), "score": fix.score}
+    row |= {"center, px": _text(fix.center_px, 2), "sigma": _text(sigma, 2), "score": fix.score}
     if case.center_px is not None:
         total = fix.covariance_px2 + case.sigma_px**2 * np.eye(2)
         error = fix.center_px - case.center_px
@@ -230,14 +230,14 @@ def _line(row: dict[str, Any], head: list[str] | None = None) -> str:
     """A row as Markdown."""
     if head is not None:
         return "| " + " | ".join(head) + " |"
-    cells = [row["image"], row["estimator"], row["status"], row.get("centre, px", ""), row.get("sigma", "")]
+    cells = [row["image"], row["estimator"], row["status"], row.get("center, px", ""), row.get("sigma", "")]
     for key, form in (("off", ".1f"), ("range_km", ".1f"), ("sigma_range_km", ".2g"), ("range_off", "+.1f")):
         cells.append(format(row[key], form) if key in row else "")
     return "| " + " | ".join(cells) + " |"
 
 
 def _overlay(case: Case, fixes: dict[str, CenterFix | Failure], output: Path) -> None:
-    """The image with limb points, the outline at each position and the centres; a colour for each estimator."""
+    """The image with limb points, the outline at each position and the centers; a color for each estimator."""
     pixels = case.image.pixels.astype(np.float64)
     low, high = np.percentile(pixels, [1.0, 99.7])
     gray = (255.0 * np.clip((pixels - low) / max(high - low, 1e-9), 0.0, 1.0) ** 0.5).astype(np.uint8)

@@ -50,7 +50,7 @@ class Case:
     image, camera, scene
         What an estimator takes; the prediction is in the scene.
     center_px, sigma_px : optional
-        Truth of the centre and how certain it is.
+        Truth of the center and how certain it is.
     range_km, sigma_range : optional
         Truth of the range, and its relative uncertainty.
     estimators : tuple of str
@@ -72,15 +72,15 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Disc:
-    """A disc in an image, by its outline: centre and mean radius, px."""
+class Disk:
+    """A disk in an image, by its outline: center and mean radius, px."""
 
     center_px: Float
     radius_px: float
 
 
-def seen_disc(pixels: Float, radius_px: float) -> Disc:
-    """The largest bright patch of an image, as a disc of about ``radius_px``; it may be cut by the frame."""
+def seen_disk(pixels: Float, radius_px: float) -> Disk:
+    """The largest bright patch of an image, as a disk of about ``radius_px``; it may be cut by the frame."""
     smooth = cv2.medianBlur(pixels.astype(np.float32), 5).astype(np.float64)
     blobs = connected_blobs(smooth, smooth > otsu_threshold(smooth.ravel()))
     low = blobs.boxes_px[0, :2].astype(np.float64)
@@ -92,7 +92,7 @@ def seen_disc(pixels: Float, radius_px: float) -> Disc:
             center[axis] = high[axis] - radius_px
         elif high[axis] >= frame[axis] - 2 and low[axis] > 2:
             center[axis] = low[axis] + radius_px
-    return Disc(center, 0.25 * float((high - low).sum()))
+    return Disk(center, 0.25 * float((high - low).sum()))
 
 
 def pointed(camera: Camera, center_px: Float, direction: Float, roll_rad: float) -> Rotation:
@@ -142,7 +142,7 @@ def vesta(data: Path) -> Iterator[Case]:
 
 
 def europa(data: Path) -> Iterator[Case]:
-    """Galileo SSI: centre and range of the label; azimuths in the label run clockwise from +x."""
+    """Galileo SSI: center and range of the label; azimuths in the label run clockwise from +x."""
     image = Image.open(data / "bodies" / "galileo_ssi" / "4600R.IMG")
     label = {
         key: float(image.metadata[key])
@@ -231,13 +231,13 @@ def jupiter(data: Path) -> Iterator[Case]:
             position, turn, sun, radii = planet("JUPITER", "CASSINI", image.et)
         shape = Ellipsoid(radii_km=radii, name="Jupiter")
         range_km = float(np.linalg.norm(position))
-        disc = seen_disc(image.pixels.astype(np.float64), radii[0] / range_km * focal_px)
+        disk = seen_disk(image.pixels.astype(np.float64), radii[0] / range_km * focal_px)
         apparent = ApparentGeometry(position_inertial_km=position, inertial_from_body=turn, sun_direction_inertial=sun)
         scene = placed("JUPITER", shape, apparent)
-        image = image.with_attitude(best_roll(image, camera, scene, disc))
+        image = image.with_attitude(best_roll(image, camera, scene, disk))
         yield Case(
             name=f"Jupiter {name}",
-            source="range: predicted trajectory, good to a percent; no attitude, so no truth of the centre",
+            source="range: predicted trajectory, good to a percent; no attitude, so no truth of the center",
             image=image,
             camera=camera,
             scene=scene,
@@ -266,8 +266,8 @@ def cassini_camera(focal_px: float, image: Image) -> Camera:
     )
 
 
-def best_roll(image: Image, camera: Camera, scene: Scene, disc: Disc) -> Rotation:
-    """The attitude that shows the target near a disc and, turned about it, most alike; to three degrees."""
+def best_roll(image: Image, camera: Camera, scene: Scene, disk: Disk) -> Rotation:
+    """The attitude that shows the target near a disk and, turned about it, most alike; to three degrees."""
     factor, slack = 4, 16
     size = image.columns // factor, image.rows // factor
     small = cv2.resize(image.pixels.astype(np.float32), size, interpolation=cv2.INTER_AREA)
@@ -277,7 +277,7 @@ def best_roll(image: Image, camera: Camera, scene: Scene, disc: Disc) -> Rotatio
     assert isinstance(ephemeris, ApparentGeometry)
 
     def alike(roll_deg: float) -> tuple[float, Rotation]:
-        attitude = pointed(camera, disc.center_px, ephemeris.position_inertial_km, math.radians(roll_deg))
+        attitude = pointed(camera, disk.center_px, ephemeris.position_inertial_km, math.radians(roll_deg))
         assert ephemeris.sun_direction_inertial is not None
         body = Body(
             shape=scene.targets[0].shape,
@@ -298,7 +298,7 @@ def best_roll(image: Image, camera: Camera, scene: Scene, disc: Disc) -> Rotatio
         light = template.placed(coarse.columns, coarse.rows).astype(np.float32)
         match = cv2.matchTemplate(padded, light, cv2.TM_CCOEFF_NORMED)
         row, column = np.unravel_index(int(np.argmax(match)), match.shape)
-        moved = disc.center_px + factor * (np.array([column, row], dtype=np.float64) - slack)
+        moved = disk.center_px + factor * (np.array([column, row], dtype=np.float64) - slack)
         return float(match.max()), pointed(camera, moved, ephemeris.position_inertial_km, math.radians(roll_deg))
 
     best = max(np.arange(0.0, 360.0, 15.0), key=lambda roll: alike(float(roll))[0])
@@ -307,7 +307,7 @@ def best_roll(image: Image, camera: Camera, scene: Scene, disc: Disc) -> Rotatio
 
 
 def voyager(data: Path) -> Iterator[Case]:
-    """Voyager 1 at Saturn: trajectory and pointing by SPICE; rings before and behind the disc."""
+    """Voyager 1 at Saturn: trajectory and pointing by SPICE; rings before and behind the disk."""
     kernels, folder = data / "kernels", data / "bodies" / "voyager_iss"
     files = [
         _de440(),
@@ -386,19 +386,19 @@ def cassini_without_geometry(data: Path) -> Iterator[Case]:
     with load_kernels([str(kernels / "pck00011.tpc")], base=Path()):
         mimas, saturn = (Ellipsoid(radii_km=body_radii_km(body), name=body) for body in ("MIMAS", "SATURN"))
     image = Image.open(folder / "N1644787857_1.LBL")
-    disc = seen_disc(image.pixels.astype(np.float64), 440.0)
+    disk = seen_disk(image.pixels.astype(np.float64), 440.0)
     for name, target, shape, center, radius_px, sun, turn in (
         # the crater Herschel, at 112 degrees west, lies at the left: the longest axis points here, north is up
         (
             "N1644787857_1.LBL",
             "MIMAS",
             mimas,
-            disc.center_px,
-            disc.radius_px,
+            disk.center_px,
+            disk.radius_px,
             (0.5, 0.2, -0.85),
             Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]),
         ),
-        # read off the picture: disc between the rings, their plane (opened 16 degrees), shadow of the disc on them
+        # read off the picture: disk between the rings, their plane (opened 16 degrees), shadow of the disk on them
         (
             "N1460002670_1.IMG",
             "SATURN",
@@ -447,9 +447,9 @@ def earth(data: Path) -> Iterator[Case]:
         turn, radii = orientation("IAU_EARTH", et), body_radii_km("EARTH")
     pixels = image.pixels.astype(np.float64)
     pixels = pixels - np.median(pixels, axis=0)
-    disc = seen_disc(pixels, radii[0] / range_km * focal_px)
+    disk = seen_disk(pixels, radii[0] / range_km * focal_px)
     apparent = ApparentGeometry(
-        position_inertial_km=range_km * attitude.inv().apply(camera.model.unproject(disc.center_px)),
+        position_inertial_km=range_km * attitude.inv().apply(camera.model.unproject(disk.center_px)),
         inertial_from_body=turn,
         sun_direction_inertial=unit(sun_km),
     )

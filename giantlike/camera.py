@@ -178,7 +178,7 @@ class Camera:
     def from_fov(
         cls, fov_deg: float, columns: int, rows: int, *, name: str = "camera", type_name: str = "pinhole"
     ) -> Camera:
-        """Return a camera of a rough field of view along x, principal point at the image centre, ideal lens.
+        """Return a camera of a rough field of view along x, principal point at the image center, ideal lens.
 
         Parameters
         ----------
@@ -290,7 +290,7 @@ class Camera:
 
     @property
     def half_diagonal_rad(self) -> float:
-        """Largest angle between the line of sight of the image centre and any other that the image holds, rad.
+        """Largest angle between the line of sight of the image center and any other that the image holds, rad.
 
         That of a corner, or of the rim of the image circle where a lens leaves the corners dark; NaN when the lens
         shows nothing.
@@ -337,7 +337,7 @@ class Camera:
         return self.contains(self.model.project(points_camera), margin_px=margin_px)
 
     def ifov_rad(self, points_px: ArrayLike | None = None) -> Float:
-        """Geometric-mean angle (...,), rad, that a pixel subtends at pixels (..., 2); default the image centre."""
+        """Geometric-mean angle (...,), rad, that a pixel subtends at pixels (..., 2); default the image center."""
         return ifov_rad(self.model, self.center_px if points_px is None else points_px)
 
     def contains(self, points_px: ArrayLike, *, margin_px: float = 0.0) -> NDArray[np.bool_]:

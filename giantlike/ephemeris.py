@@ -153,7 +153,7 @@ class ApparentGeometry:
     Parameters
     ----------
     position_inertial_km : (3,), km, ICRF
-        From camera to body centre.
+        From camera to body center.
     inertial_from_body : Rotation
         At the time the light left the body.
     sun_direction_inertial : (3,), unitless, ICRF, optional
@@ -179,7 +179,7 @@ class DistantLight:
     Parameters
     ----------
     direction_inertial : (3,), ICRF
-        From the bodies to the light; normalised.
+        From the bodies to the light; normalized.
     """
 
     direction_inertial: Float

@@ -35,7 +35,7 @@ class Target:
     ----------
     name : str
     shape : Shape
-        In body axes; its origin is the centre that estimators report.
+        In body axes; its origin is the center that estimators report.
     ephemeris : Ephemeris or ApparentGeometry
     reflectance : Reflectance
     """
@@ -68,7 +68,7 @@ class TargetGeometry:
 
     @property
     def range_km(self) -> float:
-        """Distance from camera to body centre, km."""
+        """Distance from camera to body center, km."""
         return float(np.linalg.norm(self.position_camera_km))
 
     @property

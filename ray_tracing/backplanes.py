@@ -12,7 +12,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, frozen, require
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing.body import Body, sun_in_body, suns_of
-from giantlike.ray_tracing.neighbours import Neighbour, neighbours_of
+from giantlike.ray_tracing.neighbors import Neighbor, neighbors_of
 from giantlike.ray_tracing.sampling import Cells, RayGrid
 from giantlike.ray_tracing.tracer import Mask
 from giantlike.ray_tracing.window import sampled_box
@@ -22,7 +22,7 @@ _RAYS_AT_A_TIME = 100_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Backplanes:
-    """Geometry at the centre of every pixel; off all bodies numbers are -1, values NaN and flags False.
+    """Geometry at the center of every pixel; off all bodies numbers are -1, values NaN and flags False.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Backplanes:
     point_body_km : (rows, columns, 3) float64, km, body axes
         The point of the surface.
     shadowed : (rows, columns) bool
-        No direct light of the centre of the Sun: below the horizon, or something in the way.
+        No direct light of the center of the Sun: below the horizon, or something in the way.
     """
 
     body: NDArray[np.int32]
@@ -65,7 +65,7 @@ def trace_backplanes(
     columns: int,
     rows: int,
 ) -> Backplanes:
-    """Trace one ray through the centre of every pixel, in float64 but for the choice of the facet.
+    """Trace one ray through the center of every pixel, in float64 but for the choice of the facet.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ def trace_backplanes(
         x, y = (Cells.covering(float(box.low_px[i]), float(box.high_px[i]), 1) for i in range(2))
         rotation = bodies[number].camera_from_body.as_matrix().T
         grid, step = RayGrid(model, x, y, rotation), max(_RAYS_AT_A_TIME // x.count, 1)
-        neighbours = neighbours_of(bodies, number, sun, 0.0)
+        neighbors = neighbors_of(bodies, number, sun, 0.0)
         for start in range(0, y.count, step):
             stop = min(start + step, y.count)
             window = slice(y.first + start, y.first + stop), slice(x.first, x.first + x.count)
             directions = grid.tile(start, stop, 0, x.count)[:, :3].reshape(x.count, stop - start, 3)
-            _fill(planes, window, number, bodies[number], np.swapaxes(directions, 0, 1), sun, neighbours)
+            _fill(planes, window, number, bodies[number], np.swapaxes(directions, 0, 1), sun, neighbors)
     for name in planes.__dataclass_fields__:
         frozen(getattr(planes, name))
     return planes
@@ -134,7 +134,7 @@ def _fill(
     body: Body,
     directions: Float,
     sun_camera: Float,
-    neighbours: Sequence[Neighbour],
+    neighbors: Sequence[Neighbor],
 ) -> None:
     """Write what a body shows along directions (h, w, 3), body axes, into a window of the planes, if it is nearest."""
     sun, camera_km = sun_in_body(body, sun_camera), body.camera_body_km
@@ -145,9 +145,9 @@ def _fill(
     nearest = np.flatnonzero(hits.hit & ~(range_km >= before))
     points, normals, rays = hits.points_km[nearest], hits.normals[nearest], rays[nearest]
     shadowed = body.tracer.shadowed(hits, sun)[nearest]
-    for neighbour in neighbours:
-        if neighbour.shades:
-            shadowed |= neighbour.dark(points, sun)
+    for neighbor in neighbors:
+        if neighbor.shades:
+            shadowed |= neighbor.dark(points, sun)
     values = {
         "body": np.full(nearest.size, number, np.int32),
         "facet": hits.facets[nearest],

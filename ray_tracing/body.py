@@ -16,7 +16,7 @@ from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import LevelsOfDetail, Point, Shape, sphere
 
 _POINT_PX = 1e-3
-"""Diameter of the disc that is traced for a point: its phase moves the light by 3e-4 px at most."""
+"""Diameter of the disk that is traced for a point: its phase moves the light by 3e-4 px at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class Body:
     def __post_init__(self) -> None:
         position = as_finite(self.position_camera_km, (3,), "position_camera_km")
         require(
-            bool(np.any(position != 0.0)), "position_camera_km must not be zero: the camera sits in the body's centre"
+            bool(np.any(position != 0.0)), "position_camera_km must not be zero: the camera sits in the body's center"
         )
         object.__setattr__(self, "position_camera_km", position)
 

@@ -14,7 +14,7 @@ _NODES = 96
 
 
 def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
-    """Mean brightness of the disc of a far sphere, over the whole disc, lit or not.
+    """Mean brightness of the disk of a far sphere, over the whole disk, lit or not.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
     -------
     (...) float64
         Relative to a surface lit and seen along its normal. Times the normal albedo, the value at zero phase is the
-        geometric albedo (2/3 for Lambert), and over that value it is the disc-integrated phase function.
+        geometric albedo (2/3 for Lambert), and over that value it is the disk-integrated phase function.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
 
 
 def disk_photocenter(law: Reflectance, phase_rad: ArrayLike) -> Float:
-    """Where the light of a far sphere lies, from its centre towards the Sun in the image.
+    """Where the light of a far sphere lies, from its center towards the Sun in the image.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def disk_photocenter(law: Reflectance, phase_rad: ArrayLike) -> Float:
 
     Returns
     -------
-    (...) float64, radii of the disc
+    (...) float64, radii of the disk
         0 at zero phase, 1 at pi (as the limit of ever thinner crescents).
 
     Raises
@@ -76,7 +76,7 @@ def disk_photocenter(law: Reflectance, phase_rad: ArrayLike) -> Float:
 
 
 def _moments(law: Reflectance, phase_rad: ArrayLike) -> tuple[Float, Float]:
-    """Mean over the disc of brightness, and of brightness times the distance towards the Sun in radii."""
+    """Mean over the disk of brightness, and of brightness times the distance towards the Sun in radii."""
     phases = as_floats(phase_rad, (), "phase_rad")
     require(bool(np.all((phases >= 0.0) & (phases <= np.pi))), "phase_rad must be in [0, pi], radians")
     moments = np.array([_moments_at(law, float(phase)) for phase in phases.ravel()]).reshape(-1, 2)

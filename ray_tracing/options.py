@@ -24,13 +24,13 @@ class RenderOptions:
     margin_px : int, px
         How far over the edges of the detector the template may reach: the search range of a correlation.
     jitter_seed : int, optional
-        Send each ray through a random place of its cell instead of the centre, so that a simulated truth and a
+        Send each ray through a random place of its cell instead of the center, so that a simulated truth and a
         template do not share their sampling.
     sun_radius_rad : float, rad
         Angular radius of the Sun at the body; 0 is a point. An extended Sun gives penumbrae and a soft terminator. Its
-        disc is evenly bright: solar limb darkening is left out.
+        disk is evenly bright: solar limb darkening is left out.
     sun_samples : int
-        Points of the solar disc that each ray is bounced to, where the Sun is extended.
+        Points of the solar disk that each ray is bounced to, where the Sun is extended.
     sun_seed : int
         Where in their strata those points lie; equal seeds give equal images.
     threads : int

@@ -139,9 +139,9 @@ class EllipseOutline:
     model : CameraModel
     middle_km, first_km, second_km : (3,) float64, km, camera axes
     center_km : (3,) float64, km, camera axes
-        Centre of the ellipsoid.
+        Center of the ellipsoid.
     shape_matrix : (3, 3) float64, 1/km^2, camera axes
-        Points of the surface about that centre have ``x.A.x == 1``.
+        Points of the surface about that center have ``x.A.x == 1``.
     corners_px : (c, 2) float64, px
         Points of the limb at even steps of t, NaN where the model has no image.
     complete : bool

@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ray_tracing.body import Body, sun_in_body
-from giantlike.ray_tracing.neighbours import Neighbour
+from giantlike.ray_tracing.neighbors import Neighbor
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.shade import ShadedTile, Template, gathered, shade_tile, unless_dark
 from giantlike.ray_tracing.trace import View, in_order, trace_tile
@@ -30,7 +30,7 @@ def render(
     columns: int,
     rows: int,
     options: RenderOptions = DEFAULT_OPTIONS,
-    recentre: bool = False,
+    recenter: bool = False,
 ) -> Template | Failure:
     """Render a body as the camera sees it.
 
@@ -45,7 +45,7 @@ def render(
     columns, rows : int, px
         Size of the detector; the template is cut at its edges plus ``options.margin_px``.
     options : RenderOptions
-    recentre : bool
+    recenter : bool
         Where no light of the body can fall on the frame, turn the camera until its middle looks at the body and render
         that; ``Template.rendered_from_camera`` is the turn, and pixels are those of the turned camera.
 
@@ -63,19 +63,19 @@ def render(
     Notes
     -----
     Only the box of image points around the body is sampled, in cells aligned with the pixels; the light of each
-    cell is spread over the pixels exactly, cell, PSF and pixel together, so that flux and photocentre hold for
+    cell is spread over the pixels exactly, cell, PSF and pixel together, so that flux and photocenter hold for
     bodies far smaller than a pixel as well.
 
     References
     ----------
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Template
-       Matching", steps 1-6 of the single-bounce ray tracer; step 1a is ``recentre``.
+       Matching", steps 1-6 of the single-bounce ray tracer; step 1a is ``recenter``.
     """
     sun = as_finite(sun_direction_camera, (3,), "sun_direction_camera")
     template = unless_dark(
         rendered(body, model, sun_direction_camera=sun, psf=psf, columns=columns, rows=rows, options=options)
     )
-    if not (recentre and isinstance(template, Failure) and template.reason is Reason.OUT_OF_FRAME):
+    if not (recenter and isinstance(template, Failure) and template.reason is Reason.OUT_OF_FRAME):
         return template
     middle = model.unproject([0.5 * (columns - 1), 0.5 * (rows - 1)])
     turn = shortest_turn(unit(body.position_camera_km), middle)
@@ -93,13 +93,13 @@ def rendered(
     columns: int,
     rows: int,
     options: RenderOptions,
-    neighbours: tuple[Neighbour, ...] = (),
+    neighbors: tuple[Neighbor, ...] = (),
 ) -> Template | Failure:
-    """Render a body among neighbours; one that is seen in the dark is a black template with a NaN photocentre.
+    """Render a body among neighbors; one that is seen in the dark is a black template with a NaN photocenter.
 
-    Parameters, failures and errors are those of :func:`render`; ``NO_SIGNAL`` means hidden by neighbours.
+    Parameters, failures and errors are those of :func:`render`; ``NO_SIGNAL`` means hidden by neighbors.
     """
-    view = viewed(body, model, sun_direction_camera, psf, (columns, rows), options, neighbours)
+    view = viewed(body, model, sun_direction_camera, psf, (columns, rows), options, neighbors)
     if isinstance(view, Failure):
         return view
     grid, law = view.ray_grid(), body.reflectance
@@ -126,7 +126,7 @@ def viewed(
     psf: GaussianPsf | None,
     size_px: tuple[int, int],
     options: RenderOptions,
-    neighbours: tuple[Neighbour, ...] = (),
+    neighbors: tuple[Neighbor, ...] = (),
 ) -> View | Failure:
     """Lay a window over a body in a frame of ``size_px`` (columns, rows); failures are those of :func:`render`."""
     columns, rows = size_px
@@ -143,6 +143,6 @@ def viewed(
         window=window,
         camera_body_km=body.camera_body_km,
         sun_body=np.append(sun_body, 0.0),
-        neighbours=neighbours,
+        neighbors=neighbors,
         options=options,
     )

@@ -47,7 +47,7 @@ class Cells:
 
     @property
     def centers_px(self) -> Float:
-        """Coordinates (count,) of the centres, px."""
+        """Coordinates (count,) of the centers, px."""
         return (np.arange(self.count) + self.first + 0.5) / self.per_px - 0.5
 
     def spread(self, first_px: int, count_px: int, sigma_px: float) -> csr_matrix[np.float64]:
@@ -98,7 +98,7 @@ class RayGrid:
     rotation : (3, 3) float64
         Applied to the directions: ``to_from_camera``.
     jitter_seed : int, optional
-        Where in its cell each ray goes; None takes the centres.
+        Where in its cell each ray goes; None takes the centers.
     """
 
     def __init__(self, model: CameraModel, x: Cells, y: Cells, rotation: Float, jitter_seed: int | None = None) -> None:

@@ -13,7 +13,7 @@ from giantlike.core.arrays import Float, as_floats
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing.body import Body, suns_of
-from giantlike.ray_tracing.neighbours import neighbours_of
+from giantlike.ray_tracing.neighbors import neighbors_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.render import rendered
 from giantlike.ray_tracing.shade import Template
@@ -29,7 +29,7 @@ class SceneRender:
         Size of the frame.
     templates : tuple of Template or Failure
         One for each body, in the order they were given: what is seen of it, shadows of the others in. A body that
-        is seen but wholly in the dark is a black template with a NaN photocentre, not a failure.
+        is seen but wholly in the dark is a black template with a NaN photocenter, not a failure.
         Failures: ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around
         the camera, which hides nothing.
     """
@@ -113,7 +113,7 @@ def render_scene(
             columns=columns,
             rows=rows,
             options=options,
-            neighbours=tuple(neighbours_of(bodies, number, sun, options.sun_radius_rad)),
+            neighbors=tuple(neighbors_of(bodies, number, sun, options.sun_radius_rad)),
         )
         for number, (body, sun) in enumerate(zip(bodies, suns_of(bodies, sun_direction_camera), strict=True))
     )

@@ -36,7 +36,7 @@ class Template:
     lit_fraction : float
         Part of the rays on the body that end on lit surface.
     rendered_from_camera : Rotation
-        Takes camera axes to those that the body was rendered in: no turn, unless it was recentred.
+        Takes camera axes to those that the body was rendered in: no turn, unless it was recenterd.
     """
 
     brightness: Float
@@ -112,7 +112,7 @@ def shade_tile(view: View, traced: TracedTile, law: Reflectance) -> ShadedTile:
 
 
 def gathered(view: View, tiles: Iterable[ShadedTile]) -> Template | Failure:
-    """Add up tiles, in their order; a body seen in the dark gives a black template with a NaN photocentre."""
+    """Add up tiles, in their order; a body seen in the dark gives a black template with a NaN photocenter."""
     window = view.window
     x, y = (cells.centers_px for cells in window.cells)
     width, height = window.size_px
@@ -126,7 +126,7 @@ def gathered(view: View, tiles: Iterable[ShadedTile]) -> Template | Failure:
         by_column[part.tile.left : part.tile.right] += part.by_column
         by_row[rows] = part.by_row
         n_hit, n_lit = n_hit + part.hits, n_lit + part.lit
-    if n_hit == 0 and view.neighbours:
+    if n_hit == 0 and view.neighbors:
         return Failure(Reason.NO_SIGNAL, "no ray of the frame meets the body, or other bodies stand before it")
     if n_hit == 0:
         return Failure(Reason.OUT_OF_FRAME, "no ray of the frame meets the body, though its bounds touch the frame")

@@ -1,4 +1,4 @@
-"""The Sun as a disc: where on it the light of a shadow ray comes from."""
+"""The Sun as a disk: where on it the light of a shadow ray comes from."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from giantlike.core.arrays import Float, unit
 _GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 
 
-def disc_directions(sun: Float, radius_rad: float, samples: int, first: Float, turn: Float) -> list[Float]:
-    """Directions to points of an evenly bright disc, as many for each of n rays.
+def disk_directions(sun: Float, radius_rad: float, samples: int, first: Float, turn: Float) -> list[Float]:
+    """Directions to points of an evenly bright disk, as many for each of n rays.
 
     Parameters
     ----------
     sun : (4,) float64, unitless
-        Unit vector to the centre of the disc, and a zero.
+        Unit vector to the center of the disk, and a zero.
     radius_rad : float, rad
-        Angular radius of the disc.
+        Angular radius of the disk.
     samples : int
         Rings of equal solid angle; each ray gets one point in each, a golden angle apart.
     first, turn : (n,) float64 in [0, 1)
@@ -32,7 +32,7 @@ def disc_directions(sun: Float, radius_rad: float, samples: int, first: Float, t
 
     Notes
     -----
-    Averaged over uniform ``first`` and ``turn``, the mean over the points is the mean over the disc.
+    Averaged over uniform ``first`` and ``turn``, the mean over the points is the mean over the disk.
     """
     smallest = int(np.argmin(np.abs(sun[:3])))
     x_axis = unit(np.cross(sun[:3], np.eye(3)[smallest]))

@@ -13,10 +13,10 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.embree import Float32, dot, rows_of
-from giantlike.ray_tracing.neighbours import Neighbour
+from giantlike.ray_tracing.neighbors import Neighbor
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.sampling import RayGrid
-from giantlike.ray_tracing.sun import disc_directions
+from giantlike.ray_tracing.sun import disk_directions
 from giantlike.ray_tracing.tracer import Indices, Mask, Sight
 from giantlike.ray_tracing.window import Tile, Window
 from giantlike.shapes import TriangleMesh
@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """A body before a camera, the Sun and its neighbours: what there is to trace.
+    """A body before a camera, the Sun and its neighbors: what there is to trace.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class View:
         Where the camera is.
     sun_body : (4,) float64, unitless, body axes
         Unit vector to the Sun and a zero: see ``Sight``.
-    neighbours : tuple of Neighbour
+    neighbors : tuple of Neighbor
     options : RenderOptions
     """
 
@@ -47,7 +47,7 @@ class View:
     window: Window
     camera_body_km: Float
     sun_body: Float
-    neighbours: tuple[Neighbour, ...]
+    neighbors: tuple[Neighbor, ...]
     options: RenderOptions
 
     def ray_grid(self) -> RayGrid:
@@ -109,9 +109,9 @@ def trace_tile(view: View, grid: RayGrid, tile: Tile) -> TracedTile:
     body, camera_km = view.body, view.camera_body_km
     directions = grid.tile(tile.start, tile.stop, tile.left, tile.right)
     sight = body.tracer.sight(camera_km, directions)
-    for neighbour in view.neighbours:
-        if neighbour.hides:
-            before = neighbour.hidden(camera_km, directions.take(sight.rays, axis=0), sight.points_km)
+    for neighbor in view.neighbors:
+        if neighbor.hides:
+            before = neighbor.hidden(camera_km, directions.take(sight.rays, axis=0), sight.points_km)
             sight = sight.only(~before)
     light = sunlight(view, tile, sight, directions)
     return TracedTile(tile=tile, sight=sight, directions=directions, light=light, albedo=_albedo(body, sight))
@@ -124,7 +124,7 @@ def sunlight(view: View, tile: Tile, sight: Sight, directions: Float) -> tuple[S
     if options.sun_radius_rad > 0.0:
         random = np.random.default_rng([options.sun_seed, tile.start])
         first, turn = random.uniform(size=(2, sight.rays.size))
-        suns = disc_directions(view.sun_body, options.sun_radius_rad, options.sun_samples, first, turn)
+        suns = disk_directions(view.sun_body, options.sun_radius_rad, options.sun_samples, first, turn)
     return tuple(_sunlight(view, sight, directions, sun) for sun in suns)
 
 
@@ -144,9 +144,9 @@ def _dark(view: View, sight: Sight, seen: Indices, toward: Float) -> Mask:
     """Whether anything stands between some of what is seen and a point of the Sun."""
     points = rows_of(sight.points_km, seen)
     dark = view.body.tracer.dark(points, rows_of(sight.normals, seen), toward)
-    for neighbour in view.neighbours:
-        if neighbour.shades:
-            dark |= neighbour.dark(points, toward)
+    for neighbor in view.neighbors:
+        if neighbor.shades:
+            dark |= neighbor.dark(points, toward)
     return dark
 
 

@@ -115,7 +115,7 @@ class AlbedoMap:
     Parameters
     ----------
     values : (rows, columns) float64
-        Values at the centres of the map's pixels; bilinear between them.
+        Values at the centers of the map's pixels; bilinear between them.
     longitude_edges_rad : (float, float), rad
         East longitudes of the outer edges of the first and the last column; decreasing for a map that counts west.
         A full turn wraps around.
@@ -169,13 +169,13 @@ class AlbedoMap:
         x, y, z = np.moveaxis(as_floats(points_body_km, (3,), "points_body_km") - self.center_body_km, -1, 0)
         row, column, inside = self._place(np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)))
         rows, columns = self.values.shape
-        upper, down = _neighbours(row, rows)
+        upper, down = _neighbors(row, rows)
         if self._wraps:
             left = np.floor(column).astype(np.int64)
             right, across = (left + 1) % columns, column - left
             left %= columns
         else:
-            left, across = _neighbours(column, columns)
+            left, across = _neighbors(column, columns)
             left, right = np.maximum(left, 0), np.minimum(left + 1, columns - 1)
         above, below = (
             (1.0 - across) * self._row_values(near, left) + across * self._row_values(near, right)
@@ -184,7 +184,7 @@ class AlbedoMap:
         return np.where(inside, (1.0 - down) * above + down * below, self.outside)
 
     def translated(self, offset_body_km: ArrayLike) -> AlbedoMap:
-        """Return the map about a centre moved by ``offset_body_km`` (3,)."""
+        """Return the map about a center moved by ``offset_body_km`` (3,)."""
         return replace(self, center_body_km=self.center_body_km + as_floats(offset_body_km, (3,), "offset_body_km"))
 
     @property
@@ -193,7 +193,7 @@ class AlbedoMap:
         return abs(east - west) >= 2.0 * math.pi - _POLE_RAD
 
     def _place(self, longitude_rad: Float, latitude_rad: Float) -> tuple[Float, Float, NDArray[np.bool_]]:
-        """Row and column (n,), pixel centres at whole numbers, and whether the map is there."""
+        """Row and column (n,), pixel centers at whole numbers, and whether the map is there."""
         west, east = self.longitude_edges_rad
         first, last = self.latitude_edges_rad
         rows, columns = self.values.shape
@@ -261,7 +261,7 @@ def _hash(kind: str, *arrays: Float) -> str:
     return hashlib.sha256(kind.encode() + b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
-def _neighbours(place: Float, count: int) -> tuple[Indices, Float]:
+def _neighbors(place: Float, count: int) -> tuple[Indices, Float]:
     """The sample (n,) at or before each place, -1 before the first, and the weight of the next.
 
     Samples lie at 0 to count - 1, and the edges, half a step beyond, at -0.5 and count - 0.5.

@@ -1,6 +1,6 @@
 """What every shape answers, and the triaxial ellipsoid.
 
-A shape lives in body axes, km; its origin is what estimators call the centre of the body.
+A shape lives in body axes, km; its origin is what estimators call the center of the body.
 """
 
 from __future__ import annotations
@@ -113,13 +113,13 @@ class Ellipsoid:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacedEllipsoid:
-    """An ellipsoid with its own centre and axes in a body.
+    """An ellipsoid with its own center and axes in a body.
 
     Parameters
     ----------
     ellipsoid : Ellipsoid
     center_body_km : (3,) float64, km, body
-        From the origin of the shape to the centre of the ellipsoid.
+        From the origin of the shape to the center of the ellipsoid.
     body_from_axes : Rotation
         Takes vectors along the axes of the ellipsoid to body axes.
     """
@@ -136,7 +136,7 @@ class PlacedEllipsoid:
 class Point:
     """A body without extent at the origin: what a star-like target is, whose size and shape nobody knows.
 
-    Its light comes from its centre whatever the phase, so that nothing is to be corrected. It has no limb, and no
+    Its light comes from its center whatever the phase, so that nothing is to be corrected. It has no limb, and no
     ellipsoid stands for it.
 
     Parameters

@@ -59,7 +59,7 @@ def decimated(mesh: TriangleMesh, facets: int) -> TriangleMesh:
 
     Notes
     -----
-    The work is done by the package fast-simplification (MIT licence), which wraps the C++ code
+    The work is done by the package fast-simplification (MIT license), which wraps the C++ code
     Fast-Quadric-Mesh-Simplification. A convex body loses volume, for the new vertices lie on the old surface.
     """
     require(

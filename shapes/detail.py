@@ -133,7 +133,7 @@ def levels_of_detail(
     Notes
     -----
     A camera that sees facets of half a pixel sees no difference in the outline: over a facet of length l the surface of
-    radius R bends by l^2 / 8 R, for 0.5 px on a disc of 300 px 0.0002 px. What is lost is relief of less than a facet.
+    radius R bends by l^2 / 8 R, for 0.5 px on a disk of 300 px 0.0002 px. What is lost is relief of less than a facet.
     """
     require(
         not isinstance(mesh.albedo, FacetAlbedo | VertexAlbedo),

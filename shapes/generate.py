@@ -43,7 +43,7 @@ def irregular_body(
     """Make up a rubble-pile asteroid: lumps of low degree, craters with rims, boulders, fine roughness.
 
     The same seed and options give the same body everywhere. Every ray from the origin meets the surface
-    once, and the origin is the centre of figure.
+    once, and the origin is the center of figure.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def geodesic_directions(facets: int) -> tuple[Float, Faces]:
 
 
 def _icosahedron() -> tuple[Float, Faces]:
-    """Unit corners (12, 3) and faces (20, 3): every triple of corners that are mutual neighbours."""
+    """Unit corners (12, 3) and faces (20, 3): every triple of corners that are mutual neighbors."""
     golden = (1.0 + math.sqrt(5.0)) / 2.0
     flat = np.array([[0.0, a, b * golden] for a in (-1, 1) for b in (-1, 1)])
     corners = unit(np.concatenate([np.roll(flat, shift, axis=1) for shift in range(3)]))

@@ -1,4 +1,4 @@
-"""Landmarks: places on a body that an image can be matched with, each a local map, and catalogues of them in files."""
+"""Landmarks: places on a body that an image can be matched with, each a local map, and catalogs of them in files."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ class LandmarkCatalog:
     def __post_init__(self) -> None:
         object.__setattr__(self, "landmarks", tuple(self.landmarks))
         names = [landmark.name for landmark in self.landmarks]
-        require(len(names) > 0, "a catalogue needs at least one landmark")
-        require(len(set(names)) == len(names), "two landmarks of a catalogue have one name")
+        require(len(names) > 0, "a catalog needs at least one landmark")
+        require(len(set(names)) == len(names), "two landmarks of a catalog have one name")
 
     def __len__(self) -> int:
         return len(self.landmarks)
@@ -128,12 +128,12 @@ class LandmarkCatalog:
 
 
 def load_landmarks(path: Path) -> LandmarkCatalog:
-    """Read a catalogue of landmarks.
+    """Read a catalog of landmarks.
 
     Parameters
     ----------
     path : Path
-        A catalogue (.npz) that :func:`save_landmarks` wrote, an SPC maplet (.MAP), or a folder of maplets.
+        A catalog (.npz) that :func:`save_landmarks` wrote, an SPC maplet (.MAP), or a folder of maplets.
 
     Raises
     ------
@@ -151,18 +151,18 @@ def load_landmarks(path: Path) -> LandmarkCatalog:
     if path.suffix.lower() == MAPLET_SUFFIX:
         return LandmarkCatalog((landmark_of(read_maplet(path)),))
     if path.suffix.lower() != CATALOG_SUFFIX:
-        raise InputError(f"{path}: landmarks are a {CATALOG_SUFFIX} catalogue, a .MAP file or a folder of them")
+        raise InputError(f"{path}: landmarks are a {CATALOG_SUFFIX} catalog, a .MAP file or a folder of them")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return _catalog_of(archive)
     except FileNotFoundError as error:
         raise DataError(path, "there is no such file") from error
     except _DAMAGE as error:
-        raise DataError(path, f"damaged catalogue of landmarks: {' '.join(str(error).split())[:200]}") from error
+        raise DataError(path, f"damaged catalog of landmarks: {' '.join(str(error).split())[:200]}") from error
 
 
 def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = False) -> None:
-    """Write a catalogue of landmarks.
+    """Write a catalog of landmarks.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = Fa
     ``heights_km`` (float32, NaN where there is none) and, for those with ``has_albedo`` (n,), in ``albedo``.
     """
     if path.suffix.lower() != CATALOG_SUFFIX:
-        raise InputError(f"{path}: a catalogue of landmarks ends in {CATALOG_SUFFIX}")
+        raise InputError(f"{path}: a catalog of landmarks ends in {CATALOG_SUFFIX}")
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists; give --overwrite to replace it")
     maps = [landmark.map for landmark in catalog.landmarks]

@@ -34,7 +34,7 @@ class LocalMap:
     heights_km : (rows, columns) float64, km
         Along z; NaN where the map has none. At least 2 by 2.
     spacing_km : float, km
-        Distance of neighbouring heights: the ground sample distance.
+        Distance of neighboring heights: the ground sample distance.
     albedo : (rows, columns) float64, optional
         Relative albedo at the same places.
     name : str

@@ -1,4 +1,4 @@
-"""The numbers of a shape: size, volume, centre, axes and moments of inertia."""
+"""The numbers of a shape: size, volume, center, axes and moments of inertia."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Measures:
     principal_axes : (3, 3) float64, unitless, body
         One unit vector per row, right-handed, that of the smallest moment (the longest axis) first.
     principal_moments : (3,) float64, km^5
-        Moments of inertia about those axes through the centre of figure for a density of 1: over the volume they are
+        Moments of inertia about those axes through the center of figure for a density of 1: over the volume they are
         moments per mass, km^2.
     best_fit_radii_km : (3,) float64, km
-        Of the ellipsoid with the same moments and volume-weighted centre, longest first, along the principal axes.
+        Of the ellipsoid with the same moments and volume-weighted center, longest first, along the principal axes.
     circumscribing_radius_km, mean_radius_km : float, km
         Largest distance from the origin; radius of the sphere of the same volume.
     euler_number : int

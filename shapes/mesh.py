@@ -144,7 +144,7 @@ class TriangleMesh:
     def border_vertices(self) -> Indices:
         """Vertices (b,) on edges that the facets of the two sides do not share: none on a closed surface.
 
-        Each vertex sums numbers, drawn for its neighbours, over the edges that leave it minus those that arrive; where
+        Each vertex sums numbers, drawn for its neighbors, over the edges that leave it minus those that arrive; where
         every edge runs both ways, this is zero.
         """
         draws = np.random.default_rng(0).integers(1, 2**32, size=len(self.vertices_km)).astype(np.float64)

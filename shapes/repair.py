@@ -93,7 +93,7 @@ def _without_broken_facets(surface: Surface) -> Surface:
     return solid.kept(used, single)
 
 
-def _neighbours(faces: Faces) -> tuple[Faces, Faces, Mask]:
+def _neighbors(faces: Faces) -> tuple[Faces, Faces, Mask]:
     """Pairs (p,), (p,) of facets that share an edge of two facets, and whether they are wound alike (p,)."""
     edges = edges_of(faces)
     order = np.argsort(edges.of_side, kind="stable")
@@ -103,14 +103,14 @@ def _neighbours(faces: Faces) -> tuple[Faces, Faces, Mask]:
 
 
 def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
-    """Faces of which all neighbours are wound alike, and which (m,) were turned for it.
+    """Faces of which all neighbors are wound alike, and which (m,) were turned for it.
 
-    Each facet is two nodes of a graph, as it is and turned; neighbours join the nodes that agree. The component that
+    Each facet is two nodes of a graph, as it is and turned; neighbors join the nodes that agree. The component that
     holds the first facet of a piece as it is says how the others must be. Where both nodes of a facet are in
     one component the surface has one side only (a Moebius strip), and nothing is turned.
     """
     count = len(surface.faces)
-    left, right, alike = _neighbours(surface.faces)
+    left, right, alike = _neighbors(surface.faces)
     other = np.where(alike, right, right + count)
     mirrored = np.where(alike, right + count, right)
     rows, columns = np.concatenate([left, left + count]), np.concatenate([other, mirrored])
@@ -123,7 +123,7 @@ def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
 
 def _outward(surface: Surface) -> tuple[Faces, Mask]:
     """Faces of which every connected piece encloses a positive volume, and which (m,) were turned for it."""
-    left, right, _ = _neighbours(surface.faces)
+    left, right, _ = _neighbors(surface.faces)
     count = len(surface.faces)
     graph = coo_array((np.ones(left.size, dtype=np.int8), (left, right)), shape=(count, count))
     pieces, piece = connected_components(graph, directed=False)

@@ -132,7 +132,7 @@ def body_image(
 def assert_sound(case: BodyImage, fix: PositionFix, *, sigma_px: float, sigma_range: float) -> None:
     """The error is what the covariance allows, and the covariance has not grown to allow anything.
 
-    ``sigma_px`` bounds the standard deviation of the centre along its worst axis, ``sigma_range`` that of the range
+    ``sigma_px`` bounds the standard deviation of the center along its worst axis, ``sigma_range`` that of the range
     over the range. Stated sigmas vary by half from one noise to another, so these are three times the usual value.
     """
     stated_px = float(np.sqrt(np.linalg.eigvalsh(fix.covariance_px2)[-1]))

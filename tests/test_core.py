@@ -115,6 +115,6 @@ def test_checks_name_what_is_wrong() -> None:
         as_finite([1.0, 2.0], (3,), "position")
     with pytest.raises(InputError, match="must be finite"):
         as_finite([1.0, np.nan, 0.0], (3,), "position")
-    with pytest.raises(InputError, match="normalise"):
+    with pytest.raises(InputError, match="normalize"):
         as_unit([[1.0, 0.0, 0.1]], "rays")
     assert "gone.fits: is missing" in str(DataError("gone.fits", "is missing"))

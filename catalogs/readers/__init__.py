@@ -1,4 +1,4 @@
-"""Readers of published catalogues; each gives the stars of one file, and :func:`build_catalog` makes a catalogue."""
+"""Readers of published catalogs; each gives the stars of one file, and :func:`build_catalog` makes a catalog."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FORMATS: Mapping[str, Reader] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Built:
-    """A catalogue and what it was made of.
+    """A catalog and what it was made of.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def build_catalog(
     max_magnitude: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Built:
-    """Read published files and make one catalogue; all stars are in memory at once, some 400 bytes each at the peak.
+    """Read published files and make one catalog; all stars are in memory at once, some 400 bytes each at the peak.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def build_catalog(
     form : str
         A key of :data:`FORMATS`.
     name : str
-        What to call the catalogue.
+        What to call the catalog.
     mapping : ColumnMap, optional
         For the format ``table``, which needs one.
     max_magnitude : float, optional
@@ -101,7 +101,7 @@ def build_catalog(
         left_out += part.left_out
         bands.append(band)
         if band != bands[0]:
-            raise DataError(file, f"has magnitudes in {band}, {files[0].name} in {bands[0]}: build two catalogues")
+            raise DataError(file, f"has magnitudes in {band}, {files[0].name} in {bands[0]}: build two catalogs")
         if progress is not None:
             progress(done, len(files))
     stars = joined(tables)

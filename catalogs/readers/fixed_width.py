@@ -1,4 +1,4 @@
-"""Catalogues in lines of fixed columns: Hipparcos, its new reduction, and Tycho-2."""
+"""Catalogs in lines of fixed columns: Hipparcos, its new reduction, and Tycho-2."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def read_hipparcos(path: Path, *, max_magnitude: float | None = None) -> tuple[R
 
     References
     ----------
-    .. [1] CDS ReadMe of I/239, The Hipparcos and Tycho Catalogues (ESA 1997): byte-by-byte description.
+    .. [1] CDS ReadMe of I/239, The Hipparcos and Tycho Catalogs (ESA 1997): byte-by-byte description.
     .. [2] CDS ReadMe of I/311, Hipparcos, the New Reduction (van Leeuwen 2007): byte-by-byte description.
     """
     lines = lines_of(path, (450, 276), "Hipparcos")
@@ -176,7 +176,7 @@ def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> tuple[Read
 
     References
     ----------
-    .. [1] CDS ReadMe of I/259, The Tycho-2 Catalogue (Hog+ 2000): byte-by-byte descriptions and notes.
+    .. [1] CDS ReadMe of I/259, The Tycho-2 Catalog (Hog+ 2000): byte-by-byte descriptions and notes.
     """
     lines = lines_of(path, (206, 122, 115), "Tycho-2")
     main = lines.text.shape[1] == 206

@@ -1,4 +1,4 @@
-"""Catalogues that are tables: which of their columns is what."""
+"""Catalogs that are tables: which of their columns is what."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def read_gaia(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadSt
 
 
 def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadStars, str]:
-    """Read the USNO GNC catalogue (``gnc_v1_1_mar_2_2023.csv``), or an extract of it.
+    """Read the USNO GNC catalog (``gnc_v1_1_mar_2_2023.csv``), or an extract of it.
 
     A CSV file with positions in deg at J2016.0 (``ra_2016``, ``de_2016``) from Gaia DR3, Hipparcos and the USNO
-    bright star catalogue, proper motions in mas/yr (``pmra`` with cos(dec), ``pmde``), parallax in mas (``plx``), G, BP
+    bright star catalog, proper motions in mas/yr (``pmra`` with cos(dec), ``pmde``), parallax in mas (``plx``), G, BP
     and RP (``gmag``, ``bpmag``, ``rpmag``), errors with ``e_`` before the name, and ``neighbor_distance_arcsec``.
-    Identifiers are ``gnc_id``. Stars are double whose neighbour is within 5 arcsec. Empty cells are values not known.
+    Identifiers are ``gnc_id``. Stars are double whose neighbor is within 5 arcsec. Empty cells are values not known.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> tuple[Re
 
     References
     ----------
-    .. [1] The catalogue is published by the U.S. Naval Observatory with its ICRF products. Its own documentation could
+    .. [1] The catalog is published by the U.S. Naval Observatory with its ICRF products. Its own documentation could
        not be opened here; the columns, units and epoch are those that three independent public readers agree on: NASA
        GIANT 2 (``giant/catalogs/usno_gnc.py``), SONIC (``USNOGNC.m``), and a Rust crate with a field description.
     """
@@ -194,7 +194,7 @@ def _named(path: Path, table: Table, names: Mapping[str, str]) -> dict[str, NDAr
 def _add_pairs(
     table: Table, columns: dict[str, NDArray[Any]], colors: tuple[str, str], errors: tuple[str, str], motion: str
 ) -> None:
-    """Add what comes of two columns: the colour, the error of the place and that of the motion."""
+    """Add what comes of two columns: the color, the error of the place and that of the motion."""
     second = "dec" if errors[1].startswith("dec") else "de"
     motions = motion.format("ra"), motion.format(second)
     if "color_bp_rp" not in columns and set(colors) <= set(table.names):

@@ -15,7 +15,7 @@ from giantlike.catalogs.table import COLUMN_TYPES, StarTable
 from giantlike.core.errors import DataError
 
 SIGMA_PM_UNKNOWN_MAS_YR = 15.0
-"""Per axis, of stars without a proper motion: they are none of the fast ones, which every catalogue has found."""
+"""Per axis, of stars without a proper motion: they are none of the fast ones, which every catalog has found."""
 REQUIRED = ("ra_deg", "dec_deg", "magnitude")
 DEFAULTS: Mapping[str, float] = MappingProxyType(
     {
@@ -30,7 +30,7 @@ DEFAULTS: Mapping[str, float] = MappingProxyType(
         "is_double": 0.0,
     }
 )
-"""What a value is that a catalogue does not give."""
+"""What a value is that a catalog does not give."""
 LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "ra_deg": (-360.0, 720.0),

@@ -62,7 +62,7 @@ def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float 
 
     Notes
     -----
-    OpenCV's pixels have integer values at their centres, as ours do. The detector alone is off by some 0.1 px
+    OpenCV's pixels have integer values at their centers, as ours do. The detector alone is off by some 0.1 px
     through a fisheye, the refinement by 0.05 px.
     """
     import cv2
@@ -70,15 +70,15 @@ def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float 
     require(np.ndim(pixels) == 2, f"an image has shape (rows, columns), got {np.shape(pixels)}")
     low, high = np.nanpercentile(pixels, [_DARKEST, _BRIGHTEST])
     stretched = (np.nan_to_num(pixels, nan=low) - low) / max(high - low, 1e-12)
-    grey = np.round(255.0 * np.clip(stretched, 0.0, 1.0)).astype(np.uint8)
-    found, corners = cv2.findChessboardCornersSB(grey, (across, down))
+    gray = np.round(255.0 * np.clip(stretched, 0.0, 1.0)).astype(np.uint8)
+    found, corners = cv2.findChessboardCornersSB(gray, (across, down))
     if not found:
         return Failure(Reason.NO_PATTERN_MATCH, f"no whole board of {across} by {down} inner corners is seen")
     corners = corners.reshape(-1, 2).astype(np.float32)
     nearest = np.asarray(cKDTree(corners).query(corners, k=2)[0])[:, 1]
     window = int(np.clip(_WINDOW * nearest.min(), *_WINDOWS_PX))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, _STEPS, _LAST_STEP_PX)
-    refined = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), criteria)
+    refined = cv2.cornerSubPix(gray, corners, (window, window), (-1, -1), criteria)
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 

@@ -14,7 +14,7 @@ from scipy.special import gammainc
 from giantlike.calibration.criteria import missed_criteria
 from giantlike.calibration.field_map import FieldSensitivity
 from giantlike.calibration.fix import CalibrationFix, ImageCalibration, RejectedObservation
-from giantlike.calibration.levenberg_marquardt import Minimum, covariance_of, minimise
+from giantlike.calibration.levenberg_marquardt import Minimum, covariance_of, minimize
 from giantlike.calibration.normal import Data, State, predict
 from giantlike.calibration.observability import parameter_support
 from giantlike.calibration.observations import ImageObservations
@@ -141,7 +141,7 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
     kept_images: NDArray[np.bool_] = np.ones(len(data.offsets) - 1, dtype=bool)
     steps = rounds = 0
     for rounds in range(1, options.max_rounds + 1):  # noqa: B007 - told in the result
-        minimum = minimise(state, data, used, guard, max_steps=_LOOKING_STEPS, rough=True)
+        minimum = minimize(state, data, used, guard, max_steps=_LOOKING_STEPS, rough=True)
         if isinstance(minimum, Failure):
             return minimum
         state, steps = minimum.state, steps + minimum.steps
@@ -151,7 +151,7 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
             return Failure(Reason.TOO_FEW_MATCHES, f"{int(used.sum())} of {len(used)} observations agree with a camera")
         if np.array_equal(used, before):
             break
-    minimum = minimise(state, data, used, options.loss, max_steps=options.max_steps)
+    minimum = minimize(state, data, used, options.loss, max_steps=options.max_steps)
     if isinstance(minimum, Failure):
         return minimum
     return _Fitted(minimum, used, kept_images, steps + minimum.steps, rounds)

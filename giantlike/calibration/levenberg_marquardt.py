@@ -29,7 +29,7 @@ class Minimum:
     steps: int
 
 
-def minimise(
+def minimize(
     state: State, data: Data, used: NDArray[np.bool_], loss: Loss, *, max_steps: int, rough: bool = False
 ) -> Minimum | Failure:
     r"""Levenberg-Marquardt: steps of :math:`(H^T W H + \lambda\,\mathrm{diag}(H^T W H))^{-1} H^T W r`.

@@ -123,7 +123,7 @@ def predict(state: State, data: Data) -> Float:
     return result
 
 
-def linearised(state: State, data: Data) -> tuple[Float, Float, Float]:
+def linearized(state: State, data: Data) -> tuple[Float, Float, Float]:
     """Pixels (n, 2), their derivatives (n, 2, k) by the estimated parameters and (n, 2, pose) by the pose of the image.
 
     All at once, because a model at a temperature is made once for them.
@@ -224,7 +224,7 @@ class NormalEquations:
 
 def normal_equations(state: State, data: Data, used: NDArray[np.bool_], loss: Loss) -> NormalEquations | None:
     """Assemble the blocks; None where a used target cannot be imaged."""
-    predicted, by_camera, by_pose = linearised(state, data)
+    predicted, by_camera, by_pose = linearized(state, data)
     residuals = data.points_px - predicted
     if not np.isfinite(residuals[used]).all():
         return None

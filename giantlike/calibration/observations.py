@@ -37,7 +37,7 @@ class ImageObservations:
     temperature_c : float, Celsius
         Of the camera.
     labels : (n,) int64
-        Names of the targets: catalogue identifiers, corner numbers. Default: counted from 0.
+        Names of the targets: catalog identifiers, corner numbers. Default: counted from 0.
     magnitudes : (n,) float64
         NaN where there is none.
 

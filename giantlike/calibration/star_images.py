@@ -133,7 +133,7 @@ def identify_first(
     image : Image
     camera : Camera
     navigation : StarNavigation
-        Gives catalogue and options; its camera is not used.
+        Gives catalog and options; its camera is not used.
     scale_error : float
         Relative error that the focal length may have, in (0, 0.2].
     temperature_c : float, Celsius
@@ -177,7 +177,7 @@ def observations_of_fix(
     ----------
     fix : AttitudeFix
     sky : Sky
-        The catalogue as the observer saw it: its apparent directions are what the camera is held against.
+        The catalog as the observer saw it: its apparent directions are what the camera is held against.
     camera : Camera
         With which the attitude was solved.
     name : str
@@ -186,7 +186,7 @@ def observations_of_fix(
     Raises
     ------
     InputError
-        A star of the fix is not in the catalogue there.
+        A star of the fix is not in the catalog there.
     """
     return _observations(
         name, fix.camera_from_inertial, fix.star_ids, fix.observed_px, fix.sigma_px, sky, camera, temperature_c
@@ -376,7 +376,7 @@ def _observations(
     order = np.argsort(field.stars.ids)
     place = order[np.minimum(np.searchsorted(field.stars.ids, star_ids, sorter=order), len(order) - 1)]
     missing = star_ids[field.stars.ids[place] != star_ids]
-    require(missing.size == 0, f"{name}: star {missing[:1].tolist()} is not in the catalogue where the camera points")
+    require(missing.size == 0, f"{name}: star {missing[:1].tolist()} is not in the catalog where the camera points")
     return ImageObservations(
         name=name,
         targets=field.directions_inertial[place],

@@ -22,7 +22,7 @@ class ResidualGroup:
     Parameters
     ----------
     kind : str
-        ``image``, ``magnitude``, ``radius_px`` (from the image centre) or ``temperature_c``.
+        ``image``, ``magnitude``, ``radius_px`` (from the image center) or ``temperature_c``.
     label : str
         Name of the image, or the range.
     middle : float
@@ -47,7 +47,7 @@ class ResidualGroup:
 
 
 def residual_statistics(fix: CalibrationFix) -> tuple[ResidualGroup, ...]:
-    """Residuals in groups of equal size: by image, magnitude, distance from the image centre and temperature.
+    """Residuals in groups of equal size: by image, magnitude, distance from the image center and temperature.
 
     A quantity that is the same for all observations, or unknown, gives no groups.
     """

@@ -1,7 +1,7 @@
 """The interface of every camera model.
 
 Camera axes: +x along increasing columns, +y along increasing rows, +z boresight. Pixels are
-(x, y) = (column, row) with (0, 0) at the centre of the first stored pixel.
+(x, y) = (column, row) with (0, 0) at the center of the first stored pixel.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class CameraModel(Protocol):
 
     @property
     def focal_length_px(self) -> float:
-        """Focal length along x, px: the scale at the centre of projection."""
+        """Focal length along x, px: the scale at the center of projection."""
         ...
 
     def project(self, points_camera: ArrayLike) -> Float:

@@ -10,8 +10,8 @@ from giantlike.camera_models.affine import AFFINE_NAMES, TEMPERATURE_NAMES
 from giantlike.camera_models.plane import (
     PlaneModel,
     Slopes,
-    decentring,
-    decentring_slopes,
+    decentering,
+    decentering_slopes,
     radial_slopes,
     sum_of_slopes,
 )
@@ -21,7 +21,7 @@ from giantlike.core.arrays import Float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrownModel(PlaneModel):
-    """Pinhole with radial (k1-k3) and decentring (p1, p2) distortion of the image-plane point.
+    """Pinhole with radial (k1-k3) and decentering (p1, p2) distortion of the image-plane point.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class BrownModel(PlaneModel):
     k1, k2, k3 : float
         Radial coefficients of r^2, r^4, r^6, image-plane units.
     p1, p2 : float
-        Decentring coefficients.
+        Decentering coefficients.
 
     References
     ----------
@@ -49,14 +49,14 @@ class BrownModel(PlaneModel):
     def _distort(self, x: Float, y: Float) -> tuple[Float, Float]:
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        dx, dy = decentring(x, y, self.p1, self.p2)
+        dx, dy = decentering(x, y, self.p1, self.p2)
         return radial * x + dx, radial * y + dy
 
     def _slopes(self, x: Float, y: Float) -> Slopes:
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         growth = 2.0 * (self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3))
-        return sum_of_slopes(radial_slopes(x, y, radial, growth), decentring_slopes(x, y, self.p1, self.p2))
+        return sum_of_slopes(radial_slopes(x, y, radial, growth), decentering_slopes(x, y, self.p1, self.p2))
 
     def _by_coefficient(self, x: Float, y: Float) -> tuple[list[Float], list[Float]]:
         r2 = x * x + y * y

@@ -235,7 +235,7 @@ def fit_grid(
     columns, rows : int
         Frame that the grid covers.
     step_px : float, px
-        Distance of the controls: not less than that of neighbouring measurements, all images together.
+        Distance of the controls: not less than that of neighboring measurements, all images together.
     smoothing : float
         Weight of the squared second differences of the controls against the squared residuals; it also carries the
         correction smoothly over cells without measurements.

@@ -1,4 +1,4 @@
-"""OpenCV's camera: rational radial, decentring and thin-prism distortion."""
+"""OpenCV's camera: rational radial, decentering and thin-prism distortion."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from giantlike.camera_models.affine import AFFINE_NAMES, TEMPERATURE_NAMES
 from giantlike.camera_models.plane import (
     PlaneModel,
     Slopes,
-    decentring,
-    decentring_slopes,
+    decentering,
+    decentering_slopes,
     radial_slopes,
     sum_of_slopes,
 )
@@ -33,7 +33,7 @@ class OpenCVModel(PlaneModel):
     k1, k2, k3, k4, k5, k6 : float
         Coefficients of r^2, r^4, r^6 in the numerator, then in the denominator, of the radial factor.
     p1, p2 : float
-        Decentring coefficients.
+        Decentering coefficients.
     s1, s2, s3, s4 : float
         Thin prism: x moves by ``s1 r^2 + s2 r^4``, y by ``s3 r^2 + s4 r^4``.
 
@@ -70,7 +70,7 @@ class OpenCVModel(PlaneModel):
         r2 = x * x + y * y
         numerator, denominator = self._parts(r2)
         radial = numerator / denominator
-        dx, dy = decentring(x, y, self.p1, self.p2)
+        dx, dy = decentering(x, y, self.p1, self.p2)
         return (
             radial * x + dx + r2 * (self.s1 + r2 * self.s2),
             radial * y + dy + r2 * (self.s3 + r2 * self.s4),
@@ -82,7 +82,7 @@ class OpenCVModel(PlaneModel):
         radial = numerator / denominator
         growth = 2.0 * (self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3))
         growth = (growth - radial * 2.0 * (self.k4 + r2 * (2 * self.k5 + 3 * r2 * self.k6))) / denominator
-        lens = sum_of_slopes(radial_slopes(x, y, radial, growth), decentring_slopes(x, y, self.p1, self.p2))
+        lens = sum_of_slopes(radial_slopes(x, y, radial, growth), decentering_slopes(x, y, self.p1, self.p2))
         along_x, along_y = 2 * (self.s1 + 2 * r2 * self.s2), 2 * (self.s3 + 2 * r2 * self.s4)
         return sum_of_slopes(lens, (along_x * x, along_x * y, along_y * x, along_y * y))
 

@@ -25,7 +25,7 @@ class OwenModel(PlaneModel):
     fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
         See :class:`~giantlike.camera_models.affine.AffineModel`.
     e1, e3 : float
-        Pinwheel coefficients of r and r^3, for an image plane at unit distance (files in millimetres are converted
+        Pinwheel coefficients of r and r^3, for an image plane at unit distance (files in millimeters are converted
         by powers of the focal length on import).
     e2, e4 : float
         Radial coefficients of r^2 and r^4.

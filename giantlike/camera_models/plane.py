@@ -126,8 +126,8 @@ def radial_slopes(x: Float, y: Float, radial: Float, growth: Float) -> Slopes:
     return radial + growth * x * x, cross, cross, radial + growth * y * y
 
 
-def decentring(x: Float, y: Float, p1: float, p2: float) -> tuple[Float, Float]:
-    """Displacement by decentring, in OpenCV's words tangential distortion.
+def decentering(x: Float, y: Float, p1: float, p2: float) -> tuple[Float, Float]:
+    """Displacement by decentering, in OpenCV's words tangential distortion.
 
     References
     ----------
@@ -137,8 +137,8 @@ def decentring(x: Float, y: Float, p1: float, p2: float) -> tuple[Float, Float]:
     return 2 * p1 * xy + p2 * (3 * xx + yy), p1 * (xx + 3 * yy) + 2 * p2 * xy
 
 
-def decentring_slopes(x: Float, y: Float, p1: float, p2: float) -> Slopes:
-    """Derivative of :func:`decentring`."""
+def decentering_slopes(x: Float, y: Float, p1: float, p2: float) -> Slopes:
+    """Derivative of :func:`decentering`."""
     cross = 2 * p1 * x + 2 * p2 * y
     return 2 * p1 * y + 6 * p2 * x, cross, cross, 6 * p1 * y + 2 * p2 * x
 

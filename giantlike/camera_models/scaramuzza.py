@@ -62,7 +62,7 @@ class ScaramuzzaModel(AxialModel):
         a0_px, a2, a3, a4 : float
             Per power of a pixel; ``a0_px`` positive (a toolbox whose z points into the camera has all signs turned).
         cx_px, cy_px : float, px
-            Centre of the image circle.
+            Center of the image circle.
         stretch : float
             Pixels along x per pixel along y of the image circle.
         """

@@ -5,7 +5,7 @@
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.report import write_report
-from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.results import RunResult, load_result
 
 __all__ = ["Campaign", "RunResult", "load_result", "run_campaign", "write_report"]

@@ -127,7 +127,7 @@ class DemoReport:
         for estimator, errors in _by_estimator(self.comparison).items():
             score = score_observations(errors)
             if score.dof:
-                yield _consistency(f"{estimator}, centre: squared errors over variances", score.chi2, score.dof)
+                yield _consistency(f"{estimator}, center: squared errors over variances", score.chi2, score.dof)
             if score.n_ranges:
                 yield _consistency(
                     f"{estimator}, range: squared errors over variances", score.range_chi2, score.n_ranges
@@ -275,7 +275,7 @@ def _by_estimator(comparison: Comparison) -> dict[str, list[ObservationError]]:
 
 
 def _consistency(text: str, total: float, dof: int) -> Goal:
-    """Mean squared normalised error, and where it lies if the stated covariances are right."""
+    """Mean squared normalized error, and where it lies if the stated covariances are right."""
     low, high = (float(chi2.ppf(p, dof)) / dof for p in (_CONSISTENT / 2, 1.0 - _CONSISTENT / 2))
     return Goal(text=f"{text} ({dof})", value=total / dof, low=low, high=high)
 
@@ -286,14 +286,14 @@ def _observation_lines(errors: Sequence[ObservationError]) -> list[str]:
     for error in errors:
         if error.error_px is None or error.sigma_px is None:
             continue
-        centre = [f"{e:+.3f} +- {s:.3f}" for e, s in zip(error.error_px, error.sigma_px, strict=True)]
+        center = [f"{e:+.3f} +- {s:.3f}" for e, s in zip(error.error_px, error.sigma_px, strict=True)]
         reach = ""
         if error.range_error is not None and error.range_sigma is not None:
             reach = f"{100 * error.range_error:+.3f} +- {100 * error.range_sigma:.3f}"
         mark = "" if error.status == "ok" else f"  {error.status}"
         lines.append(
             f"{error.file:<20}{error.diameter_px:>5.0f}{error.phase_deg:>7.0f}  {error.estimator:<18}"
-            f"{centre[0]:>17}{centre[1]:>17}{reach:>19}{mark}"
+            f"{center[0]:>17}{center[1]:>17}{reach:>19}{mark}"
         )
     return lines
 

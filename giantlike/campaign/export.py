@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import CAMERA_FILE
+from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, load_result
-from giantlike.campaign.store.parts import RunFolder
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv

@@ -121,7 +121,7 @@ def calibrate(
         str | None,
         typer.Option(help="Images show a checkerboard with so many inner corners.", metavar="COLUMNSxROWS"),
     ] = None,
-    max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalogue star.")] = None,
+    max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalog star.")] = None,
     output: Annotated[Path, typer.Option(help="For images: folder of what comes out.", metavar="DIR")] = Path(
         "calibration"
     ),
@@ -164,8 +164,8 @@ def stars(
     lost_in_space: Annotated[
         bool, typer.Option("--lost-in-space", help="Search the whole sky where the a priori attitude does not help.")
     ] = False,
-    max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalogue star.")] = None,
-    catalog: Annotated[str, typer.Option(help="default, a built catalogue, or one in CSV.")] = "default",
+    max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalog star.")] = None,
+    catalog: Annotated[str, typer.Option(help="default, a built catalog, or one in CSV.")] = "default",
     sequence: Sequence = False,
     bottom_up: Annotated[
         bool, typer.Option("--bottom-up", help="The first stored row is the bottom of the picture: turn the rows.")
@@ -295,9 +295,7 @@ def export(
         Path | None, typer.Option(help="New file; for wcs a folder. Default: in the run folder.", metavar="FILE|DIR")
     ] = None,
     suspect: Annotated[bool, typer.Option("--suspect", help="Suspect attitudes as well.")] = False,
-    stars_only: Annotated[
-        bool, typer.Option("--stars-only", help="No attitudes carried over from neighbours.")
-    ] = False,
+    stars_only: Annotated[bool, typer.Option("--stars-only", help="No attitudes carried over from neighbors.")] = False,
     max_gap: Annotated[float, typer.Option(help="ck, aem: longest gap to interpolate over, s.")] = 600.0,
     instrument: Annotated[int | None, typer.Option(help="ck: NAIF code of the camera frame.", metavar="ID")] = None,
     frame: Annotated[str | None, typer.Option(help="ck, aem: name of the camera frame.", metavar="NAME")] = None,

@@ -8,11 +8,11 @@ from typing import Any
 
 import typer
 
-from giantlike.campaign.calibration.solve import REPORT_FILE, calibration_summary
 from giantlike.campaign.calibration.boards import BoardSetup, calibrate_boards
+from giantlike.campaign.calibration.solve import REPORT_FILE, calibration_summary
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.results import RunResult
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require

@@ -32,7 +32,7 @@ Source = Annotated[
 Name = Annotated[str | None, typer.Option(help="Which camera of a GIANT file.")]
 Instrument = Annotated[int | None, typer.Option(metavar="ID", help="NAIF code, for an instrument kernel.")]
 FirstPixel = Annotated[
-    float | None, typer.Option(metavar="0|0.5|1", help="What an instrument kernel calls the centre of the first pixel.")
+    float | None, typer.Option(metavar="0|0.5|1", help="What an instrument kernel calls the center of the first pixel.")
 ]
 Boresight = Annotated[BoresightOption | None, typer.Option(help="Where the z axis of the mission's frame points.")]
 Size = Annotated[str | None, typer.Option(metavar="COLUMNSxROWS", help="Size, where the file does not tell it.")]

@@ -115,7 +115,7 @@ def _tell(summary: dict[str, Any], notes: list[str]) -> None:
     model = summary["model"]
     lines = [f"{summary['name']}: {summary['columns']} x {summary['rows']} px, {model['type']}"]
     lines += [f"  {key} = {value!r}" for key, value in model.items() if isinstance(value, int | float)]
-    for key, unit in (("ifov_urad", "microradian a pixel"), ("half_diagonal_deg", "degrees from centre to corner")):
+    for key, unit in (("ifov_urad", "microradian a pixel"), ("half_diagonal_deg", "degrees from center to corner")):
         if summary[key] is not None:
             lines.append(f"  {summary[key]:.6g} {unit}")
     sys.stdout.write("\n".join(lines) + "\n")

@@ -12,7 +12,7 @@ from giantlike.cli.outcome import ExitCode, command
 
 catalog_app = typer.Typer(
     name="catalog",
-    help="Build star catalogues from published files, look into them, and ask them for stars.",
+    help="Build star catalogs from published files, look into them, and ask them for stars.",
     no_args_is_help=True,
     epilog="Exit codes: 0 done, 2 bad input, 130 interrupted.",
 )
@@ -29,7 +29,7 @@ class Format(StrEnum):
     TABLE = "table"
 
 
-Catalog = Annotated[str, typer.Argument(metavar="CATALOG", help="default, a built catalogue, or a CSV catalogue.")]
+Catalog = Annotated[str, typer.Argument(metavar="CATALOG", help="default, a built catalog, or a CSV catalog.")]
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
 BandOption = Annotated[str | None, typer.Option(metavar="BAND", help="Give magnitudes in this band: G or V.")]
 
@@ -38,7 +38,7 @@ BandOption = Annotated[str | None, typer.Option(metavar="BAND", help="Give magni
 @command
 def build(
     paths: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE... OUTPUT", help="Published files, then the new catalogue (.stars).")
+        list[Path], typer.Argument(metavar="SOURCE... OUTPUT", help="Published files, then the new catalog (.stars).")
     ],
     form: Annotated[Format, typer.Option("--format", help="Form of the source files.")],
     column: Annotated[
@@ -51,12 +51,12 @@ def build(
         Path | None, typer.Option(metavar="COLUMNS.toml", help="For tables: the same from a file.")
     ] = None,
     band: Annotated[str | None, typer.Option(metavar="BAND", help="For tables: band of the magnitudes.")] = None,
-    name: Annotated[str | None, typer.Option(help="What to call the catalogue; default: name of the output.")] = None,
+    name: Annotated[str | None, typer.Option(help="What to call the catalog; default: name of the output.")] = None,
     max_magnitude: Annotated[float | None, typer.Option(help="Leave out fainter stars.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUTPUT where it exists.")] = False,
     json: Json = False,
 ) -> ExitCode:
-    """Make one catalogue of published files.
+    """Make one catalog of published files.
 
     hipparcos: hip_main.dat or hip2.dat. tycho2: tyc2.dat and suppl_1.dat. ucac4: zone files or their folder.
     usno-gnc: its CSV file. gaia: extracts of the archive in CSV, ECSV, FITS, Parquet or VOTable. table: any table in
@@ -82,15 +82,13 @@ def build(
 def join(
     catalogs: Annotated[
         list[str],
-        typer.Argument(
-            metavar="CATALOG... OUTPUT", help="default, built or CSV catalogues, then the new one (.stars)."
-        ),
+        typer.Argument(metavar="CATALOG... OUTPUT", help="default, built or CSV catalogs, then the new one (.stars)."),
     ],
-    name: Annotated[str | None, typer.Option(help="What to call the catalogue; default: name of the output.")] = None,
+    name: Annotated[str | None, typer.Option(help="What to call the catalog; default: name of the output.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUTPUT where it exists.")] = False,
     json: Json = False,
 ) -> ExitCode:
-    """Put catalogues together, such as stars of one's own on top of the default.
+    """Put catalogs together, such as stars of one's own on top of the default.
 
     Where two have the same star, within 3 arcsec, the later one has it. Magnitudes are in the band of the first.
     """
@@ -109,7 +107,7 @@ def query(
     max_magnitude: Annotated[float | None, typer.Option(help="Faintest star.")] = None,
     epoch: Annotated[
         float | None,
-        typer.Option(metavar="YEAR", help="Julian year to move stars to, seen from the barycentre."),
+        typer.Option(metavar="YEAR", help="Julian year to move stars to, seen from the barycenter."),
     ] = None,
     band: BandOption = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Show so many, the brightest.")] = None,
@@ -135,10 +133,10 @@ def query(
 @command
 def info(
     catalog: Catalog,
-    check: Annotated[bool, typer.Option("--check", help="Read all of a built catalogue and compare its hash.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Read all of a built catalog and compare its hash.")] = False,
     json: Json = False,
 ) -> ExitCode:
-    """Say what a catalogue holds and what it was made of."""
+    """Say what a catalog holds and what it was made of."""
     from giantlike.cli.catalog_command import catalog_info
 
     return catalog_info(catalog, check=check, json=json)

@@ -38,9 +38,9 @@ def catalog_build(
     overwrite: bool,
     json: bool,
 ) -> ExitCode:
-    """Read the sources, write the catalogue, say what came of it."""
+    """Read the sources, write the catalog, say what came of it."""
     if len(paths) < 2:
-        raise InputError("SOURCE... OUTPUT are needed: at least one published file, and the new catalogue as the last")
+        raise InputError("SOURCE... OUTPUT are needed: at least one published file, and the new catalog as the last")
     *sources, target = paths
     _target(target, overwrite)
     if form != "table" and (settings or columns is not None or band is not None):
@@ -69,9 +69,9 @@ def catalog_build(
 
 
 def catalog_join(names: Sequence[str], *, name: str | None, overwrite: bool, json: bool) -> ExitCode:
-    """Load the catalogues, write one of them all."""
+    """Load the catalogs, write one of them all."""
     if len(names) < 2:
-        raise InputError("CATALOG... OUTPUT are needed: at least one catalogue, and the new one as the last")
+        raise InputError("CATALOG... OUTPUT are needed: at least one catalog, and the new one as the last")
     target = _target(Path(names[-1]), overwrite)
     catalogs = [load_catalog(one) for one in names[:-1]]
     made = join_catalogs(catalogs, name=name or target.stem)
@@ -97,7 +97,7 @@ def catalog_query(
     limit: int | None,
     json: bool,
 ) -> ExitCode:
-    """List the stars that are in a cone at an epoch, at their catalogue epochs by default."""
+    """List the stars that are in a cone at an epoch, at their catalog epochs by default."""
     if not 0.0 < radius_deg <= 180.0:
         raise InputError(f"--radius must be in (0, 180] degrees, got {radius_deg:g}")
     if not -90.0 <= dec_deg <= 90.0:
@@ -129,7 +129,7 @@ def catalog_query(
 
 
 def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
-    """Say what a catalogue holds."""
+    """Say what a catalog holds."""
     catalog = load_catalog(name)
     magnitude, epoch = catalog.column("magnitude"), catalog.column("epoch_jyear")
     moving = (catalog.column("pm_ra_mas_yr") != 0.0) | (catalog.column("pm_dec_mas_yr") != 0.0)
@@ -154,7 +154,7 @@ def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
     if name != "default" and is_catalog_file(path):
         told |= {"sources": catalog_header(path, check=check)["sources"], "checked": check}
     elif check:
-        raise InputError(f"{name}: only built catalogues have a hash to check")
+        raise InputError(f"{name}: only built catalogs have a hash to check")
     if json:
         print_json(told)
         return ExitCode.DONE
@@ -167,16 +167,16 @@ def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
 
 
 def _target(path: Path, overwrite: bool) -> Path:
-    """The path of a new catalogue, which must be called so and not be there."""
+    """The path of a new catalog, which must be called so and not be there."""
     if path.suffix != SUFFIX:
-        raise InputError(f"{path}: the last name is that of the new catalogue and must end in {SUFFIX}")
+        raise InputError(f"{path}: the last name is that of the new catalog and must end in {SUFFIX}")
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists: give --overwrite to replace it")
     return path
 
 
 def _sources(name: str) -> list[Source]:
-    """What a catalogue file was made of, or the file itself; nothing for the default, whose version says it."""
+    """What a catalog file was made of, or the file itself; nothing for the default, whose version says it."""
     path = Path(name)
     if name == "default":
         return []

@@ -22,9 +22,9 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
 from giantlike.processing.detection.noise import NoiseSource
-from giantlike.processing.psf.profile import PsfKind
-from giantlike.processing.psf.estimate import PsfEstimate, estimate_psf, remeasure
 from giantlike.processing.detection.sequence import FixedPattern, compare_sequence
+from giantlike.processing.psf.estimate import PsfEstimate, estimate_psf, remeasure
+from giantlike.processing.psf.profile import PsfKind
 
 _SHOWN = 20
 """Detections of an image that the table for people shows."""

@@ -9,8 +9,8 @@ import typer
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.report import write_report
-from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 

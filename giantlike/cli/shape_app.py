@@ -112,7 +112,7 @@ def decimate(
 @command
 def render(
     source: Annotated[Path, typer.Argument(metavar="FILE", help="Shape file.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT.png", help="Picture, 8 bit grey.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT.png", help="Picture, 8 bit gray.")],
     units: UnitsOption = Units.KM,
     phase: Annotated[float, typer.Option(metavar="DEG", help="Phase angle, 0 to 180; the Sun is to the right.")] = 45.0,
     sub_observer: Annotated[
@@ -138,7 +138,7 @@ def render(
 @command
 def landmarks(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Shape file, SPC maplet (.MAP) or folder of maplets.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT.npz", help="New catalogue of landmarks.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT.npz", help="New catalog of landmarks.")],
     units: UnitsOption = Units.KM,
     count: Annotated[int | None, typer.Option(metavar="N", help="How many landmarks, at most.  [default: 150]")] = None,
     size_km: Annotated[

@@ -33,7 +33,7 @@ _SHOWN = MappingProxyType(
         "extents_km": "extents x, y, z (km)",
         "volume_km3": "volume (km^3)",
         "area_km2": "area (km^2)",
-        "center_of_figure_km": "centre of figure (km)",
+        "center_of_figure_km": "center of figure (km)",
         "best_fit_radii_km": "best-fit ellipsoid radii (km)",
         "principal_moments": "principal moments, density 1 (km^5)",
         "circumscribing_radius_km": "circumscribing radius (km)",

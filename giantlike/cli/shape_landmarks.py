@@ -1,4 +1,4 @@
-"""``giantlike shape landmarks``: a catalogue of landmarks chosen on a shape model, or collected from maplets."""
+"""``giantlike shape landmarks``: a catalog of landmarks chosen on a shape model, or collected from maplets."""
 
 from __future__ import annotations
 

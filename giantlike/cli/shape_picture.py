@@ -73,7 +73,7 @@ def shape_render(source: Path, target: Path, *, units: str, view: View, overwrit
 
 
 def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:
-    """Grey levels (size, size) of a view; the brightest parts are white.
+    """Gray levels (size, size) of a view; the brightest parts are white.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:
 
 
 def _camera_from_body(view: View) -> Rotation:
-    """Attitude of a camera over a point of the body that looks at its centre, north up (image -y)."""
+    """Attitude of a camera over a point of the body that looks at its center, north up (image -y)."""
     longitude, latitude = math.radians(view.longitude_deg), math.radians(view.latitude_deg)
     east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
     outward = np.array(

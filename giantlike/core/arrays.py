@@ -62,7 +62,7 @@ def as_unit(value: ArrayLike, name: str, *, tolerance: float = 1e-9) -> Float:
     norms = np.linalg.norm(array, axis=-1)
     worst = float(np.max(np.abs(norms - 1.0), initial=0.0))
     if not worst <= tolerance:
-        raise InputError(f"{name} must be unit vectors to {tolerance:g}, the worst norm is off by {worst:g}: normalise")
+        raise InputError(f"{name} must be unit vectors to {tolerance:g}, the worst norm is off by {worst:g}: normalize")
     return array
 
 

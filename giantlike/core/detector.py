@@ -62,7 +62,7 @@ class Detector:
     def variance_dn2(self, signal_dn: Float) -> Float:
         """Noise variance, DN^2, of pixels that hold ``signal_dn`` above bias: shot and read noise.
 
-        Negative signals count as zero; quantisation (1/12 DN^2) is included.
+        Negative signals count as zero; quantization (1/12 DN^2) is included.
         """
         shot = np.maximum(signal_dn, 0.0) / self.gain_e_per_dn
         return shot + (self.read_noise_e / self.gain_e_per_dn) ** 2 + 1.0 / 12.0

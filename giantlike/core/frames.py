@@ -1,7 +1,7 @@
 """Directions, attitudes and small rotations; everything here is exact geometry, no physics.
 
 Rotations are scipy :class:`~scipy.spatial.transform.Rotation` named ``to_from_from``
-(``camera_from_inertial``), so that neighbours cancel in products.
+(``camera_from_inertial``), so that neighbors cancel in products.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike
     ----------
     camera_from_inertial : Rotation
     line_of_sight_camera : (3,), unitless, camera
-        Usually that of the image centre ``((columns - 1) / 2, (rows - 1) / 2)``.
+        Usually that of the image center ``((columns - 1) / 2, (rows - 1) / 2)``.
 
     Returns
     -------

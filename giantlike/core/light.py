@@ -17,7 +17,7 @@ def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     directions : (..., 3), inertial
         Vectors from observer to source, as an observer at rest would see them; the length is kept.
     velocity_km_s : (3,), km/s, inertial
-        Velocity of the observer with respect to the frame at rest (the solar system barycentre).
+        Velocity of the observer with respect to the frame at rest (the solar system barycenter).
 
     Returns
     -------

@@ -9,7 +9,7 @@ from giantlike.core.arrays import Float, as_finite
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObserverState:
-    """Position and velocity of the spacecraft with respect to the solar system barycentre, ICRF axes.
+    """Position and velocity of the spacecraft with respect to the solar system barycenter, ICRF axes.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class Quality(enum.Flag):
     APRIORI_ATTITUDE = enum.auto()
     """No star solution: the attitude is the one that came with the image."""
     INTERPOLATED_ATTITUDE = enum.auto()
-    """The attitude comes from neighbouring star images."""
+    """The attitude comes from neighboring star images."""
     SHAPE_APPROXIMATED = enum.auto()
     """The estimator replaced the shape by a simpler one (a mesh by its ellipsoid)."""
     SHORT_ARC = enum.auto()
@@ -76,7 +76,7 @@ class Quality(enum.Flag):
     OBSERVER_UNKNOWN = enum.auto()
     """The motion of the spacecraft is not known: the attitude holds stellar aberration, some 20 arcsec at 1 au."""
     EPOCH_UNKNOWN = enum.auto()
-    """No epoch: stars were taken where the catalogue has them, at J2016.0."""
+    """No epoch: stars were taken where the catalog has them, at J2016.0."""
     DISAGREEMENT = enum.auto()
     """Two independent estimators differ by more than their covariances explain."""
     UNCHECKED = enum.auto()
@@ -127,15 +127,15 @@ class AttitudeFix:
         Of the small rotation ``e`` about the camera axes with
         ``camera_from_inertial_true = Rotation.from_rotvec(e) * camera_from_inertial``.
     star_ids : (n,) int64
-        Catalogue identifiers of the stars used.
+        Catalog identifiers of the stars used.
     detection_indices : (n,) int64
         Which detections they are.
     observed_px, predicted_px : (n, 2) float64, px
-        Measured centroids; catalogue stars projected with the fixed attitude and the camera model.
+        Measured centroids; catalog stars projected with the fixed attitude and the camera model.
     sigma_px : (n,) float64, px
         Standard deviation per axis used to weight each star.
     magnitudes : (n,) float64
-        Catalogue magnitudes.
+        Catalog magnitudes.
     n_detected, n_rejected : int
         Detections offered to identification; tentative matches thrown out as outliers.
     false_match_probability : float
@@ -190,7 +190,7 @@ class AttitudeFix:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CenterFix:
-    """Where the centre of a body (the origin of its shape model) appears in an image.
+    """Where the center of a body (the origin of its shape model) appears in an image.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class CenterFix:
     covariance_px2 : (2, 2) float64, px^2
         Of the image measurement alone, attitude uncertainty not included.
     predicted_px : (2,) float64, px
-        Where the a priori geometry puts the centre.
+        Where the a priori geometry puts the center.
     residuals : (n,) float64
         Post-fit residuals in the estimator's own unit (px for limbs, relative brightness for templates).
     n_used, n_rejected : int
@@ -249,7 +249,7 @@ class PositionFix(CenterFix):
 
     @property
     def range_km(self) -> float:
-        """Distance from camera to body centre, km."""
+        """Distance from camera to body center, km."""
         return float(np.linalg.norm(self.position_camera_km))
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 SPEED_OF_LIGHT_KM_S = 299792.458
-"""Exact by the definition of the metre."""
+"""Exact by the definition of the meter."""
 
 AU_KM = 149597870.7
 """IAU 2012 resolution B2, exact."""

@@ -61,14 +61,14 @@ class AttitudeSeries:
 
     @property
     def quaternions_xyzw(self) -> Float:
-        """(n, 4) ``camera_from_inertial``, scalar last; neighbours have the same sign."""
+        """(n, 4) ``camera_from_inertial``, scalar last; neighbors have the same sign."""
         quaternions = quaternion_xyzw(self.camera_from_inertial)
         turns = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
         quaternions[1:][np.cumsum(turns) % 2 == 1] *= -1.0
         return quaternions
 
     def segments(self, max_gap_s: float) -> tuple[slice, ...]:
-        """Runs of attitudes whose neighbours are at most ``max_gap_s`` apart: what may be interpolated over.
+        """Runs of attitudes whose neighbors are at most ``max_gap_s`` apart: what may be interpolated over.
 
         >>> import numpy as np
         >>> still = Rotation.from_rotvec(np.zeros((3, 3)))

@@ -1,7 +1,7 @@
 """Camera models from the XML files of NASA's GIANT.
 
 Layout and names as in giant/camera_models (camera_model.py ``save``, and the attributes of each model),
-github.com/nasa/giant. GIANT counts pixels from the centre of the first one, as we do. The files hold Python
+github.com/nasa/giant. GIANT counts pixels from the center of the first one, as we do. The files hold Python
 expressions; only numbers and arrays of numbers are read, nothing is evaluated.
 """
 
@@ -155,7 +155,7 @@ def _matrix(single: dict[str, float], stored: Float | None) -> tuple[Float, floa
 def _upright(matrix: Float, lens: dict[str, float], turn: float) -> tuple[Float, dict[str, float]]:
     """The same camera with axes turned about the boresight so that its rows depend on y alone."""
     if any(lens.get(key) for key in ("p1", "p2", "s1", "s2", "s3", "s4")):
-        raise InputError("kyx together with decentring or prism terms can't be represented: convert in GIANT first")
+        raise InputError("kyx together with decentering or prism terms can't be represented: convert in GIANT first")
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     matrix = np.column_stack([matrix[:, :2] @ rotation.T, matrix[:, 2]])
     matrix[1, 0] = 0.0

@@ -1,10 +1,10 @@
 """Pinhole cameras from SPICE instrument kernels (text, ``INS<id>_...`` keywords).
 
 There is no standard for what an IK says of a camera. Read are FOCAL_LENGTH (mm), PIXEL_SIZE or PIXEL_PITCH (mm, or
-micrometres where the number is 0.5 or more: no pixel is half a millimetre), the centre (CCD_CENTER, FOV_CENTER_PIXEL,
+micrometers where the number is 0.5 or more: no pixel is half a millimeter), the center (CCD_CENTER, FOV_CENTER_PIXEL,
 BORESIGHT_PIXEL or BORESIGHT_SAMPLE and BORESIGHT_LINE) and the size (PIXEL_SAMPLES, PIXEL_LINES), as in the kernels
 of OSIRIS-REx, Mars Science Laboratory and others at naif.jpl.nasa.gov. Where the first pixel is counted from differs
-by mission: it is told by the caller, or found when the centre is just the middle of the detector.
+by mission: it is told by the caller, or found when the center is just the middle of the detector.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ASSIGNMENT = re.compile(r"(\S+?)\s*\+?=\s*(\([^)]*\)|'[^']*'|\S+)")
 _ITEM = re.compile(r"'([^']*)'|([^\s,()']+)")
 _CENTERS = ("CCD_CENTER", "FOV_CENTER_PIXEL", "BORESIGHT_PIXEL", "PIXEL_CENTER")
 _LENS_WORDS = ("DISTORTION", "OD_K", "DISTOR", "DISTCOEFF")
-_MICROMETRES_FROM = 0.5
+_MICROMETERS_FROM = 0.5
 
 
 def read_ik_camera(
@@ -44,8 +44,8 @@ def read_ik_camera(
     instrument_id : int
         NAIF code, such as -64361.
     first_pixel : float, optional
-        What the mission calls the centre of the first pixel: 0, 1 or 0.5 (edges counted from 0). By default the one
-        for which the centre is the middle of the detector.
+        What the mission calls the center of the first pixel: 0, 1 or 0.5 (edges counted from 0). By default the one
+        for which the center is the middle of the detector.
     signs : (int, int)
         Sense of the instrument frame's x along columns and y along rows, 1 or -1; kernels say so in their text only.
     boresight : {"+z", "-z"}
@@ -60,7 +60,7 @@ def read_ik_camera(
     try:
         focal_mm = _number(keywords, "FOCAL_LENGTH")
         pitch_mm = _pair(keywords, ("PIXEL_SIZE", "PIXEL_PITCH"))
-        pitch_mm = np.where(pitch_mm >= _MICROMETRES_FROM, pitch_mm * 1e-3, pitch_mm)
+        pitch_mm = np.where(pitch_mm >= _MICROMETERS_FROM, pitch_mm * 1e-3, pitch_mm)
         size = np.array([_number(keywords, "PIXEL_SAMPLES"), _number(keywords, "PIXEL_LINES")])
         center = _center(keywords)
         origin = _origin(center, size) if first_pixel is None else first_pixel
@@ -137,6 +137,6 @@ def _origin(center: np.ndarray, size: np.ndarray) -> float:
         if np.allclose(center, (size - 1) / 2 + origin, rtol=0, atol=1e-6):
             return origin
     raise InputError(
-        f"the centre {center.tolist()} is not the middle of a detector of {size.tolist()} pixels: say what the first "
+        f"the center {center.tolist()} is not the middle of a detector of {size.tolist()} pixels: say what the first "
         "pixel is called, 0, 0.5 or 1"
     )

@@ -1,6 +1,6 @@
 """Camera models from and to OpenCV's calibration files (FileStorage, YAML or XML).
 
-OpenCV counts pixels from the centre of the first one, and its x and y are ours: nothing is converted.
+OpenCV counts pixels from the center of the first one, and its x and y are ours: nothing is converted.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Camera models from and to FITS headers with a gnomonic projection and SIP distortion (TAN-SIP).
 
 SIP moves pixels, counted from CRPIX, by two polynomials; a linear map takes them to the tangent plane of the sky. FITS
-calls the centre of the first pixel (1, 1). The keywords are used as astropy.wcs does, which the tests compare with.
+calls the center of the first pixel (1, 1). The keywords are used as astropy.wcs does, which the tests compare with.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ def write_aem(
     path : path-like
     series : AttitudeSeries
     object_name, object_id, originator : str
-        Spacecraft, its international designator, and the organisation that writes the message.
+        Spacecraft, its international designator, and the organization that writes the message.
     frame : str
         ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
     max_gap_s : float, s

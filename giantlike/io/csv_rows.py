@@ -73,7 +73,7 @@ class CsvRow:
             raise self.error(columns[0], f"{', '.join(columns)}: {error}") from error
 
     def direction(self, columns: Sequence[str]) -> Float | None:
-        """Unit vector (3,) of three columns that must be unit to 1e-3, normalised; None when all are empty."""
+        """Unit vector (3,) of three columns that must be unit to 1e-3, normalized; None when all are empty."""
         values = self.vector(columns)
         if values is None:
             return None

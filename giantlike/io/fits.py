@@ -105,7 +105,7 @@ def navigation_header(
     camera_from_inertial : Rotation, optional
         A priori attitude: ``GL_QX, GL_QY, GL_QZ, GL_QW``, scalar last.
     observer_position_km, observer_velocity_km_s : (3,), km and km/s, ICRF, optional
-        Spacecraft with respect to the solar system barycentre: ``GL_OBSX ... GL_OBSVZ``; both or none.
+        Spacecraft with respect to the solar system barycenter: ``GL_OBSX ... GL_OBSVZ``; both or none.
 
     Raises
     ------

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 QUATERNION_KEYS = ("GL_QX", "GL_QY", "GL_QZ", "GL_QW")
 """Keywords of camera_from_inertial, scalar last."""
 OBSERVER_KEYS = ("GL_OBSX", "GL_OBSY", "GL_OBSZ", "GL_OBSVX", "GL_OBSVY", "GL_OBSVZ")
-"""Keywords of the spacecraft's position (km) and velocity (km/s), solar system barycentre, ICRF."""
+"""Keywords of the spacecraft's position (km) and velocity (km/s), solar system barycenter, ICRF."""
 
 _SUN_FROM_SPACECRAFT = ("SPCSSCX", "SPCSSCY", "SPCSSCZ", "SPCSSCVX", "SPCSSCVY", "SPCSSCVZ")
 _SCALES = {"UTC": "utc", "TAI": "tai", "IAT": "tai", "TT": "tt", "TDT": "tt", "ET": "tt", "TDB": "tdb", "UT1": "ut1"}
@@ -109,7 +109,7 @@ def fits_attitude(path: Path, cards: Mapping[str, Card]) -> Rotation | None:
 
 
 def fits_observer(path: Path, cards: Mapping[str, Card], epoch: Time | None) -> ObserverState | None:
-    """State of the spacecraft with respect to the solar system barycentre, None when the header has none.
+    """State of the spacecraft with respect to the solar system barycenter, None when the header has none.
 
     Read from :data:`OBSERVER_KEYS`; else from ``SPCSSCX ... SPCSSCVZ`` (New Horizons), the vector from the
     spacecraft to where the Sun was one light time ago, to which the Sun's own barycentric state of that
@@ -132,7 +132,7 @@ def fits_observer(path: Path, cards: Mapping[str, Card], epoch: Time | None) -> 
 
 
 def _sun_state(epoch: Time) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,), km, and velocity (3,), km/s, of the Sun from the barycentre, ICRF, to some 100 km."""
+    """Position (3,), km, and velocity (3,), km/s, of the Sun from the barycenter, ICRF, to some 100 km."""
     from astropy.coordinates import get_body_barycentric_posvel
 
     position, velocity = get_body_barycentric_posvel("sun", epoch, ephemeris="builtin")

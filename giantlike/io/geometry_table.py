@@ -8,12 +8,12 @@ One row per image and target. Every column but ``file`` may be absent or empty:
 ``epoch_utc``, ``exposure_s``                  mid-exposure, ISO 8601; seconds
 ``qx``, ``qy``, ``qz``, ``qw``                 a priori camera_from_inertial, scalar last
 ``target``                                     target name
-``target_x_km``, ``target_y_km``,              camera to target centre, inertial axes, apparent (light time
+``target_x_km``, ``target_y_km``,              camera to target center, inertial axes, apparent (light time
 ``target_z_km``                                and aberration already in)
 ``body_qx``, ``body_qy``, ``body_qz``,         body_from_inertial at the time the light left, scalar last
 ``body_qw``
 ``sun_x``, ``sun_y``, ``sun_z``                unit vector target to Sun, inertial
-``observer_x_km``, ``observer_y_km``,          spacecraft with respect to the solar system barycentre, inertial axes:
+``observer_x_km``, ``observer_y_km``,          spacecraft with respect to the solar system barycenter, inertial axes:
 ``observer_z_km``, ``observer_vx_km_s``,       position and velocity, all six or none; with them stars get parallax
 ``observer_vy_km_s``, ``observer_vz_km_s``     and aberration
 =============================================  ==========================================================
@@ -72,13 +72,13 @@ class GeometryRow:
         A priori attitude.
     target : str or None
     target_position_inertial_km : (3,) float64 or None, km, inertial axes
-        Apparent vector from camera to target centre.
+        Apparent vector from camera to target center.
     body_from_inertial : Rotation or None
         Of the target when the light left it.
     sun_direction_inertial : (3,) float64 or None, unitless, inertial
         Unit vector from target to Sun.
     observer : ObserverState or None
-        The spacecraft, with respect to the solar system barycentre.
+        The spacecraft, with respect to the solar system barycenter.
     line : int
         Line in the file, 0 for a row that was not read from one.
     """

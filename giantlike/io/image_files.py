@@ -54,7 +54,7 @@ class ImageFile:
     camera_from_inertial : Rotation or None
         A priori attitude, only from headers that this package wrote.
     observer : ObserverState or None
-        Spacecraft state with respect to the solar system barycentre.
+        Spacecraft state with respect to the solar system barycenter.
     header : dict of str to str, int, float or bool
         Header or label items. Empty for PNG, TIFF and JPEG.
     format : {'fits', 'png', 'tiff', 'jpeg', 'vicar', 'pds3'}
@@ -127,14 +127,14 @@ def _read_image(path: Path, hdu: int | str | None) -> ImageFile:
     if hdu is not None and kind != "fits":
         raise InputError(f"hdu={hdu!r} is for FITS files, but {path} is {kind or 'of no known format'}")
     if kind == "pds3":
-        decoded, digest = _decode_labelled(path, data, digest)
+        decoded, digest = _decode_labeled(path, data, digest)
     elif kind is not None:
         decoded = _decode(path, data, kind, hdu)
     else:
         label = _label_beside(path)
         if label is None:
             raise DataError(path, "is of no supported format; supported are FITS, PNG, TIFF, JPEG, VICAR and PDS3")
-        decoded, digest = _decode_labelled(label, _read(label), digest)
+        decoded, digest = _decode_labeled(label, _read(label), digest)
     return _finish(path, decoded, digest)
 
 
@@ -144,7 +144,7 @@ def _decode(path: Path, data: bytes, kind: str, hdu: int | str | None) -> Decode
     return decode_vicar(path, data) if kind == "vicar" else decode_raster(path, data, kind)
 
 
-def _decode_labelled(path: Path, data: bytes, digest: str) -> tuple[DecodedImage, str]:
+def _decode_labeled(path: Path, data: bytes, digest: str) -> tuple[DecodedImage, str]:
     """Decode what a PDS3 label at the start of ``data`` describes; the hash is of the file with the pixels.
 
     An image file that describes itself (FITS, VICAR) is read as such; the label gives the epoch and exposure

@@ -75,7 +75,7 @@ def label_epoch(label: Mapping[str, HeaderValue], exposure_s: float | None) -> T
     """Mid-exposure epoch of a label, or None where the label does not settle it.
 
     Read, in this order: ``IMAGE_MID_TIME``; the middle of ``START_TIME`` and ``STOP_TIME``; ``START_TIME``
-    plus half the exposure; for Galileo SSI ``IMAGE_TIME`` or the ``SCET...`` items, which are the centre of
+    plus half the exposure; for Galileo SSI ``IMAGE_TIME`` or the ``SCET...`` items, which are the center of
     the exposure. ``IMAGE_TIME`` of other cameras is not read (for Cassini it is the closing of the shutter),
     nor are spacecraft clock counts. The SCET in Voyager's ``LAB02`` is the frame count truncated to a
     second, not a time of the exposure: such images need their epoch from a geometry table.
@@ -84,7 +84,7 @@ def label_epoch(label: Mapping[str, HeaderValue], exposure_s: float | None) -> T
     ----------
     .. [1] PDS data dictionary, ``image_time`` of Cassini ISS: time of shutter close.
     .. [2] USGS ISIS, SsiCamera and VoyagerCamera, ``ShutterOpenCloseTimes``: the time in Galileo SSI labels is the
-       shutter centre (others take it for the opening: half an exposure, some milliseconds, apart); Voyager's clock
+       shutter center (others take it for the opening: half an exposure, some milliseconds, apart); Voyager's clock
        count is that of the readout, seconds after the shutter has closed.
     """
     middle = utc_from_label(label.get("IMAGE_MID_TIME"))

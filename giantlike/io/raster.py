@@ -1,6 +1,6 @@
 """PNG, TIFF and JPEG images through OpenCV, at their full depth, and checks that they are whole.
 
-OpenCV fills what is missing of a cut-off file with zeros or grey and says nothing, so each format is
+OpenCV fills what is missing of a cut-off file with zeros or gray and says nothing, so each format is
 checked here first: PNG by its chunks and their checksums, JPEG by its markers, TIFF by its strip table.
 """
 
@@ -20,7 +20,7 @@ from giantlike.core.errors import DataError
 from giantlike.io.decoded import DecodedImage
 
 LUMINANCE_BGR = (0.114, 0.587, 0.299)
-"""Weights of blue, green and red in the luminance of a colour image (ITU-R BT.601, the luma that JPEG stores)."""
+"""Weights of blue, green and red in the luminance of a color image (ITU-R BT.601, the luma that JPEG stores)."""
 
 _JPEG_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 _ORIENTATION, _PHOTOMETRIC = 274, 262
@@ -39,7 +39,7 @@ class _TiffTag:
 def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
     """Decode a PNG, TIFF or JPEG file.
 
-    Grey images keep their type; so do colour images whose channels are equal. Other colour images become
+    Gray images keep their type; so do color images whose channels are equal. Other color images become
     luminance, float32, with :data:`LUMINANCE_BGR`. An alpha channel is dropped, a palette resolved, a scale
     in which white is zero turned over. Rows and columns are as stored: orientation tags are ignored. Of a
     TIFF with several pages the first is read.
@@ -79,7 +79,7 @@ def _decode(path: Path, data: bytes, kind: str) -> NDArray[Any]:
 
 
 def luminance(pixels: NDArray[Any]) -> NDArray[Any]:
-    """One channel (rows, columns) of an image in OpenCV's order (grey, grey-alpha, BGR or BGRA)."""
+    """One channel (rows, columns) of an image in OpenCV's order (gray, gray-alpha, BGR or BGRA)."""
     if pixels.ndim == 2:
         return pixels
     if pixels.shape[2] < 3:

@@ -86,7 +86,7 @@ def write_ck(
         and a frame kernel (``.tf``) that defines the camera frame: with the three loaded, and a kernel of leap seconds
         for texts, SPICE has the frame.
     max_gap_s : float, s
-        SPICE interpolates between neighbours at most so far apart.
+        SPICE interpolates between neighbors at most so far apart.
     comments : sequence of str
         Lines for the comment area.
 

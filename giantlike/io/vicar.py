@@ -155,10 +155,10 @@ def _layout(path: Path, system: dict[str, HeaderValue], label_bytes: int) -> Raw
 
     rows, columns, record = count("NL", 0), count("NS", 0), count("RECSIZE", 0)
     prefix, header_records = count("NBB", 0), count("NLB", 0)
-    organisation = system.get("ORG", "BSQ")
-    if count("NB", 1) != 1 or organisation not in {"BSQ", "BIL"}:
+    organization = system.get("ORG", "BSQ")
+    if count("NB", 1) != 1 or organization not in {"BSQ", "BIL"}:
         raise DataError(
-            path, f"only VICAR images of one band are read, got NB={system.get('NB', 1)}, ORG={organisation!r}"
+            path, f"only VICAR images of one band are read, got NB={system.get('NB', 1)}, ORG={organization!r}"
         )
     sample = _sample(path, system)
     if record != prefix + columns * int(sample[-1]):

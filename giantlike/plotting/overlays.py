@@ -22,18 +22,18 @@ MARKS = MappingProxyType(
     {
         "matched star": "#3ddc97",
         "detected, not used": "#ffb347",
-        "where the solution puts catalogue stars": "#6ec6ff",
+        "where the solution puts catalog stars": "#6ec6ff",
         "match thrown out": "#ff4d4d",
-        "a priori outline and centre": "#b9a7ff",
+        "a priori outline and center": "#b9a7ff",
         "limb points used": "#ffe066",
     }
 )
-"""Colours of what is drawn, for a legend beside the figures."""
+"""Colors of what is drawn, for a legend beside the figures."""
 
 CENTERS = ("#ff5c7a", "#37c8ff", "#8dff6a", "#ff9de2", "#ffffff", "#ffa042")
-"""Colours for the centres that estimators found."""
+"""Colors for the centers that estimators found."""
 
-_OUTLINE, _LIMB = MARKS["a priori outline and centre"], MARKS["limb points used"]
+_OUTLINE, _LIMB = MARKS["a priori outline and center"], MARKS["limb points used"]
 _PANEL_IN = 4.6
 _MAX_ELONGATION = 2.0
 _MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25
@@ -67,7 +67,7 @@ class StarMarks:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CenterMark:
-    """What one estimator found: the centre (2,) with its covariance (2, 2), and the limb points (n, 2) it used, px."""
+    """What one estimator found: the center (2,) with its covariance (2, 2), and the limb points (n, 2) it used, px."""
 
     color: str
     center_px: Float
@@ -83,7 +83,7 @@ class BodyMarks:
     ----------
     name : str
     predicted_px : (2,)
-        A priori centre.
+        A priori center.
     radius_px : float
         Apparent radius of the sphere around it.
     outline_px : (n, 2)
@@ -119,7 +119,7 @@ def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[
     if factor > 1:
         image = np.asarray(cv2.dilate(image, np.ones((factor, factor), np.uint8)), dtype=np.float32)[::factor, ::factor]
     steps = np.abs(np.diff(image, axis=1)) if image.shape[1] > 1 else np.zeros((1, 1), np.float32)
-    noise = 1.05 * float(np.median(steps))  # of neighbours, so that a body that fills the view does not count
+    noise = 1.05 * float(np.median(steps))  # of neighbors, so that a body that fills the view does not count
     dark, bright, top = (float(value) for value in np.percentile(image, [10.0, 90.0, 100.0]))
     unit = max(_SOFTENING * noise, 0.5 * (bright - dark), 1e-3 * (top - dark), 1e-9)
     low, high = np.arcsinh(-2 * noise / unit), np.arcsinh(max((top - dark) / unit, 1e-6))

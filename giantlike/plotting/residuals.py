@@ -46,7 +46,7 @@ class Series:
 
 
 def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str, title: str) -> Figure:
-    """Values with one-sigma bars, one panel per quantity, one colour per series.
+    """Values with one-sigma bars, one panel per quantity, one color per series.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def star_residual_figure(
 ) -> Figure:
     """Residuals of matched stars: arrows over the field, histogram per axis, size against magnitude.
 
-    What has no magnitudes, such as corners of a board, is shown against the distance from the image centre.
+    What has no magnitudes, such as corners of a board, is shown against the distance from the image center.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def star_residual_figure(
     residuals_px : (n, 2), px
         Observed minus predicted.
     magnitudes, sigma_px : (n,)
-        Catalogue magnitudes, NaN where there are none; standard deviation per axis that weighted each star, px.
+        Catalog magnitudes, NaN where there are none; standard deviation per axis that weighted each star, px.
     columns, rows : int
         Size of the detector.
     """
@@ -119,7 +119,7 @@ def star_residual_figure(
         known = np.isfinite(magnitudes)
         label, title = "magnitude", "Against magnitude"
         if not known.any():
-            known, label, title = np.ones_like(known), "distance from centre, px", "Against distance from the centre"
+            known, label, title = np.ones_like(known), "distance from center, px", "Against distance from the center"
             magnitudes = np.linalg.norm(points_px - [(columns - 1) / 2, (rows - 1) / 2], axis=1)
         magnitudes, size, sigma_px = magnitudes[known], size[known], sigma_px[known]
         brightness.plot(magnitudes, size, ".", color=BLUE, markersize=3.5, alpha=0.4, rasterized=many)

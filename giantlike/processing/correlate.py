@@ -1,4 +1,4 @@
-"""Normalised cross-correlation of a template with an image, with bad and missing pixels, and its sub-pixel peak."""
+"""Normalized cross-correlation of a template with an image, with bad and missing pixels, and its sub-pixel peak."""
 
 from __future__ import annotations
 

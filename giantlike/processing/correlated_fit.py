@@ -1,4 +1,4 @@
-"""Linear least squares for residuals whose neighbours err together: robust weights, and a covariance that knows it."""
+"""Linear least squares for residuals whose neighbors err together: robust weights, and a covariance that knows it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CorrelatedFit:
     noise_scale : float
         Scatter of the independent part over the sigmas that were given: 1 when noise explains it.
     correlated_sigma : float
-        Standard deviation of the part that neighbours share, unit of the residuals.
+        Standard deviation of the part that neighbors share, unit of the residuals.
     correlation_length : float
         Distance over which it falls to 1/e, unit of the points; most likely value.
     """
@@ -101,7 +101,7 @@ def robust_solution(
     return solution, keep
 
 
-def generalised_solution(
+def generalized_solution(
     residuals: Float, design: Float, residual_covariance: Float, *, weights: Float | None = None
 ) -> tuple[Float, Float]:
     """Solve ``design @ solution = residuals`` for residuals of known covariance.
@@ -137,7 +137,7 @@ def correlated_solution(
     min_length: float = 1.0,
     max_length: float | None = None,
 ) -> CorrelatedFit:
-    r"""Generalised least squares with a covariance of the residuals estimated from the residuals themselves.
+    r"""Generalized least squares with a covariance of the residuals estimated from the residuals themselves.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def correlated_solution(
 
     Notes
     -----
-    The residuals' covariance is modelled as ``s^2 (diag(sigma^2) + q m exp(-distance / length))``, m the mean of
+    The residuals' covariance is modeled as ``s^2 (diag(sigma^2) + q m exp(-distance / length))``, m the mean of
     ``sigma^2`` and the distance that along the points: a process without memory but of its last value, which a
     Kalman filter takes apart in one pass. For a grid of ratios q and lengths, s^2 is found by restricted maximum
     likelihood, which knows that the solution has absorbed part of the long waves; the solutions are averaged with the

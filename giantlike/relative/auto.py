@@ -15,13 +15,13 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
 from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
-from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.estimator import Estimator, EstimatorInputs, gather
-from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
-from giantlike.relative.light.moment import Moment, MomentOptions
+from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.landmarks.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
+from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
+from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
+from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid
 
@@ -276,7 +276,7 @@ def _tells(second: CenterFix, fix: CenterFix) -> bool:
 
 
 def agreement_of(first: CenterFix, second: CenterFix) -> float:
-    """Probability that two right and independent fixes of one body differ by as much: by position, else by centre."""
+    """Probability that two right and independent fixes of one body differ by as much: by position, else by center."""
     from scipy.stats import chi2
 
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):

@@ -62,7 +62,7 @@ class EstimatorInputs:
         A priori.
     camera : Camera
     predicted_px : (2,) float64, px
-        Where the a priori geometry puts the body's centre; may lie outside the frame.
+        Where the a priori geometry puts the body's center; may lie outside the frame.
     pixels_dn : (rows, columns) float64, DN
         Bias taken off.
     usable : (rows, columns) bool
@@ -107,7 +107,7 @@ class EstimatorInputs:
 
     @property
     def reach_px(self) -> float:
-        """Apparent radius of the sphere around the body, px: nothing of it is seen farther from its centre."""
+        """Apparent radius of the sphere around the body, px: nothing of it is seen farther from its center."""
         return apparent_radius_px(
             self.camera, self.predicted_px, self.geometry.target.shape.circumscribing_radius_km, self.geometry.range_km
         )
@@ -194,7 +194,7 @@ def apparent_radius_px(camera: Camera, center_px: ArrayLike, radius_km: float, r
 
 
 def position_of_center(model: CameraModel, center_px: Float, range_km: float, covariance: Float) -> tuple[Float, Float]:
-    """Position of a body from its centre in the image and its range.
+    """Position of a body from its center in the image and its range.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def position_of_center(model: CameraModel, center_px: Float, range_km: float, co
 def center_of_position(
     model: CameraModel, position_camera_km: Float, covariance_camera_km2: Float
 ) -> tuple[Float, Float]:
-    """Centre of a body in the image (2,), px, and its covariance (2, 2), px^2, from its position (3,), km."""
+    """Center of a body in the image (2,), px, and its covariance (2, 2), px^2, from its position (3,), km."""
     jacobian = model.project_jacobian(position_camera_km)
     return model.project(position_camera_km), jacobian @ covariance_camera_km2 @ jacobian.T
 
@@ -235,7 +235,7 @@ def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
     if geometry.range_km <= geometry.target.shape.circumscribing_radius_km:
         return Reason.DEGENERATE_GEOMETRY, f"at a range of {geometry.range_km:g} km the camera is inside the body"
     if not np.isfinite(inputs.predicted_px).all():
-        return Reason.OUT_OF_FRAME, "the predicted centre lies behind the camera or where its model images nothing"
+        return Reason.OUT_OF_FRAME, "the predicted center lies behind the camera or where its model images nothing"
     return None
 
 

@@ -187,7 +187,7 @@ class Approach:
     options: ApproachOptions
 
     def take(self, frame: Frame, catalog: StarCatalog) -> SimulatedImage:
-        """Photograph one of the frames against the sky of a catalogue; the same frame gives the same image."""
+        """Photograph one of the frames against the sky of a catalog; the same frame gives the same image."""
         return simulate_image(
             frame.shot,
             self.camera,

@@ -35,7 +35,7 @@ class AttitudeError:
         Root mean square over the frame of how far the error moves the image, per axis. None without an attitude.
     sigma_px : (2,) float64, px, or None
         The same for the stated covariance (the three sigmas about the camera axes).
-    normalised : (3,) float64 or None
+    normalized : (3,) float64 or None
         Errors about the camera axes over their stated sigmas.
     """
 
@@ -45,7 +45,7 @@ class AttitudeError:
     reason: str
     error_px: Float | None = None
     sigma_px: Float | None = None
-    normalised: Float | None = None
+    normalized: Float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ class ObservationError:
     diameter_px, phase_deg : float
         True apparent diameter and phase angle.
     error_px, sigma_px : (2,) float64, px, or None
-        Found minus true centre; stated sigmas. None without a fix.
+        Found minus true center; stated sigmas. None without a fix.
     nees : float or None
         Squared error over the stated covariance (2 x 2): 2 on average where that is right.
     range_error, range_sigma : float or None
@@ -104,9 +104,9 @@ class Score:
     rms_px, sigma_px : (2,) float64, px
         Root mean square of errors and of stated sigmas, per axis; NaN without fixes.
     chi2, dof : float, int
-        Sum of squared normalised errors and number of them, without the range.
+        Sum of squared normalized errors and number of them, without the range.
     range_rms, range_sigma, range_chi2 : float
-        Relative errors of the range, relative stated sigmas, sum of squared normalised errors; NaN without.
+        Relative errors of the range, relative stated sigmas, sum of squared normalized errors; NaN without.
     n_ranges : int
     """
 
@@ -152,21 +152,21 @@ def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
 
 
 def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
-    """Summary of attitudes; normalised errors count one by one, about three axes."""
+    """Summary of attitudes; normalized errors count one by one, about three axes."""
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
-    normalised = np.array([error.normalised for error in good if error.normalised is not None])
+    normalized = np.array([error.normalized for error in good if error.normalized is not None])
     return _score(
         errors,
         np.array([error.error_px for error in good]).reshape(-1, 2),
         np.array([error.sigma_px for error in good if error.sigma_px is not None]).reshape(-1, 2),
-        chi2=float(np.sum(normalised**2)),
-        dof=int(normalised.size),
+        chi2=float(np.sum(normalized**2)),
+        dof=int(normalized.size),
         ranges=np.zeros((0, 2)),
     )
 
 
 def score_observations(errors: Sequence[ObservationError]) -> Score:
-    """Summary of centres and ranges."""
+    """Summary of centers and ranges."""
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
     ranges = [[error.range_error, error.range_sigma] for error in good if error.range_error is not None]
     return _score(
@@ -220,7 +220,7 @@ def _attitude_error(row: Row, true_row: Row, camera: Camera) -> AttitudeError:
         return entry
     sigma_rad = _numbers(row, "sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec") * RAD_PER_ARCSEC
     by_axis = [_shift_px(camera, axis) for axis in np.diag(sigma_rad)]
-    return replace(entry, sigma_px=np.sqrt(np.sum(np.square(by_axis), axis=0)), normalised=error_rad / sigma_rad)
+    return replace(entry, sigma_px=np.sqrt(np.sum(np.square(by_axis), axis=0)), normalized=error_rad / sigma_rad)
 
 
 def _shift_px(camera: Camera, rotvec_rad: Float) -> Float:

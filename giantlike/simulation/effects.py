@@ -66,7 +66,7 @@ class FlatField:
         Relative response of single pixels, 1 on average; :func:`pixel_response` draws one.
     vignetting : float
         Part of the light lost in the corners of the image; the loss grows with the square of the distance from
-        its centre.
+        its center.
     """
 
     response: Float | None = None

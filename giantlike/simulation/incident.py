@@ -35,7 +35,7 @@ class SimulationOptions:
     rays_per_pixel_side : int
         Each ray goes through a random place of its cell, so that no estimator's template shares the sampling.
     max_magnitude : float, optional
-        Faintest star; as deep as the catalogue goes by default.
+        Faintest star; as deep as the catalog goes by default.
     sun_radius_rad : float, rad
         Angular radius of the Sun at the bodies, for penumbrae; 0 is a point.
     min_rays_across : int

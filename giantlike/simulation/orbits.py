@@ -21,7 +21,7 @@ _SUN_GM_KM3_S2 = 1.32712440041e11
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircularOrbit:
-    """A body on a circle about the Sun, which rests at the barycentre, spinning evenly about its z axis.
+    """A body on a circle about the Sun, which rests at the barycenter, spinning evenly about its z axis.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ _GAMMA = 0.4  # shows a star beside a body that is a thousand times brighter
 
 
 def preview_png(pixels_dn: Float) -> bytes:
-    """Grey picture of 8 bit as a PNG file: a power of what is above the background, up to the brightest pixel.
+    """Gray picture of 8 bit as a PNG file: a power of what is above the background, up to the brightest pixel.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def preview_png(pixels_dn: Float) -> bytes:
     """
     values = np.asarray(pixels_dn, dtype=np.float64)
     above = np.maximum(values - float(np.median(values)), 0.0)
-    grey = (above / max(float(above.max()), 1e-12)) ** _GAMMA
-    done, data = cv2.imencode(".png", np.rint(255.0 * grey).astype(np.uint8))
+    gray = (above / max(float(above.max()), 1e-12)) ** _GAMMA
+    done, data = cv2.imencode(".png", np.rint(255.0 * gray).astype(np.uint8))
     assert done
     return bytes(data)

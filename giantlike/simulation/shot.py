@@ -35,7 +35,7 @@ class Photometry:
     Parameters
     ----------
     zero_point_e_s : float, electron/s
-        Signal of a star of magnitude 0, in the band of the catalogue.
+        Signal of a star of magnitude 0, in the band of the catalog.
     albedo : float
         Radiance factor of the surfaces seen and lit along their normal.
     sun_distance_au : float, au

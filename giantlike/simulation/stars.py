@@ -1,4 +1,4 @@
-"""The starry sky through a camera: catalogue stars as point sources on the detector."""
+"""The starry sky through a camera: catalog stars as point sources on the detector."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class StarField:
     Parameters
     ----------
     ids : (n,) int64
-        Catalogue identifiers.
+        Catalog identifiers.
     points_px : (n, 2) float64, px
         True places in the distorted image.
     magnitudes : (n,) float64
@@ -72,7 +72,7 @@ def star_field(
     max_magnitude: float | None = None,
     smear_px: float = 0.0,
 ) -> StarField:
-    """Catalogue stars where a camera sees them.
+    """Catalog stars where a camera sees them.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def star_field(
     camera : Camera
     camera_from_inertial : Rotation
     et : float, s
-        TDB seconds past J2000: stars are moved there from their catalogue epochs.
+        TDB seconds past J2000: stars are moved there from their catalog epochs.
     observer : ObserverState, optional
         Gives parallax and aberration; without it neither.
     max_magnitude : float, optional

@@ -10,14 +10,14 @@ truth is in keywords that begin with ``GT_`` and, for the targets, ``T1_``, ``T2
 ``GT_GAIN``, ``GT_READ``, ...   gain, read noise, bias, saturation of the detector
 ``GT_NTGT``                     number of targets in view
 ``T1_NAME``, ``T1_SHAPE``       name of the first, and the beginning of the SHA-256 of its shape
-``T1_X`` .. ``T1_Z``            camera to body centre, km, inertial axes, apparent
+``T1_X`` .. ``T1_Z``            camera to body center, km, inertial axes, apparent
 ``T1_QX`` .. ``T1_QW``          body_from_inertial when the light left it, scalar last
 ``T1_SUNX`` .. ``T1_SUNZ``      unit vector from body to Sun, inertial
-``T1_PX``, ``T1_PY``            where its centre appears, px from 0
+``T1_PX``, ``T1_PY``            where its center appears, px from 0
 ==============================  =====================================================================================
 
 Extensions: ``EXPECTED`` (mean electrons without noise or saturation), ``COSMIC`` (electrons left by cosmic rays),
-``STARS`` (table: id, x_px, y_px, magnitude, electrons). On request also what the centre of every pixel looks at:
+``STARS`` (table: id, x_px, y_px, magnitude, electrons). On request also what the center of every pixel looks at:
 ``BODY`` (number as in the keywords, 0: none), ``FACET``, ``RANGE`` (km), and ``INCIDENCE``, ``EMISSION``, ``PHASE``,
 ``LONGITUDE``, ``LATITUDE`` (degrees).
 """
@@ -180,7 +180,7 @@ def _target(
     cards |= _rotation(f"{prefix}Q", body_from_inertial, "body_from_inertial, scalar last")
     cards |= _vector(f"{prefix}SUN", inertial_from_camera.apply(geometry.sun_direction_camera), "to the Sun, inertial")
     if np.isfinite(center).all():
-        cards |= {f"{prefix}P{axis}": Card(float(center[k]), "[px] centre, from 0") for k, axis in enumerate("XY")}
+        cards |= {f"{prefix}P{axis}": Card(float(center[k]), "[px] center, from 0") for k, axis in enumerate("XY")}
     return cards
 
 

@@ -24,7 +24,7 @@ from giantlike.simulation.images import SimulatedImage
 
 CAMPAIGN_FILE, TRUTH_FILE = "campaign.toml", "truth.csv"
 MAX_MAGNITUDE = 8.5
-"""Faintest star that the campaign asks the catalogue for; fainter ones are in the images all the same."""
+"""Faintest star that the campaign asks the catalog for; fainter ones are in the images all the same."""
 ESTIMATORS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "ROCK": ("unresolved", "cross_correlation", "limb_matching"),

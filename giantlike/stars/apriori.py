@@ -1,4 +1,4 @@
-"""Star identification with an a priori attitude: nearest neighbours and RANSAC."""
+"""Star identification with an a priori attitude: nearest neighbors and RANSAC."""
 
 from __future__ import annotations
 
@@ -54,17 +54,17 @@ def identify_apriori(
 ) -> Identification | Failure:
     """Identify stars near where an a priori attitude predicts them.
 
-    Steps 1-10 of the matching in [1]_: predict, pair nearest neighbours, drop distant and ambiguous pairs, solve
+    Steps 1-10 of the matching in [1]_: predict, pair nearest neighbors, drop distant and ambiguous pairs, solve
     for the attitude of random samples of four and keep the one with most inliers (on a tie: the smaller sum of
     squares). Where that does not succeed, it is tried again after the shift that most star-detection pairs within
     ``max_pixel_distance`` have in common is taken out: then the attitude may be wrong by more than the distance
-    between stars, which nearest neighbours alone cannot stand. The vote counts pairs closely alike first, which crowded
+    between stars, which nearest neighbors alone cannot stand. The vote counts pairs closely alike first, which crowded
     fields need, then as different as an error of roll makes them.
 
     Parameters
     ----------
     directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors of catalogue stars, a few more than the field holds, brightest first.
+        Apparent unit vectors of catalog stars, a few more than the field holds, brightest first.
     points_px : (m, 2) float64, px
         Detections, brightest first.
     camera : Camera
@@ -80,14 +80,14 @@ def identify_apriori(
     References
     ----------
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Matching Potential
-       Stars with Known Stars From a Star Catalogue, steps 1-10.
+       Stars with Known Stars From a Star Catalog, steps 1-10.
     """
     predicted = camera.model.project(camera_from_inertial.apply(directions_inertial))
     predicted[~camera.contains(predicted, margin_px=-options.max_pixel_distance)] = np.nan
     near = np.flatnonzero(np.isfinite(predicted[:, 0]))
     if near.size < options.min_matches:
         return Failure(
-            Reason.NO_CATALOG_STARS, f"{near.size} catalogue stars in the field, {options.min_matches} are needed"
+            Reason.NO_CATALOG_STARS, f"{near.size} catalog stars in the field, {options.min_matches} are needed"
         )
     if len(points_px) < options.min_matches:
         return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {options.min_matches} are needed")

@@ -36,7 +36,7 @@ class AttitudeSolution:
     ----------
     camera_from_inertial : Rotation
     covariance_rad2 : (3, 3) float64, rad^2
-        As in :class:`~giantlike.core.outcomes.AttitudeFix`; the estimated scale is marginalised.
+        As in :class:`~giantlike.core.outcomes.AttitudeFix`; the estimated scale is marginalized.
     model : CameraModel
         The one given, or with the estimated scale.
     used : (n,) bool
@@ -65,7 +65,7 @@ class AttitudeMethod(StrEnum):
     """How the attitude follows from stars that are identified."""
 
     WEIGHTED = "weighted"
-    """Gauss-Newton on the pixels, from the q-method: the full covariance of centroid and catalogue of every star."""
+    """Gauss-Newton on the pixels, from the q-method: the full covariance of centroid and catalog of every star."""
     Q_METHOD = "q_method"
     """Davenport's q-method: one sigma a star."""
     SVD = "svd"
@@ -109,7 +109,7 @@ def fit_attitude(
     points_px : (n, 2) float64, px
         Where they were measured.
     covariance_px2 : (n, 2, 2) float64, px^2
-        Of measurement and catalogue together, positive definite.
+        Of measurement and catalog together, positive definite.
     model : CameraModel
     scale : Scale
         What of the model to estimate too; ``RADIAL`` needs a model with ``k1``.

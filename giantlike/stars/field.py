@@ -1,4 +1,4 @@
-"""The sky of one image: which catalogue stars its camera can see, and where they appear."""
+"""The sky of one image: which catalog stars its camera can see, and where they appear."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from giantlike.catalogs import StarCatalog, StarTable, apparent_directions, et_o
 from giantlike.core.arrays import Float
 
 EPOCH_WHEN_UNKNOWN = 2016.0
-"""Julian epoch at which stars are put when an image has none: that of most positions in the default catalogue."""
+"""Julian epoch at which stars are put when an image has none: that of most positions in the default catalog."""
 _MARGIN = 1.05  # a little more sky than the camera sees: its model may still change
 
 
@@ -28,7 +28,7 @@ class StarField:
     directions_inertial : (n, 3) float64, unitless, inertial
         Apparent.
     sigma_rad : (n,) float64, rad
-        Catalogue error of the directions, per axis.
+        Catalog error of the directions, per axis.
     """
 
     stars: StarTable
@@ -49,7 +49,7 @@ class StarField:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sky:
-    """A catalogue as an observer sees it at one time.
+    """A catalog as an observer sees it at one time.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Sky:
     et : float, s, optional
         TDB seconds past J2000; without it stars are at ``EPOCH_WHEN_UNKNOWN``.
     observer_position_km : (3,) float64, km, inertial, optional
-        With respect to the solar system barycentre; without it no parallax.
+        With respect to the solar system barycenter; without it no parallax.
     observer_velocity_km_s : (3,) float64, km/s, inertial, optional
         Likewise; without it no aberration, which then goes into the attitude.
     max_magnitude : float, optional
@@ -97,7 +97,7 @@ class Sky:
 
 
 def _half_diagonal_rad(camera: Camera) -> float:
-    """Angle from the image centre to its corners; that of a pinhole where the model cannot see the corners."""
+    """Angle from the image center to its corners; that of a pinhole where the model cannot see the corners."""
     radius = camera.half_diagonal_rad
     if np.isfinite(radius):
         return radius

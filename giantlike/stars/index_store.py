@@ -1,4 +1,4 @@
-"""Star indices of the whole sky: made from any catalogue on demand, and kept in memory and in the cache folder."""
+"""Star indices of the whole sky: made from any catalog on demand, and kept in memory and in the cache folder."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def cap_radius_rad(wanted_rad: float) -> float:
 def sky_index(
     catalog: StarCatalog, pattern: Pattern, radius_rad: float, *, max_magnitude: float | None = None
 ) -> StarIndex:
-    """Index of a catalogue's whole sky, from memory, the cache folder, or made now.
+    """Index of a catalog's whole sky, from memory, the cache folder, or made now.
 
     Making one takes well below a second for fields from 10 degrees up, and some 10 s at 1 degree, where it holds
-    half a million stars; a file of the cache is recognised by the stars themselves, so that a catalogue that has
+    half a million stars; a file of the cache is recognized by the stars themselves, so that a catalog that has
     changed never meets the patterns of another.
 
     Parameters
@@ -86,7 +86,7 @@ def _stored(catalog: StarCatalog, pattern: Pattern, radius_rad: float, max_magni
 
 
 def _brightest(catalog: StarCatalog, count: int, max_magnitude: float | None) -> StarTable:
-    """The ``count`` brightest stars of a catalogue, or all that it has."""
+    """The ``count`` brightest stars of a catalog, or all that it has."""
     deepest = _LAST_MAGNITUDE if max_magnitude is None else max_magnitude
     limit = min(_FIRST_MAGNITUDE, deepest)
     while True:

@@ -1,7 +1,7 @@
 """Star identification from the shapes of patterns: anywhere on the sky, or within the error of an a priori attitude.
 
 Triads of detections and the angles between them where the camera is calibrated, quads and their shape where its
-focal length is not known, are looked up in an index of the catalogue; attitudes that many of them share are verified
+focal length is not known, are looked up in an index of the catalog; attitudes that many of them share are verified
 by matching and fitting all stars of the image. tetra3rs is asked where quads find nothing.
 """
 
@@ -37,7 +37,7 @@ _SCALE_STEP = 0.015
 _TRIAD_PX, _QUAD = 2.0, 0.006  # error of an angle: px, and of the image width
 _TRIED, _TRIED_IN_ALL = 6, 30  # hypotheses of each search, and of an image
 _BRIGHTEST = 40
-_NARROW_RAD = math.radians(0.75)  # half a field of view: below, the catalogue may have too few stars for it
+_NARROW_RAD = math.radians(0.75)  # half a field of view: below, the catalog may have too few stars for it
 _SAMPLED_RAD = 0.3  # distance of the places where its stars are counted
 _BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # searches that find most images
 Bools = NDArray[np.bool_]
@@ -60,7 +60,7 @@ def identify_lost_in_space(
     Returns
     -------
     RefinedAttitude or Failure
-        Reasons: too_few_detections, no_catalog_stars (the catalogue has too few for such fields), fov_mismatch (stars
+        Reasons: too_few_detections, no_catalog_stars (the catalog has too few for such fields), fov_mismatch (stars
         fit another focal length), mirrored_image, no_pattern_match.
 
     References
@@ -219,7 +219,7 @@ class _Problem:
         return build_index(pattern, field.stars.ids, field.directions_inertial, radius_rad, axis=axis, reach_rad=reach)
 
     def stars_expected(self) -> float:
-        """How many catalogue stars a field of view holds, on average over the sky or near the a priori attitude."""
+        """How many catalog stars a field of view holds, on average over the sky or near the a priori attitude."""
         half = self.half_fov_rad()
         if half > _NARROW_RAD:
             return math.inf
@@ -263,7 +263,7 @@ def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
         limit = problem.sky.max_magnitude
         return Failure(
             Reason.NO_CATALOG_STARS,
-            f"the catalogue {problem.sky.catalog.name!r}{'' if limit is None else f' to magnitude {limit:g}'} has "
+            f"the catalog {problem.sky.catalog.name!r}{'' if limit is None else f' to magnitude {limit:g}'} has "
             f"{expected:.2g} stars in a field of view of {problem.camera.fov_deg:.3g} degrees, "
             f"{problem.options.min_matches} are needed: give a deeper one",
         )

@@ -1,4 +1,4 @@
-"""Pairs of catalogue stars and detections in the image plane, and how likely chance makes them."""
+"""Pairs of catalog stars and detections in the image plane, and how likely chance makes them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Matches:
 
 
 def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, ambiguous_px: float = 0.0) -> Matches:
-    """Pair stars and detections that are each other's nearest neighbour.
+    """Pair stars and detections that are each other's nearest neighbor.
 
     Parameters
     ----------
@@ -160,9 +160,9 @@ def attitudes_within(radius_px: float, max_pixel_distance: float) -> float:
 
 
 def confusion_px(predicted_px: Float, magnitudes: Float) -> Float:
-    """Shift (n,), px, that neighbours within ``BLEND_PX`` may give a star's centroid, at most.
+    """Shift (n,), px, that neighbors within ``BLEND_PX`` may give a star's centroid, at most.
 
-    A neighbour of flux ratio q at distance d pulls a blended centroid by d q / (1 + q).
+    A neighbor of flux ratio q at distance d pulls a blended centroid by d q / (1 + q).
     """
     shift = np.zeros(len(predicted_px))
     visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))

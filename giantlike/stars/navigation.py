@@ -67,7 +67,7 @@ class StarNavigation:
         Parameters
         ----------
         image : Image
-            Without epoch, stars are taken at J2016.0; without observer, as seen from the solar system barycentre at
+            Without epoch, stars are taken at J2016.0; without observer, as seen from the solar system barycenter at
             rest, so that aberration (up to 20 arcsec from Earth) goes into the attitude. Provenance says which.
 
         Returns
@@ -216,14 +216,14 @@ class StarNavigation:
             "camera_model": json.dumps(model_to_mapping(solution.model)),
             "identification": method,
             "epoch": f"J{EPOCH_WHEN_UNKNOWN} assumed" if image.epoch is None else utc_text(image.epoch),
-            "observer": "barycentre at rest assumed" if image.observer is None else "position and velocity",
+            "observer": "barycenter at rest assumed" if image.observer is None else "position and velocity",
             "error_floor_px": f"{solution.error_floor_px:.4g}",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
 
 
 def sky_of(image: Image, catalog: StarCatalog, options: StarOptions) -> Sky:
-    """Return a catalogue as the observer of an image sees it."""
+    """Return a catalog as the observer of an image sees it."""
     observer = image.observer
     return Sky(
         catalog=catalog,

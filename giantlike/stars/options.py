@@ -21,19 +21,19 @@ class StarOptions:
     Parameters
     ----------
     max_magnitude : float, optional
-        Faintest catalogue star, in the catalogue's band. Default: as deep as the number of detections asks for.
+        Faintest catalog star, in the catalog's band. Default: as deep as the number of detections asks for.
     lost_in_space : bool
         Search the whole sky when there is no a priori attitude or it does not lead to stars.
     estimate_scale : bool
         Estimate focal length and radial distortion k1 together with the attitude: for cameras of which only
-        a rough field of view is known. Principal point and distortion centre stay at the image centre.
+        a rough field of view is known. Principal point and distortion center stay at the image center.
     scale_error : float
         Relative error that the rough field of view may have, in (0, 0.2]; used with ``estimate_scale``.
     max_pixel_distance : float, px
         How far from its predicted place a star is looked for first with the a priori attitude (RANSAC over nearest
-        neighbours).
+        neighbors).
     attitude_error_deg : float, deg
-        How wrong the a priori attitude may be, about any axis, in (0, 180]. Where nearest neighbours do not lead to
+        How wrong the a priori attitude may be, about any axis, in (0, 180]. Where nearest neighbors do not lead to
         stars, patterns of stars are looked for among all attitudes within this angle.
     inlier_px : float, px
         Largest distance of a star from its place under the right attitude.

@@ -12,9 +12,9 @@ import tetra3rs
 from giantlike.catalogs import cache_folder, write_to_cache
 
 MIN_FOV_DEG = 1.0
-"""Narrower fields hold too few stars of the pattern catalogue (Gaia to G = 10)."""
+"""Narrower fields hold too few stars of the pattern catalog (Gaia to G = 10)."""
 MAX_FOV_DEG = 70.0
-_STEP = 1.15  # ratio of neighbouring fields of view: one database serves cameras within half a step
+_STEP = 1.15  # ratio of neighboring fields of view: one database serves cameras within half a step
 _FORMAT = 1
 
 
@@ -61,7 +61,7 @@ def _database(step: int) -> tetra3rs.SolverDatabase:
         lattice_field_oversampling=density.lattice_field_oversampling,
         patterns_per_lattice_field=density.patterns_per_lattice_field,
         verification_stars_per_fov=density.verification_stars_per_fov,
-        epoch_proper_motion_year=None,  # what that catalogue calls proper motion is none: see catalogs.default
+        epoch_proper_motion_year=None,  # what that catalog calls proper motion is none: see catalogs.default
     )
     write_to_cache(name, lambda target: database.save_to_file(str(target)))
     return database

@@ -70,7 +70,7 @@ def refine_attitude(
 ) -> RefinedAttitude | Failure:
     """Match every detection that a star explains and fit the attitude to the pairs, in turns.
 
-    How deep the catalogue is used is decided by the evidence: as many of the brightest stars as make the
+    How deep the catalog is used is decided by the evidence: as many of the brightest stars as make the
     matches least likely to be chance.
 
     Parameters
@@ -119,7 +119,7 @@ def refine_attitude(
 
 
 def significant_matches(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> Matches:
-    """Nearest-neighbour pairs with as many of the brightest stars as make chance least likely.
+    """Nearest-neighbor pairs with as many of the brightest stars as make chance least likely.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""An index of star patterns: which triads or quads of catalogue stars have a given shape.
+"""An index of star patterns: which triads or quads of catalog stars have a given shape.
 
 The sky is covered with caps; the brightest stars of each cap make patterns. A pattern is a number for the cell of its
 code and the indices of its stars, sorted by cell: a few megabytes, whatever the field of view.
@@ -70,7 +70,7 @@ class StarIndex:
     radius_rad : float, rad
         Of the caps; no pattern is wider than two of it.
     ids : (n,) int64
-        Catalogue identifiers of the stars in patterns.
+        Catalog identifiers of the stars in patterns.
     directions : (n, 3) float64, unitless, inertial
         Where they are.
     patterns : (m, 3) or (m, 4) uint32

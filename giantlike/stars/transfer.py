@@ -1,4 +1,4 @@
-"""From long exposures to short ones: the attitude of an image from its neighbours in time.
+"""From long exposures to short ones: the attitude of an image from its neighbors in time.
 
 A body bright enough to fill a short exposure leaves no stars in it, so navigation images come in pairs: a
 long exposure gives the attitude, a short one the body. What joins them is an assumption on how the camera
@@ -92,7 +92,7 @@ class StarAttitude:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransferredAttitude:
-    """An attitude that came from neighbours.
+    """An attitude that came from neighbors.
 
     Parameters
     ----------

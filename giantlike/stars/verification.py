@@ -101,7 +101,7 @@ def scaled_model(model: CameraModel, scale: float) -> CameraModel:
 
 
 def depth_for(n_detections: int) -> int:
-    """How many catalogue stars, brightest first, to hold against so many detections."""
+    """How many catalog stars, brightest first, to hold against so many detections."""
     return 3 * n_detections + 100
 
 

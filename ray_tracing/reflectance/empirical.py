@@ -27,7 +27,7 @@ class Lambert(SurfaceLaw):
 
     Notes
     -----
-    Fits bright, matt surfaces; a dark regolith has a flatter disc at small phase.
+    Fits bright, matt surfaces; a dark regolith has a flatter disk at small phase.
     """
 
     type_name: ClassVar[str] = "lambert"
@@ -43,7 +43,7 @@ class LommelSeeliger(SurfaceLaw):
 
     Notes
     -----
-    For dark bodies. At large phase it leaves the limb too bright: the disc brightens towards it.
+    For dark bodies. At large phase it leaves the limb too bright: the disk brightens towards it.
     """
 
     type_name: ClassVar[str] = "lommel_seeliger"
@@ -125,14 +125,14 @@ class Minnaert(SurfaceLaw):
     Parameters
     ----------
     k : float
-        Limb darkening at zero phase, in [0, 2]: 1 is Lambert, 0.5 a flat disc at full phase.
+        Limb darkening at zero phase, in [0, 2]: 1 is Lambert, 0.5 a flat disk at full phase.
     k_per_deg : float, 1/deg
         Growth of k with the phase angle; the sum is cut to [0, 2].
 
     Notes
     -----
     Empirical. For k < 1 the brightness grows without bound where the surface turns away from the camera, so single
-    facets at a limb can outshine the disc; ``mu0 mu`` is not let fall below 1e-12, which keeps it finite.
+    facets at a limb can outshine the disk; ``mu0 mu`` is not let fall below 1e-12, which keeps it finite.
 
     References
     ----------
@@ -157,7 +157,7 @@ class Minnaert(SurfaceLaw):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Akimov(SurfaceLaw):
-    """Akimov's disc function, without or with the parameter of the latitude dependence.
+    """Akimov's disk function, without or with the parameter of the latitude dependence.
 
     With photometric latitude b and longitude l (both 0 below the camera, the Sun at b = 0, l = a), phase a and
     ``c = pi / (pi - a)``: ``cos(a / 2) cos(c (l - a / 2)) cos(b)^(eta a / (pi - a)) / cos(l)``.
@@ -165,16 +165,16 @@ class Akimov(SurfaceLaw):
     Parameters
     ----------
     eta : float
-        How strongly the disc darkens towards the photometric poles, >= 0: 1 is the parameter-free form.
+        How strongly the disk darkens towards the photometric poles, >= 0: 1 is the parameter-free form.
 
     Notes
     -----
     Made for the Moon: no limb darkening at full phase, and brightness falls smoothly to 0 at the terminator.
-    It is the distribution over the disc only, without a phase function.
+    It is the distribution over the disk only, without a phase function.
 
     References
     ----------
-    .. [1] As implemented in public code for phase curves of discs (there after Shkuratov et al. 1999) and, with eta,
+    .. [1] As implemented in public code for phase curves of disks (there after Shkuratov et al. 1999) and, with eta,
        for lunar photometry; the form is stated above.
     """
 
@@ -186,7 +186,7 @@ class Akimov(SurfaceLaw):
         checked_number("akimov", "eta", self.eta, low=0.0)
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the disc function from ``l - a / 2``, which stays well defined at zero phase."""
+        """Return the disk function from ``l - a / 2``, which stays well defined at zero phase."""
         half = 0.5 * phase_rad
         total = mu0 + mu
         from_mirror = np.arctan2((mu0 - mu) * np.cos(half), total * np.sin(half))

@@ -23,7 +23,7 @@ from giantlike.calibration import (
     interlock,
 )
 from giantlike.calibration.field_map import map_difference
-from giantlike.calibration.normal import Data, State, linearised, normal_equations, predict
+from giantlike.calibration.normal import Data, State, linearized, normal_equations, predict
 from giantlike.calibration.observability import Verdict
 from giantlike.calibration.robust import Loss
 from giantlike.calibration.statistics import residual_statistics
@@ -152,7 +152,7 @@ def test_jacobians_agree_with_numerical_differences(pose: int) -> None:
     data = Data.of(images, start, indices, NAVCAM.parameters[indices], np.zeros(4))
     position = np.array([image.position_reference for image in images])
     state = State(NAVCAM, start, position)
-    predicted, by_camera, by_pose = linearised(state, data)
+    predicted, by_camera, by_pose = linearized(state, data)
     assert_allclose(predicted, predict(state, data), rtol=0, atol=0)
     for k, size in enumerate((1e-3, 1e-6, 1e-7, 1e-8)):
         change = np.zeros(len(NAVCAM.parameters))

@@ -154,7 +154,7 @@ def test_an_ideal_equisolid_lens_gives_equal_areas_to_equal_solid_angles() -> No
 
 
 def test_scaramuzza_agrees_with_the_published_polynomial() -> None:
-    u, v = 300.0, -200.0  # from the centre, px
+    u, v = 300.0, -200.0  # from the center, px
     rho = np.hypot(u, v)
     ray = np.array([u, v, 533.039 - 7.764e-4 * rho**2 + 4.340e-7 * rho**3 - 8.639e-10 * rho**4])
     square = ScaramuzzaModel.from_polynomial(
@@ -219,10 +219,10 @@ def test_a_warm_camera_magnifies_about_the_principal_point(model: AffineModel) -
     terms = dict(zip(model.parameter_names, model.parameters, strict=True))
     terms |= {"a1_per_c": 2e-5, "a2_per_c2": -3e-7, "a3_per_c3": 4e-9}
     cold = model.with_parameters(list(terms.values()))
-    points, centre = model.unproject(pixels_of(model, 50)), np.array([model.cx_px, model.cy_px])
+    points, center = model.unproject(pixels_of(model, 50)), np.array([model.cx_px, model.cy_px])
     magnification = 1.0 - 20.0 * 2e-5 - 400.0 * 3e-7 - 8000.0 * 4e-9
     warm = cold.at_temperature(-20.0)
-    expected = centre + magnification * (cold.project(points) - centre)
+    expected = center + magnification * (cold.project(points) - center)
     assert_allclose(warm.project(points), expected, rtol=0, atol=ROUND_TRIP_PX)
     assert_allclose(warm.at_temperature(50.0).project(points), expected, rtol=0, atol=ROUND_TRIP_PX)
 
@@ -237,7 +237,7 @@ def test_temperature_terms_far_from_where_they_were_fitted_are_refused() -> None
 def test_binning_and_windowing_map_pixels_exactly(model: AffineModel) -> None:
     pixels = pixels_of(model, 100)
     points = model.unproject(pixels)
-    # the first 4 by 4 block has its centre at 1.5 px
+    # the first 4 by 4 block has its center at 1.5 px
     assert_allclose(model.binned(4).project(points), (pixels - 1.5) / 4, rtol=0, atol=ROUND_TRIP_PX)
     assert_allclose(model.windowed(300, 17).project(points), pixels - [300, 17], rtol=0, atol=ROUND_TRIP_PX)
 
@@ -270,7 +270,7 @@ def test_the_fold_is_where_the_radial_map_stops_growing() -> None:
     assert BrownModel(fx_px=1, fy_px=1, cx_px=0, cy_px=0, k1=0.1).max_radius == np.inf
 
 
-def test_decentring_brings_the_fold_nearer() -> None:
+def test_decentering_brings_the_fold_nearer() -> None:
     radial = BrownModel(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, k1=-0.3)
     tilted = BrownModel(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, k1=-0.3, p2=-0.02)
     x = tilted.max_radius  # along x the map is x - 0.3 x^3 - 0.06 x^2
@@ -411,7 +411,7 @@ def test_a_conversion_states_what_it_loses() -> None:
     lost = conversion.model.project(directions) - conversion.points_px
     assert_allclose(conversion.residuals_px, lost, rtol=0, atol=ROUND_TRIP_PX)
     assert_allclose(conversion.max_px, np.linalg.norm(lost, axis=-1).max(), rtol=1e-12, atol=0)
-    # a pinwheel cannot be had from decentring: the field of the two differs by 1e-3 r (-y, x), some px at the corner
+    # a pinwheel cannot be had from decentering: the field of the two differs by 1e-3 r (-y, x), some px at the corner
     assert 0.1 < conversion.rms_px < conversion.max_px < 10.0
     pinhole = convert(TILTED, "pinhole", columns=COLUMNS, rows=ROWS)
     assert isinstance(pinhole, Conversion)
@@ -468,7 +468,7 @@ def test_the_misalignment_jacobian_is_the_motion_of_pixels_under_a_small_turn(mo
     assert_allclose(misalignment_jacobian(model, points), numerical, rtol=0, atol=tolerance)
 
 
-def test_ifov_of_an_undistorted_camera_is_the_inverse_focal_length_at_the_centre() -> None:
+def test_ifov_of_an_undistorted_camera_is_the_inverse_focal_length_at_the_center() -> None:
     model = PinholeModel(fx_px=1000.0, fy_px=1000.0, cx_px=10.0, cy_px=20.0)
     assert_allclose(ifov_rad(model, [10.0, 20.0]), 1e-3, rtol=0, atol=1e-15)
 

@@ -24,17 +24,17 @@ from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.run.attitude_transfer import attitude_to_use
 from giantlike.campaign.file.config import Campaign, ImageEntry
-from giantlike.campaign.store.observables import rotation_of
-from giantlike.campaign.run.pool import WorkerPool
-from giantlike.campaign.run.image_loading import open_image, scene_of
-from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.report.report import write_report
-from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.run.attitude_transfer import attitude_to_use
+from giantlike.campaign.run.image_loading import open_image, scene_of
+from giantlike.campaign.run.pool import WorkerPool
 from giantlike.campaign.run.runner import run_campaign
-from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.run.worker import Workbench
+from giantlike.campaign.store.observables import rotation_of
+from giantlike.campaign.store.parts import RunFolder
+from giantlike.campaign.store.records import AttitudeRecord
+from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
@@ -412,7 +412,7 @@ def test_a_continued_run_does_changed_images_again_and_what_rests_on_them(copied
     done = redone(result.folder)
     assert {file for event, file in done if event == "image"} == {"visit0_a_long.fits", "visit1_b_short.fits"}
     observed = {record.file: record for record in result.observations}
-    assert ("attitude_carried", "visit0_b_short.fits") in done, "its neighbour became a star image"
+    assert ("attitude_carried", "visit0_b_short.fits") in done, "its neighbor became a star image"
     for record in result.attitudes:
         if record.file in observed:
             assert observed[record.file].attitude == attitude_to_use(record)
@@ -603,7 +603,7 @@ def test_records_survive_their_files_exactly(finished: Run) -> None:
 
 
 def write_moon_campaign(folder: Path, kernels: list[str], geometry: list[GeometryRow]) -> Path:
-    """The Moon from the centre of the Earth; nothing but its epoch is in the image."""
+    """The Moon from the center of the Earth; nothing but its epoch is in the image."""
     epoch = time_from_utc("2024-05-01T00:00:00")
     camera = dataclasses.replace(Camera.from_fov(3.0, 300, 260), psf=GaussianPsf(sigma_px=0.8))
     scene = Scene(

@@ -78,22 +78,22 @@ def test_a_turn_about_x_and_y_moves_the_image_by_focal_length_times_angle(
     write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, [])
     (only,) = compare_run(tmp_path, truth, camera).attitudes
     assert only.error_px is not None
-    assert only.normalised is not None
+    assert only.normalized is not None
     assert_allclose(only.error_px, [0.5, 0.2], rtol=0, atol=1e-5)  # 1e-5: the frame is 1e-3 rad wide
-    assert_allclose(only.normalised, [2.0, -5.0, 0.0], rtol=0, atol=1e-6)
+    assert_allclose(only.normalized, [2.0, -5.0, 0.0], rtol=0, atol=1e-6)
     score = score_attitudes([only])
     assert score.dof == 3
     assert_allclose(score.chi2, 29.0, rtol=0, atol=1e-5)
     assert_allclose(score.sigma_px, [0.1, 0.1], rtol=0, atol=1e-4)
 
 
-def test_centre_and_range_errors_are_found_minus_true(tmp_path: Path, truth: Path, camera: Camera) -> None:
+def test_center_and_range_errors_are_found_minus_true(tmp_path: Path, truth: Path, camera: Camera) -> None:
     fix = observation(
         x_px=50.3, y_px=59.6, sigma_x_px=0.1, sigma_y_px=0.2, rho_xy=0.0, range_km=201.0, sigma_range_km=0.5
     )
-    centre_only = observation(file="b.fits", x_px=50.0, y_px=60.1, sigma_x_px=0.1, sigma_y_px=0.1, rho_xy=0.5)
+    center_only = observation(file="b.fits", x_px=50.0, y_px=60.1, sigma_x_px=0.1, sigma_y_px=0.1, rho_xy=0.5)
     write_table(tmp_path / "attitudes.csv", ATTITUDE_COLUMNS, [])
-    write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, [fix, centre_only])
+    write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, [fix, center_only])
     first, second = compare_run(tmp_path, truth, camera).observations
     assert first.error_px is not None
     assert_allclose(first.error_px, [0.3, -0.4], rtol=0, atol=EXACT)

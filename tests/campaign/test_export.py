@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models import BrownModel
 from giantlike.campaign.export import ExportFormat, ExportOptions, camera_of_run, export_run
-from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem, Status
 from giantlike.campaign.store.parts import RunFolder
+from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem, Status
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, InputError

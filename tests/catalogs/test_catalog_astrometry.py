@@ -118,7 +118,7 @@ def test_light_deflection_is_an_option_that_needs_the_observers_place() -> None:
         apparent_directions(stars, et, light_deflection=True)
 
 
-def test_apparent_places_from_earth_agree_with_erfa_from_catalogue_to_observer() -> None:
+def test_apparent_places_from_earth_agree_with_erfa_from_catalog_to_observer() -> None:
     """The whole chain, space motion to aberration, beside ERFA's ``atciq`` without precession and nutation."""
     stars = _stars(np.random.default_rng(11), 60)
     et = et_of_julian_year(2030.0)
@@ -180,7 +180,7 @@ def test_an_impossible_observer_is_refused() -> None:
         apparent_directions(stars, 0.0, observer_position_km=[1.0, np.nan, 0])
 
 
-def test_the_error_of_a_direction_grows_with_time_from_the_catalogue_epoch() -> None:
+def test_the_error_of_a_direction_grows_with_time_from_the_catalog_epoch() -> None:
     stars = _stars(np.random.default_rng(6), 2)
     sigma_mas = stars.sigma_rad(et_of_julian_year(2026.0)) / RAD_PER_MAS
     np.testing.assert_allclose(sigma_mas, 5.0, rtol=0, atol=1e-9)  # 3 mas and 10 years of 0.4 mas/yr

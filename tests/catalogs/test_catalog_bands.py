@@ -37,7 +37,7 @@ def test_the_sun_is_0_15_magnitudes_fainter_in_v_than_in_g() -> None:
     difference = stars.magnitude[np.argsort(stars.ids)] - np.array([5.0, 5.1, 5.2])
     assert abs(difference[0] - 0.14) < 0.03
     assert difference[1] == difference[0]
-    assert 0.1 < difference[2] < 0.35  # of unknown colour: a usual one
+    assert 0.1 < difference[2] < 0.35  # of unknown color: a usual one
 
 
 def test_v_and_back_gives_the_magnitudes_that_there_were() -> None:
@@ -48,7 +48,7 @@ def test_v_and_back_gives_the_magnitudes_that_there_were() -> None:
     np.testing.assert_allclose(again.stars.magnitude, catalog.stars.magnitude, rtol=0, atol=1e-12)
 
 
-def test_a_cameras_band_is_a_polynomial_in_a_colour_on_top_of_another_band() -> None:
+def test_a_cameras_band_is_a_polynomial_in_a_color_on_top_of_another_band() -> None:
     camera = Band(name="navcam", base="V", color="color_bv", coefficients=(0.1, -0.5), color_range=(-0.2, 1.5))
     catalog = _catalog(_sun_like()).in_band(camera)
     assert catalog.band == "navcam"
@@ -98,7 +98,7 @@ def _pair(separation_arcsec: float, magnitudes: tuple[float, float]) -> StarTabl
     )
 
 
-def test_two_stars_within_the_radius_become_one_at_their_centre_of_light() -> None:
+def test_two_stars_within_the_radius_become_one_at_their_center_of_light() -> None:
     stars = _pair(4.0, (6.0, 7.0))
     (merged,) = [blended(stars, 5.0 * RAD_PER_ARCSEC, et=ET)]
     flux = 10.0 ** (-0.4 * stars.magnitude)
@@ -111,7 +111,7 @@ def test_two_stars_within_the_radius_become_one_at_their_centre_of_light() -> No
     np.testing.assert_allclose(merged.pm_ra_mas_yr, (flux * [100.0, -50.0]).sum() / flux.sum(), rtol=0, atol=1e-9)
 
 
-def test_the_centre_of_light_of_a_blend_moves_as_that_of_its_members() -> None:
+def test_the_center_of_light_of_a_blend_moves_as_that_of_its_members() -> None:
     stars = _pair(4.0, (6.0, 6.5))
     merged = blended(stars, 5.0 * RAD_PER_ARCSEC, et=ET)
     flux = 10.0 ** (-0.4 * stars.magnitude)

@@ -1,4 +1,4 @@
-"""Published catalogues, read from small files in their real formats."""
+"""Published catalogs, read from small files in their real formats."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _hip_main(**changes: str) -> bytes:
     return _line(450, fields)
 
 
-def test_hipparcos_main_catalogue_is_read_with_johnson_v(tmp_path: Path) -> None:
+def test_hipparcos_main_catalog_is_read_with_johnson_v(tmp_path: Path) -> None:
     path = tmp_path / "hip_main.dat"
     lines = [
         _hip_main(),

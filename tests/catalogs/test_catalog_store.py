@@ -1,4 +1,4 @@
-"""The order of a catalogue on the sky, and the file that it is kept in."""
+"""The order of a catalog on the sky, and the file that it is kept in."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_stars_of_one_magnitude_come_in_the_same_order_in_every_cone(catalog: Me
     assert wide.ids[inside].tolist() == narrow.ids.tolist()
 
 
-def test_an_empty_table_is_a_catalogue_without_stars() -> None:
+def test_an_empty_table_is_a_catalog_without_stars() -> None:
     empty = MemoryCatalog(sky(5).select([]), name="none", band="V", version="1")
     assert len(empty.cone([0.0, 0.0, 1.0], 1.0)) == 0
     with pytest.raises(InputError):
@@ -136,7 +136,7 @@ def file(catalog: MemoryCatalog, tmp_path: Path) -> Path:
     return path
 
 
-def test_a_catalogue_from_its_file_answers_as_the_one_in_memory(catalog: MemoryCatalog, file: Path) -> None:
+def test_a_catalog_from_its_file_answers_as_the_one_in_memory(catalog: MemoryCatalog, file: Path) -> None:
     mapped = load_catalog(file)
     assert (mapped.name, mapped.band, mapped.version, len(mapped)) == ("made up", "V", "1", len(catalog))
     for place in PLACES:
@@ -187,7 +187,7 @@ def test_a_flipped_bit_is_found_when_asked_for(file: Path) -> None:
         catalog_header(file, check=True)
 
 
-def test_damaged_catalogue_files_are_refused_with_a_remedy(file: Path) -> None:
+def test_damaged_catalog_files_are_refused_with_a_remedy(file: Path) -> None:
     whole = file.read_bytes()
     length = int.from_bytes(whole[8:16], "little")
     header = json.loads(whole[16 : 16 + length])
@@ -217,7 +217,7 @@ def test_damaged_catalogue_files_are_refused_with_a_remedy(file: Path) -> None:
         open_catalog(file.with_name("missing.stars"))
 
 
-def test_a_catalogue_travels_to_another_process(file: Path) -> None:
+def test_a_catalog_travels_to_another_process(file: Path) -> None:
     again = pickle.loads(pickle.dumps(open_catalog(file)))  # noqa: S301
     axis: Float = direction_from_radec(120.0, 30.0)
     assert again.cone(axis, 0.1).ids.tolist() == open_catalog(file).cone(axis, 0.1).ids.tolist()

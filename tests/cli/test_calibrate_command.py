@@ -115,7 +115,7 @@ def test_a_camera_is_calibrated_from_its_size_a_rough_field_of_view_and_stars(do
     names = camera.model.parameter_names
     truth = dict(zip(TRUTH.model.parameter_names, TRUTH.model.parameters, strict=True))
     error = np.array([camera.model.parameters[names.index(name)] - truth[name] for name in ESTIMATE])
-    # Detection and catalogue have errors of their own, so twice the covariance is allowed
+    # Detection and catalog have errors of their own, so twice the covariance is allowed
     assert error @ np.linalg.solve(2.0 * known.covariance, error) < chi2.isf(FALSE_ALARM, len(ESTIMATE))
 
 

@@ -28,7 +28,7 @@ def _build(folder: Path, *more: object, code: int = 0) -> str:
     return _run("build", source, folder / "made.stars", "--format", "table", "--band", "V", *options, *more, code=code)
 
 
-def test_a_catalogue_is_built_and_asked(tmp_path: Path) -> None:
+def test_a_catalog_is_built_and_asked(tmp_path: Path) -> None:
     assert "3 stars, magnitudes in V" in _build(tmp_path)
     made = tmp_path / "made.stars"
     rows: list[dict[str, Any]] = json.loads(_run("query", made, "--ra", 10, "--dec", 20, "--radius", 1, "--json"))
@@ -51,7 +51,7 @@ def test_stars_are_moved_to_the_epoch_asked_for(tmp_path: Path) -> None:
     assert json.loads(_run(*asked, "--epoch", 2060)) == []
 
 
-def test_a_users_stars_take_the_place_of_those_of_the_first_catalogue(tmp_path: Path) -> None:
+def test_a_users_stars_take_the_place_of_those_of_the_first_catalog(tmp_path: Path) -> None:
     _build(tmp_path)
     mine = tmp_path / "mine.csv"
     mine.write_text("ids,ra_deg,dec_deg,magnitude,epoch_jyear\n77,10.0,20.025,4.4,2025.0\n13,50.0,50.0,8.0,2025.0\n")
@@ -68,7 +68,7 @@ def test_a_users_stars_take_the_place_of_those_of_the_first_catalogue(tmp_path: 
 
 @pytest.mark.real_data
 def test_the_two_stars_of_the_lorri_images_are_joined_as_a_users_table(tmp_path: Path, data_dir: Path) -> None:
-    """The published table has no magnitudes and no identifiers; Proxima is in the default catalogue too."""
+    """The published table has no magnitudes and no identifiers; Proxima is in the default catalog too."""
     made, both = tmp_path / "lorri.stars", tmp_path / "both.stars"
     source = data_dir / "stars" / "lorri_stars.csv"
     _run("build", source, made, "--format", "table", "--column", "magnitude=11", "--band", "Gaia G")
@@ -115,7 +115,7 @@ def test_mistakes_end_in_one_line_and_exit_code_2(tmp_path: Path) -> None:
         (("query", made, "--ra", 1, "--dec", 91, "--radius", 1), "--dec"),
         (("query", made, "--ra", 1, "--dec", 1, "--radius", 0), "--radius"),
         (("query", made, "--ra", 1, "--dec", 1, "--radius", 1, "--band", "K"), "no relation is known"),
-        (("query", tmp_path / "none.stars", "--ra", 1, "--dec", 1, "--radius", 1), "there is no such catalogue"),
+        (("query", tmp_path / "none.stars", "--ra", 1, "--dec", 1, "--radius", 1), "there is no such catalog"),
         (("info", source, "--check"), "unknown column"),
     ):
         output = _run(*arguments, code=2)

@@ -98,8 +98,8 @@ def test_failed_images_make_exit_code_one(tmp_path: Path) -> None:
 
 def test_mistakes_end_in_one_line_that_names_the_file_and_exit_code_two(tmp_path: Path) -> None:
     assert "none.toml" in line_on_stderr(giantlike("run", tmp_path / "none.toml"))
-    (tmp_path / "bad.toml").write_text("[campaign]\nname = 'x'\noutput = 'y'\ncolour = 'red'\n")
-    assert "unknown key campaign.colour" in line_on_stderr(giantlike("run", tmp_path / "bad.toml", "--json"))
+    (tmp_path / "bad.toml").write_text("[campaign]\nname = 'x'\noutput = 'y'\ncolor = 'red'\n")
+    assert "unknown key campaign.color" in line_on_stderr(giantlike("run", tmp_path / "bad.toml", "--json"))
     assert str(tmp_path) in line_on_stderr(giantlike("report", tmp_path))
     assert "--camera" in line_on_stderr(giantlike("stars", "a.fits"))
     assert "--fov" in line_on_stderr(giantlike("stars", "a.fits", "--fov", "200"))

@@ -15,7 +15,16 @@ from giantlike.camera import Camera
 from giantlike.cli.app import app
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.io import write_fits
-from tests.processing.test_detection import GAIN, NOISE_DN, READ_NOISE_E, exposed, flux_of_snr, paired, spread_points, star_image
+from tests.processing.test_detection import (
+    GAIN,
+    NOISE_DN,
+    READ_NOISE_E,
+    exposed,
+    flux_of_snr,
+    paired,
+    spread_points,
+    star_image,
+)
 
 KEYS = ["x_px", "y_px", "sigma_x_px", "sigma_y_px", "flux_dn", "snr", "flags", "is_star"]
 SHAPE = (200, 240)

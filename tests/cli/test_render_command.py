@@ -170,7 +170,7 @@ def test_the_small_body_shades_the_large_one_and_both_are_there(tmp_path: Path, 
     missing = alone[0] + alone[1] - both
     peak = both.max()
     dark = missing > 0.3 * peak
-    # The shadow of a ball of 6 px radius covers about as much of the other as its own disc.
+    # The shadow of a ball of 6 px radius covers about as much of the other as its own disk.
     assert 60 < dark.sum() < 250
     y, x = np.nonzero(dark)
     assert np.hypot(x.mean() - 85.5, y.mean() - 59.5) < 25.0
@@ -198,11 +198,11 @@ def test_the_geometry_table_that_is_written_renders_the_same_image_again(tmp_pat
     table["targets"][0].pop("body_from_inertial_xyzw")
     render_images(RenderPlan.load(write_scene(tmp_path, table)), tmp_path)
     again, first = (Image.open(folder / "first.fits").pixels.astype(np.float64) for folder in (tmp_path, rendered))
-    # Quaternions are normalised again, which may move a ray over an edge: not more than that.
+    # Quaternions are normalized again, which may move a ray over an edge: not more than that.
     assert (again != first).mean() < 1e-3
 
 
-def test_stars_come_from_the_catalogue_and_their_table_tells_where(tmp_path: Path) -> None:
+def test_stars_come_from_the_catalog_and_their_table_tells_where(tmp_path: Path) -> None:
     catalog = tmp_path / "stars.csv"
     ra_deg, dec_deg = POINTING_DEG[:2]
     catalog.write_text(
@@ -311,7 +311,7 @@ def test_one_file_does_not_hold_two_images(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"colour": "red"}, "unknown key colour; keys there are render, camera"),
+        ({"color": "red"}, "unknown key color; keys there are render, camera"),
         ({"render": {"sed": 1}}, "unknown key render.sed; keys there are output, seed"),
         ({"camera": {"file": "gone.toml"}}, r"camera.file: there is no file 'gone.toml'"),
         ({"images": []}, r"either \[\[images\]\] or render.geometry"),

@@ -56,14 +56,14 @@ def torn(tmp_path: Path) -> Path:
     return path
 
 
-def grey(path: Path) -> NDArray[np.float64]:
+def gray(path: Path) -> NDArray[np.float64]:
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert pixels is not None
     return pixels.astype(np.float64)
 
 
 def middle(pixels: NDArray[np.float64]) -> tuple[float, float]:
-    """Photocentre (x, y) from the middle of the picture, over its size."""
+    """Photocenter (x, y) from the middle of the picture, over its size."""
     rows, columns = np.indices(pixels.shape)
     x, y = ((grid * pixels).sum() / pixels.sum() / (len(pixels) - 1) - 0.5 for grid in (columns, rows))
     return float(x), float(y)
@@ -116,8 +116,8 @@ def test_guessed_units_are_said_on_stderr_and_a_doubtful_size_is_refused(tmp_pat
     result = shape("info", egg, "--units", "auto", "--json")
     assert "took the coordinates as km" in result.stderr
     assert json.loads(result.stdout)[0]["status"] == "ok"
-    metres = json.loads(shape("info", egg, "--units", "m", "--json").stdout)[0]
-    assert_allclose(metres["extents_km"], 2e-3 * RADII_KM, rtol=FINENESS)
+    meters = json.loads(shape("info", egg, "--units", "m", "--json").stdout)[0]
+    assert_allclose(meters["extents_km"], 2e-3 * RADII_KM, rtol=FINENESS)
     save_shape(mesh_from_ellipsoid(sphere(290.0), facets=80), tmp_path / "doubt.obj")
     doubtful = shape("info", tmp_path / "doubt.obj", "--units", "auto")
     assert doubtful.exit_code == 1
@@ -192,7 +192,7 @@ def test_a_picture_shows_the_body_lit_from_the_right(tmp_path: Path, egg: Path) 
     path = tmp_path / "egg.png"
     result = shape("render", egg, path, "--phase", "90", "--size", "120", "--reflectance", "lambert")
     assert result.exit_code == 0, result.stderr
-    pixels = grey(path)
+    pixels = gray(path)
     assert pixels.shape == (120, 120)
     assert pixels.max() == 255
     assert pixels[:, :58].max() == 0
@@ -227,7 +227,7 @@ def test_a_picture_is_taken_from_where_it_says(
         *seen_from,
     )
     assert result.exit_code == 0, result.stderr
-    x, y = middle(grey(tmp_path / "off.png"))
+    x, y = middle(gray(tmp_path / "off.png"))
     # one radius off in a picture of 4 radii / 0.95
     assert_allclose([x, y], [0.2375 * right, 0.2375 * down], rtol=0, atol=0.01)
 

@@ -177,7 +177,7 @@ def test_a_giant_brown_camera_is_read_without_evaluating_anything(tmp_path: Path
         read_giant_camera(path, "mapcam")
 
 
-def test_a_giant_owen_camera_in_millimetres_has_the_same_pixels(tmp_path: Path) -> None:
+def test_a_giant_owen_camera_in_millimeters_has_the_same_pixels(tmp_path: Path) -> None:
     focal, e1, e2, e3, e4, e5, e6 = 7.6, 1e-4, -1e-3, 2e-5, 1e-5, 3e-4, -2e-4  # per powers of mm
     kx, kxy, kyx, ky = 454.0, 0.5, -0.8, 455.0  # px/mm
     path = giant_file(
@@ -295,7 +295,7 @@ def test_a_sip_header_brings_back_camera_and_attitude(mirrored: bool) -> None:
     stored = pixels() * [1, -1] + [0, ROWS - 1] if mirrored else pixels()
     there = found.camera.model.project(found.camera_from_inertial.apply(sky_of(cards, stored)))
     assert_allclose(there, pixels(), rtol=0, atol=2e-3)
-    # the camera's x axis is along the columns at the boresight, that of the header up to decentring of 1e-3 rad
+    # the camera's x axis is along the columns at the boresight, that of the header up to decentering of 1e-3 rad
     assert (found.camera_from_inertial * ATTITUDE.inv()).magnitude() < 3e-3
 
 

@@ -16,7 +16,7 @@ from giantlike.core.time import et_from_time, time_from_utc, utc_text
 from giantlike.io import read_ephemeris_table, read_geometry, write_bytes_atomic, write_geometry, write_text_atomic
 from giantlike.io.geometry_table import COLUMNS, GeometryRow
 
-ROTATION_RAD = 1e-15  # a normalisation in float64
+ROTATION_RAD = 1e-15  # a normalization in float64
 EPOCH_S = 1e-6  # tables hold microseconds
 
 CONTRACT = (

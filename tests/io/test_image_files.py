@@ -30,7 +30,7 @@ HEADER_DATE_S = 0.5e-3  # dates written to a millisecond
 ATTITUDE_RAD = 1e-12  # float64 through at least 14 digits in a FITS card
 OBSERVER_KM = 1e-5  # 16 digits of 1e9 km
 LORRI_EARTH_KM = 500.0  # the header's light times are good to some milliseconds, the Earth moves 30 km/s
-LUMA_DN = 1.0  # JPEG's own grey and the luminance of its colours differ by rounding to 8 bits
+LUMA_DN = 1.0  # JPEG's own gray and the luminance of its colors differ by rounding to 8 bits
 
 SHAPE = (30, 41)
 
@@ -344,18 +344,18 @@ def test_a_tiff_in_which_white_is_zero_is_turned_over(tmp_path: Path, dtype: str
     assert_array_equal(read_image_file(tmp_path / "a.tif").pixels, np.iinfo(dtype).max - pixels)
 
 
-def test_grey_stored_as_colour_stays_an_integer_and_alpha_is_dropped(tmp_path: Path) -> None:
-    grey = pixels_of("u1")
-    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([grey, grey, grey, 255 - grey]))
+def test_gray_stored_as_color_stays_an_integer_and_alpha_is_dropped(tmp_path: Path) -> None:
+    gray = pixels_of("u1")
+    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([gray, gray, gray, 255 - gray]))
     image = read_image_file(tmp_path / "a.png")
     assert image.pixels.dtype == np.uint8
-    assert_array_equal(image.pixels, grey)
+    assert_array_equal(image.pixels, gray)
 
 
-def test_colour_becomes_luminance(tmp_path: Path) -> None:
-    colours = np.zeros((1, 3, 3), np.uint8)
-    colours[0, 0, 2], colours[0, 1, 1], colours[0, 2, 0] = 100, 100, 100  # red, green, blue in OpenCV's order
-    cv2.imwrite(str(tmp_path / "a.png"), colours)
+def test_color_becomes_luminance(tmp_path: Path) -> None:
+    colors = np.zeros((1, 3, 3), np.uint8)
+    colors[0, 0, 2], colors[0, 1, 1], colors[0, 2, 0] = 100, 100, 100  # red, green, blue in OpenCV's order
+    cv2.imwrite(str(tmp_path / "a.png"), colors)
     image = read_image_file(tmp_path / "a.png")
     assert image.pixels.dtype == np.float32
     assert_allclose(image.pixels, [[29.9, 58.7, 11.4]], rtol=0, atol=1e-4)
@@ -763,12 +763,12 @@ def test_real_16_bit_tiff_files_agree_with_another_reader(data_dir: Path) -> Non
 
 
 @pytest.mark.real_data
-def test_the_luminance_of_real_colour_jpegs_is_their_own_luma(data_dir: Path) -> None:
+def test_the_luminance_of_real_color_jpegs_is_their_own_luma(data_dir: Path) -> None:
     path = data_dir / "stars/cedar/hale_bopp.jpg"
-    grey = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert grey is not None
-    difference = np.abs(read_image_file(path).pixels - grey.astype(np.float32))
-    clipped = (grey < 5) | (grey > 250)  # there the colours themselves were clipped
+    gray = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert gray is not None
+    difference = np.abs(read_image_file(path).pixels - gray.astype(np.float32))
+    clipped = (gray < 5) | (gray > 250)  # there the colors themselves were clipped
     assert np.quantile(difference[~clipped], 0.99) < LUMA_DN
 
 
@@ -867,9 +867,9 @@ def test_saturn_is_where_voyager_saw_it_raw_and_corrected(data_dir: Path) -> Non
     assert raw.exposure_s == corrected.exposure_s == 0.96
     assert raw.epoch is None
 
-    def brightness_centre(image: ImageFile) -> NDArray[Any]:
+    def brightness_center(image: ImageFile) -> NDArray[Any]:
         bright = np.argwhere(image.pixels > 0.5 * image.pixels.max())
         return np.asarray(bright.mean(axis=0) / image.pixels.shape)
 
-    # the corrected frame is the raw one stretched: a row or prefix mistaken would shear or shift the disc
-    assert_allclose(brightness_centre(raw), brightness_centre(corrected), rtol=0, atol=0.02)
+    # the corrected frame is the raw one stretched: a row or prefix mistaken would shear or shift the disk
+    assert_allclose(brightness_center(raw), brightness_center(corrected), rtol=0, atol=0.02)

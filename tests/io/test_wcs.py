@@ -139,7 +139,7 @@ def test_near_stars_are_measured_where_they_were_published_and_shifted_by_their_
 
 
 def test_a_sky_stored_from_the_bottom_is_solved_and_drawn_by_the_command(tmp_path: Path) -> None:
-    """Real catalogue stars, drawn as they are seen, stored with the last row first."""
+    """Real catalog stars, drawn as they are seen, stored with the last row first."""
     model = BrownModel(fx_px=2900.0, fy_px=2900.0, cx_px=299.5, cy_px=299.5)
     camera = Camera(name="cam", columns=600, rows=600, model=model)
     attitude = camera_from_inertial_of_pointing(60.0, 25.0, 0.0)

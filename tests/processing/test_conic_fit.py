@@ -76,7 +76,7 @@ def test_short_noisy_arcs_are_not_pulled_small_as_least_squares_pulls_them() -> 
 
 
 def least_squares_minor(points: Float) -> float:
-    """Semi-minor axis by the eigenvector of the least eigenvalue, coordinates normalised."""
+    """Semi-minor axis by the eigenvector of the least eigenvalue, coordinates normalized."""
     middle, scale = points.mean(axis=0), points.std()
     x, y = ((points - middle) / scale).T
     design = np.stack([x * x, 2 * x * y, y * y, 2 * x, 2 * y, np.ones_like(x)], axis=-1)
@@ -107,7 +107,7 @@ def test_the_mean_radius_of_a_circle_is_certain_where_its_axes_are_alike() -> No
     assert np.mean(np.square(errors)) < float(chi2.ppf(1.0 - RARE, 100)) / 100
 
 
-def test_errors_that_neighbours_share_widen_the_covariance() -> None:
+def test_errors_that_neighbors_share_widen_the_covariance() -> None:
     rng, turn = np.random.default_rng(7), np.linspace(0.0, np.pi, 120)
     truth = on_ellipse(ELLIPSE, turn)
     normals = truth - ELLIPSE[:2]

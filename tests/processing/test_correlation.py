@@ -1,4 +1,4 @@
-"""Normalised correlation: against sums written out and an FFT oracle, with masks, at edges, and its sub-pixel peak."""
+"""Normalized correlation: against sums written out and an FFT oracle, with masks, at edges, and its sub-pixel peak."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def star_image(points_px: Float, flux_dn: Float, sigma_px: float, shape: tuple[i
 
 
 def exposed(light_dn: Float, seed: int) -> NDArray[np.uint16]:
-    """Photon noise, read noise and quantisation of light on the sky background."""
+    """Photon noise, read noise and quantization of light on the sky background."""
     rng = np.random.default_rng(seed)
     electrons = rng.poisson((light_dn + SKY_DN) * GAIN) + rng.normal(0.0, READ_NOISE_E, light_dn.shape)
     return np.clip(np.round(electrons / GAIN), 0, 65535).astype(np.uint16)
@@ -84,7 +84,7 @@ def cramer_rao_px(points_px: Float, flux_dn: float, sigma_px: float) -> float:
 
         def model(p: Float) -> Float:
             edges = np.arange(-12.5, 13.0)
-            px, py = (np.diff(norm.cdf(edges, centre, sigma_px)) for centre in p[:2])
+            px, py = (np.diff(norm.cdf(edges, center, sigma_px)) for center in p[:2])
             return np.asarray(p[2] * np.outer(py, px) + p[3]).ravel()
 
         at = np.array([x, y, flux_dn, 0.0])
@@ -95,7 +95,7 @@ def cramer_rao_px(points_px: Float, flux_dn: float, sigma_px: float) -> float:
 
 
 def nees_band(count: int, confidence: float) -> tuple[float, float]:
-    """Bounds of the mean normalised squared error of ``count`` honest two-dimensional covariances."""
+    """Bounds of the mean normalized squared error of ``count`` honest two-dimensional covariances."""
     tail = (1.0 - confidence) / 2.0
     return float(chi2.ppf(tail, 2 * count)) / count, float(chi2.ppf(1.0 - tail, 2 * count)) / count
 
@@ -170,9 +170,9 @@ def test_the_place_of_a_star_in_its_pixel_does_not_bias_its_centroid(sigma_px: f
     points = np.stack(np.meshgrid(phase, phase), axis=-1).reshape(-1, 2) + 10.0
     for point in points:
         image = star_image(point[None], np.array([5000.0]), sigma_px, (21, 21)) + SKY_DN
-        centre = np.round(point).astype(np.int64)[None]
+        center = np.round(point).astype(np.int64)[None]
         fit = fit_stars(
-            cut_patches(image, None, centre, 6),
+            cut_patches(image, None, center, 6),
             flux_dn=np.array([4000.0]),
             noise_dn=np.array([1.0]),
             psf_sigma_px=sigma_px,
@@ -269,8 +269,8 @@ def test_a_resolved_body_with_texture_does_not_become_many_stars() -> None:
     points = points[np.hypot(*(points - 256.0).T) > 120.0]
     y, x = np.indices(shape)
     albedo = 1.0 + 0.3 * cv2.GaussianBlur(np.random.default_rng(1).normal(size=shape), (0, 0), 3.0) * 10.0
-    disc = 2000.0 * (np.hypot(x - 256.0, y - 256.0) < 100.0) * np.clip((x - 200.0) / 150.0, 0.0, 1.0) * albedo
-    body = cv2.GaussianBlur(np.maximum(disc, 0.0), (0, 0), 0.8)
+    disk = 2000.0 * (np.hypot(x - 256.0, y - 256.0) < 100.0) * np.clip((x - 200.0) / 150.0, 0.0, 1.0) * albedo
+    body = cv2.GaussianBlur(np.maximum(disk, 0.0), (0, 0), 0.8)
     found = detected(exposed(star_image(points, np.full(len(points), 3000.0), 0.8, shape) + body, 9))
     stars = found.select(found.clean)
     assert nearest(stars, points)[0].max() < CLEAR_CENTROID_PX
@@ -280,9 +280,9 @@ def test_a_resolved_body_with_texture_does_not_become_many_stars() -> None:
 
 def test_a_saturated_body_is_one_extended_source_and_not_a_star() -> None:
     y, x = np.indices((300, 300))
-    disc = cv2.GaussianBlur(9000.0 * (np.hypot(x - 150.0, y - 140.0) < 25.0), (0, 0), 0.8)
+    disk = cv2.GaussianBlur(9000.0 * (np.hypot(x - 150.0, y - 140.0) < 25.0), (0, 0), 0.8)
     stars = np.array([[40.0, 40.0], [250.3, 60.2]])
-    image = np.minimum(exposed(disc + star_image(stars, np.full(2, 3000.0), 0.8, (300, 300)), 1), 4095)
+    image = np.minimum(exposed(disk + star_image(stars, np.full(2, 3000.0), 0.8, (300, 300)), 1), 4095)
     found = detected(image, detector=dataclasses.replace(DETECTOR, saturation_dn=4095.0))
     clean = found.select(found.clean)
     assert nearest(clean, stars)[0].max() < CLEAR_CENTROID_PX
@@ -338,7 +338,7 @@ def test_stars_sharper_than_the_camera_file_says_are_still_stars() -> None:
 
 
 @pytest.mark.parametrize("flux_dn", [30_000.0, 200_000.0, 1_000_000.0])
-def test_saturated_stars_are_centred_from_their_flanks(flux_dn: float) -> None:
+def test_saturated_stars_are_centerd_from_their_flanks(flux_dn: float) -> None:
     star = np.array([[100.3, 99.8]])
     image = np.minimum(exposed(star_image(star, np.array([flux_dn]), 0.8, (200, 200)), 2), 4095)
     found = detected(image, detector=dataclasses.replace(DETECTOR, saturation_dn=4095.0))
@@ -478,7 +478,7 @@ def test_lorri_centroids_agree_with_the_published_measurement(data_dir: Path) ->
     ("folder", "share"),
     [("tetra3", 1.0), ("cedar", 0.8)],  # cedar: JPEG, a roof, a comet, and frames with 40 stars in all
 )
-def test_the_brightest_clean_detections_of_real_frames_are_catalogue_stars(
+def test_the_brightest_clean_detections_of_real_frames_are_catalog_stars(
     data_dir: Path, folder: str, share: float
 ) -> None:
     catalog = load_catalog("default")

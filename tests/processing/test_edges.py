@@ -1,4 +1,4 @@
-"""Edges to a fraction of a pixel, on discs and half planes that are known exactly."""
+"""Edges to a fraction of a pixel, on disks and half planes that are known exactly."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from giantlike.processing.limb.partial_area import partial_area_edges
 from giantlike.processing.limb.zernike import zernike_edges, zernike_kernels
 
 GOAL_PX = 0.03  # of the requirement, root mean square without noise
-NORMAL_RAD = 0.04  # rms; of a parabola through three columns on a disc of 8 px
+NORMAL_RAD = 0.04  # rms; of a parabola through three columns on a disk of 8 px
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
 RARE = 1e-6
 DIRECTIONS = np.radians(np.arange(5.0, 365.0, 40.0))
@@ -29,8 +29,8 @@ METHODS = ("partial_area", "zernike_5", "zernike_7")
 
 
 @cache
-def disc(radius_px: float, blur_px: float) -> tuple[Float, Float]:
-    """A bright disc integrated over pixels from a drawing ten times as fine, and its centre."""
+def disk(radius_px: float, blur_px: float) -> tuple[Float, Float]:
+    """A bright disk integrated over pixels from a drawing ten times as fine, and its center."""
     size, fine = int(2 * radius_px + 24), 10
     center = np.array([size / 2 + 0.23, size / 2 - 0.31])
     places = (np.arange(size * fine) + 0.5) / fine - 0.5
@@ -68,8 +68,8 @@ def measured(
 
 
 def all_round(method: str, radius_px: float, blur_px: float) -> tuple[Float, Float]:
-    """Errors across and of the normals, of a disc lit from all sides one after the other."""
-    light, center = disc(radius_px, blur_px)
+    """Errors across and of the normals, of a disk lit from all sides one after the other."""
+    light, center = disk(radius_px, blur_px)
     image = 1000.0 * light
     across, turn = [], []
     for angle in DIRECTIONS:
@@ -90,7 +90,7 @@ def all_round(method: str, radius_px: float, blur_px: float) -> tuple[Float, Flo
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("radius_px", "blur_px"), [(8.0, 0.5), (25.0, 0.0), (60.0, 0.7), (60.0, 1.0)])
-def test_edges_of_a_disc_lie_where_they_are_all_round(method: str, radius_px: float, blur_px: float) -> None:
+def test_edges_of_a_disk_lie_where_they_are_all_round(method: str, radius_px: float, blur_px: float) -> None:
     across, turn = all_round(method, radius_px, blur_px)
     assert np.sqrt(np.mean(across**2)) < GOAL_PX
     assert np.sqrt(np.mean(turn**2)) < NORMAL_RAD

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
-from giantlike.processing.correlated_fit import correlated_solution, generalised_solution, robust_solution
+from giantlike.processing.correlated_fit import correlated_solution, generalized_solution, robust_solution
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
@@ -35,8 +35,8 @@ CENTER_PX = np.array([150.3, 149.6])
 SIZE = 300
 
 
-def disc(*, center_px: Float = CENTER_PX, radius_px: float = RADIUS_PX, level_dn: float = 2000.0) -> Float:
-    """A bright disc seen through a Gaussian; the pixel is a Gaussian of its variance, the curvature negligible."""
+def disk(*, center_px: Float = CENTER_PX, radius_px: float = RADIUS_PX, level_dn: float = 2000.0) -> Float:
+    """A bright disk seen through a Gaussian; the pixel is a Gaussian of its variance, the curvature negligible."""
     y, x = np.mgrid[:SIZE, :SIZE]
     distance = np.hypot(x - center_px[0], y - center_px[1])
     result: Float = level_dn * ndtr((radius_px - distance) / np.sqrt(PSF_PX**2 + PIXEL_VARIANCE_PX2))
@@ -81,7 +81,7 @@ def test_values_made_from_a_bad_pixel_or_from_beyond_the_edge_are_not_usable() -
 @pytest.mark.parametrize("moved_px", [-2.9, -0.77, 0.0, 0.24, 1.5, 3.6])
 def test_a_match_finds_the_shift_of_a_blurred_edge_without_noise(moved_px: float) -> None:
     points, normals = circle(90)
-    scans = scans_of(disc(radius_px=RADIUS_PX + moved_px), points, normals)
+    scans = scans_of(disk(radius_px=RADIUS_PX + moved_px), points, normals)
     match = match_profiles(scans, expected_of(scans), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=4.0)
     assert match.complete.all()
     assert not match.at_border.any()
@@ -93,7 +93,7 @@ def test_a_match_finds_the_shift_of_a_blurred_edge_without_noise(moved_px: float
 def test_the_scatter_of_shifts_is_the_stated_sigma() -> None:
     points, normals = circle(150)
     rng = np.random.default_rng(5)
-    clean = disc(level_dn=400.0)
+    clean = disk(level_dn=400.0)
     shifts, sigmas = [], []
     for _ in range(4):
         scans = scans_of(rng.poisson(clean) + rng.normal(0.0, 5.0, clean.shape), points, normals)
@@ -119,7 +119,7 @@ def test_a_line_with_two_equal_edges_is_called_rivalled() -> None:
 
 def test_freeing_the_slope_makes_no_difference_where_the_expected_brightness_holds() -> None:
     points, normals = circle(60)
-    scans = scans_of(disc(), points, normals)
+    scans = scans_of(disk(), points, normals)
     expected = expected_of(scans)
     darker = expected * np.where(scans.offsets_px < 0, 1.0 + 0.08 * scans.offsets_px, 1.0)
     options = {"variance_dn2": DETECTOR.variance_dn2, "window_px": 5.0, "search_px": 4.0}
@@ -132,7 +132,7 @@ def test_freeing_the_slope_makes_no_difference_where_the_expected_brightness_hol
 
 def test_lines_that_are_too_short_for_window_and_search_are_refused() -> None:
     points, normals = circle(4)
-    scans = scans_of(disc(), points, normals, reach_px=6.0)
+    scans = scans_of(disk(), points, normals, reach_px=6.0)
     with pytest.raises(InputError, match="lines reach 6 px"):
         match_profiles(scans, expected_of(scans), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=4.0)
 
@@ -140,7 +140,7 @@ def test_lines_that_are_too_short_for_window_and_search_are_refused() -> None:
 def test_the_width_of_an_edge_is_measured() -> None:
     points, normals = circle(60)
     width = edge_width_px(
-        scans_of(disc(), points, normals), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=3.0
+        scans_of(disk(), points, normals), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=3.0
     )
     truth = np.sqrt(PSF_PX**2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
     assert abs(width / truth - 1.0) < 0.08  # half the spacing of the widths that are tried
@@ -153,7 +153,7 @@ def test_an_outline_is_found_far_from_its_prediction(moved_px: tuple[float, floa
     lit = normals[:, 0] > -0.3
     rng = np.random.default_rng(1)
     center = CENTER_PX + moved_px
-    image = disc(center_px=center, radius_px=radius * grown, level_dn=300.0) + rng.normal(0.0, 5.0, (SIZE, SIZE))
+    image = disk(center_px=center, radius_px=radius * grown, level_dn=300.0) + rng.normal(0.0, 5.0, (SIZE, SIZE))
     image *= np.indices(image.shape)[1] > center[0] - 0.35 * radius  # night on one side
     coarse = search_limb(
         image,
@@ -192,7 +192,7 @@ def test_noise_has_no_outline() -> None:
 
 
 def arc(count: int = 120, *, length_rad: float = np.pi) -> tuple[Float, Float]:
-    """Points on an arc of 100 px and the design of centre and radius."""
+    """Points on an arc of 100 px and the design of center and radius."""
     angles = np.linspace(0.0, length_rad, count)
     normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return 100.0 * normals, np.column_stack([normals, np.ones(count)])
@@ -225,11 +225,11 @@ def test_the_best_solution_is_never_worse_than_a_weighted_one_and_both_know_thei
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     noise = 0.3**2 * np.exp(-apart / 20.0) + np.diag(np.linspace(0.05, 0.4, 60) ** 2)
     draws = np.linalg.cholesky(noise) @ np.random.default_rng(4).normal(size=(60, 4000))
-    _, best = generalised_solution(draws[:, 0], design, noise)
-    _, plain = generalised_solution(draws[:, 0], design, noise, weights=np.ones(60))
+    _, best = generalized_solution(draws[:, 0], design, noise)
+    _, plain = generalized_solution(draws[:, 0], design, noise, weights=np.ones(60))
     assert np.linalg.eigvalsh(plain - best).min() > -1e-12
     for weights, stated in ((None, best), (np.ones(60), plain)):
-        found = np.array([generalised_solution(d, design, noise, weights=weights)[0] for d in draws.T])
+        found = np.array([generalized_solution(d, design, noise, weights=weights)[0] for d in draws.T])
         assert_allclose(np.sqrt(np.diag(np.cov(found.T)) / np.diag(stated)), 1.0, rtol=0, atol=0.05)  # 4 sigma of 4000
 
 

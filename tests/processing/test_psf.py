@@ -15,9 +15,9 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing import Detections
-from giantlike.processing.psf.profile import PsfKind, shape_shares
 from giantlike.processing.psf.empirical import empirical_psf
 from giantlike.processing.psf.estimate import PsfEstimate, estimate_psf, remeasure
+from giantlike.processing.psf.profile import PsfKind, shape_shares
 from tests.processing.test_detection import (
     DETECTOR,
     SKY_DN,

@@ -25,8 +25,8 @@ from giantlike.processing.limb.segmentation import (
 )
 
 
-def discs(*spots: tuple[float, float, float, float], size: int = 200) -> Float:
-    """Discs of (x, y, radius, level) on black."""
+def disks(*spots: tuple[float, float, float, float], size: int = 200) -> Float:
+    """Disks of (x, y, radius, level) on black."""
     rows, columns = np.indices((size, size))
     image = np.zeros((size, size))
     for x, y, radius, level in spots:
@@ -77,7 +77,7 @@ def test_background_is_that_of_the_dark_pixels() -> None:
 def test_blobs_agree_with_sep() -> None:
     rng = np.random.default_rng(3)
     spots = [(30.0, 40.0, 8.0, 50.0), (120.0, 60.0, 15.0, 30.0), (90.0, 150.0, 5.5, 80.0)]
-    image = discs(*spots) * rng.uniform(0.8, 1.2, (200, 200))
+    image = disks(*spots) * rng.uniform(0.8, 1.2, (200, 200))
     ours = blobs_of(image)
     theirs = sep.extract(np.ascontiguousarray(image), 5.0, minarea=1, filter_kernel=None, deblend_cont=1.0)
     order = np.argsort(-theirs["npix"])
@@ -90,7 +90,7 @@ def test_blobs_agree_with_sep() -> None:
 
 
 def test_a_blob_at_the_edge_is_told_and_small_ones_can_be_left_out() -> None:
-    image = discs((2.0, 100.0, 9.0, 50.0), (100.0, 100.0, 9.0, 50.0))
+    image = disks((2.0, 100.0, 9.0, 50.0), (100.0, 100.0, 9.0, 50.0))
     image[10, 60] = 99.0
     assert len(blobs_of(image)) == 3
     found = connected_blobs(image, image > 5.0, min_area_px=4)
@@ -102,7 +102,7 @@ def test_a_blob_at_the_edge_is_told_and_small_ones_can_be_left_out() -> None:
 
 def test_several_bodies_are_told_apart_whatever_the_order_and_a_common_shift() -> None:
     spots = [(40.0, 50.0, 14.0, 30.0), (80.0, 55.0, 6.0, 60.0), (140.0, 120.0, 6.0, 60.0)]
-    found = blobs_of(discs(*spots))
+    found = blobs_of(disks(*spots))
     for order in itertools.permutations(range(3)):
         wanted = [spots[index] for index in order]
         expected = [ExpectedBlob(center_px=(x + 22.0, y - 9.0), area_px=np.pi * r**2) for x, y, r, _ in wanted]
@@ -112,7 +112,7 @@ def test_several_bodies_are_told_apart_whatever_the_order_and_a_common_shift() -
 
 
 def test_brightness_decides_between_bodies_of_one_size_where_the_camera_is_calibrated() -> None:
-    found = blobs_of(discs((70.0, 100.0, 10.0, 300.0), (130.0, 100.0, 10.0, 60.0)))
+    found = blobs_of(disks((70.0, 100.0, 10.0, 300.0), (130.0, 100.0, 10.0, 60.0)))
     place, area = (100.0, 100.0), np.pi * 100.0
     undecided = identify_blobs(found, [ExpectedBlob(center_px=place, area_px=area)], search_px=40.0)
     assert isinstance(undecided, Failure)
@@ -125,7 +125,7 @@ def test_brightness_decides_between_bodies_of_one_size_where_the_camera_is_calib
 
 
 def test_what_is_not_there_is_not_found() -> None:
-    found = blobs_of(discs((100.0, 100.0, 10.0, 300.0)))
+    found = blobs_of(disks((100.0, 100.0, 10.0, 300.0)))
     for expected in (
         [ExpectedBlob(center_px=(30.0, 30.0), area_px=314.0)],  # too far
         [ExpectedBlob(center_px=(100.0, 100.0), area_px=8000.0)],  # too large

@@ -18,7 +18,16 @@ from giantlike.processing import DetectionFlag, DetectionOptions, Detections, de
 from giantlike.processing.detection.centroid import cut_patches
 from giantlike.processing.detection.streak import fit_lines, line_shares
 from tests.numerical import numerical_jacobian
-from tests.processing.test_detection import DETECTOR, GAIN, NOISE_DN, exposed, nearest, nees_band, spread_points, star_image
+from tests.processing.test_detection import (
+    DETECTOR,
+    GAIN,
+    NOISE_DN,
+    exposed,
+    nearest,
+    nees_band,
+    spread_points,
+    star_image,
+)
 
 SIGMA_PX = 0.8
 SUB_EXPOSURES = 60  # 0.2 px apart on the longest streak: four to the width of the PSF
@@ -92,7 +101,7 @@ def test_middle_and_ends_of_streaks_have_honest_covariances() -> None:
 
 
 @pytest.mark.parametrize("half", [(5.0, 3.0), (0.0, 6.0), (-2.2, 1.0)])
-def test_streaks_common_to_an_image_are_recognised_and_their_middle_is_reported(half: tuple[float, float]) -> None:
+def test_streaks_common_to_an_image_are_recognized_and_their_middle_is_reported(half: tuple[float, float]) -> None:
     shape = (400, 400)
     points = spread_points(shape, 50, 8)
     flux = np.full(len(points), 15_000.0)

@@ -82,7 +82,7 @@ def test_a_narrow_field_keeps_its_roll() -> None:
 @pytest.mark.parametrize("half_width", [0.03, 0.5])
 def test_errors_agree_with_the_covariance_about_every_axis(half_width: float) -> None:
     rng = np.random.default_rng(4)
-    errors, normalised = np.empty((TRIALS, 3)), np.empty((TRIALS, 3))
+    errors, normalized = np.empty((TRIALS, 3)), np.empty((TRIALS, 3))
     for k in range(TRIALS):
         truth = Rotation.random(rng=rng)
         camera = _field(rng, 10, half_width)
@@ -91,12 +91,12 @@ def test_errors_agree_with_the_covariance_about_every_axis(half_width: float) ->
         assert not isinstance(solved, Failure)
         error = rotation_between(solved[0], truth)
         errors[k] = np.linalg.solve(np.linalg.cholesky(solved[1]), error)
-        normalised[k] = error / np.sqrt(np.diag(solved[1]))
+        normalized[k] = error / np.sqrt(np.diag(solved[1]))
     low, high = _band(0.95, 3 * TRIALS)
     assert low < np.mean(np.sum(errors**2, axis=1)) < high
     low, high = _band(0.99, TRIALS)  # three axes, each of them
     for axis in range(3):
-        assert low < np.mean(normalised[:, axis] ** 2) < high
+        assert low < np.mean(normalized[:, axis] ** 2) < high
 
 
 def test_many_problems_at_once_give_what_each_gives_alone() -> None:

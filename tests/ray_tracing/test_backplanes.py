@@ -30,7 +30,7 @@ def _body(shape: Shape, position: list[float]) -> Body:
     "shape", [ELLIPSOID, irregular_body(3, radii_km=(1.0, 0.7, 0.6), facets=5000)], ids=["ellipsoid", "mesh"]
 )
 @pytest.mark.parametrize("scale", [1.0, 1e5])
-def test_every_point_projects_into_the_centre_of_its_pixel(shape: Shape, scale: float) -> None:
+def test_every_point_projects_into_the_center_of_its_pixel(shape: Shape, scale: float) -> None:
     model = CAMERA.with_parameters(CAMERA.parameters * np.where(np.arange(CAMERA.parameters.size) < 2, scale, 1.0))
     body = _body(shape, [0.3 if scale == 1.0 else 0.0, 0.2 if scale == 1.0 else 0.0, 8.0 * scale])
     planes = trace_backplanes([body], model, sun_direction_camera=SUN, columns=FRAME[0], rows=FRAME[1])

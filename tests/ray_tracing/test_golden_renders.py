@@ -2,8 +2,8 @@
 
 A golden image fails when the brightness centroid has moved, or when more than a few pixels differ: a shift of 0.1 px or
 a Sun off by 1 degree changes the RMS by less than 0.3 % of the peak, so RMS would not see them. Image, golden image and
-difference are then saved in the folder of the test. ``python -m tests.ray_tracing.test_golden_renders "reason" [NAME...]`` renews
-all or some of them and writes the reason down in ``tests/golden/reasons.md``.
+difference are then saved in the folder of the test. ``python -m tests.ray_tracing.test_golden_renders "reason"
+[NAME...]`` renews all or some of them and writes the reason down in ``tests/ray_tracing/golden/reasons.md``.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def test_an_ellipsoid_and_its_fine_mesh_have_the_same_outline_at_every_range(ran
     sagitta_px = edge**2 / 8 / 0.36 * 0.5 * DIAMETER_PX  # curvature of at most 1 / 0.36 per km
     smooth, faceted = (np.linalg.norm(outline.points_px - outline.center_px, axis=1) for outline in outlines)
     assert (smooth - faceted).min() > -OUTLINE_PX
-    assert (smooth - faceted).max() < 2.0 * sagitta_px  # seen from 2 radii, the limb is nearer than the centre
+    assert (smooth - faceted).max() < 2.0 * sagitta_px  # seen from 2 radii, the limb is nearer than the center
 
 
 def test_the_outline_of_an_asteroid_separates_rays_that_meet_it_from_those_that_do_not() -> None:

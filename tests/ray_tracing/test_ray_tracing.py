@@ -38,7 +38,7 @@ SILHOUETTE_PX = 1e-4  # float32 rays from the bounding sphere: 6e-8 of the radiu
 EXACT_PX = 2e-6  # bisection of half a pixel, 20 times
 POINT_OF_RANGE = 1e-9  # what is promised; rounding is 1e-15
 POINT_KM = 1e-9  # float64 planes, body of 1 km
-PHOTOCENTER_RADII = 2e-3  # 256 rays across the disc
+PHOTOCENTER_RADII = 2e-3  # 256 rays across the disk
 FLUX = 5e-3  # relative, same reason; crescents of 120 deg have a quarter of the rays
 SHAPE_PX = 0.01  # brightness centroid, the navigator's gate for equal images
 
@@ -237,7 +237,7 @@ def _sun_at_phase(position: np.ndarray, phase_deg: float) -> np.ndarray:
 
 @lru_cache
 def _sphere_integrals(law: Lambert | McEwen | LommelSeeliger, phase_deg: float) -> tuple[float, float]:
-    """Flux over disc area, and photocentre over radius, of a far sphere: by quadrature over what is seen and lit."""
+    """Flux over disk area, and photocenter over radius, of a far sphere: by quadrature over what is seen and lit."""
     a = np.radians(phase_deg)
     nodes, weights = np.polynomial.legendre.leggauss(80)
     half_width = 0.5 * (np.pi - a)  # of the lune, in longitude from the camera towards the Sun
@@ -251,7 +251,7 @@ def _sphere_integrals(law: Lambert | McEwen | LommelSeeliger, phase_deg: float) 
 
 @pytest.mark.parametrize("phase_deg", [0.0, 60.0, 120.0])
 @pytest.mark.parametrize("diameter_px", [0.02, 0.2, 3.0, 80.0])
-def test_a_lambert_sphere_of_any_size_has_the_flux_and_photocentre_of_theory(
+def test_a_lambert_sphere_of_any_size_has_the_flux_and_photocenter_of_theory(
     diameter_px: float, phase_deg: float
 ) -> None:
     position = 2.0 / diameter_px * 1e5 * np.array([3e-4, -4e-4, 1.0])
@@ -259,7 +259,7 @@ def test_a_lambert_sphere_of_any_size_has_the_flux_and_photocentre_of_theory(
     template = _render(body, PINHOLE, sun=_sun_at_phase(position, phase_deg))
     a = np.radians(phase_deg)
     theory = np.sin(a) + (np.pi - a) * np.cos(a)
-    flux = 2.0 / (3.0 * np.pi) * theory * np.pi * diameter_px**2 / 4  # 2/3 of the disc at full phase
+    flux = 2.0 / (3.0 * np.pi) * theory * np.pi * diameter_px**2 / 4  # 2/3 of the disk at full phase
     offset = 3.0 * np.pi / 16.0 * np.sin(a) * (1.0 + np.cos(a)) / theory * diameter_px / 2
     assert template.brightness.sum() == pytest.approx(flux, rel=FLUX)
     assert template.coverage.sum() == pytest.approx(np.pi * diameter_px**2 / 4, rel=FLUX)
@@ -278,7 +278,7 @@ def _centroid_of(image: np.ndarray, corner: np.ndarray) -> np.ndarray:
     return np.asarray(np.array([(x * image).sum(), (y * image).sum()]) / image.sum() + corner)
 
 
-def test_the_closed_form_of_the_lambert_photocentre_agrees_with_quadrature() -> None:
+def test_the_closed_form_of_the_lambert_photocenter_agrees_with_quadrature() -> None:
     a = np.radians(60.0)
     theory = np.sin(a) + (np.pi - a) * np.cos(a)
     flux, offset = _sphere_integrals(Lambert(), 60.0)
@@ -288,7 +288,7 @@ def test_the_closed_form_of_the_lambert_photocentre_agrees_with_quadrature() -> 
 
 @pytest.mark.parametrize("law", [McEwen(), LommelSeeliger()], ids=["mcewen", "lommel_seeliger"])
 @pytest.mark.parametrize("phase_deg", [0.0, 90.0])
-def test_other_laws_have_the_flux_and_photocentre_of_a_quadrature(
+def test_other_laws_have_the_flux_and_photocenter_of_a_quadrature(
     law: McEwen | LommelSeeliger, phase_deg: float
 ) -> None:
     position = 2.0 / 40.0 * 1e5 * np.array([0.0, 0.0, 1.0])

@@ -42,7 +42,7 @@ from giantlike.shapes import sphere
 
 ROUNDING = 1e-12  # relative, a dozen float64 operations
 QUADRATURE = 1e-9  # relative, as disk_integrated promises; 1e-6 for Oren-Nayar
-RENDERED_FLUX = 5e-3  # relative: 256 rays across the disc, crescents of 120 degrees have a quarter of them
+RENDERED_FLUX = 5e-3  # relative: 256 rays across the disk, crescents of 120 degrees have a quarter of them
 RENDERED_PHOTOCENTER_RADII = 2e-3  # same reason
 
 BRIGHT = Hapke(w=0.6, b0=0.8, h=0.06, theta_bar_deg=25.0, hg1=-0.35, hg2=0.2)
@@ -176,7 +176,7 @@ def test_akimov_is_flat_at_full_phase_and_dark_at_the_terminator(eta: float) -> 
 
 @pytest.mark.parametrize("eta", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize("phase_deg", [0.0, 1e-6, 20.0, 90.0, 160.0])
-def test_the_disc_of_akimov_has_the_brightness_of_its_closed_form(phase_deg: float, eta: float) -> None:
+def test_the_disk_of_akimov_has_the_brightness_of_its_closed_form(phase_deg: float, eta: float) -> None:
     # mu D = cos(b)^(1 + n) cos(a/2) cos(c (l - a/2)) with n = eta a / (pi - a): the integral over l and b separates.
     phase = math.radians(phase_deg)
     power = 2.0 + eta * phase / (math.pi - phase)
@@ -305,17 +305,17 @@ def test_hapke_becomes_smooth_as_its_slopes_vanish_and_darker_at_large_phase_as_
     smooth = Hapke(w=0.3, b0=1.0, h=0.05, hg1=-0.3)
     nearly = Hapke(w=0.3, b0=1.0, h=0.05, hg1=-0.3, theta_bar_deg=0.01)
     assert_allclose(nearly(mu0, mu, phase), smooth(mu0, mu, phase), rtol=1e-6, atol=0)
-    discs = [
+    disks = [
         disk_integrated(Hapke(w=0.3, theta_bar_deg=slope), math.radians(100.0)) for slope in (0.0, 10.0, 20.0, 30.0)
     ]
-    assert np.all(np.diff(discs) < 0.0)
+    assert np.all(np.diff(disks) < 0.0)
 
 
-# --- whole discs ----------------------------------------------------------------------------------------------------
+# --- whole disks ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("phase_deg", [0.0, 1e-3, 30.0, 90.0, 150.0, 179.0])
-def test_the_discs_of_lambert_and_lommel_seeliger_follow_their_closed_forms(phase_deg: float) -> None:
+def test_the_disks_of_lambert_and_lommel_seeliger_follow_their_closed_forms(phase_deg: float) -> None:
     a = math.radians(phase_deg)
     lambert = 2.0 / 3.0 * (math.sin(a) + (math.pi - a) * math.cos(a)) / math.pi
     assert disk_integrated(Lambert(), a) == pytest.approx(lambert, rel=1e-8)  # the form itself cancels at 179 degrees
@@ -333,7 +333,7 @@ def test_a_lambert_sphere_has_the_geometric_albedo_of_two_thirds_and_a_bond_albe
     assert bond == pytest.approx(1.0, rel=QUADRATURE)
 
 
-def test_discs_vanish_at_the_phase_of_half_a_turn_and_refuse_angles_beyond() -> None:
+def test_disks_vanish_at_the_phase_of_half_a_turn_and_refuse_angles_beyond() -> None:
     assert disk_integrated(McEwen(), [[0.0, np.pi]]).shape == (1, 2)
     assert_allclose(disk_integrated(McEwen(), [0.0, np.pi]), [1.0, 0.0], rtol=0, atol=QUADRATURE)
     assert_allclose(disk_photocenter(McEwen(), [0.0, np.pi]), [0.0, 1.0], rtol=0, atol=QUADRATURE)
@@ -362,7 +362,7 @@ def test_a_rendered_sphere_has_the_light_of_its_law(law: Reflectance, phase_deg:
     assert_allclose(template.photocenter_px, expected, rtol=0, atol=RENDERED_PHOTOCENTER_RADII * 15.0)
 
 
-def test_the_law_alone_moves_the_photocenter_of_a_disc_of_300_px_by_pixels() -> None:
+def test_the_law_alone_moves_the_photocenter_of_a_disk_of_300_px_by_pixels() -> None:
     phases = np.radians([60.0, 90.0])
     offsets = np.array([150.0 * disk_photocenter(law, phases) for law in (Lambert(), LommelSeeliger())])
     assert_allclose(offsets[0] - offsets[1], [3.3, 3.9], rtol=0, atol=0.05)

@@ -27,7 +27,7 @@ from giantlike.ray_tracing import (
     render_scene,
     trace_body,
 )
-from giantlike.ray_tracing.sun import disc_directions
+from giantlike.ray_tracing.sun import disk_directions
 from giantlike.shapes import Ellipsoid, FacetAlbedo, Shape, irregular_body, mesh_from_ellipsoid, sphere
 
 AREA = 5e-3  # relative: 2 rays along each pixel side, edges of 100 px
@@ -66,7 +66,7 @@ def test_a_scene_of_one_body_is_its_template() -> None:
 
 @pytest.mark.parametrize("near", SHAPES, ids=["ellipsoid", "mesh"])
 @pytest.mark.parametrize("far", SHAPES, ids=["ellipsoid", "mesh"])
-def test_a_near_sphere_cuts_its_disc_out_of_a_far_one(near: Shape, far: Shape) -> None:
+def test_a_near_sphere_cuts_its_disk_out_of_a_far_one(near: Shape, far: Shape) -> None:
     bodies = [_body(far, [0.0, 0.0, 1010.0], LommelSeeliger()), _body(near, [0.0, 1.0, 990.0])]
     alone = [_scene([body], BEHIND_CAMERA) for body in bodies]
     scene = _scene(bodies, BEHIND_CAMERA, RenderOptions(shadows=False))
@@ -111,7 +111,7 @@ def test_a_moon_between_sun_and_planet_throws_a_round_shadow_and_only_that_way()
     assert shaded.lit_fraction == pytest.approx(1.0 - 0.09 / 0.8, abs=AREA)
 
 
-def test_under_an_extended_sun_a_shadow_has_the_brightness_of_the_uncovered_part_of_its_disc() -> None:
+def test_under_an_extended_sun_a_shadow_has_the_brightness_of_the_uncovered_part_of_its_disk() -> None:
     plate = Ellipsoid(radii_km=np.array([1.0, 0.05, 1e-3]))  # a strip across the shadow
     at = np.array([0.0, 0.0, 1000.0])
     wall = Body(shape=plate, camera_from_body=Rotation.identity(), position_camera_km=at, reflectance=LAMBERT)
@@ -138,10 +138,10 @@ def test_under_an_extended_sun_a_shadow_has_the_brightness_of_the_uncovered_part
     assert not np.array_equal(other.brightness, both.brightness)
 
 
-def test_points_of_the_solar_disc_fill_it_evenly() -> None:
+def test_points_of_the_solar_disk_fill_it_evenly() -> None:
     random = np.random.default_rng(5)
     first, turn = random.uniform(size=(2, 2000))
-    rays = np.stack(disc_directions(np.append(SIDEWAYS, 0.0), 0.3, 8, first, turn))
+    rays = np.stack(disk_directions(np.append(SIDEWAYS, 0.0), 0.3, 8, first, turn))
     assert np.all(rays[..., 3] == 0.0)
     rays = rays[..., :3]
     assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=0, atol=ROUNDING)
@@ -190,11 +190,11 @@ def _near(
     psf: GaussianPsf | None = None,
     options: RenderOptions = DEFAULTS,
     *,
-    recentre: bool = False,
+    recenter: bool = False,
 ) -> Template | Failure:
     """A render through the distorted camera."""
     return render(
-        body, BROWN, sun_direction_camera=sun, psf=psf, columns=256, rows=240, options=options, recentre=recentre
+        body, BROWN, sun_direction_camera=sun, psf=psf, columns=256, rows=240, options=options, recenter=recenter
     )
 
 
@@ -254,7 +254,7 @@ def test_a_body_outside_the_field_is_rendered_as_if_the_camera_had_turned_to_it(
     sun = 0.6 * sun / np.linalg.norm(sun) - 0.8 * away
     psf = GaussianPsf(sigma_px=0.7)
     assert isinstance(_near(body, sun, psf), Failure)
-    template = _near(body, sun, psf, recentre=True)
+    template = _near(body, sun, psf, recenter=True)
     assert isinstance(template, Template)
     turn = template.rendered_from_camera
     assert_allclose(template.center_px, [127.5, 119.5], rtol=0, atol=1e-6)
@@ -262,6 +262,6 @@ def test_a_body_outside_the_field_is_rendered_as_if_the_camera_had_turned_to_it(
     assert _same(template, _near(body.turned(turn), turn.apply(sun), psf))
     assert turn.magnitude() == pytest.approx(np.arccos(away @ BROWN.unproject([127.5, 119.5])), abs=1e-7)
     inside = _body(irregular_body(2, facets=2000), [0.2, 0.1, 6.0])
-    kept = _near(inside, recentre=True)
+    kept = _near(inside, recenter=True)
     assert isinstance(kept, Template)
     assert kept.rendered_from_camera.magnitude() == 0.0

@@ -67,12 +67,12 @@ def test_the_image_of_a_point_is_the_psf_over_its_pixels(range_km: float) -> Non
         edges = corner + np.arange(profile.size + 1) - 0.5
         assert_allclose(
             profile, np.diff(ndtr((edges - place) / 0.8)), rtol=0, atol=2e-4
-        )  # light off the centre, 3e-4 px
+        )  # light off the center, 3e-4 px
     assert_allclose(template.center_px, center, rtol=0, atol=1e-6)
     assert_allclose(template.photocenter_px, center, rtol=0, atol=5e-4)
 
 
-def test_the_centre_of_a_point_is_the_centre_of_its_light_whatever_the_phase() -> None:
+def test_the_center_of_a_point_is_the_center_of_its_light_whatever_the_phase() -> None:
     camera = Camera(
         name="cam", columns=96, rows=80, model=PinholeModel(fx_px=3000.0, fy_px=3000.0, cx_px=47.0, cy_px=39.0),
         psf=GaussianPsf(sigma_px=0.8), detector=Detector(gain_e_per_dn=2.0, read_noise_e=8.0, saturation_dn=4095.0),

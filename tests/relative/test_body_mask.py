@@ -16,8 +16,8 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 from giantlike.processing import Detections, detect_sources
 from giantlike.scene import body_mask
-from tests.simulated import small_camera, sphere_scene
 from tests.processing.test_detection import exposed, nearest, star_image
+from tests.simulated import small_camera, sphere_scene
 
 RADIUS_KM, RANGE_KM = 30.0, 1000.0
 BORDER_PX = 1.0  # the outline is a polygon, drawn to a pixel
@@ -29,7 +29,7 @@ def image_of(pixels: NDArray[Any], turn_rad: tuple[float, float] = (0.0, 0.0)) -
 
 
 def distance_px(turn_rad: tuple[float, float] = (0.0, 0.0)) -> Float:
-    """How far each pixel's line of sight passes outside the sphere, in pixels at the image centre."""
+    """How far each pixel's line of sight passes outside the sphere, in pixels at the image center."""
     camera = small_camera()
     x, y = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
     sight = camera.model.unproject(np.stack([x, y], axis=-1).astype(np.float64))

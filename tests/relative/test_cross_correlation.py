@@ -25,8 +25,8 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Re
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
-from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.estimator import center_of_position
+from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.template.fit import (
     TemplateFit,
     TemplateFitOptions,
@@ -53,7 +53,7 @@ EVERYWHERE = np.ones(SHAPE, dtype=bool)
 
 
 def blobs(seed: int = 1, *, law: float = 1.0) -> Callable[[TemplateState, bool], TemplateImages]:
-    """A body of Gaussian blobs, whose image is known for any centre, range and blur; ``law`` changes their shades."""
+    """A body of Gaussian blobs, whose image is known for any center, range and blur; ``law`` changes their shades."""
     random = np.random.default_rng(seed)
     places, widths = random.uniform(-16, 16, (14, 2)), random.uniform(1.0, 3.5, 14)
     shades = random.uniform(0.2, 1.0, 14)
@@ -105,7 +105,7 @@ def mean_nees(fits: list[TemplateFit], covariance: Callable[[TemplateFit], Float
     return float(np.mean([errors(fit) @ np.linalg.solve(covariance(fit), errors(fit)) for fit in fits]))
 
 
-def test_the_fit_finds_centre_range_gain_and_offset_without_noise() -> None:
+def test_the_fit_finds_center_range_gain_and_offset_without_noise() -> None:
     pixels = 2000.0 * blobs()(TRUE, True).light + 37.0
     far = replace(TRUE, center_px=np.add(TRUE.center_px, [0.9, -0.7]), log_range=TRUE.log_range - 0.03)
     fit = fitted(pixels, far)
@@ -191,7 +191,7 @@ def test_pixels_that_are_not_usable_do_not_count() -> None:
     assert not fit.used[~usable].any()
 
 
-def test_an_uncertain_range_that_is_not_estimated_widens_the_centre() -> None:
+def test_an_uncertain_range_that_is_not_estimated_widens_the_center() -> None:
     near = replace(TRUE, log_range=0.0)
     pixels = noisy(60.0 * blobs()(near, True).light, np.random.default_rng(15))
     tight = fitted(pixels, near, options=TemplateFitOptions(log_range_sigma=1e-5))
@@ -332,7 +332,7 @@ def failure(image: Image, scene: Scene, camera: Camera = CAMERA) -> Failure:
     ("diameter_px", "phase_deg"),
     [(20.0, 30.0), (20.0, 110.0), (50.0, 60.0), (50.0, 120.0), (130.0, 20.0), (130.0, 90.0)],
 )
-def test_centre_and_range_of_resolved_bodies(diameter_px: float, phase_deg: float) -> None:
+def test_center_and_range_of_resolved_bodies(diameter_px: float, phase_deg: float) -> None:
     case = Case(diameter_px=diameter_px, phase_deg=phase_deg)
     fix = positioned(case, case.image(), case.scene())
     error_km = fix.position_camera_km - case.range_km * CAMERA.model.unproject(case.pixel)
@@ -345,7 +345,7 @@ def test_centre_and_range_of_resolved_bodies(diameter_px: float, phase_deg: floa
 
 
 @pytest.mark.parametrize("law", [Lambert(), LommelSeeliger()], ids=["lambert", "lommel_seeliger"])
-def test_a_wrong_reflectance_law_does_not_pull_centre_or_range(law: Reflectance) -> None:
+def test_a_wrong_reflectance_law_does_not_pull_center_or_range(law: Reflectance) -> None:
     case = Case(diameter_px=80.0, phase_deg=40.0, law=law)
     free = positioned(case, case.image(), case.scene())
     assert_allclose(free.center_px, case.pixel, rtol=0, atol=0.5 * CENTER_PX)
@@ -355,7 +355,7 @@ def test_a_wrong_reflectance_law_does_not_pull_centre_or_range(law: Reflectance)
 
 
 @pytest.mark.parametrize("range_factor", [0.95, 1.05])
-def test_an_error_of_the_range_does_not_pull_the_centre(range_factor: float) -> None:
+def test_an_error_of_the_range_does_not_pull_the_center(range_factor: float) -> None:
     case = Case(diameter_px=110.0, phase_deg=80.0)
     fix = positioned(case, case.image(), case.scene(range_factor=range_factor))
     assert_allclose(fix.center_px, case.pixel, rtol=0, atol=CENTER_PX)
@@ -398,7 +398,7 @@ def test_a_body_on_the_edge_of_the_frame_is_found(off_px: tuple[float, float]) -
     assert Quality.CUT_BY_FRAME in fix.flags
 
 
-def test_bad_saturated_and_foreign_pixels_do_not_pull_the_centre() -> None:
+def test_bad_saturated_and_foreign_pixels_do_not_pull_the_center() -> None:
     case = Case(diameter_px=60.0, phase_deg=50.0)
     rows, columns = np.indices((CAMERA.rows, CAMERA.columns))
     star = 2500.0 * np.exp(-((columns - 185.0) ** 2 + (rows - 122.0) ** 2) / (2 * 0.8**2))
@@ -414,7 +414,7 @@ def test_bad_saturated_and_foreign_pixels_do_not_pull_the_centre() -> None:
     assert fix.n_rejected > 0
 
 
-def test_an_unknown_point_spread_function_does_not_pull_the_centre() -> None:
+def test_an_unknown_point_spread_function_does_not_pull_the_center() -> None:
     camera = replace(CAMERA, psf=None)
     case = Case(diameter_px=60.0, phase_deg=70.0, camera=camera)
     fix = positioned(case, case.image(), case.scene())
@@ -430,7 +430,7 @@ def test_the_range_of_a_small_body_is_not_estimated_unless_asked_for() -> None:
     assert_allclose(estimated(case, image, scene).center_px, case.pixel, rtol=0, atol=CENTER_PX)
 
 
-def test_position_and_centre_say_the_same() -> None:
+def test_position_and_center_say_the_same() -> None:
     case = Case(diameter_px=60.0, phase_deg=50.0)
     fix = positioned(case, case.image(), case.scene())
     center, covariance = center_of_position(CAMERA.model, fix.position_camera_km, fix.covariance_camera_km2)

@@ -26,8 +26,8 @@ from giantlike.relative.horizon.geometry import (
     horizon_covariance,
     horizon_residuals,
 )
-from giantlike.relative.limb.observation import EdgeModel
 from giantlike.relative.horizon.scan import HorizonScan
+from giantlike.relative.limb.observation import EdgeModel
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid
 from tests.limb_images import BodyImage, assert_sound, body_image, mean_nees_band
 from tests.numerical import numerical_jacobian
@@ -163,7 +163,7 @@ def range_bias_km(method: CraMethod, *, pairs: int = 150) -> tuple[float, float]
     return float(np.mean(bias)), float(np.std(bias) / np.sqrt(pairs))
 
 
-def test_least_squares_puts_the_moon_seven_kilometres_too_far() -> None:
+def test_least_squares_puts_the_moon_seven_kilometers_too_far() -> None:
     bias, error = range_bias_km(CraMethod.LEAST_SQUARES)
     assert error < 0.5
     assert 5.0 < bias < 10.0

@@ -1,4 +1,4 @@
-"""Landmarks: maplets in SPC's binary format, catalogues in files, places chosen on shapes, and the command."""
+"""Landmarks: maplets in SPC's binary format, catalogs in files, places chosen on shapes, and the command."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_a_damaged_maplet_is_refused_in_words(tmp_path: Path) -> None:
         read_maplet(tmp_path / "NONE.MAP")
 
 
-def test_a_folder_of_maplets_is_a_catalogue(tmp_path: Path) -> None:
+def test_a_folder_of_maplets_is_a_catalog(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     for number in range(3):
         axes = south_east_up(number, 0.3)
@@ -129,7 +129,7 @@ def painted() -> TriangleMesh:
     return ball.with_albedo(VertexAlbedo(1.0 + 0.4 * np.sin(9 * x) * np.sin(9 * y) * (z > 0.0)))
 
 
-def test_a_catalogue_is_the_same_after_a_file(tmp_path: Path) -> None:
+def test_a_catalog_is_the_same_after_a_file(tmp_path: Path) -> None:
     catalog = build_landmarks(painted(), LandmarkBuildOptions(count=12, samples=9))
     bare = Landmark(LocalMap(
         center_body_km=np.ones(3),
@@ -156,7 +156,7 @@ def test_a_catalogue_is_the_same_after_a_file(tmp_path: Path) -> None:
     assert np.load(path, allow_pickle=False)["names"].dtype.kind == "U"
 
 
-def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_catalog_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "shape.npz"
     save_shape(BODY, path)
     with pytest.raises(DataError, match="holds no landmarks"):

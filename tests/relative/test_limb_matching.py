@@ -27,8 +27,8 @@ from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.relative.estimator import gather
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
 from giantlike.relative.limb.fix import limb_design
-from giantlike.relative.limb.lines import plan_lines
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
+from giantlike.relative.limb.lines import plan_lines
 from giantlike.relative.limb.observation import LimbScanOptions, observe_limb
 from giantlike.relative.limb.rendering import WindowModel
 from giantlike.scene import Scene, Target
@@ -263,7 +263,7 @@ def test_points_lie_on_lit_limb_and_never_on_the_terminator_of_a_concave_body(ph
     assert_sound(case, fix, sigma_px=2.0 * CRESCENT_PX, sigma_range=2.0 * CRESCENT_RANGE)
 
 
-def test_a_disc_larger_than_the_frame_is_found_from_the_limb_that_remains() -> None:
+def test_a_disk_larger_than_the_frame_is_found_from_the_limb_that_remains() -> None:
     case = body_image(body(), 61, phase_deg=40.0, radius_px=300.0, center_px=(-20.0, 180.0))
     case = case.believed(off_px=(6.0, -7.0), range_error=0.01)
     result = LimbMatching().estimate(case.image, case.camera, case.scene)
@@ -488,7 +488,7 @@ def test_vesta_is_found_from_the_limb_in_two_corners(data_dir: Path, name: str) 
 
 @pytest.mark.real_data
 def test_europa_is_found_from_an_arc_of_limb_in_a_corner_of_the_frame(data_dir: Path) -> None:
-    """Off by 10 px and 1 % of range; the pointing behind the centre of the label is good to some pixels."""
+    """Off by 10 px and 1 % of range; the pointing behind the center of the label is good to some pixels."""
     image = Image.open(data_dir / "bodies" / "galileo_ssi" / "4600R.IMG").with_attitude(Rotation.identity())
     label = {
         key: float(image.metadata[key])

@@ -1,4 +1,4 @@
-"""Centre of brightness of resolved bodies: the correction, several bodies, what it says of its errors, refusals."""
+"""Center of brightness of resolved bodies: the correction, several bodies, what it says of its errors, refusals."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def nees(error: Float, fix: CenterFix) -> float:
 
 @cache
 def told_wrong(seed: int) -> BodyImage:
-    """A body under one of three laws, told to be McEwen's, at 0 to 100 degrees; centre and range off."""
+    """A body under one of three laws, told to be McEwen's, at 0 to 100 degrees; center and range off."""
     rng = np.random.default_rng(seed)
     case = body_image(ROCK, seed, phase_deg=100.0 * rng.uniform(), radius_px=30.0, law=LAWS[seed % 3])
     case = replace(case, target=replace(case.target, reflectance=McEwen()))
@@ -53,7 +53,7 @@ def told_wrong(seed: int) -> BodyImage:
 
 @pytest.mark.parametrize("phase_deg", [0.5, 35.0, 70.0, 100.0])
 @pytest.mark.parametrize("radius_px", [10.0, 80.0])
-def test_the_centre_is_right_to_three_percent_of_the_radius(phase_deg: float, radius_px: float) -> None:
+def test_the_center_is_right_to_three_percent_of_the_radius(phase_deg: float, radius_px: float) -> None:
     case = body_image(ROCK, 7, phase_deg=phase_deg, radius_px=radius_px)
     fix = found(case.believed(off_px=(9.0, -6.0), range_error=0.015))
     assert np.linalg.norm(fix.center_px - case.center_px) < REQUIRED * radius_px
@@ -82,7 +82,7 @@ def test_noise_alone_is_within_the_covariance() -> None:
     assert np.mean(errors) < float(chi2.ppf(1.0 - RARE, 32)) / 16
 
 
-def test_the_published_correction_is_an_approximation_and_none_is_the_centre_of_light() -> None:
+def test_the_published_correction_is_an_approximation_and_none_is_the_center_of_light() -> None:
     case = body_image(sphere(1.0), 5, phase_deg=60.0, law=Lambert())
     geometry = case.target.ephemeris
     assert isinstance(geometry, ApparentGeometry)

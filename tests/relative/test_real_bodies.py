@@ -60,7 +60,7 @@ def test_rings_before_and_behind_saturn_are_not_taken_for_its_limb(cases: Any, d
         assert refused.reason in (Reason.NO_LIMB, Reason.NO_SIGNAL, Reason.OUT_OF_FRAME)
 
 
-def test_the_centre_of_brightness_of_saturn_is_off_by_its_rings_but_by_little(cases: Any, data_dir: Path) -> None:
+def test_the_center_of_brightness_of_saturn_is_off_by_its_rings_but_by_little(cases: Any, data_dir: Path) -> None:
     case = next(iter(cases.voyager(data_dir)))
     limb = limb_estimators(150.0)[0].estimate(case.image, case.camera, case.scene)
     light = Moment(MomentOptions(search_px=150.0)).estimate(case.image, case.camera, case.scene)
@@ -103,7 +103,7 @@ def test_where_the_surface_fills_the_frame_nothing_is_taken_for_a_limb(cases: An
             assert isinstance(refused, Failure), refused
 
 
-def test_vesta_larger_than_the_frame_has_no_centre_of_brightness(cases: Any, data_dir: Path) -> None:
+def test_vesta_larger_than_the_frame_has_no_center_of_brightness(cases: Any, data_dir: Path) -> None:
     case = next(cases.vesta(data_dir))
     fix = Moment().estimate(case.image, case.camera, case.scene)
     assert not isinstance(fix, CenterFix)

@@ -26,10 +26,10 @@ from giantlike.io.spice import load_kernels, orientation
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative import ESTIMATORS, EllipsoidCRA, EllipsoidCRAOptions, Estimator, SigmoidLimb, SigmoidLimbOptions
 from giantlike.relative.horizon.geometry import Figure
-from giantlike.relative.limb.observation import EdgeModel
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, horizon_arc, profile_table
 from giantlike.relative.horizon.rings import Rings
 from giantlike.relative.horizon.scan import HorizonScan
+from giantlike.relative.limb.observation import EdgeModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid
 from tests.limb_images import CAMERA, RARE, BodyImage, assert_sound, body_image, mean_nees_band
@@ -179,7 +179,7 @@ def test_without_a_psf_its_width_is_estimated_too() -> None:
     assert np.mean(nees) < mean_nees_band(len(nees))[1], nees
 
 
-def test_discs_of_two_dozen_pixels_are_found_too() -> None:
+def test_disks_of_two_dozen_pixels_are_found_too() -> None:
     nees = []
     for i, phase in enumerate((25.0, 60.0, 90.0)):
         case = body_image(SHAPES[0], 170 + i, phase_deg=phase, radius_px=12.0).believed(off_px=(4.0, -3.0))
@@ -202,7 +202,7 @@ def test_a_limb_cut_by_the_frame_still_gives_a_position_and_a_flag() -> None:
 
 
 def test_rings_are_not_taken_for_a_limb() -> None:
-    """A bright band across the disc and beyond it: with the rings told, no cell lies on them."""
+    """A bright band across the disk and beyond it: with the rings told, no cell lies on them."""
     saturn = Ellipsoid(radii_km=np.array([0.3, 0.3, 0.27]))
     case = body_image(saturn, 183, phase_deg=25.0, radius_px=70.0).believed(off_px=(4.0, -3.0))
     true = case.position_camera_km
@@ -262,7 +262,7 @@ def test_a_hazy_limb_of_known_altitude_gives_the_range(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["sigmoid_limb", "ellipsoid_cra"])
-def test_what_is_not_known_of_the_altitude_is_in_the_covariance_of_the_range_and_not_of_the_centre(name: str) -> None:
+def test_what_is_not_known_of_the_altitude_is_in_the_covariance_of_the_range_and_not_of_the_center(name: str) -> None:
     options = {"sigmoid_limb": SigmoidLimbOptions, "ellipsoid_cra": EllipsoidCRAOptions}[name]
     estimator = ESTIMATORS[name](options(limb_altitude_km=0.004, altitude_sigma_km=0.003))
     stiff = ESTIMATORS[name](options(limb_altitude_km=0.004))

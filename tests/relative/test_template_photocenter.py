@@ -1,4 +1,4 @@
-"""The centre of light of ellipsoids in closed form: beside sums over the surface, quadrature of spheres, renders."""
+"""The center of light of ellipsoids in closed form: beside sums over the surface, quadrature of spheres, renders."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ from giantlike.image import Image
 from giantlike.processing.detection.windowed import windowed_centroid
 from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative.estimator import gather
+from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions, kaasalainen_tanga
 from giantlike.relative.template.fit import TemplateImages
 from giantlike.relative.template.rendering import FitBox, TemplateRenderer
-from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions, kaasalainen_tanga
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, irregular_body, sphere
 from tests.limb_images import body_image
@@ -120,7 +120,7 @@ def star(point: Float, sigma_px: float, size: int = 25) -> Float:
     return np.asarray(np.exp(-((columns - point[0]) ** 2 + (rows - point[1]) ** 2) / (2 * sigma_px**2)))
 
 
-def test_the_windowed_centroid_of_a_gaussian_is_its_centre() -> None:
+def test_the_windowed_centroid_of_a_gaussian_is_its_center() -> None:
     point = np.array([12.31, 11.77])
     light = star(point, 1.3)
     found = windowed_centroid(light, np.ones_like(light), light > -1, [12.0, 12.0], window_sigma_px=1.3)
@@ -157,7 +157,7 @@ def test_nothing_there_gives_no_centroid() -> None:
 
 @pytest.mark.parametrize("phase_deg", [5.0, 60.0, 90.0, 120.0])
 @pytest.mark.parametrize("diameter_px", [0.3, 2.0, 6.0])
-def test_the_centre_of_a_small_body_is_found_at_any_phase(diameter_px: float, phase_deg: float) -> None:
+def test_the_center_of_a_small_body_is_found_at_any_phase(diameter_px: float, phase_deg: float) -> None:
     case = Case(shape=ROCK, diameter_px=diameter_px, phase_deg=phase_deg)
     fix = solved(case, exposed(case.light(), 3000.0, rng=None))
     range_error_px = 0.015 * 0.5 * diameter_px  # the correction scales with the a priori range
@@ -232,10 +232,10 @@ def test_the_template_of_a_small_body_changes_with_the_range_as_its_derivative_s
     renderer = TemplateRenderer(inputs=inputs, rays_across=480)
     template = renderer.render(renderer.start)
     assert isinstance(template, Template)
-    synthesise = renderer.synthesis(FitBox.around(template, np.zeros(2, dtype=np.int64), 4, inputs), other_law=False)
+    synthesize = renderer.synthesis(FitBox.around(template, np.zeros(2, dtype=np.int64), 4, inputs), other_law=False)
 
     def images(log_range: float) -> TemplateImages:
-        made = synthesise(dataclasses.replace(renderer.start, log_range=log_range), True)
+        made = synthesize(dataclasses.replace(renderer.start, log_range=log_range), True)
         assert isinstance(made, TemplateImages)
         return made
 

@@ -83,10 +83,10 @@ def test_an_albedo_with_another_number_of_values_is_refused(albedo: Albedo) -> N
 
 def test_the_albedo_enters_the_hash_and_survives_pickling_with_its_mesh() -> None:
     ball = mesh_from_ellipsoid(sphere(1.0), facets=20)
-    grey, dark = (ball.with_albedo(FacetAlbedo(np.full(20, value))) for value in (1.0, 0.5))
-    assert len({ball.sha256, grey.sha256, dark.sha256}) == 3
+    gray, dark = (ball.with_albedo(FacetAlbedo(np.full(20, value))) for value in (1.0, 0.5))
+    assert len({ball.sha256, gray.sha256, dark.sha256}) == 3
     assert dark.with_albedo(None).sha256 == ball.sha256
-    assert ball.with_albedo(AlbedoMap(values=np.ones((2, 4)))).sha256 not in {grey.sha256, dark.sha256}
+    assert ball.with_albedo(AlbedoMap(values=np.ones((2, 4)))).sha256 not in {gray.sha256, dark.sha256}
     for shape in (dark, sphere(1.0).with_albedo(AlbedoMap(values=np.array([[0.5, 1.0]])))):
         assert isinstance(shape, TriangleMesh | Ellipsoid)
         back = pickle.loads(pickle.dumps(shape))  # noqa: S301
@@ -95,7 +95,7 @@ def test_the_albedo_enters_the_hash_and_survives_pickling_with_its_mesh() -> Non
     assert sphere(1.0).sha256 != sphere(1.0).with_albedo(AlbedoMap(values=np.ones((1, 1)))).sha256
 
 
-def test_a_map_gives_its_pixels_at_their_centres_and_is_linear_between_them() -> None:
+def test_a_map_gives_its_pixels_at_their_centers_and_is_linear_between_them() -> None:
     values = np.arange(12.0).reshape(3, 4)
     found = AlbedoMap(values=values)  # columns 90 deg wide from 0 deg east, rows 60 deg from the north pole
     for row, latitude in enumerate((60.0, 0.0, -60.0)):
@@ -143,7 +143,7 @@ def test_a_map_of_a_part_ends_at_its_edges_and_crosses_the_zero_meridian() -> No
         latitude_edges_rad=(np.radians(20.0), 0.0),
         outside=0.25,
     )
-    assert _on(found, -9.9, 10.0) == pytest.approx(2.0)  # flat beyond the last pixel centre
+    assert _on(found, -9.9, 10.0) == pytest.approx(2.0)  # flat beyond the last pixel center
     assert [_on(found, longitude, 10.0) for longitude in (0.0, 5.0, 19.9)] == pytest.approx([3.0, 4.0, 6.0])
     assert [_on(found, *place) for place in ((-10.1, 10.0), (20.1, 10.0), (5.0, 20.1), (5.0, -0.1))] == [0.25] * 4
 

@@ -124,9 +124,7 @@ def test_the_limb_of_a_mesh_is_the_vertex_outline_that_all_vertices_stay_within(
     order = np.argsort(clock)
     highest = np.interp(around, clock[order], _off_axis_rad(found.points_body_km, camera)[order], period=2 * np.pi)
     beyond = _off_axis_rad(mesh.vertices_km, camera) - highest
-    assert (
-        np.quantile(beyond, 0.999) < 0.01
-    )  # between neighbouring directions, 2 deg apart, the outline bulges a little
+    assert np.quantile(beyond, 0.999) < 0.01  # between neighboring directions, 2 deg apart, the outline bulges a little
     assert found.valid.all()
 
 

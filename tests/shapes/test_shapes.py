@@ -268,7 +268,7 @@ def test_a_geodesic_mesh_is_closed_and_approaches_its_ellipsoid_from_within(face
 
 
 @pytest.mark.parametrize("seed", [1, 2, 17])
-def test_a_generated_asteroid_is_star_shaped_closed_centred_and_elongated(seed: int) -> None:
+def test_a_generated_asteroid_is_star_shaped_closed_centerd_and_elongated(seed: int) -> None:
     body = irregular_body(seed, facets=20_000)
     corners = body.vertices_km[body.faces]
     outward = np.linalg.det(corners)

@@ -45,8 +45,8 @@ from giantlike.simulation.shot import SUN_MAGNITUDE_G, unexposed
 from giantlike.simulation.write import TRUTH_FILE
 from tests.simulated import ET, OBSERVER, shot_of, small_camera, small_catalog, sphere_scene
 
-SPHERE_FLUX = 2e-3  # relative: 5 x 5 rays a pixel on a disc of 60 px
-SPHERE_PHOTOCENTER_PX = 0.005  # 5 x 5 jittered rays a pixel on a disc of 60 px
+SPHERE_FLUX = 2e-3  # relative: 5 x 5 rays a pixel on a disk of 60 px
+SPHERE_PHOTOCENTER_PX = 0.005  # 5 x 5 jittered rays a pixel on a disk of 60 px
 NOISE_SIGMAS = 4.5  # passed by chance once in 150,000 times
 STELAB_RAD = 2e-8  # spiceypy's stelab is classical: (v/c)^2 at 30 km/s is 1e-8
 ET_ROUNDING_KM = 1e-5  # 30 km/s in 3e-7 s, what two roundings of an et of 7.6e8 s amount to
@@ -124,7 +124,7 @@ def test_a_psf_of_no_width_puts_all_light_into_one_pixel() -> None:
     assert frame[2, 3] == pytest.approx(7.0, abs=1e-12)
 
 
-def test_the_star_field_holds_every_catalogue_star_on_the_detector_and_no_other() -> None:
+def test_the_star_field_holds_every_catalog_star_on_the_detector_and_no_other() -> None:
     camera = demo_camera()
     attitude = Rotation.from_euler("xyz", [-60.0, 0.0, 20.0], degrees=True)
     ra, dec = 270.0, 30.0
@@ -172,8 +172,8 @@ def _dark_scene() -> Scene:
 
 
 @pytest.mark.parametrize("phase_deg", [0.0, 40.0, 90.0, 120.0])
-def test_a_lambert_sphere_has_the_light_and_the_photocentre_of_the_closed_form(phase_deg: float) -> None:
-    """Flux 2/3 Phi(a); photocentre (3 pi / 16) r sin a (1 + cos a) / (sin a + (pi - a) cos a) towards the Sun."""
+def test_a_lambert_sphere_has_the_light_and_the_photocenter_of_the_closed_form(phase_deg: float) -> None:
+    """Flux 2/3 Phi(a); photocenter (3 pi / 16) r sin a (1 + cos a) / (sin a + (pi - a) cos a) towards the Sun."""
     camera = small_camera(focal_px=60_000.0)  # far away: the closed form holds to radius over range, here 1 / 2000
     photometry = Photometry(zero_point_e_s=2e5, albedo=0.1, sun_distance_au=2.0)
     radius_km, range_km = 0.5, 1000.0
@@ -191,8 +191,8 @@ def test_a_lambert_sphere_has_the_light_and_the_photocentre_of_the_closed_form(p
     sun_e_s = photometry.zero_point_e_s * 10.0 ** (-0.4 * SUN_MAGNITUDE_G) / photometry.sun_distance_au**2
     expected = sun_e_s * exposure_s * (2.0 / 3.0) * photometry.albedo * (radius_km / range_km) ** 2 * law / np.pi
     shift = 3.0 * np.pi / 16.0 * 30.0 * np.sin(phase) * (1.0 + np.cos(phase)) / law
-    disc = slice(camera.columns // 2 - 34, camera.columns // 2 + 34)  # 30 px of radius: less read noise than the frame
-    light, columns = image[disc, disc], np.arange(camera.columns)[disc] - (camera.columns - 1) / 2
+    disk = slice(camera.columns // 2 - 34, camera.columns // 2 + 34)  # 30 px of radius: less read noise than the frame
+    light, columns = image[disk, disk], np.arange(camera.columns)[disk] - (camera.columns - 1) / 2
     variance_e2 = np.maximum(light, 0.0) + camera.detector.read_noise_e**2
     noise = float(np.sqrt(variance_e2.sum())) / expected
     assert noise < 5e-4

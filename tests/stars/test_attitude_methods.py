@@ -35,14 +35,14 @@ CAMERA = BrownModel(fx_px=3470.0, fy_px=3470.0, cx_px=1023.5, cy_px=1023.5, k1=-
 
 
 def _stars(rng: np.random.Generator, n: int, *, elongated: bool) -> tuple[Rotation, Float, Float, Float]:
-    """True attitude, catalogue directions (n, 3), measured places (n, 2) px and covariances (n, 2, 2) px^2."""
+    """True attitude, catalog directions (n, 3), measured places (n, 2) px and covariances (n, 2, 2) px^2."""
     attitude = Rotation.random(rng=rng)
     places = rng.uniform(0.0, 2047.0, (n, 2))
     sigma = rng.uniform(0.02, 0.3, n)
     roots = sigma[:, None, None] * np.eye(2)
     if elongated:
         roots = roots @ (np.eye(2) + 0.7 * rng.normal(size=(n, 2, 2)))
-    covariance = roots @ np.swapaxes(roots, 1, 2) + 1e-4 * np.eye(2)  # the catalogue's 0.01 px
+    covariance = roots @ np.swapaxes(roots, 1, 2) + 1e-4 * np.eye(2)  # the catalog's 0.01 px
     noise = (np.linalg.cholesky(covariance) @ rng.normal(size=(n, 2, 1)))[..., 0]
     return attitude, attitude.inv().apply(CAMERA.unproject(places)), places + noise, covariance
 
@@ -204,7 +204,7 @@ def test_light_is_bent_by_the_sun_where_the_options_ask_for_it(displaced: tuple[
     sun = -np.array([1.0, 0.0, 0.0])
     elongation = np.arccos(straight.directions_inertial @ sun)
     # 4.07 mas at 1 au and 90 degrees, with the cotangent of half the elongation; the Sun is within 0.01 au of the
-    # barycentre, and 1.5e8 km are 1.003 au.
+    # barycenter, and 1.5e8 km are 1.003 au.
     np.testing.assert_allclose(shift, 4.07e-3 / np.tan(elongation / 2), rtol=0.02)
 
 

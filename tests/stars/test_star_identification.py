@@ -1,4 +1,4 @@
-"""Star identification and attitude: simulated fields from the real catalogue, fields without stars, real frames."""
+"""Star identification and attitude: simulated fields from the real catalog, fields without stars, real frames."""
 
 from __future__ import annotations
 
@@ -266,7 +266,7 @@ def test_a_small_crowded_image_is_identified_from_a_good_or_a_poor_attitude(erro
 
 
 def test_attitude_errors_agree_with_their_covariance_about_every_axis(catalog: MemoryCatalog) -> None:
-    """From detections to fix, through identification, aberration, catalogue errors and all."""
+    """From detections to fix, through identification, aberration, catalog errors and all."""
     rng = np.random.default_rng(7)
     navigation = StarNavigation(CAMERA, catalog)
     squares, by_axis = np.empty(TRIALS), np.empty((TRIALS, 3))
@@ -297,7 +297,7 @@ def _fit_trial(
 
 
 @pytest.mark.parametrize(("n", "floor_px", "outliers"), [(4, 0.0, 0), (25, 0.0, 0), (25, 0.3, 0), (25, 0.0, 4)])
-def test_the_fit_stays_honest_with_few_stars_unmodelled_errors_and_outliers(
+def test_the_fit_stays_honest_with_few_stars_unmodeled_errors_and_outliers(
     n: int, floor_px: float, outliers: int
 ) -> None:
     rng = np.random.default_rng(8 + n)
@@ -419,7 +419,7 @@ def test_a_camera_of_another_focal_length_is_told_apart_from_no_stars(catalog: M
     assert abs(float(found[1]) / CAMERA.fov_deg - 1.0) < 1e-3  # 0.1 px of 512 over 20 stars, twice
 
 
-def test_a_mirrored_image_is_recognised(catalog: MemoryCatalog) -> None:
+def test_a_mirrored_image_is_recognized(catalog: MemoryCatalog) -> None:
     scene = _scene(np.random.default_rng(18), catalog)
     points = scene.detections.points_px * [-1.0, 1.0] + [1023.0, 0.0]
     mirrored = replace(scene.detections, points_px=points)
@@ -460,7 +460,7 @@ def test_crowded_points_in_a_crowded_field_are_not_identified(catalog: MemoryCat
 
 
 @pytest.mark.parametrize("apriori", [False, True])
-def test_fields_too_narrow_for_the_catalogue_are_refused_with_the_number_of_its_stars(
+def test_fields_too_narrow_for_the_catalog_are_refused_with_the_number_of_its_stars(
     catalog: MemoryCatalog, apriori: bool
 ) -> None:
     detections = _detections(
@@ -614,7 +614,7 @@ def test_an_image_of_another_size_than_the_camera_is_an_error(catalog: MemoryCat
         StarNavigation(CAMERA, catalog).solve(Image(pixels=np.zeros((10, 20))))
 
 
-def test_a_user_catalogue_serves_as_well(catalog: MemoryCatalog) -> None:
+def test_a_user_catalog_serves_as_well(catalog: MemoryCatalog) -> None:
     scene = _scene(np.random.default_rng(25), catalog, n_false=0)
     near: StarTable = scene.sky.field(CAMERA, scene.attitude).stars
     own = MemoryCatalog(near, name="own", band="user", version="1")
@@ -655,7 +655,7 @@ def test_options_out_of_range_are_refused(bad: dict[str, float]) -> None:
 # --- matching ----------------------------------------------------------------------------------------------------
 
 
-def test_nearest_neighbours_pair_both_ways_and_drop_the_ambiguous() -> None:
+def test_nearest_neighbors_pair_both_ways_and_drop_the_ambiguous() -> None:
     stars = np.array([[10.0, 10.0], [50.0, 50.0], [51.5, 50.0], [90.0, 90.0], [np.nan, np.nan]])
     points = np.array([[10.5, 10.0], [50.5, 50.0], [95.0, 95.0]])
     loose = match_nearest(stars, points, 3.0)
@@ -688,7 +688,7 @@ def test_false_match_probability_is_the_binomial_tail_times_the_trials() -> None
     assert np.isfinite(bound).all()
 
 
-def test_neighbours_of_equal_brightness_pull_a_centroid_half_way() -> None:
+def test_neighbors_of_equal_brightness_pull_a_centroid_half_way() -> None:
     places = np.array([[10.0, 10.0], [12.0, 10.0], [500.0, 500.0], [501.0, 500.0]])
     shift = confusion_px(places, np.array([5.0, 5.0, 5.0, 15.0]))
     np.testing.assert_allclose(shift[:2], 1.0, rtol=0, atol=1e-12)
@@ -712,7 +712,7 @@ def _solve_frame(data_dir: Path, row: dict[str, str], fov_deg: float, catalog: M
 
 
 def _center_error_deg(fix: AttitudeFix, row: dict[str, str]) -> float:
-    ra_deg, dec_deg, _ = pointing_deg(fix.camera_from_inertial, [0.0, 0.0, 1.0])  # principal point at the image centre
+    ra_deg, dec_deg, _ = pointing_deg(fix.camera_from_inertial, [0.0, 0.0, 1.0])  # principal point at the image center
     cosine = direction_from_radec(ra_deg, dec_deg) @ direction_from_radec(float(row["ra_deg"]), float(row["dec_deg"]))
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 

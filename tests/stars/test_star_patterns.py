@@ -37,7 +37,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def catalog() -> MemoryCatalog:
-    """The bright stars of the default catalogue: enough for wide fields, and quick to index."""
+    """The bright stars of the default catalog: enough for wide fields, and quick to index."""
     table: StarTable = load_catalog("default").cone([0.0, 0.0, 1.0], np.pi, max_magnitude=7.5)
     return MemoryCatalog(table, name="bright", band="Gaia G", version="test")
 
@@ -190,8 +190,8 @@ def test_a_fisheye_of_180_degrees_is_found(catalog: MemoryCatalog) -> None:
     assert _right(outcome, attitude, camera)
 
 
-def test_an_attitude_wrong_by_3_degrees_is_enough_for_a_deep_catalogue_of_a_small_field() -> None:
-    """A field of half a degree, and a user's catalogue of that part of the sky."""
+def test_an_attitude_wrong_by_3_degrees_is_enough_for_a_deep_catalog_of_a_small_field() -> None:
+    """A field of half a degree, and a user's catalog of that part of the sky."""
     rng = np.random.default_rng(10)
     axis = np.array([0.48, -0.6, 0.64])
     offsets = rng.uniform(-0.08, 0.08, (20_000, 3))

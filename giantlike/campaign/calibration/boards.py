@@ -10,8 +10,8 @@ from giantlike.calibration import board_observations, calibrate
 from giantlike.calibration.boards import CORNER_SIGMA_PX
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.camera import Camera
-from giantlike.campaign.calibration.solve import RESULT_FILE, CampaignCalibration, calibrated_camera, write_calibration
 from giantlike.campaign.calibration.report import write_calibration_report
+from giantlike.campaign.calibration.solve import RESULT_FILE, CampaignCalibration, calibrated_camera, write_calibration
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Failure, Reason

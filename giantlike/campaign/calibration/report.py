@@ -33,7 +33,7 @@ _MAX_REJECTED = 200
 _TRENDS = {
     "image": "image",
     "magnitude": "magnitude",
-    "radius_px": "distance from centre, px",
+    "radius_px": "distance from center, px",
     "temperature_c": "temperature, C",
 }
 _MEANING = {

@@ -71,7 +71,7 @@ class SpiceSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarsSetup:
-    """Star processing: catalogue name or path, options, and how star images serve the others (with which rates)."""
+    """Star processing: catalog name or path, options, and how star images serve the others (with which rates)."""
 
     catalog: str
     options: StarOptions

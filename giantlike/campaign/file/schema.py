@@ -43,11 +43,11 @@ class SpiceSection(Section):
 
 
 class StarsSection(Section):
-    """``[stars]``: catalogue, identification, and how star images serve the others.
+    """``[stars]``: catalog, identification, and how star images serve the others.
 
     ``options`` takes any option of :class:`giantlike.stars.StarOptions` that has no key of its own here,
-    ``detection`` any of :class:`giantlike.processing.detection.detect.DetectionOptions`. ``rates`` is a table of angular rates
-    for ``transfer = "propagate"`` (:func:`giantlike.stars.rates.read_rates`).
+    ``detection`` any of :class:`giantlike.processing.detection.detect.DetectionOptions`. ``rates`` is a table of
+    angular rates for ``transfer = "propagate"`` (:func:`giantlike.stars.rates.read_rates`).
     """
 
     catalog: str = "default"

@@ -25,6 +25,7 @@ from giantlike.campaign.file.config import (
     with_units_decided,
 )
 from giantlike.campaign.file.options import options_from_mapping
+from giantlike.campaign.file.toml_file import read_toml
 from giantlike.campaign.render.schema import (
     DetectorSection,
     ImageSection,
@@ -32,7 +33,6 @@ from giantlike.campaign.render.schema import (
     RenderFile,
     RenderTargetSection,
 )
-from giantlike.campaign.file.toml_file import read_toml
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
@@ -124,7 +124,7 @@ class RenderPlan:
     exposures : tuple of Exposure
     detector : DetectorModel
     catalog : str or None
-        Name or path of the catalogue; None: no stars.
+        Name or path of the catalog; None: no stars.
     spice : SpiceSetup or None
     warnings : tuple of str
         What is odd but no mistake.

@@ -33,7 +33,7 @@ class RenderedImage:
     ----------
     path : Path
     targets : dict of str to list of float
-        Pixel (x, y) of the centre of each target in view.
+        Pixel (x, y) of the center of each target in view.
     stars : int
         In view.
     peak_dn, background_dn : float

@@ -53,7 +53,7 @@ class PhotometrySection(SceneSection):
 
 
 class SkySection(SceneSection):
-    """``[stars]``: the catalogue, and its faintest star that is drawn."""
+    """``[stars]``: the catalog, and its faintest star that is drawn."""
 
     catalog: str = "default"
     max_magnitude: float | None = None
@@ -109,7 +109,7 @@ class RenderTargetSection(PlaceSection):
 
 
 class ObserverSection(SceneSection):
-    """``observer``: the spacecraft with respect to the solar system barycentre, for parallax and aberration."""
+    """``observer``: the spacecraft with respect to the solar system barycenter, for parallax and aberration."""
 
     position_km: Vector
     velocity_km_s: Vector

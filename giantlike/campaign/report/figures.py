@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.store.observables import rotation_of
+from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, TargetView
 from giantlike.campaign.store.results import RunResult
-from giantlike.campaign.store.parts import RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.errors import OpNavError
 from giantlike.core.frames import rotation_between
@@ -74,7 +74,7 @@ def body_figures(result: RunResult) -> list[dict[str, Any]]:
         offsets = [_offsets(list(records.values()), name, at) for name, records in by_estimator.items()]
         figure = series_figure(offsets, _BODY_PANELS, label, f"{target}: observed minus predicted")
         caption = (
-            f"{target}: measured centre (and range, where it is measured) against the a priori geometry, with one-sigma"
+            f"{target}: measured center (and range, where it is measured) against the a priori geometry, with one-sigma"
             " bars of the measurement; hollow: suspect. What all estimators share is the error of the a priori."
         )
         figures.append({"caption": caption, "svg": svg_text(figure, f"target {target}")})
@@ -92,7 +92,7 @@ def body_figures(result: RunResult) -> list[dict[str, Any]]:
 
 
 def center_colors(result: RunResult) -> dict[str, str]:
-    """Colours of the centres that estimators found."""
+    """Colors of the centers that estimators found."""
     names = dict.fromkeys(record.estimator for record in result.observations if record.center_px is not None)
     return {name: CENTERS[number % len(CENTERS)] for number, name in enumerate(names)}
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
 from giantlike.campaign.report.page import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
-from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
 from giantlike.campaign.store.results import RunResult
 from giantlike.core.outcomes import Quality
 from giantlike.core.units import ARCSEC_PER_RAD

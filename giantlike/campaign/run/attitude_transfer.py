@@ -20,7 +20,7 @@ _NOT_FOUND = {"attitude": None, "ra_deg": None, "dec_deg": None, "roll_deg": Non
 
 
 def carry_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
-    """Give the short exposures of a campaign the attitudes of their neighbours in time.
+    """Give the short exposures of a campaign the attitudes of their neighbors in time.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def carry_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> li
     for record in records:
         if record.readable and not record.star_image:
             after = 0 if record.et is None else bisect.bisect_right(times, record.et)
-            neighbours = donors[max(after - 1, 0) : after + 1]
-            carried.append(_carried(campaign, record, neighbours, options, rates))
+            neighbors = donors[max(after - 1, 0) : after + 1]
+            carried.append(_carried(campaign, record, neighbors, options, rates))
         else:
             carried.append(record)
     return carried
@@ -86,7 +86,7 @@ def _carried(
     rates: AngularRates | None,
 ) -> AttitudeRecord:
     if record.et is None:
-        problem = Problem(reason=Reason.NO_EPOCH, detail=f"{record.file}: no epoch, so it has no neighbours in time")
+        problem = Problem(reason=Reason.NO_EPOCH, detail=f"{record.file}: no epoch, so it has no neighbors in time")
         return record.model_copy(update=_NOT_FOUND | {"transferred": True, "status": "failed", "problem": problem})
     stars = [star for _, star in donors]
     outcome = transfer_attitude(record.et, stars, apriori=_apriori(record), rates=rates, options=options)

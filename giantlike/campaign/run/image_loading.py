@@ -115,7 +115,7 @@ def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
 class _SpiceGeometry:
     """A target, the Sun and the spacecraft, all from SPICE.
 
-    Positions count from the barycentre of the Solar System or, where kernels do not link spacecraft and target to
+    Positions count from the barycenter of the Solar System or, where kernels do not link spacecraft and target to
     it, from the target itself (``relative``). Then light time and aberration rest on the velocity of the spacecraft
     relative to the target, which is right to first order: the target's own motion shifts it by light time one way
     and by aberration the other way. What is left is its acceleration during the light time, and v^2/c^2.
@@ -127,7 +127,7 @@ class _SpiceGeometry:
 
     @classmethod
     def at(cls, spacecraft: str, target: TargetSetup, et: float | None) -> _SpiceGeometry:
-        """Choose where to count from; stays with the barycentre when the kernels tell nothing at all."""
+        """Choose where to count from; stays with the barycenter when the kernels tell nothing at all."""
         if et is None:
             return cls(spacecraft, target, relative=False)
         linked = all(_has_state(body, et, BARYCENTER) for body in (spacecraft, target.spice_body))

@@ -11,29 +11,18 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from giantlike.camera import Camera
+from giantlike.campaign.calibration.report import write_calibration_report
 from giantlike.campaign.calibration.solve import (
     CampaignCalibration,
     calibrate_campaign,
     calibration_summary,
     write_calibration,
 )
-from giantlike.campaign.calibration.report import write_calibration_report
-from giantlike.campaign.run.attitude_transfer import attitude_to_use, carry_attitudes
 from giantlike.campaign.file.config import CalibrationSetup, Campaign, ImageEntry
-from giantlike.campaign.run.pool import WorkerPool
-from giantlike.campaign.run.image_loading import targets_in
-from giantlike.campaign.store.provenance import environment_of, inputs_of
-from giantlike.campaign.store.records import (
-    AttitudeRecord,
-    CalibrationRecord,
-    ObservationRecord,
-    ObservationsRecord,
-    Problem,
-)
 from giantlike.campaign.report.report import write_report
-from giantlike.campaign.store.results import RunResult
-from giantlike.campaign.store.parts import AnyRecord, Record, RunFolder, stamp_of
-from giantlike.campaign.store.tables import write_tables
+from giantlike.campaign.run.attitude_transfer import attitude_to_use, carry_attitudes
+from giantlike.campaign.run.image_loading import targets_in
+from giantlike.campaign.run.pool import WorkerPool
 from giantlike.campaign.run.worker import (
     BodyJob,
     Workbench,
@@ -43,6 +32,17 @@ from giantlike.campaign.run.worker import (
     find_first_stars,
     solve_image,
 )
+from giantlike.campaign.store.parts import AnyRecord, Record, RunFolder, stamp_of
+from giantlike.campaign.store.provenance import environment_of, inputs_of
+from giantlike.campaign.store.records import (
+    AttitudeRecord,
+    CalibrationRecord,
+    ObservationRecord,
+    ObservationsRecord,
+    Problem,
+)
+from giantlike.campaign.store.results import RunResult
+from giantlike.campaign.store.tables import write_tables
 from giantlike.core.outcomes import Reason
 
 Progress: TypeAlias = Callable[[str, int, int], None]
@@ -87,7 +87,7 @@ def run_campaign(
     InputError
         The run folder holds another run.
     DataError
-        A kernel, shape or catalogue is damaged, or the run folder cannot be written.
+        A kernel, shape or catalog is damaged, or the run folder cannot be written.
     """
     start = time.perf_counter()
     bench = Workbench.load(campaign)

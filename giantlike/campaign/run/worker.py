@@ -17,6 +17,7 @@ from giantlike.calibration import identify_first
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import NO_STAR_IMAGE, record_of_stars, temperature_of
 from giantlike.campaign.file.config import Campaign, ImageEntry, TargetSetup
+from giantlike.campaign.run.image_loading import PreparedImage, open_image, scene_of, targets_in
 from giantlike.campaign.store.observables import (
     attitude_fields,
     attitude_value,
@@ -26,7 +27,6 @@ from giantlike.campaign.store.observables import (
     rows,
     status_of,
 )
-from giantlike.campaign.run.image_loading import PreparedImage, open_image, scene_of, targets_in
 from giantlike.campaign.store.records import (
     Attitude,
     AttitudeRecord,
@@ -79,7 +79,7 @@ class Workbench:
 
     @classmethod
     def load(cls, campaign: Campaign) -> Workbench:
-        """Load catalogue, shapes and kernels.
+        """Load catalog, shapes and kernels.
 
         Raises
         ------
@@ -374,7 +374,7 @@ def _observed(
 
 
 def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
-    """Predicted outline of a target, None where its centre cannot be imaged."""
+    """Predicted outline of a target, None where its center cannot be imaged."""
     model = campaign.camera.model
     predicted_px = model.project(geometry.position_camera_km)
     if not np.isfinite(predicted_px).all():

@@ -44,7 +44,7 @@ def rotation_of(attitude: Attitude) -> Rotation:
 
 
 def attitude_fields(camera: Camera, attitude: Attitude) -> dict[str, Any]:
-    """Fields of an attitude record with this attitude: pointing of the image centre, field of view, status."""
+    """Fields of an attitude record with this attitude: pointing of the image center, field of view, status."""
     center = camera.model.unproject(camera.center_px)
     fields = {"status": "ok", "attitude": attitude, "fov_deg": camera.fov_deg}
     try:
@@ -70,7 +70,7 @@ def fix_fields(camera: Camera, geometry: TargetGeometry, attitude: Attitude | No
     Notes
     -----
     With ``J`` the derivative of the projection at ``p`` and ``e`` the small rotation about the camera axes by which
-    the attitude is off, the centre moves by ``J (e x p) = -J [p]x e``; the position in inertial axes
+    the attitude is off, the center moves by ``J (e x p) = -J [p]x e``; the position in inertial axes
     ``R^T p`` moves by ``R^T [p]x e``.
     """
     fields: dict[str, Any] = {

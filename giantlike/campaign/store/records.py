@@ -74,7 +74,7 @@ class AttitudeRecord(_Record):
     star_image, body_image : bool
         Whether its own stars were to be solved, and whether estimators run on it.
     transferred : bool
-        Whether the attitude was looked for in its neighbours.
+        Whether the attitude was looked for in its neighbors.
     status, problem : outcome of the attitude
     apriori_xyzw : a priori ``camera_from_inertial``, where known
     attitude : Attitude, optional
@@ -159,7 +159,7 @@ class ObservationRecord(_Record):
 
     Covariances are of the image measurement alone, but for ``covariance_with_attitude_px2`` and
     ``covariance_inertial_km2``: these hold the uncertainty of the attitude as well, and are absent where it is
-    unknown. The partials are those of the centre in the image with respect to the apparent vector from camera to
+    unknown. The partials are those of the center in the image with respect to the apparent vector from camera to
     body (inertial axes, px/km) and to the small rotation about the camera axes (px/rad), each 2 x 3.
     """
 
@@ -194,7 +194,7 @@ class ObservationRecord(_Record):
 
 
 class TargetView(_Record):
-    """Where a target was expected, for overlays: predicted centre and outline, px; ``lit`` marks lit points."""
+    """Where a target was expected, for overlays: predicted center and outline, px; ``lit`` marks lit points."""
 
     target: str
     predicted_px: Vector

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from giantlike.campaign.calibration.solve import RESULT_FILE
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
 from giantlike.campaign.store.parts import RunFolder
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
 from giantlike.core.errors import DataError
 
 

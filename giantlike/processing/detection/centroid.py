@@ -9,10 +9,10 @@ Gauss-Newton with weights :math:`1 / (\mathrm{noise}^2 + F P_x P_y / \mathrm{gai
 step. Saturated pixels are lower bounds: they pull only while the model is below them.
 
 The covariance is the inverse of the Fisher information (background noise, shot noise, the pixels really used) times
-two factors. The first, :math:`1 + 3 \mathrm{var}(F) / F^2`, is what the linearisation leaves out; it matters below a
+two factors. The first, :math:`1 + 3 \mathrm{var}(F) / F^2`, is what the linearization leaves out; it matters below a
 signal to noise ratio of 20. The second is the reduced chi-square of the residuals where that is above
 :math:`1 + 4 \sqrt{2 / \mathrm{dof}}`, more than noise explains: the star is then not the model (a real PSF, an
-unseen neighbour, a wrong gain), and the noise is not the error. Correlation between blended stars is not modelled.
+unseen neighbor, a wrong gain), and the noise is not the error. Correlation between blended stars is not modeled.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _CONVERGED_SIGMAS = 0.02
 _NONLINEAR = [0, 1, 4]  # x, y, ln sigma: the model is linear in the others
 _LOG_WIDTH_LIMIT = math.log(4.0)
 _MAX_SHIFT_WIDTHS = 0.5
-_NEIGHBOUR_ROUNDS = 3
+_NEIGHBOR_ROUNDS = 3
 _CHI2_SIGMAS = 4.0
 _SECOND_ORDER = 3.0  # by Monte Carlo, sigma 0.5 to 2.5 px, background and shot noise: between 1 and 5
 
@@ -67,7 +67,7 @@ class Patches:
 
     @property
     def reach_px(self) -> float:
-        """Distance within which a neighbour's light falls into a patch, px."""
+        """Distance within which a neighbor's light falls into a patch, px."""
         return 1.5 * self.half_px + 1.0
 
     def select(self, which: NDArray[np.integer]) -> Patches:
@@ -187,7 +187,7 @@ def fit_stars(
     width_prior : float
         Standard deviation of the prior on ln sigma: it keeps faint fits in bounds and does not touch bright ones.
     isolated : bool
-        True to ignore neighbours; by default close stars are fitted again with the fitted neighbours subtracted.
+        True to ignore neighbors; by default close stars are fitted again with the fitted neighbors subtracted.
 
     Returns
     -------
@@ -206,35 +206,35 @@ def fit_stars(
     start[:, 4] = math.log(psf)
     problem = _Problem(patches, noise_dn, psf, gain_e_per_dn, width_prior)
     parameters, good = problem.solve(start)
-    pairs = neighbour_pairs(start[:, :2], patches.reach_px)
-    for _ in range(0 if isolated else _NEIGHBOUR_ROUNDS):
-        near = pairs[good[pairs[:, 1]]]  # a fit that ran away must not be subtracted from its neighbours
+    pairs = neighbor_pairs(start[:, :2], patches.reach_px)
+    for _ in range(0 if isolated else _NEIGHBOR_ROUNDS):
+        near = pairs[good[pairs[:, 1]]]  # a fit that ran away must not be subtracted from its neighbors
         if not len(near):
             break
         blended = np.unique(near[:, 0])
-        problem = _Problem(without_neighbours(patches, parameters, near), noise_dn, psf, gain_e_per_dn, width_prior)
+        problem = _Problem(without_neighbors(patches, parameters, near), noise_dn, psf, gain_e_per_dn, width_prior)
         parameters[blended], good[blended] = problem.select(blended).solve(
             np.where(good[blended, None], parameters[blended], start[blended])
         )
     return problem.finish(parameters, good)
 
 
-def neighbour_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
+def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
     """Ordered pairs (m, 2), each both ways, of points closer than ``reach_px``."""
     pairs = cKDTree(points_px).query_pairs(reach_px, output_type="ndarray").astype(np.int64).reshape(-1, 2)
     return np.concatenate([pairs, pairs[:, ::-1]])
 
 
-def without_neighbours(patches: Patches, parameters: Float, pairs: NDArray[np.int64]) -> Patches:
+def without_neighbors(patches: Patches, parameters: Float, pairs: NDArray[np.int64]) -> Patches:
     """Subtract from each patch the fitted stars that it is paired with."""
-    of, neighbour = pairs.T
+    of, neighbor = pairs.T
     share_x, share_y = (
-        pixel_shares(patches.corner_px[of, k], patches.values_dn.shape[1], parameters[neighbour, k],
-                      np.exp(parameters[neighbour, 4]))[0]
+        pixel_shares(patches.corner_px[of, k], patches.values_dn.shape[1], parameters[neighbor, k],
+                      np.exp(parameters[neighbor, 4]))[0]
         for k in (0, 1)
     )  # fmt: skip
     values = patches.values_dn.copy()
-    np.subtract.at(values, of, parameters[neighbour, 2, None, None] * share_y[:, :, None] * share_x[:, None, :])
+    np.subtract.at(values, of, parameters[neighbor, 2, None, None] * share_y[:, :, None] * share_x[:, None, :])
     return Patches(values_dn=values, valid=patches.valid, saturated=patches.saturated, corner_px=patches.corner_px)
 
 
@@ -286,7 +286,7 @@ class _Problem:
             if not active.size:
                 break
             now = parameters[active]
-            normal, right, chi2, count = problem.linearise(now)
+            normal, right, chi2, count = problem.linearize(now)
             covariance = np.linalg.inv(normal)
             step = problem.limited(now, (covariance @ right[:, :, None])[:, :, 0])
             # A step back is a step too far: undersampled stars overshoot for ever at full length.
@@ -304,7 +304,7 @@ class _Problem:
         good[active] = False
         return parameters, good
 
-    def linearise(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
+    def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
         """Normal matrices (n, 5, 5), right sides (n, 5), chi-squares (n,) and numbers of pixels (n,)."""
         patches = self.patches
         n, size = patches.values_dn.shape[:2]
@@ -340,7 +340,7 @@ class _Problem:
         return normal, right, chi2, used.reshape(n, -1).sum(axis=1)
 
     def limited(self, parameters: Float, step: Float) -> Float:
-        """Shorten steps that leave the region where the linearisation means something."""
+        """Shorten steps that leave the region where the linearization means something."""
         reach = 0.7 * np.exp(parameters[:, 4]) + 0.2
         length = np.hypot(step[:, 0], step[:, 1])
         result = step.copy()
@@ -355,7 +355,7 @@ class _Problem:
 
     def finish(self, parameters: Float, good: NDArray[np.bool_]) -> StarFits:
         """Covariances and quality of the solution."""
-        normal, _, chi2, count = self.linearise(parameters)
+        normal, _, chi2, count = self.linearize(parameters)
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         freedom = np.maximum(count - 5, 1)
         reduced = chi2 / freedom

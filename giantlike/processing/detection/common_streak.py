@@ -1,4 +1,4 @@
-"""Streaks that all stars of an image share: recognised, and measured one by one.
+"""Streaks that all stars of an image share: recognized, and measured one by one.
 
 A camera that turns during the exposure draws every star into a line of one direction and length. Bright elongated
 sources are fitted as lines; where most of them agree, that line is what the image is filtered for.
@@ -22,7 +22,7 @@ _LOOKED_AT = 24
 _LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6
 _AGREE_RELATIVE, _AGREE_PX = 0.15, 0.7
 _SHORTEST_PX, _SHORTEST_WIDTHS = 2.5, 2.5
-_HALF_PATCH_PX = 32  # streaks up to about twice this are recognised
+_HALF_PATCH_PX = 32  # streaks up to about twice this are recognized
 _QUICK_HALF_PX = 5
 _POWER_SIGMAS = 5.0
 _QUICK_LONG = 0.55  # of the longest axis: points of up to 1 px give 0.5 and less

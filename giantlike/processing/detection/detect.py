@@ -30,12 +30,23 @@ from giantlike.processing.detection.centroid import (
     StarFits,
     cut_patches,
     fit_stars,
-    neighbour_pairs,
+    neighbor_pairs,
 )
-from giantlike.processing.detection.common_streak import CommonStreak, find_common_streak, measure_streaks, unexplained_power
+from giantlike.processing.detection.common_streak import (
+    CommonStreak,
+    find_common_streak,
+    measure_streaks,
+    unexplained_power,
+)
 from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.processing.detection.frame import Frame, frame_of
-from giantlike.processing.detection.matched_filter import FilteredImage, Image32, matched_filter, noise_between, recorded_width_px
+from giantlike.processing.detection.matched_filter import (
+    FilteredImage,
+    Image32,
+    matched_filter,
+    noise_between,
+    recorded_width_px,
+)
 from giantlike.processing.detection.noise import NoiseSource, Region
 from giantlike.processing.detection.particles import CORE_WIDTHS, core_of, find_few_pixels
 from giantlike.processing.detection.streak import line_shares
@@ -295,7 +306,7 @@ def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions
 
 
 def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether each of the pixels (n, 2) tops its eight neighbours; of equal ones the first in reading order does."""
+    """Whether each of the pixels (n, 2) tops its eight neighbors; of equal ones the first in reading order does."""
     rows, columns = response.shape
     x, y = points_px.T
     value = response[y, x]
@@ -473,7 +484,7 @@ def _flags(
     )
     sharp = (few.not_star | (fits.width_px < _SHARP_WIDTH * usual)) & (usual >= _SHARP_MIN_PSF_PX) & ~saturated
     blended = np.zeros(len(points_px), dtype=bool)
-    blended[neighbour_pairs(points_px, patches.reach_px)[:, 0]] = True
+    blended[neighbor_pairs(points_px, patches.reach_px)[:, 0]] = True
     result = np.zeros(len(points_px), dtype=np.uint16)
     for flag, which in (
         (DetectionFlag.SATURATED, saturated),

@@ -15,7 +15,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.detection.matched_filter import Image32
 from giantlike.processing.detection.noise import NoiseSource, Region, predicted_noise_dn
 
-_QUANTISATION_DN = 1.0 / math.sqrt(12.0)
+_QUANTIZATION_DN = 1.0 / math.sqrt(12.0)
 _FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in single precision
 
 
@@ -88,7 +88,7 @@ def frame_of(
         flat=np.subtract(array, np.median(sample), dtype=np.float32),
         saturation_dn=saturation,
         gain_e_per_dn=detector.gain_e_per_dn,
-        noise_floor_dn=_QUANTISATION_DN if whole else _FLOAT_FLOOR * (high - low),
+        noise_floor_dn=_QUANTIZATION_DN if whole else _FLOAT_FLOOR * (high - low),
         noise_dn=None
         if noise is NoiseSource.LOCAL
         else predicted_noise_dn(array, masked, source=noise, detector=detector, covered=covered),

@@ -165,7 +165,7 @@ def _filled(image: Image32, bad: NDArray[np.bool_], box: tuple[int, int]) -> Ima
 class NoiseGrid:
     """Coarse grid of boxes, and the pixels of each that are looked at.
 
-    Only every ``step``-th pixel is: the filter has made neighbours alike, they would add time and no knowledge.
+    Only every ``step``-th pixel is: the filter has made neighbors alike, they would add time and no knowledge.
     """
 
     shape: tuple[int, int]

@@ -1,9 +1,9 @@
 r"""Light of a point that moved during the exposure: a line as wide as the point spread function.
 
 The model of a pixel is :math:`b + \frac{F}{2} \int_{-1}^{1} P_x(x + t h_x)\,P_y(y + t h_y)\,dt` with the pixel shares
-:math:`P` of a round Gaussian (:mod:`giantlike.processing.detection.centroid`) and half the streak :math:`(h_x, h_y)`: a source of
-constant brightness that moves evenly, blurred and then integrated over the pixels. The middle (x, y) is where the
-source was at mid-exposure. The integral is a Gauss-Legendre sum, exact to 1e-6 of the flux.
+:math:`P` of a round Gaussian (:mod:`giantlike.processing.detection.centroid`) and half the streak
+:math:`(h_x, h_y)`: a source of constant brightness that moves evenly, blurred and then integrated over the pixels. The
+middle (x, y) is where the source was at mid-exposure. The integral is a Gauss-Legendre sum, exact to 1e-6 of the flux.
 
 Unknown per source: x, y, h_x, h_y, F, b. The width is that of the point spread function and given. Levenberg-Marquardt
 with weights :math:`1 / (\mathrm{noise}^2 + \mathrm{light} / \mathrm{gain})` from the model, renewed at every step; the
@@ -178,7 +178,7 @@ class _Problem:
     def select(self, which: NDArray[np.integer]) -> _Problem:
         return _Problem(self.patches.select(which), self.noise_dn[which], self.sigma_px, self.gain_e_per_dn)
 
-    def linearise(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
+    def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
         """Normal matrices (n, 6, 6), right sides (n, 6), chi-squares (n,) and numbers of pixels (n,)."""
         patches, n = self.patches, len(parameters)
         flux = parameters[:, 4, None, None]
@@ -203,7 +203,7 @@ class _Problem:
         best = start.copy()
         damping = np.full(len(start), _DAMPING_START)
         active = np.arange(len(start))
-        normal, right, cost, _ = self.linearise(best)
+        normal, right, cost, _ = self.linearize(best)
         for _ in range(_MAX_STEPS):
             if not active.size:
                 break
@@ -213,7 +213,7 @@ class _Problem:
             step = np.linalg.solve(damped, right[active, :, None])[:, :, 0]
             trial = best[active] + step
             trial[:, 4] = np.maximum(trial[:, 4], 0.1 * best[active, 4])
-            t_normal, t_right, t_cost, _ = self.select(active).linearise(trial)
+            t_normal, t_right, t_cost, _ = self.select(active).linearize(trial)
             better = np.isfinite(t_cost) & (t_cost <= cost[active])
             settled = (np.einsum("ni,ni->n", step, right[active]) < _SETTLED) & (better | (damping[active] > 1.0))
             taken = active[better]
@@ -228,7 +228,7 @@ class _Problem:
 
     def finish(self, parameters: Float, good: NDArray[np.bool_]) -> LineFits:
         """Covariances and quality of the solution."""
-        normal, _, _, count = self.linearise(parameters)
+        normal, _, _, count = self.linearize(parameters)
         shares, _ = line_shares(self.patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
         light = parameters[:, 4, None, None] * shares
         model = parameters[:, 5, None, None] + light

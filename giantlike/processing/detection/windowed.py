@@ -61,7 +61,7 @@ def windowed_centroid(
 
     Notes
     -----
-    The fixed point of ``x += 2 sum(w I (u - x)) / sum(w I)``, where ``w`` is the Gaussian centred at ``x`` and ``u``
+    The fixed point of ``x += 2 sum(w I (u - x)) / sum(w I)``, where ``w`` is the Gaussian centerd at ``x`` and ``u``
     the pixel: the windowed position of E. Bertin's SExtractor. Its covariance follows from the implicit function
     theorem: with ``g_i = w_i (u_i - x)`` and ``A = sum I_i w_i (1 - (u_i - x)(u_i - x)^T / s^2)``, a change ``d I_i``
     of a pixel moves ``x`` by ``A^-1 g_i d I_i``.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, as_floats, require
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.processing.correlated_fit import correlated_solution, generalised_solution
+from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 
 MIN_POINTS = 6
 _LEAST_CORRELATED = 8
@@ -46,7 +46,7 @@ class ConicFit:
 
     @property
     def ellipse(self) -> Float:
-        """Centre x and y, semi-major and semi-minor axis (5th: angle, rad, from +x to the major axis): (5,)."""
+        """Center x and y, semi-major and semi-minor axis (5th: angle, rad, from +x to the major axis): (5,)."""
         return ellipse_of(self.coefficients)
 
     @property
@@ -161,14 +161,14 @@ def conic_matrix(coefficients: Float) -> Float:
 
 
 def ellipse_center(coefficients: Float) -> Float:
-    """Centre (2,) of a conic A to F (6,)."""
+    """Center (2,) of a conic A to F (6,)."""
     a, b, c, d, e, _ = coefficients
     result: Float = -np.linalg.solve(np.array([[a, b], [b, c]]), np.array([d, e]))
     return result
 
 
 def ellipse_of(coefficients: Float) -> Float:
-    """Centre x, y, semi-major, semi-minor axis and angle of the major axis in rad, (5,), of an ellipse A to F (6,)."""
+    """Center x, y, semi-major, semi-minor axis and angle of the major axis in rad, (5,), of an ellipse A to F (6,)."""
     a, b, c, _, _, _ = coefficients
     center = ellipse_center(coefficients)
     level = float(_value(center[None], coefficients)[0])
@@ -244,12 +244,12 @@ def _statistics(
             residuals[order], design[order], sigma[order], points[order], min_length=correlation_length / scale
         )
         scatter = fit.residual_covariance(sigma, points)
-    covariance = generalised_solution(residuals, design, scatter, weights=1.0 / sigma**2)[1]
+    covariance = generalized_solution(residuals, design, scatter, weights=1.0 / sigma**2)[1]
     return residuals, across @ covariance @ across.T
 
 
 def _along(points: Float, center: Float) -> NDArray[np.intp]:
-    """Order (n,) of points around a centre, starting opposite to where most of them are."""
+    """Order (n,) of points around a center, starting opposite to where most of them are."""
     radial = points - center
     angles = np.arctan2(radial[:, 1], radial[:, 0])
     middle = np.arctan2(np.sin(angles).sum(), np.cos(angles).sum())

@@ -1,6 +1,6 @@
 r"""Wahba's problem: the rotation that best takes one set of directions to another.
 
-Three methods for one problem. Davenport's q-method: the unit quaternion that maximises :math:`q^T K q` is the
+Three methods for one problem. Davenport's q-method: the unit quaternion that maximizes :math:`q^T K q` is the
 eigenvector of the largest eigenvalue of the symmetric 4x4 matrix K. The singular value decomposition: the rotation
 nearest to the profile matrix B, the weighted sum of the outer products. The Euler axis by cross products (ESOQ2): the
 largest eigenvalue from the characteristic polynomial of K, then axis and angle in closed form.
@@ -24,7 +24,7 @@ _NEWTON_STEPS = 30
 
 
 class WahbaMethod(StrEnum):
-    """How Wahba's problem is solved; all methods minimise the same sum."""
+    """How Wahba's problem is solved; all methods minimize the same sum."""
 
     Q_METHOD = "q_method"
     """Eigenvector of Davenport's matrix: the most robust."""
@@ -43,7 +43,7 @@ def solve_wahba(
 ) -> tuple[Rotation, Float] | Failure:
     r"""Attitude from pairs of directions, each weighted by its inverse variance.
 
-    Minimises :math:`\frac12\sum_i \sigma_i^{-2} \|b_i - T a_i\|^2` over rotations T.
+    Minimizes :math:`\frac12\sum_i \sigma_i^{-2} \|b_i - T a_i\|^2` over rotations T.
 
     Parameters
     ----------

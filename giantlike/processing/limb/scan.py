@@ -60,7 +60,7 @@ class Scans:
 
     @property
     def step_px(self) -> float:
-        """Distance between neighbouring places, px."""
+        """Distance between neighboring places, px."""
         return float(self.offsets_px[1] - self.offsets_px[0])
 
 
@@ -81,7 +81,7 @@ class ProfileMatch:
     gain_dn : (n,) float64, DN
         Brightness of the image over that of the expected profile.
     correlation : (n,) float64
-        Normalised correlation at the best shift.
+        Normalized correlation at the best shift.
     unexplained : (n,) float64
         Root mean square of what the match leaves, over the height of the profile in the image.
     at_border : (n,) bool
@@ -172,7 +172,7 @@ def match_profiles(
 
     Notes
     -----
-    The best multiple of the step is that of the highest normalised correlation; a least-squares fit of
+    The best multiple of the step is that of the highest normalized correlation; a least-squares fit of
     ``gain (1 + slope u) expected(u - shift) + offset`` then gives the rest, in three linear steps. How far slopes are
     from nothing is learnt from all lines together. Shift and noise are those of the weighted fit, the noise with the
     correlation that sampling by a B-spline puts into it.
@@ -253,7 +253,7 @@ def _at(mask: Mask, places_px: Float) -> Mask:
 
 
 def _correlations(windows: Float, profile: Float) -> Float:
-    """Normalised correlation (n, lags) of windows (n, lags, w) with profiles (n, w); 0 where one is flat."""
+    """Normalized correlation (n, lags) of windows (n, lags, w) with profiles (n, w); 0 where one is flat."""
     target = profile - profile.mean(axis=1, keepdims=True)
     target = target / np.maximum(np.linalg.norm(target, axis=1, keepdims=True), 1e-300)
     total, square = windows.sum(axis=2), np.einsum("nlw,nlw->nl", windows, windows)

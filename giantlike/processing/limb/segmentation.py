@@ -86,7 +86,7 @@ class ExpectedBlob:
     center_px : (2,) sequence of float, px
         Of its light.
     area_px : float
-        Lit part of its disc.
+        Lit part of its disk.
     flux_dn : float, DN, optional
         Its whole light, where the camera is calibrated; NaN says nothing.
     log_flux_sigma : float
@@ -169,7 +169,7 @@ def background_of(values: Float) -> Background:
 
 
 def connected_blobs(pixels_dn: Float, light: Mask, *, level_dn: float = 0.0, min_area_px: int = 1) -> Blobs:
-    """Join neighbouring light pixels (also across corners) and measure each patch.
+    """Join neighboring light pixels (also across corners) and measure each patch.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ def zernike_edges(
         Standard deviation of the point spread function.
     size : {5, 7}, px
     curvature_px : float, 1/px
-        Of the edge: 1 over the radius of a bright disc, negative for a dark one.
+        Of the edge: 1 over the radius of a bright disk, negative for a dark one.
 
     Raises
     ------

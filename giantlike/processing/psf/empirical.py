@@ -18,8 +18,8 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
 from giantlike.processing.detection.centroid import cut_patches
 from giantlike.processing.detection.detections import Detections
-from giantlike.processing.psf.profile import shape_shares
 from giantlike.processing.psf.estimate import UNUSABLE, PsfEstimate
+from giantlike.processing.psf.profile import shape_shares
 
 _MOST_STARS = 400
 _PRIOR_SAMPLES = 0.5  # so many that show the analytic shape itself are added to each node
@@ -32,7 +32,7 @@ class EmpiricalPsf:
     Parameters
     ----------
     shares : (m, m) float64
-        Share of the light in a pixel whose centre lies at the offset of the node from the star, rows along y.
+        Share of the light in a pixel whose center lies at the offset of the node from the star, rows along y.
     sigma : (m, m) float64
         Standard error of each; huge where there are no samples.
     step_px : float, px

@@ -1,8 +1,8 @@
 r"""The point spread function of an image from its own stars, the same everywhere or varying over the field.
 
 All chosen stars are fitted at once: place, flux and background of each, and the shape of
-:mod:`giantlike.processing.psf.profile`, whose parameters are polynomials of the place in the image. Gauss-Newton with noise
-weights; the stars are eliminated from the normal equations one by one (Schur complement), so that the cost grows
+:mod:`giantlike.processing.psf.profile`, whose parameters are polynomials of the place in the image. Gauss-Newton with
+noise weights; the stars are eliminated from the normal equations one by one (Schur complement), so that the cost grows
 linearly with their number. Stars that fit far worse than the others (blends, hit by particles) are left out and the
 rest is fitted again. With the shape known, :func:`remeasure` fits places, fluxes and backgrounds alone.
 """

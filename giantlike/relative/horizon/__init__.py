@@ -1,1 +1,1 @@
-"""From the horizon of an ellipsoid to its position: the Christian-Robinson algorithm, the sigmoid fit, the ellipse fit."""
+"""From the horizon of an ellipsoid to its position: Christian-Robinson algorithm, sigmoid fit, ellipse fit."""

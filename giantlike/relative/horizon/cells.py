@@ -177,7 +177,7 @@ def fit_cells(
     Notes
     -----
     Least squares weighted by the noise of the fitted brightness, linear in everything but the shift, for which the
-    profile is linearised; blur enters through half the second derivative of the profile.
+    profile is linearized; blur enters through half the second derivative of the profile.
     """
     good = pixels.good
     value, slope, curve = (

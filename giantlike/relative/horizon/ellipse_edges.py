@@ -16,8 +16,8 @@ from giantlike.processing.limb.segmentation import Background, background_of
 from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
-from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
 from giantlike.relative.light.unresolved import sunlight_px
+from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
 from giantlike.shapes import PlacedEllipsoid
 
 Mask = NDArray[np.bool_]
@@ -43,7 +43,7 @@ class EllipseFitOptions:
     Parameters
     ----------
     search_px : float, px
-        Largest error of the predicted centre.
+        Largest error of the predicted center.
     search_range : float
         Largest relative error of the predicted range.
     max_relief : float
@@ -148,7 +148,7 @@ def limb_edges(inputs: EstimatorInputs, placed: PlacedEllipsoid, options: Ellips
 
 
 def figure_of(inputs: EstimatorInputs, placed: PlacedEllipsoid) -> tuple[Figure, Float]:
-    """The ellipsoid in camera axes, and where its centre is predicted (3,), km, camera axes."""
+    """The ellipsoid in camera axes, and where its center is predicted (3,), km, camera axes."""
     turn = inputs.geometry.camera_from_body
     figure = Figure(radii_km=placed.ellipsoid.radii_km, camera_from_axes=turn * placed.body_from_axes)
     return figure, inputs.geometry.position_camera_km + turn.apply(placed.center_body_km.copy())

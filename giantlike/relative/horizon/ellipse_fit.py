@@ -1,4 +1,4 @@
-"""Ellipse fit: centre and apparent diameter of a body from the edge of its lit limb, and its position from both."""
+"""Ellipse fit: center and apparent diameter of a body from the edge of its lit limb, and its position from both."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
+from giantlike.processing.correlated_fit import generalized_solution, robust_solution
 from giantlike.processing.geometry.conic_fit import ConicFit, conic_matrix, fit_ellipse
-from giantlike.processing.correlated_fit import generalised_solution, robust_solution
+from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, center_of_position, gather
 from giantlike.relative.horizon.ellipse_edges import EllipseFitOptions, LimbEdges, figure_of, limb_edges
 from giantlike.relative.horizon.ellipsoid_cra import RELIEF_LENGTH, relief_of
-from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, center_of_position, gather
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
 from giantlike.scene import Scene
 from giantlike.shapes import PlacedEllipsoid
@@ -29,7 +29,7 @@ __all__ = ["EllipseFit", "EllipseFitOptions", "position_of_cone"]
 Mask = NDArray[np.bool_]
 
 _ROUNDS = 3
-_CORRELATION_PX = 2.0  # windows of neighbouring edges share pixels
+_CORRELATION_PX = 2.0  # windows of neighboring edges share pixels
 _GROWTH_ERROR = 0.4  # of what was taken off for changing brightness
 _MAX_RANGE_SIGMA = 0.25
 _QUARTER = 0.25
@@ -57,7 +57,7 @@ class EllipseFit:
     References
     ----------
     .. [1] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, "OpNav Target
-       Identification" (centre of a resolved body by an ellipse through its horizon points) and eqs. 8-13.
+       Identification" (center of a resolved body by an ellipse through its horizon points) and eqs. 8-13.
     .. [2] Inman et al., Artemis I optical navigation system performance, section III.A (scan, then moments).
     """
 
@@ -264,13 +264,13 @@ def _systematic(
     left = _GROWTH_ERROR * float(np.sqrt(np.mean(correction_px**2)))
     shared = left**2 * np.exp(-apart / inputs.radius_px)
     shared += relief_px**2 * np.exp(-apart / (RELIEF_LENGTH * inputs.radius_px))
-    covariance = generalised_solution(np.zeros(len(points_px)), by_ellipse, shared, weights=1.0 / sigma_px**2)[1]
+    covariance = generalized_solution(np.zeros(len(points_px)), by_ellipse, shared, weights=1.0 / sigma_px**2)[1]
     result: Float = covariance[:3, :3]
     return result
 
 
 def _free_shape(normals: Float) -> Float:
-    """The two ways (n, 2) in which the outline is free besides centre and size: flattening along two directions."""
+    """The two ways (n, 2) in which the outline is free besides center and size: flattening along two directions."""
     x, y = normals.T
     return np.stack([x * x - y * y, 2 * x * y], axis=-1)
 

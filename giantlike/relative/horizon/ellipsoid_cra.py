@@ -12,9 +12,10 @@ from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
-from giantlike.processing.correlated_fit import correlated_solution, generalised_solution
+from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
+from giantlike.relative.horizon.fit import cell_points, fit_horizon
 from giantlike.relative.horizon.geometry import (
     Altitude,
     CraMethod,
@@ -24,10 +25,9 @@ from giantlike.relative.horizon.geometry import (
     cone_weights,
     horizon_residuals,
 )
+from giantlike.relative.horizon.scan import HorizonScan, settle_horizon, settled_limb
 from giantlike.relative.limb.fix import LimbSearch, SettledLimb, position_fix, settle_limb
 from giantlike.relative.limb.observation import LimbScanOptions
-from giantlike.relative.horizon.fit import cell_points, fit_horizon
-from giantlike.relative.horizon.scan import HorizonScan, settle_horizon, settled_limb
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, Shape, TriangleMesh
 
@@ -43,7 +43,7 @@ class EllipsoidCRAOptions:
     ----------
     method : CraMethod
     search_px : float, px
-        Largest error of the predicted centre, in both coordinates.
+        Largest error of the predicted center, in both coordinates.
     search_range : float
         Largest relative error of the predicted range.
     max_relief : float
@@ -117,7 +117,7 @@ class EllipsoidCRA:
     brightness free in every cell (with ``horizon.edges`` a step no reflectance law is needed); its points then go
     through the Christian-Robinson algorithm. A mesh is replaced by its best-fit ellipsoid, flagged
     ``SHAPE_APPROXIMATED``, and its limb measured as in limb matching (``scan``); its relief is then in the covariance,
-    as errors that neighbours on the limb share.
+    as errors that neighbors on the limb share.
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside the horizon.
@@ -242,7 +242,7 @@ def _ellipsoid_body(inputs: EstimatorInputs, placed: PlacedEllipsoid, altitude: 
 
 
 def _center_camera_km(inputs: EstimatorInputs, placed: PlacedEllipsoid) -> Float:
-    """From the origin of the shape to the centre of the ellipsoid (3,), km, camera axes."""
+    """From the origin of the shape to the center of the ellipsoid (3,), km, camera axes."""
     offset: Float = inputs.geometry.camera_from_body.apply(placed.center_body_km.copy())
     return offset
 
@@ -270,7 +270,7 @@ def _fix(
     weights = None
     if options.method is not CraMethod.MAXIMUM_LIKELIHOOD:
         weights = cone_weights(points_px, model, figure, center_km)
-    step, covariance = generalised_solution(residuals, design, scatter, weights=weights)
+    step, covariance = generalized_solution(residuals, design, scatter, weights=weights)
     if weights is None:
         center_km, residuals = center_km + step, residuals - design @ step
     return position_fix(

@@ -9,12 +9,12 @@ import numpy as np
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import PositionFix
-from giantlike.processing.correlated_fit import correlated_solution, generalised_solution
+from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 from giantlike.relative.horizon.geometry import Altitude, Figure, altitude_design, horizon_residuals
 from giantlike.relative.horizon.scan import HorizonView
 
 _EXPLAINED_SIGMAS = 2.5
-"""Scatter of cells, and the product of neighbours, that pixel noise reaches once in a hundred times."""
+"""Scatter of cells, and the product of neighbors, that pixel noise reaches once in a hundred times."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,7 +24,7 @@ class HorizonFit:
     Parameters
     ----------
     position_camera_km : (3,) float64, km, camera axes
-        Of the ellipsoid's centre.
+        Of the ellipsoid's center.
     covariance_camera_km2 : (3, 3) float64, km^2
     residuals_px : (n,) float64, px
         Outward, of the cells kept.
@@ -82,7 +82,7 @@ def fit_horizon(
 
     Notes
     -----
-    The cells err by pixel noise; by what neighbours share (albedo, relief), found from their scatter where noise does
+    The cells err by pixel noise; by what neighbors share (albedo, relief), found from their scatter where noise does
     not explain that; by the blur and the law, which all of them share and whose covariance the profiles give; and by
     the altitude.
     """
@@ -93,7 +93,7 @@ def fit_horizon(
     covariance = _scatter_px2(residuals, design, sigma, points) + common @ view.shared()[1] @ common.T
     lift = altitude_design(points, model, figure, position_camera_km)
     covariance += altitude.sigma_km**2 * np.outer(lift, lift)
-    step, position_covariance = generalised_solution(residuals, design, covariance, weights=weights)
+    step, position_covariance = generalized_solution(residuals, design, covariance, weights=weights)
     if weights is not None:
         step = np.zeros(3)
     left = residuals - design @ step

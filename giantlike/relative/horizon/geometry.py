@@ -61,7 +61,7 @@ class Figure:
 
     @property
     def shape_matrix(self) -> Float:
-        """The matrix A (3, 3), 1/km^2, camera axes: points of the surface about its centre have ``x.A.x == 1``."""
+        """The matrix A (3, 3), 1/km^2, camera axes: points of the surface about its center have ``x.A.x == 1``."""
         result: Float = self.to_sphere.T @ self.to_sphere
         return result
 
@@ -78,7 +78,7 @@ class Figure:
         pull = self.shape_matrix @ position_camera_km
         strength = float(position_camera_km @ pull)
         where = np.asarray(position_camera_km).tolist()
-        require(strength > 1.0, f"the camera must be outside the ellipsoid, got a centre at {where} km")
+        require(strength > 1.0, f"the camera must be outside the ellipsoid, got a center at {where} km")
         return pull, np.outer(pull, pull) - (strength - 1.0) * self.shape_matrix
 
 
@@ -155,7 +155,7 @@ def christian_robinson(
     Returns
     -------
     (3,) float64, km, camera axes, or Failure
-        From the camera to the centre. ``TOO_FEW_DETECTIONS`` or ``DEGENERATE_GEOMETRY``.
+        From the camera to the center. ``TOO_FEW_DETECTIONS`` or ``DEGENERATE_GEOMETRY``.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def horizon_residuals(
     model : CameraModel
     figure : Figure
     position_camera_km : (3,), km, camera axes
-        Of the centre.
+        Of the center.
 
     Returns
     -------

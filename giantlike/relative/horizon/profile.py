@@ -201,7 +201,7 @@ def profile_table(
     of t, and every reflectance law that is smooth in the cosines is smooth in ``sqrt(t)``. With ``t = v^2`` the
     convolution with the blur is a Gauss-Legendre sum over v. A round blur of width w also averages along the
     horizon: that adds ``w^2 / 2`` times slope times curvature, ``c / (1 - c t)`` at the depth t under a horizon of
-    curvature c; this is the first term of a series, whose next one counts only for discs of few widths.
+    curvature c; this is the first term of a series, whose next one counts only for disks of few widths.
     """
     _, conic = figure.cone(position_camera_km)
     deepest = window_px + _REACH_WIDTHS * width_px

@@ -15,13 +15,13 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.search import search_limb
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
+from giantlike.relative.horizon.cells import CellFits, LimbPixels, Mask, fit_cells, limb_pixels
 from giantlike.relative.horizon.geometry import Figure
+from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
+from giantlike.relative.horizon.rings import Rings
 from giantlike.relative.limb.fix import LimbSearch, SettledLimb
 from giantlike.relative.limb.lines import LimbLines
 from giantlike.relative.limb.observation import EdgeModel, LimbObservation
-from giantlike.relative.horizon.cells import CellFits, LimbPixels, Mask, fit_cells, limb_pixels
-from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
-from giantlike.relative.horizon.rings import Rings
 
 _COARSE_POINTS = 120
 _MIN_BRIGHTNESS = 0.1  # of the brightest horizon: darker one tells little beside the rest
@@ -35,8 +35,8 @@ _FIRST_CELLS = 24
 _PATIENCE = 3  # iterations after which steps are halved: the cells used can alternate
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _UNKNOWN_PSF_PX2, _UNKNOWN_PSF_SIGMA_PX2, _LEAST_PSF_PX2 = 0.8, 2.0, 0.01
-_SMALL_DISC_PX = 4.6
-"""Its cube over that of the radius is what the profile leaves of the limb of small discs, px; measured from 20 px."""
+_SMALL_DISK_PX = 4.6
+"""Its cube over that of the radius is what the profile leaves of the limb of small disks, px; measured from 20 px."""
 _CELL_RADII = 0.25  # longest cell over the apparent radius
 _MIN_FILLED = 0.6
 _MIN_CONTRAST_SIGMAS = 5.0
@@ -56,7 +56,7 @@ class HorizonScan:
     window_px : float, px
         How far to both sides of the horizon pixels are used.
     cell_px : float, px
-        Length of the cells along the horizon, each with its own brightness; on small discs they are shorter.
+        Length of the cells along the horizon, each with its own brightness; on small disks they are shorter.
     min_cells : int
         Fewer good cells than this are no limb.
     min_contrast : float
@@ -111,7 +111,7 @@ class HorizonView:
     rejected : dict of str to int
         Cells left out, by reason.
     position_camera_km : (3,) float64, km, camera axes
-        Of the centre of the ellipsoid, for which the profiles are.
+        Of the center of the ellipsoid, for which the profiles are.
     cut_by_frame : bool
         Part of the horizon, lit or not, lies outside the frame.
     prior : (2, 2) float64
@@ -170,7 +170,7 @@ def settle_horizon(
     inputs : EstimatorInputs
     figure : Figure
     position_camera_km : (3,) float64, km, camera axes
-        Of the ellipsoid's centre, predicted.
+        Of the ellipsoid's center, predicted.
     search : LimbSearch
     scan : HorizonScan
 
@@ -223,7 +223,7 @@ def settled_limb(inputs: EstimatorInputs, view: HorizonView, scan: HorizonScan) 
     lawless = 0.0
     if scan.edges is EdgeModel.STEP:
         lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(fits.shared[view.keep, 1])))
-    profile_px = (_SMALL_DISC_PX / inputs.radius_px) ** 3
+    profile_px = (_SMALL_DISK_PX / inputs.radius_px) ** 3
     observation = LimbObservation(
         predicted_px=view.points_px,
         limb_camera_km=arc.points_camera_km[pixels.middles],

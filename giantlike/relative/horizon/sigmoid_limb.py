@@ -9,10 +9,10 @@ from giantlike.camera import Camera
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.image import Image
 from giantlike.relative.estimator import gather
-from giantlike.relative.horizon.geometry import Altitude, Figure
-from giantlike.relative.limb.fix import LimbSearch, position_fix
 from giantlike.relative.horizon.fit import fit_horizon
+from giantlike.relative.horizon.geometry import Altitude, Figure
 from giantlike.relative.horizon.scan import HorizonScan, settle_horizon, settled_limb
+from giantlike.relative.limb.fix import LimbSearch, position_fix
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid
 
@@ -27,7 +27,7 @@ class SigmoidLimbOptions:
     Parameters
     ----------
     search_px : float, px
-        Largest error of the predicted centre, in both coordinates.
+        Largest error of the predicted center, in both coordinates.
     search_range : float
         Largest relative error of the predicted range.
     max_iterations : int

@@ -1,4 +1,4 @@
-"""Where in an image landmarks are: normalised correlation, then a fit of the template, with a covariance."""
+"""Where in an image landmarks are: normalized correlation, then a fit of the template, with a covariance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LandmarkMatch:
     Parameters
     ----------
     number : int
-        Its place in the catalogue.
+        Its place in the catalog.
     offset_px : (2,) float64, px
         Found minus predicted.
     covariance_px2 : (2, 2) float64, px^2
@@ -125,7 +125,7 @@ def fit_patch(
 
     Notes
     -----
-    The image is modelled as the light of the patch, moved by a fraction of a pixel, times a gain that may slope across
+    The image is modeled as the light of the patch, moved by a fraction of a pixel, times a gain that may slope across
     the landmark, plus the light under another law times a second gain, plus a constant. Slopes are those of the whole
     model, so that three rounds settle.
     """

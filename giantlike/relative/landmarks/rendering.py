@@ -45,7 +45,7 @@ class Patch:
     Parameters
     ----------
     number : int
-        Its place in the catalogue.
+        Its place in the catalog.
     box : FitBox
         Where in the image.
     light : (h, w) float64

@@ -18,7 +18,7 @@ from giantlike.shapes.landmarks import Landmark, LandmarkCatalog, landmark_of
 
 _CANDIDATES = 6  # places looked at for each landmark wanted
 _LOOK_SAMPLES = 11  # along each side, to see what a place is worth
-_FIRST_SPACING = 1.1  # between neighbours, over the side of the square of area that each could have
+_FIRST_SPACING = 1.1  # between neighbors, over the side of the square of area that each could have
 _TIGHTER = 0.9
 _LOWEST_SPACING = 0.5  # of the size of a landmark: nearer ones see the same ground
 _SPACING_STEPS = 40

@@ -21,9 +21,9 @@ from giantlike.image import Image
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, center_of_position, gather
-from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, rays_for
+from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
 from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
 from giantlike.scene import Scene
@@ -47,7 +47,7 @@ class SurfaceFeaturesOptions:
     Parameters
     ----------
     landmarks : Path, optional
-        Landmarks: a catalogue (.npz), a maplet (.MAP), or a folder of maplets. Without one they are chosen on
+        Landmarks: a catalog (.npz), a maplet (.MAP), or a folder of maplets. Without one they are chosen on
         the shape of the target, if it is a mesh.
     search_px : int, px
         How far from the prediction to look at first, along each axis.
@@ -131,7 +131,7 @@ class LandmarkFix(PositionFix):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Found:
-    """What one look at the image gave: landmarks matched, in the order of the catalogue, and the pose they agree on."""
+    """What one look at the image gave: landmarks matched, in the order of the catalog, and the pose they agree on."""
 
     matches: tuple[LandmarkMatch, ...]
     observed_px: Float

@@ -70,7 +70,7 @@ class SeenLandmarks:
     Parameters
     ----------
     numbers : (k,) int64
-        Places in the catalogue.
+        Places in the catalog.
     predicted_px : (k, 2) float64, px
     size_px : (k,) float64, px
         Foreshortened width.
@@ -201,7 +201,7 @@ _VIEWERS_LOCK = threading.Lock()
 
 
 def viewer_for(catalog: LandmarkCatalog, shape: Shape) -> LandmarkViewer:
-    """Return the viewer of a catalogue on a shape, made once and kept with the catalogue."""
+    """Return the viewer of a catalog on a shape, made once and kept with the catalog."""
     with _VIEWERS_LOCK:
         viewers = _VIEWERS.setdefault(catalog, {})
         if shape.sha256 not in viewers:

@@ -1,4 +1,4 @@
-"""Moment algorithm: centre of brightness of a resolved body, corrected to the centre of its figure."""
+"""Moment algorithm: center of brightness of a resolved body, corrected to the center of its figure."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from giantlike.processing.limb.segmentation import (
 )
 from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, trace_body
 from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
+from giantlike.relative.light.unresolved import Correction, modeled_correction_px
 from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
-from giantlike.relative.light.unresolved import Correction, modelled_correction_px
 from giantlike.scene import Scene, TargetGeometry
 
 Mask = NDArray[np.bool_]
@@ -83,11 +83,11 @@ class MomentOptions:
 
 
 class Moment:
-    """Centre of the light of a body that is all in the frame, and a correction for its phase.
+    """Center of the light of a body that is all in the frame, and a correction for its phase.
 
     What stands out from the background is joined to blobs; that of the target, told from those of the other targets of
     the scene by place and size, is parted from the dark by Otsu's method, and the brightness above background gives the
-    centre of light (paper 1 eq. 4). The correction to the centre of the figure is by default that of the body rendered
+    center of light (paper 1 eq. 4). The correction to the center of the figure is by default that of the body rendered
     at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is the one of the paper. It grows
     with the size of the body, predicted (``range_sigma``) and measured by the lit area.
 
@@ -140,7 +140,7 @@ class Moment:
         return light if isinstance(light, Failure) else self._fix(inputs, templates, light)
 
     def _fix(self, inputs: EstimatorInputs, templates: list[Template], light: _Light) -> CenterFix:
-        """Centre of light and the correction, with all that is known of its errors."""
+        """Center of light and the correction, with all that is known of its errors."""
         template, other_laws = templates[0], templates[1:]
         center_px, noise_px2 = light.centroid(inputs, light.threshold_dn)
         rendered = light.offset_px(template, light.threshold_dn)
@@ -173,13 +173,13 @@ class Moment:
         )
 
     def _corrected(self, inputs: EstimatorInputs, rendered: Float, by_law: list[Float]) -> tuple[Float, list[Float]]:
-        """From the centre of light to that of the figure (2,), px, and errors (2,) of it, each as one sigma."""
+        """From the center of light to that of the figure (2,), px, and errors (2,) of it, each as one sigma."""
         kind = Correction(self.options.correction)
         if kind is Correction.RENDERED:
             return rendered, by_law
         if kind is Correction.NONE:
             return np.zeros(2), [rendered]
-        published = modelled_correction_px(inputs, kind)
+        published = modeled_correction_px(inputs, kind)
         return published, [published - rendered]
 
 
@@ -222,7 +222,7 @@ class _Light:
         return result
 
     def centroid(self, inputs: EstimatorInputs, threshold_dn: float) -> tuple[Float, Float]:
-        """Centre of the light above a threshold (2,), px, and its covariance (2, 2) by noise, px^2."""
+        """Center of the light above a threshold (2,), px, and its covariance (2, 2) by noise, px^2."""
         rows, columns = np.nonzero(self.region & (self.signal_dn > threshold_dn))
         values = self.signal_dn[rows, columns]
         pixels = np.stack([columns, rows], axis=1).astype(np.float64)
@@ -237,7 +237,7 @@ class _Light:
         return float(self.signal_dn[self.region].sum()) / float(template.brightness.sum())
 
     def offset_px(self, template: Template, threshold_dn: float) -> Float:
-        """From the centre of a template's light, cut at the same level, to the centre of its body (2,), px."""
+        """From the center of a template's light, cut at the same level, to the center of its body (2,), px."""
         brightness = template.brightness
         kept = np.where(brightness * self.gain_dn(template) > threshold_dn, brightness, 0.0)
         if not kept.any():
@@ -260,7 +260,7 @@ class _Light:
         return self.signal_dn - gain * expected, gain * float(template.brightness.max())
 
     def unexplained_px2(self, template: Template, center_px: Float, radius_px: float) -> Float:
-        """Covariance (2, 2) of the centre by markings: residuals of blocks of a quarter radius, each as one sigma."""
+        """Covariance (2, 2) of the center by markings: residuals of blocks of a quarter radius, each as one sigma."""
         rows, columns = np.nonzero(self.bright)
         left = self.left(template)[0][rows, columns]
         arms = np.stack([columns, rows], axis=1) - center_px
@@ -347,7 +347,7 @@ def _light_of(
     blob = int(chosen[0])
     if bool(blobs.touch_frame[blob]):
         return inputs.fail(
-            Reason.OUT_OF_FRAME, "the light of the body reaches the edge of the image: its centre is not that of a part"
+            Reason.OUT_OF_FRAME, "the light of the body reaches the edge of the image: its center is not that of a part"
         )
     foreign = np.isin(blobs.labels, chosen[1:] + 1)
     shift = np.rint(blobs.centroids_px[blob] - template.photocenter_px).astype(np.int64)
@@ -417,9 +417,9 @@ def _regions(
     expected[y[inside], x[inside]] = True
     margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * inputs.radius_px)
     down, right = np.ogrid[-margin : margin + 1, -margin : margin + 1]
-    disc = (np.hypot(down, right) <= margin).astype(np.uint8)
+    disk = (np.hypot(down, right) <= margin).astype(np.uint8)
     region, expected = (
-        np.asarray(cv2.dilate(part.astype(np.uint8), disc), dtype=bool)
+        np.asarray(cv2.dilate(part.astype(np.uint8), disk), dtype=bool)
         for part in (expected | (blobs.labels == blob + 1), expected)
     )
     y, x = np.nonzero(region)

@@ -18,7 +18,7 @@ _FULL_MOON = 2.0 / 3.0  # of the radius: the mean of mu weighted with mu
 def ellipsoid_photocenter_km(
     placed: PlacedEllipsoid, *, sun_direction_body: ArrayLike, observer_direction_body: ArrayLike
 ) -> Float:
-    r"""Centre of the light of a homogeneous ellipsoid that scatters by the law of Lommel and Seeliger.
+    r"""Center of the light of a homogeneous ellipsoid that scatters by the law of Lommel and Seeliger.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def ellipsoid_photocenter_km(
     -------
     (3,) float64, km, body
         From the origin of the shape to the mean place of what is seen and lit, weighted by how bright it appears; its
-        projection is the photocentre. Towards new phase it goes to the end of the crescent's middle.
+        projection is the photocenter. Towards new phase it goes to the end of the crescent's middle.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Centre of a body of a few pixels or less: centroid of its light and correction to its figure."""
+"""Center of a body of a few pixels or less: centroid of its light and correction to its figure."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.processing.detection.windowed import WindowedCentroid, windowed_centroid
 from giantlike.ray_tracing import Template
 from giantlike.relative.estimator import EstimatorInputs, gather
-from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.light.photocenter import ellipsoid_photocenter_km
+from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
     UNKNOWN_BLUR_SIGMA_PX2,
@@ -42,14 +42,14 @@ _MAX_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid 
 
 
 class Correction(StrEnum):
-    """How the centroid of the light is taken to the centre of the figure."""
+    """How the centroid of the light is taken to the center of the figure."""
 
     RENDERED = "rendered"
     """By the same centroid of the body rendered at its predicted geometry."""
     KAASALAINEN_TANGA = "kaasalainen_tanga"
     """By paper 1 eq. 3, meant for bodies that are not resolved."""
     ELLIPSOID = "ellipsoid"
-    """By the centre of light of its best-fitting ellipsoid under the law of Lommel and Seeliger, in closed form."""
+    """By the center of light of its best-fitting ellipsoid under the law of Lommel and Seeliger, in closed form."""
     NONE = "none"
 
 
@@ -62,7 +62,7 @@ class UnresolvedOptions:
     max_diameter_px : float, px
         Larger bodies (diameter of the sphere around them) are refused: other estimators see their shape.
     search_px : float, px
-        Radius around the predicted photocentre in which the body is looked for.
+        Radius around the predicted photocenter in which the body is looked for.
     min_snr : float
         Weaker detections are none.
     correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
@@ -93,9 +93,9 @@ class UnresolvedOptions:
 class Unresolved:
     """Brightest source near the prediction, a fit of the rendered body to its light, and a phase correction.
 
-    A Gaussian has its centre elsewhere than the light of a body that is a few pixels wide, so what is fitted is the
-    body itself, rendered through the point spread function. The fit gives the centre of the figure directly (correction
-    ``rendered``, the default) or, less its offset, the centre of the light, to which ``kaasalainen_tanga``, that of the
+    A Gaussian has its center elsewhere than the light of a body that is a few pixels wide, so what is fitted is the
+    body itself, rendered through the point spread function. The fit gives the center of the figure directly (correction
+    ``rendered``, the default) or, less its offset, the center of the light, to which ``kaasalainen_tanga``, that of the
     best-fitting ``ellipsoid`` or no correction is applied. Rendered is the default because it knows the shape: on
     made-up bodies of 2 to 12 px it is right to 0.01-0.02 px per axis, while the published correction, meant for spheres
     that are not resolved, leaves 0.1 px at 2 px and 60 degrees and 0.5 px at 12 px.
@@ -188,7 +188,7 @@ class Unresolved:
         if isinstance(fit, Failure):
             return inputs.fail(fit.reason, fit.detail)
         shift, systematic = self._correction(inputs, template)
-        flags = inputs.flags_at(_disc(inputs, measured.point_px, _CORE_SIGMAS * window))
+        flags = inputs.flags_at(_disk(inputs, measured.point_px, _CORE_SIGMAS * window))
         if rivals:
             flags |= Quality.AMBIGUOUS
         if np.linalg.norm(measured.point_px - template.photocenter_px) > 0.95 * self.options.search_px:
@@ -229,20 +229,20 @@ class Unresolved:
         )
 
     def _correction(self, inputs: EstimatorInputs, template: Template) -> tuple[Float, Float]:
-        """From the fitted centre to the corrected one (2,), px, and the covariance (2, 2), px^2, that this adds."""
+        """From the fitted center to the corrected one (2,), px, and the covariance (2, 2), px^2, that this adds."""
         kind = Correction(self.options.correction)
         if kind is Correction.RENDERED:
             return np.zeros(2), np.zeros((2, 2))
         to_light = template.photocenter_px - template.center_px
         if kind is Correction.NONE:
             return to_light, np.outer(to_light, to_light)
-        published = modelled_correction_px(inputs, kind)
+        published = modeled_correction_px(inputs, kind)
         difference, scaled = published + to_light, self.options.range_sigma * published
         return difference, np.outer(difference, difference) + np.outer(scaled, scaled)
 
 
 def kaasalainen_tanga(sunlight: Float, *, radius_px: float, phase_angle_rad: float) -> Float:
-    """Phase correction (2,), px, to add to a centre of brightness.
+    """Phase correction (2,), px, to add to a center of brightness.
 
     Parameters
     ----------
@@ -263,8 +263,8 @@ def kaasalainen_tanga(sunlight: Float, *, radius_px: float, phase_angle_rad: flo
     return sunlight * (0.0062 if phase_deg < 80 else 0.0065) * radius_px * phase_deg
 
 
-def modelled_correction_px(inputs: EstimatorInputs, kind: Correction) -> Float:
-    """From the centre of light to that of the figure (2,), px, by a formula: ``KAASALAINEN_TANGA`` or ``ELLIPSOID``."""
+def modeled_correction_px(inputs: EstimatorInputs, kind: Correction) -> Float:
+    """From the center of light to that of the figure (2,), px, by a formula: ``KAASALAINEN_TANGA`` or ``ELLIPSOID``."""
     geometry = inputs.geometry
     shape = geometry.target.shape
     if kind is Correction.KAASALAINEN_TANGA or shape.circumscribing_radius_km == 0.0:
@@ -283,7 +283,7 @@ def modelled_correction_px(inputs: EstimatorInputs, kind: Correction) -> Float:
 
 
 def sunlight_px(inputs: EstimatorInputs) -> Float:
-    """Unit vector (2,) along which sunlight travels in the image at the predicted centre; zero at zero phase."""
+    """Unit vector (2,) along which sunlight travels in the image at the predicted center; zero at zero phase."""
     position = inputs.geometry.position_camera_km
     along = inputs.camera.model.project_jacobian(position) @ inputs.geometry.sun_direction_camera
     length = float(np.linalg.norm(along))
@@ -321,7 +321,7 @@ def _measure(inputs: EstimatorInputs, start_px: Float, window_px: float) -> Wind
 
 
 def _offset(inputs: EstimatorInputs, template: Template, window_px: float) -> Float | Failure:
-    """From the windowed centroid of a template to the centre of the body (2,), px."""
+    """From the windowed centroid of a template to the center of the body (2,), px."""
     light = template.brightness
     found = windowed_centroid(
         light,
@@ -364,7 +364,7 @@ def _box_around(center_px: Float, half_px: float, inputs: EstimatorInputs) -> Fi
     return FitBox(x=int(low[0]), y=int(low[1]), width=int(high[0] - low[0]), height=int(high[1] - low[1]))
 
 
-def _disc(inputs: EstimatorInputs, center_px: Float, radius_px: float) -> NDArray[np.bool_]:
+def _disk(inputs: EstimatorInputs, center_px: Float, radius_px: float) -> NDArray[np.bool_]:
     rows, columns = np.ogrid[: inputs.camera.rows, : inputs.camera.columns]
     return np.asarray((columns - center_px[0]) ** 2 + (rows - center_px[1]) ** 2 <= radius_px**2)
 

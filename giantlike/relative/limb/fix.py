@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
-from giantlike.processing.correlated_fit import generalised_solution, robust_solution
+from giantlike.processing.correlated_fit import generalized_solution, robust_solution
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
 from giantlike.relative.limb.observation import LimbObservation, LimbScanOptions, locate_limb, observe_limb
@@ -34,7 +34,7 @@ class LimbSearch:
     Parameters
     ----------
     search_px : float, px
-        Largest error of the predicted centre, in both coordinates.
+        Largest error of the predicted center, in both coordinates.
     search_range : float
         Largest relative error of the predicted range.
     max_iterations : int
@@ -185,7 +185,7 @@ def brightness_covariance(inputs: EstimatorInputs, limb: SettledLimb) -> Float:
     points = limb.observation.predicted_px[limb.keep]
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     shared = limb.observation.brightness_error_px**2 * np.exp(-apart / inputs.radius_px)
-    return generalised_solution(np.zeros(len(points)), limb.design[limb.keep], shared, weights=np.ones(len(points)))[1]
+    return generalized_solution(np.zeros(len(points)), limb.design[limb.keep], shared, weights=np.ones(len(points)))[1]
 
 
 def position_fix(

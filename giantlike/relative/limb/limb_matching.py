@@ -26,7 +26,7 @@ class LimbMatchingOptions:
     Parameters
     ----------
     search_px : float, px
-        Largest error of the predicted centre, in both coordinates.
+        Largest error of the predicted center, in both coordinates.
     search_range : float
         Largest relative error of the predicted range.
     max_iterations : int

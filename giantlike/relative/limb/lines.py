@@ -22,7 +22,7 @@ _MIN_BRIGHTNESS = 0.1  # over the brightest place along it: darker limb tells li
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbLines:
-    """Lines across an outline, by the directions from the body's centre in which they meet it.
+    """Lines across an outline, by the directions from the body's center in which they meet it.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class LimbLines:
     brightness : (k,) float64
         Just inside the outline, over the brightest place along it.
     spacing_px : float, px
-        Between neighbours, along the limb.
+        Between neighbors, along the limb.
     perimeter_px : float, px
         Length of the whole outline.
     cut_by_frame : bool

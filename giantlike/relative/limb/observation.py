@@ -45,7 +45,7 @@ _MIN_WIDTH_PX = 0.3
 _BRIGHTNESS_ERROR = 1.0
 """Error of the limb by a wrong reflectance law over the shift that freeing the slope of the brightness makes."""
 _MAD_TO_SIGMA, _MEDIAN_SIGMA = 1.4826, 1.2533  # of a normal distribution
-_LINES_ALIKE = 3.0  # neighbours that share pixels, and so their errors
+_LINES_ALIKE = 3.0  # neighbors that share pixels, and so their errors
 _FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12  # larger bodies need no more than the options say
 
 
@@ -66,7 +66,7 @@ class LimbScanOptions:
     ----------
     edges : EdgeModel
     spacing_px : float, px
-        Between neighbouring lines along the limb.
+        Between neighboring lines along the limb.
     max_lines : int
         With longer limbs the lines stand farther apart.
     min_lines : int
@@ -195,7 +195,7 @@ def locate_limb(
     body : Body
         At the predicted position.
     search_px : float, px
-        Largest error of the predicted centre, in both coordinates.
+        Largest error of the predicted center, in both coordinates.
     search_range : float
         Largest relative error of the predicted range.
     options : LimbScanOptions

@@ -25,7 +25,7 @@ from giantlike.shapes import TriangleMesh
 
 _TILE_PX = 16
 _FOOTPRINT_PX = 2  # of the B-spline that samples the template, from the nearest pixel
-_UNEVEN = 0.1  # difference between neighbouring rays over the brightest
+_UNEVEN = 0.1  # difference between neighboring rays over the brightest
 _COARSER = 6.0  # rays along a pixel where light is uneven over those elsewhere
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _DEPTHS, _ASIDES = np.array([0.005, 0.015, 0.025, 0.035]), np.array([-0.015, 0.0, 0.015])  # over the radius
@@ -228,7 +228,7 @@ def _uneven(pixels: NDArray[np.int64], light: Float) -> NDArray[np.bool_]:
 
 
 def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:
-    """Directions of pixels (n, 2), camera axes: the centre's, and how it changes along x and along y, (n, 3, 3).
+    """Directions of pixels (n, 2), camera axes: the center's, and how it changes along x and along y, (n, 3, 3).
 
     Through the directions of nine places in each tile of the frame: a camera model is a parabola over so few pixels,
     to 1e-5 px where the focal length is a thousand. Where the model has no direction at one of those, each pixel's own

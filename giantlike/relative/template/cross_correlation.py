@@ -60,9 +60,9 @@ class CrossCorrelationOptions:
     min_scale_diameter_px : float, px
     range_sigma : float
         Where the range is not estimated: its a priori standard deviation as a fraction of it, which enters the
-        covariance of the centre.
+        covariance of the center.
     free_reflectance : bool
-        Let the image mix another reflectance law into that of the target, so that a wrong law does not pull the centre.
+        Let the image mix another reflectance law into that of the target, so that a wrong law does not pull the center.
     clip_sigma : float
         Pixels with larger residuals, in standard deviations, are rejected.
     max_iterations : int
@@ -71,7 +71,7 @@ class CrossCorrelationOptions:
         How wrong the shape is: standard deviation of its errors along its radii, as a fraction of the radius. The
         residuals show most of it; what hangs together over a good part of the limb they do not, and it is stated here.
     relief_length_rad : float, rad
-        How far these errors hang together on the body: an angle, seen from its centre.
+        How far these errors hang together on the body: an angle, seen from its center.
     """
 
     search_px: int = 40
@@ -98,11 +98,11 @@ class CrossCorrelationOptions:
 
 
 class CrossCorrelation:
-    r"""Finds a body by normalised cross-correlation with a rendered template, then fits the template to the pixels.
+    r"""Finds a body by normalized cross-correlation with a rendered template, then fits the template to the pixels.
 
     The steps: 1. render the body at the predicted geometry, reaching over the frame by the search range; 2. correlate
     within the search range, peak by a paraboloid; 3. move and scale the template onto the image, from blurred to sharp;
-    4. fit brightness, centre, range and blur, rendering again at each new geometry.
+    4. fit brightness, center, range and blur, rendering again at each new geometry.
 
     The result is a :class:`~giantlike.core.outcomes.PositionFix` where the range was estimated and a
     :class:`~giantlike.core.outcomes.CenterFix` elsewhere. Its ``score`` is the correlation of image and template at the

@@ -1,7 +1,7 @@
-"""Photometric fit of a rendered template to an image: centre, range, and a covariance that counts model errors.
+"""Photometric fit of a rendered template to an image: center, range, and a covariance that counts model errors.
 
-The image is modelled as ``gain * light + mixing * other + offset``, with ``light`` the template rendered at the current
-geometry and ``other`` the same body under another reflectance law. Gauss-Newton steps in centre, logarithm of the range
+The image is modeled as ``gain * light + mixing * other + offset``, with ``light`` the template rendered at the current
+geometry and ``other`` the same body under another reflectance law. Gauss-Newton steps in center, logarithm of the range
 and width of the point spread function alternate with new renders, so the solution does not depend on how derivatives
 are taken, only the way to it does.
 """
@@ -31,7 +31,7 @@ from giantlike.relative.template.covariance import (
 Mask = NDArray[np.bool_]
 
 FIT_BORDER_PX = 4
-"""How far a fitted box should reach over the frame: derivatives take that many neighbours."""
+"""How far a fitted box should reach over the frame: derivatives take that many neighbors."""
 
 _FIRST_DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])
 _SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])
@@ -64,7 +64,7 @@ class TemplateFitOptions:
     max_iterations : int
         Renders at most.
     tolerance_px : float, px
-        The fit has converged when a step from a fine render moves neither the centre nor the limb by more.
+        The fit has converged when a step from a fine render moves neither the center nor the limb by more.
     clip_sigma : float
         Pixels whose residual is larger than so many standard deviations (noise and model error) are rejected.
     log_range_sigma : float
@@ -102,7 +102,7 @@ class TemplateState:
     Parameters
     ----------
     center_px : (2,) float64, px
-        Where the centre of the body appears.
+        Where the center of the body appears.
     log_range : float
         Natural logarithm of the range over the a priori range.
     psf_variance_px2 : float, px^2
@@ -124,7 +124,7 @@ class TemplateImages:
     other : (h, w) float64, optional
         Brightness under another law; None keeps to the one.
     derivatives : (4, h, w) float64, optional
-        Of ``light``, by x and y of the centre in px, the logarithm of the range and the variance of the point spread
+        Of ``light``, by x and y of the center in px, the logarithm of the range and the variance of the point spread
         function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
         sharp as a point spread function, which does not matter on wide bodies. On small ones, shift, range, blur and
         law nearly do the same to the image, and with such errors they seem to be told apart.
@@ -184,7 +184,7 @@ def fit_template(
     pixels_dn: Float,
     usable: Mask,
     corner_px: tuple[int, int],
-    synthesise: Synthesis,
+    synthesize: Synthesis,
     start: TemplateState,
     *,
     noise_variance_dn2: Callable[[Float], Float],
@@ -198,10 +198,10 @@ def fit_template(
     usable : (h, w) bool
     corner_px : (int, int), px
         Column and row of element [0, 0] in the image.
-    synthesise : callable
+    synthesize : callable
         Renders a :class:`TemplateState` into the box, finely where its second argument is True.
     start : TemplateState
-        Within a pixel or two, in centre and limb.
+        Within a pixel or two, in center and limb.
     noise_variance_dn2 : callable
         Variance, DN^2, of the noise on pixels that hold a given signal of the body; that of the background is measured.
     options : TemplateFitOptions
@@ -209,18 +209,18 @@ def fit_template(
     Returns
     -------
     TemplateFit or Failure
-        ``DEGENERATE_GEOMETRY`` when the pixels do not fix the parameters, ``NOT_CONVERGED``, or what ``synthesise``
+        ``DEGENERATE_GEOMETRY`` when the pixels do not fix the parameters, ``NOT_CONVERGED``, or what ``synthesize``
         failed with.
 
     Notes
     -----
     Pixels are weighted by ``1 / (noise + v0 + v1 |grad M|^2 + v2 S^2)``: the noise variance of the model image ``M``
     (with its signal ``S``), and three variances of the model error - everywhere, at edges, and in proportion to the
-    light - that maximise the likelihood of the residuals. The covariance of the weighted fit is then widened to that
+    light - that maximize the likelihood of the residuals. The covariance of the weighted fit is then widened to that
     of a jackknife over blocks of pixels, which sees residuals that hang together over the size of a block.
 
     Relief ``h`` (over the radius) that the shape lacks moves each point of the image by ``h`` times its distance from
-    the centre, along that direction: it changes the image by ``-h dM/dlog(range)``, and a field of it with the stated
+    the center, along that direction: it changes the image by ``-h dM/dlog(range)``, and a field of it with the stated
     standard deviation and correlation makes a covariance that the stated one is nowhere below. What relief does to the
     shading is left to the residuals.
     """
@@ -228,7 +228,7 @@ def fit_template(
     photometry: Float | None = None
     errors: Float | None = None
     for iteration in range(1, options.max_iterations + 1):
-        images = synthesise(state, fine)
+        images = synthesize(state, fine)
         if isinstance(images, Failure):
             return images
         problem = _Problem(pixels_dn, usable, corner_px, images, state, photometry)
@@ -312,7 +312,7 @@ def _seen_reduced(state: TemplateState, corner_px: tuple[int, int], factor: int)
 
 
 def _prior(state: TemplateState, start: TemplateState, gain_dn: float, options: TemplateFitOptions) -> Prior:
-    """The prior of the step from ``state``: nothing is known of gain, offset and centre."""
+    """The prior of the step from ``state``: nothing is known of gain, offset and center."""
     mean, sigma = np.zeros(_MIXING + 1), np.full(_MIXING + 1, np.inf)
     mean[_RANGE], sigma[_RANGE] = -state.log_range, options.log_range_sigma
     mean[_BLUR], sigma[_BLUR] = start.psf_variance_px2 - state.psf_variance_px2, options.blur_sigma_px2
@@ -441,7 +441,7 @@ def _unweighted(basis: Float, usable: Mask, pixels_dn: Float) -> Float:
 def _stepped(
     state: TemplateState, parameters: Float, reach_px: float, options: TemplateFitOptions
 ) -> tuple[TemplateState, float]:
-    """The state after a step, which is kept short, and how far the step moves centre or limb, px."""
+    """The state after a step, which is kept short, and how far the step moves center or limb, px."""
     shift_px = parameters[[_X, _Y]]
     length_px = float(np.hypot(*shift_px))
     shift_px = shift_px * min(1.0, _MAX_STEP_PX / max(length_px, 1e-12))

@@ -15,45 +15,45 @@ from giantlike.ray_tracing.tracer import Mask, Tracer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Neighbour:
+class Neighbor:
     """Another body, reached from the axes of the body that is rendered.
 
     Parameters
     ----------
     tracer : Tracer
-    neighbour_from_body : (3, 3) float64
-    offset_km : (3,) float64, km, axes of the neighbour
-        From the origin of the neighbour to that of the body.
+    neighbor_from_body : (3, 3) float64
+    offset_km : (3,) float64, km, axes of the neighbor
+        From the origin of the neighbor to that of the body.
     hides, shades : bool
         Whether it can stand before the body, and between body and Sun.
     """
 
     tracer: Tracer
-    neighbour_from_body: Float
+    neighbor_from_body: Float
     offset_km: Float
     hides: bool
     shades: bool
 
     def hidden(self, camera_body_km: Float, directions_body: Float, points_body_km: Float32) -> Mask:
-        """Whether the neighbour stands before points (k, 4) that the camera (3,) sees along (k, 4); body axes, km."""
-        camera_km = self.neighbour_from_body @ camera_body_km + self.offset_km
-        hits = self.tracer.intersect(camera_km, directions_body[:, :3] @ self.neighbour_from_body.T)
+        """Whether the neighbor stands before points (k, 4) that the camera (3,) sees along (k, 4); body axes, km."""
+        camera_km = self.neighbor_from_body @ camera_body_km + self.offset_km
+        hits = self.tracer.intersect(camera_km, directions_body[:, :3] @ self.neighbor_from_body.T)
         own_km2 = np.sum((points_body_km[:, :3] - camera_body_km) ** 2, axis=1)
         before: Mask = np.sum((hits.points_km - camera_km) ** 2, axis=1) < own_km2
         return before
 
     def dark(self, points_body_km: Float32 | Float, to_sun_body: Float) -> Mask:
-        """Whether the neighbour stands between points (k, 3) or (k, 4), km, and the Sun, towards as many; body axes."""
+        """Whether the neighbor stands between points (k, 3) or (k, 4), km, and the Sun, towards as many; body axes."""
         starts = self._points(points_body_km)
-        directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbour_from_body.T, starts.shape)
+        directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbor_from_body.T, starts.shape)
         return self.tracer.occluded(starts, directions)
 
     def _points(self, points_body_km: Float32 | Float) -> Float:
-        points: Float = points_body_km[:, :3].astype(np.float64) @ self.neighbour_from_body.T + self.offset_km
+        points: Float = points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km
         return points
 
 
-def neighbours_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbour]:
+def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbor]:
     """The other bodies that can hide or shade body ``number``, judged by spheres around them.
 
     ``sun_camera`` (3,) is the unit vector from that body to the Sun, camera axes.
@@ -61,15 +61,15 @@ def neighbours_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_ra
     body = bodies[number]
     found = []
     for other in (*bodies[:number], *bodies[number + 1 :]):
-        neighbour = Neighbour(
+        neighbor = Neighbor(
             tracer=other.tracer,
-            neighbour_from_body=other.camera_from_body.as_matrix().T @ body.camera_from_body.as_matrix(),
+            neighbor_from_body=other.camera_from_body.as_matrix().T @ body.camera_from_body.as_matrix(),
             offset_km=other.to_body(body.position_camera_km - other.position_camera_km),
             hides=_hides(other, body),
             shades=_shades(other, body, sun_camera, sun_radius_rad),
         )
-        if neighbour.hides or neighbour.shades:
-            found.append(neighbour)
+        if neighbor.hides or neighbor.shades:
+            found.append(neighbor)
     return found
 
 
