@@ -1,0 +1,81 @@
+"""numpydoc lint of every exported name: the checks are listed in ``[tool.numpydoc_validation]`` of pyproject.toml.
+
+Names in ``tests/docstrings_pending.txt`` are excused until somebody writes their docstring. To see every finding and to
+renew that list (which only ever gets shorter)::
+
+    python -m tests.test_docstrings            # findings, one per line
+    python -m tests.test_docstrings --pending  # names only: redirect to tests/docstrings_pending.txt
+"""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import sys
+import tomllib
+from pathlib import Path
+
+from numpydoc.docscrape import get_doc_object
+from numpydoc.validate import Validator, validate
+
+from tests.exported import exported_objects, public_methods
+
+ROOT = Path(__file__).resolve().parents[1]
+PENDING = Path(__file__).with_name("docstrings_pending.txt")
+CHECKS = frozenset(
+    tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["numpydoc_validation"]["checks"]
+)
+RIDDLES = ("How", "What", "Where", "Whether", "Which", "Who", "Why")
+
+
+def documented_names() -> list[str]:
+    """Every exported class and function, and the public methods and properties of the classes."""
+    names = []
+    for name, value in exported_objects():
+        names.append(name)
+        if inspect.isclass(value):
+            names += [f"{name}.{method}" for method in public_methods(value)]
+    return names
+
+
+def findings(name: str) -> list[str]:
+    """Codes and texts of the checks that the docstring of a name fails; empty when it is good."""
+    result = validate(name)
+    found = [f"{code} {text}" for code, text in result["errors"] if code in CHECKS]
+    if any(text.startswith("PR01") for text in found) and _bases_document_parameters(name):
+        found = [text for text in found if not text.startswith("PR01")]
+    summary = str(result["docstring"]).split(maxsplit=1)
+    if summary and summary[0] in RIDDLES:
+        found.append(f"summary begins with {summary[0]!r}: say what the thing is or does, or 'True if ...'")
+    return found
+
+
+def _bases_document_parameters(name: str) -> bool:
+    """True for enumerations, protocols and classes of which docstring and bases together document every parameter."""
+    cls = Validator._load_obj(name)
+    if not inspect.isclass(cls):
+        return False
+    if issubclass(cls, enum.Enum) or getattr(cls, "_is_protocol", False):
+        return True
+    documented = [Validator(get_doc_object(each)).doc_all_parameters for each in cls.__mro__[:-1] if each.__doc__]
+    return set(inspect.signature(cls).parameters) <= set().union(*documented)
+
+
+def pending() -> set[str]:
+    """Names that are excused for now."""
+    return set(PENDING.read_text(encoding="utf-8").split()) if PENDING.exists() else set()
+
+
+def test_exported_names_have_complete_numpydoc_docstrings() -> None:
+    excused = pending()
+    wrong = {name: found for name in documented_names() if name not in excused and (found := findings(name))}
+    lines = [f"{name}: {text}" for name, found in wrong.items() for text in found]
+    assert not wrong, "complete these docstrings:\n" + "\n".join(lines)
+
+
+if __name__ == "__main__":
+    everything = documented_names()
+    incomplete = {each: texts for each in everything if (texts := findings(each))}
+    for each, texts in incomplete.items():
+        print(each if "--pending" in sys.argv else "\n    ".join([each, *texts]))
+    print(f"{len(everything) - len(incomplete)} of {len(everything)} exported names are complete", file=sys.stderr)
