@@ -1,12 +1,18 @@
-"""The exported names of giantlike, found by import; shared by the tests of docstrings and of public names."""
+"""The exported names of giantlike, found by import; shared by the tests of docstrings and of public names.
+
+At a release ``python -m tests.exported > tests/public_names_<version>.json`` writes down what the next one must keep.
+"""
 
 from __future__ import annotations
 
+import enum
 import inspect
-from collections.abc import Iterator
+import json
+import re
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 PACKAGES = (
     "giantlike",
@@ -33,8 +39,9 @@ def exported_names(module: ModuleType) -> list[str]:
     """``__all__`` of a module, or the public classes, functions and constants that it defines itself."""
     if hasattr(module, "__all__"):
         return sorted(module.__all__)
-    own = [name for name, value in vars(module).items() if getattr(value, "__module__", None) == module.__name__]
-    return sorted(name for name in own if not name.startswith("_"))
+    source = inspect.getsource(module)
+    own = re.findall(r"^(?:def |class )?([A-Za-z]\w*)(?:\(| *:| *=)", source, re.MULTILINE)
+    return sorted(name for name in own if not isinstance(getattr(module, name, None), TypeVar | None))
 
 
 def exported_objects() -> Iterator[tuple[str, Any]]:
@@ -65,3 +72,44 @@ def _is_method(value: object) -> bool:
 def _is_ours(value: Any) -> bool:
     function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
     return str(getattr(function, "__module__", "")).startswith("giantlike")
+
+
+def constructor_keywords(cls: type) -> list[str]:
+    """Names that a class takes as keywords: its members for an enumeration, none where it takes any arguments."""
+    if issubclass(cls, enum.Enum):
+        return list(cls.__members__)
+    try:
+        return parameter_names(cls)
+    except ValueError:  # built-in constructors, those of exceptions, have no signature
+        return []
+
+
+def parameter_names(call: Callable[..., Any]) -> list[str]:
+    """Names of the parameters of a function or constructor, without ``*args`` and ``**kwargs``."""
+    parameters = inspect.signature(call).parameters.values()
+    return [each.name for each in parameters if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
+
+
+def snapshot() -> dict[str, dict[str, Any]]:
+    """Exported names by package: keywords of classes, parameters of functions, null for constants."""
+    result: dict[str, dict[str, Any]] = {}
+    for package in PACKAGES:
+        module = import_module(package)
+        names: dict[str, Any] = result.setdefault(package, {})
+        for name in exported_names(module):
+            value = getattr(module, name)
+            if inspect.isclass(value):
+                names[name] = {"class": constructor_keywords(value)}
+            else:
+                names[name] = {"function": parameter_names(value)} if callable(value) else None
+    return result
+
+
+if __name__ == "__main__":
+    lines = [
+        f'"{package}": {{\n'
+        + ",\n".join(f' "{name}": {json.dumps(promise)}' for name, promise in names.items())
+        + "\n}"
+        for package, names in snapshot().items()
+    ]
+    print("{\n" + ",\n".join(lines) + "\n}")

@@ -1,0 +1,43 @@
+"""What 0.1.0 exported can still be imported and called: names that leave warn for one minor version first."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.exported import constructor_keywords
+
+PROMISED: dict[str, dict[str, Any]] = json.loads(
+    Path(__file__).with_name("public_names_0_1_0.json").read_text(encoding="utf-8")
+)
+
+
+def current(package: str, name: str) -> Any:
+    """The object that a promised name gives today, by its new name where it was renamed."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return getattr(import_module(package), name, None)
+
+
+@pytest.mark.parametrize("package", PROMISED)
+def test_every_name_that_0_1_0_exported_is_still_there(package: str) -> None:
+    missing = [name for name in PROMISED[package] if current(package, name) is None]
+    assert not missing, f"{package} lost names: keep them importable by giantlike.core.deprecation"
+
+
+@pytest.mark.parametrize("package", PROMISED)
+def test_constructors_take_every_keyword_that_they_took_in_0_1_0(package: str) -> None:
+    promised = {
+        name: set(promise["class"]) for name, promise in PROMISED[package].items() if promise and "class" in promise
+    }
+    lost = {
+        name: lack
+        for name, had in promised.items()
+        if (lack := had - set(constructor_keywords(current(package, name))))
+    }
+    assert not lost, f"constructors of {package} lost keywords"
