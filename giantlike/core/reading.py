@@ -1,0 +1,109 @@
+"""The border of every file reader: what a damaged file makes a parser raise becomes a DataError with the path.
+
+A reader raises ``ValueError`` for content that is not as it should be, and lets through what the libraries under it
+raise; the decorator :func:`reads` adds the path and what to do. Mistakes in the code of this package stay what they
+are: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in one of its own frames is not
+caught, the same exception raised inside a parser library is.
+"""
+
+from __future__ import annotations
+
+import functools
+import gzip
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, Protocol, TypeVar, cast
+
+from giantlike.core.errors import DataError
+
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
+
+_OF_CONTENT = (
+    OSError, EOFError, ValueError, LookupError, ArithmeticError, MemoryError, RecursionError, NotImplementedError,
+    SyntaxError,
+)  # fmt: skip
+"""Built-in exceptions that content causes; ``ElementTree.ParseError`` is a ``SyntaxError``."""
+_LONGEST_TEXT = 200  # characters of a library's message that are passed on: some quote the whole file
+
+
+class _Decorator(Protocol):
+    """A decorator that keeps the signature of what it decorates."""
+
+    def __call__(self, read: Callable[Arguments, Answer], /) -> Callable[Arguments, Answer]: ...
+
+
+def reads(what: str, remedy: str = "the file is damaged or of another kind") -> _Decorator:
+    """Decorator for functions that read a file, whose path is their first argument.
+
+    Parameters
+    ----------
+    what : str
+        What the file should be, with its article: ``"a plate table"``.
+    remedy : str
+        End of the message: what may be wrong with the file, or what to do about it.
+
+    Returns
+    -------
+    callable
+        Decorator. The function it returns raises :class:`~giantlike.core.errors.DataError`, with the path, where the
+        decorated one raises an exception that damaged content or the file system caused. An ``InputError`` inside
+        counts as one: values that the file holds were refused. Arguments of the user are to be checked outside.
+    """
+
+    def decorate(read: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
+        @functools.wraps(read)
+        def guarded(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
+            try:
+                return read(*args, **kwargs)
+            except DataError:
+                raise
+            except Exception as error:
+                if not _is_of_content(error):
+                    raise
+                path = cast(Path, args[0] if args else kwargs["path"])
+                raise DataError(path, _problem(error, what, remedy)) from error
+
+        return guarded
+
+    return decorate
+
+
+def unzipped(content: bytes) -> bytes:
+    """Content of a file without its gzip compression, if it has one.
+
+    Raises
+    ------
+    OSError, EOFError, zlib.error
+        The compressed content is damaged.
+    """
+    return gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of the content of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _is_of_content(error: Exception) -> bool:
+    """True unless a mistake in this package's own code raised the exception."""
+    if isinstance(error, _OF_CONTENT) or type(error).__module__ != "builtins":
+        return True
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return trace is not None and not str(trace.tb_frame.f_globals.get("__name__")).startswith("giantlike.")
+
+
+def _problem(error: Exception, what: str, remedy: str) -> str:
+    """Sentence for a user on what was needed, what came and what to do."""
+    if isinstance(error, FileNotFoundError):
+        return "there is no such file"
+    if isinstance(error, OSError) and error.strerror:
+        return f"cannot be read as {what}: {error.strerror}"
+    text = " ".join(str(error).split())[:_LONGEST_TEXT] or type(error).__name__
+    if isinstance(error, KeyError):
+        text = f"{text} is missing"
+    return f"cannot be read as {what}: {text}; {remedy}"
