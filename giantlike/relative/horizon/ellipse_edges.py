@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.edges import EdgePoints, scan_edges
@@ -17,7 +18,6 @@ from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
 from giantlike.relative.light.unresolved import sunlight_px
-from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
 from giantlike.shapes import PlacedEllipsoid
 
 Mask = NDArray[np.bool_]

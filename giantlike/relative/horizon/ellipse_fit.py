@@ -21,6 +21,7 @@ from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, ce
 from giantlike.relative.horizon.ellipse_edges import EllipseFitOptions, LimbEdges, figure_of, limb_edges
 from giantlike.relative.horizon.ellipsoid_cra import RELIEF_LENGTH, relief_of
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
+from giantlike.relative.quality import QualityChecks
 from giantlike.scene import Scene
 from giantlike.shapes import PlacedEllipsoid
 
@@ -32,7 +33,6 @@ _ROUNDS = 3
 _CORRELATION_PX = 2.0  # windows of neighboring edges share pixels
 _GROWTH_ERROR = 0.4  # of what was taken off for changing brightness
 _MAX_RANGE_SIGMA = 0.25
-_QUARTER = 0.25
 _STEP = 1e-4
 
 
@@ -301,22 +301,19 @@ def _judged(
     area = np.zeros(inputs.usable.shape, dtype=bool)
     area[limb.edges.pixels_px[:, 1], limb.edges.pixels_px[:, 0]] = True
     rms_px = float(np.sqrt(np.mean(residuals_px**2)))
-    off_px = float(np.max(np.abs(center_px - inputs.predicted_px)))
-    off_range = abs(range_km / inputs.geometry.range_km - 1.0)
-    share = n_used / (2.0 * math.pi * inputs.radius_px)
-    checks = (
-        (Quality.SHAPE_APPROXIMATED, relief_px > 0.0),
-        (Quality.SHORT_ARC, share < _QUARTER),
-        (Quality.MANY_REJECTED, n_used < 0.5 * len(limb.edges)),
-        (Quality.LARGE_RESIDUALS, rms_px > options.large_rms_px + 1.5 * relief_px),
-        (
-            Quality.FAR_FROM_PREDICTION,
-            off_px > options.search_px or off_range > options.search_range + 2.0 * sigma_range,
-        ),
+    checks = QualityChecks(
+        off_px=center_px - inputs.predicted_px,
+        search_px=options.search_px,
+        range_ratio=inputs.geometry.range_km / range_km,
+        search_range=options.search_range,
+        n_used=n_used,
+        n_offered=len(limb.edges),
+        residuals=rms_px / (options.large_rms_px + 1.5 * relief_px),
+        outline_share=n_used / (2.0 * math.pi * inputs.radius_px),
     )
-    flags = inputs.flags_at(area)
-    for flag, applies in checks:
-        flags |= flag if applies else Quality.NONE
+    flags = inputs.flags_at(area) | checks.flags
+    if relief_px > 0.0:
+        flags |= Quality.SHAPE_APPROXIMATED
     return PositionFix(
         estimator=inputs.estimator,
         target=inputs.target_name,

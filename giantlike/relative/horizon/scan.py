@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.core.arrays import Float, require
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.search import search_limb
@@ -34,7 +35,7 @@ _FIRST_BLUR_PX2 = 2.0
 _FIRST_CELLS = 24
 _PATIENCE = 3  # iterations after which steps are halved: the cells used can alternate
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
-_UNKNOWN_PSF_PX2, _UNKNOWN_PSF_SIGMA_PX2, _LEAST_PSF_PX2 = 0.8, 2.0, 0.01
+_UNKNOWN_PSF_SIGMA_PX2, _LEAST_PSF_PX2 = 2.0, 0.01
 _SMALL_DISK_PX = 4.6
 """Its cube over that of the radius is what the profile leaves of the limb of small disks, px; measured from 20 px."""
 _CELL_RADII = 0.25  # longest cell over the apparent radius
@@ -182,7 +183,7 @@ def settle_horizon(
     position = _located(inputs, figure, position_camera_km, search, scan)
     if isinstance(position, Failure):
         return position
-    nominal_px2 = _UNKNOWN_PSF_PX2 if inputs.psf_sigma_px is None else inputs.psf_sigma_px**2
+    nominal_px2 = UNKNOWN_PSF_SIGMA_PX**2 if inputs.psf_sigma_px is None else inputs.psf_sigma_px**2
     variance_px2, moved_px = nominal_px2 + _FIRST_BLUR_PX2, math.inf
     for iteration in range(search.max_iterations):
         view = _observed(inputs, figure, position, variance_px2, nominal_px2, search, scan)
@@ -448,7 +449,7 @@ def _clear(inputs: EstimatorInputs, figure: Figure, position_km: Float, scan: Ho
     if scan.rings_km is None:
         return inputs.usable
     covered = Rings(*scan.rings_km).cover(
-        inputs.camera, position_km, figure.camera_from_axes, widened_px=2.0 * math.sqrt(_UNKNOWN_PSF_PX2)
+        inputs.camera, position_km, figure.camera_from_axes, widened_px=2.0 * UNKNOWN_PSF_SIGMA_PX
     )
     return inputs.usable & ~covered
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require
-from giantlike.core.detector import GaussianPsf
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.image import Image
@@ -25,7 +25,6 @@ from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, c
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, rays_for
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
-from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
 from giantlike.scene import Scene
 from giantlike.shapes import LevelsOfDetail, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks

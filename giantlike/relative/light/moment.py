@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require
-from giantlike.core.detector import GaussianPsf
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
 from giantlike.image import Image
 from giantlike.processing.limb.segmentation import (
@@ -27,7 +27,6 @@ from giantlike.processing.limb.segmentation import (
 from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, trace_body
 from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
 from giantlike.relative.light.unresolved import Correction, modeled_correction_px
-from giantlike.relative.template.rendering import UNKNOWN_PSF_SIGMA_PX
 from giantlike.scene import Scene, TargetGeometry
 
 Mask = NDArray[np.bool_]

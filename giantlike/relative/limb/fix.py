@@ -14,10 +14,10 @@ from giantlike.processing.correlated_fit import generalized_solution, robust_sol
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
 from giantlike.relative.limb.observation import LimbObservation, LimbScanOptions, locate_limb, observe_limb
+from giantlike.relative.quality import QualityChecks
 
 Mask = NDArray[np.bool_]
 
-SHORT_ARC_SHARE = 0.25
 _FIRST_SEARCH_PX = 3.0
 _FIRST_LINES, _FIRST_RAYS = 100, 2  # the rough place needs no more
 _PATIENCE = 3
@@ -290,16 +290,15 @@ def _flags(
 ) -> Quality:
     observation, keep = limb.observation, limb.keep
     flags = inputs.flags_at(observation.area)
-    off_px = float(np.max(np.abs(center_px - inputs.predicted_px)))
-    off_range = abs(range_km / inputs.geometry.range_km - 1.0)
-    checks = (
-        (Quality.CUT_BY_FRAME, observation.lines.cut_by_frame),
-        (Quality.SHORT_ARC, observation.limb_share * float(keep.mean()) < SHORT_ARC_SHARE),
-        (Quality.MANY_REJECTED, int(keep.sum()) < 0.5 * observation.n_lines),
-        (Quality.LARGE_RESIDUALS, rms_px > search.large_rms_px + 1.5 * search.relief_px),
-        (Quality.FAR_FROM_PREDICTION, off_px > search.search_px or off_range > 1.2 * search.search_range + 0.01),
+    checks = QualityChecks(
+        off_px=center_px - inputs.predicted_px,
+        search_px=search.search_px,
+        range_ratio=inputs.geometry.range_km / range_km,
+        search_range=search.search_range,
+        n_used=int(keep.sum()),
+        n_offered=observation.n_lines,
+        residuals=rms_px / (search.large_rms_px + 1.5 * search.relief_px),
+        outline_share=observation.limb_share * float(keep.mean()),
+        cut_by_frame=observation.lines.cut_by_frame,
     )
-    for flag, applies in checks:
-        if applies:
-            flags |= flag
-    return flags
+    return flags | checks.flags

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Scalar
-from giantlike.core.detector import GaussianPsf
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing import (
     Body,
@@ -26,8 +26,6 @@ from giantlike.ray_tracing import (
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.template.fit import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState, warped
 
-UNKNOWN_PSF_SIGMA_PX = 0.7
-"""Point spread function to start from where the camera does not know its own."""
 UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 """How far its variance may be from the true one."""
 KNOWN_BLUR_SIGMA_PX2 = 0.15

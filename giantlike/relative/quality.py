@@ -1,0 +1,88 @@
+"""The checks that every estimator of a body makes of its fix, and the limits beyond which each raises its flag."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.outcomes import Quality
+
+SHORT_ARC_SHARE = 0.25
+"""Share of the outline below which an arc is short; the documented meaning of ``Quality.SHORT_ARC``.
+
+Over a quarter of a circle center and radius are still told apart: the sagitta of such an arc is 29 % of the radius.
+"""
+LEAST_USED_SHARE = 0.5
+"""Share of the observations that must be used; the documented meaning of ``Quality.MANY_REJECTED``.
+
+The median absolute deviation, by which outliers are found, breaks down where half of the observations are wrong.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class QualityChecks:
+    """Numbers of a fix from which its quality flags follow; the defaults raise none.
+
+    Parameters
+    ----------
+    off_px : (2,) float64, px
+        Place found less place predicted, of the point for which the search was declared.
+    search_px : float, px
+        Declared search: largest error of the prediction, in both coordinates.
+    range_ratio : float
+        Range predicted over range found: 1 + the relative error of the prediction.
+    search_range : float
+        Declared search: largest relative error of the predicted range; infinite for estimators that keep the range.
+    n_used : int
+        Observations used.
+    n_offered : int
+        Observations that were to be used: those, and the ones rejected.
+    residuals : float
+        Residuals over the largest that noise and the known errors of the model explain; more than 1 is large. Where
+        several criteria must agree, the least of their ratios; where one is enough, the largest.
+    outline_share : float
+        Length of outline used over that of the whole outline.
+    cut_by_frame : bool
+        The body reaches over the edge of the image.
+    """
+
+    off_px: Float
+    search_px: float
+    range_ratio: float = 1.0
+    search_range: float = math.inf
+    n_used: int = 1
+    n_offered: int = 1
+    residuals: float = 0.0
+    outline_share: float = 1.0
+    cut_by_frame: bool = False
+
+    def __post_init__(self) -> None:
+        require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
+
+    @property
+    def far_from_prediction(self) -> bool:
+        """True if the fix lies beyond the declared search.
+
+        The limits are those of the options and nothing else. They do not grow with the uncertainty of the fix: what
+        is uncertain and far away is not confirmed by being uncertain.
+        """
+        return float(np.max(np.abs(self.off_px))) > self.search_px or abs(self.range_ratio - 1.0) > self.search_range
+
+    @property
+    def flags(self) -> Quality:
+        """The flags that the numbers raise."""
+        checks = (
+            (Quality.CUT_BY_FRAME, self.cut_by_frame),
+            (Quality.SHORT_ARC, self.outline_share < SHORT_ARC_SHARE),
+            (Quality.MANY_REJECTED, self.n_used < LEAST_USED_SHARE * self.n_offered),
+            (Quality.LARGE_RESIDUALS, self.residuals > 1.0),
+            (Quality.FAR_FROM_PREDICTION, self.far_from_prediction),
+        )
+        flags = Quality.NONE
+        for flag, raised in checks:
+            if raised:
+                flags |= flag
+        return flags
