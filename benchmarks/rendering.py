@@ -94,17 +94,17 @@ def bare_calls(body: Body, **options: Any) -> tuple[int, Callable[[], None]]:
 
 
 def whole_template(shape: TriangleMesh) -> dict[str, Any]:
-    """A template beside the bare calls, on one thread and on two; and what parts of it cost when a trace is kept."""
+    """A template beside the bare calls, on one thread and on two; and what parts of it cost when a trace is cached."""
     body = body_of(shape)
     rays, bare = bare_calls(body)
-    kept, other_sun = traced(body), unit(np.array([0.5, 0.3, -0.8]))
+    cached, other_sun = traced(body), unit(np.array([0.5, 0.3, -0.8]))
     one: Timed = {
         "bare_embreex": bare,
         "trace": lambda: traced(body),
         "template": lambda: rendered(body),
         "template_9_rays_per_pixel": lambda: rendered(body, rays_per_pixel_side=3),
-        "kept_trace_other_law": lambda: kept.with_reflectance(Lambert()).template(),
-        "kept_trace_other_sun": lambda: kept.with_sun(other_sun).template(),
+        "cached_trace_other_law": lambda: cached.with_reflectance(Lambert()).template(),
+        "cached_trace_other_sun": lambda: cached.with_sun(other_sun).template(),
         "silhouette_360": lambda: trace_silhouette(body, CAMERA, np.radians(np.arange(360)), sun_direction_camera=SUN),
     }
     cpu_ms = least_ms(one)

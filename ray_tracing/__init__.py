@@ -5,8 +5,10 @@
 
 from giantlike.ray_tracing.backplanes import Backplanes, trace_backplanes
 from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.ray_tracing.disk import disk_integrated, disk_photocenter
-from giantlike.ray_tracing.kept_trace import Trace, trace_body
+from giantlike.ray_tracing.footprint import FocalPlane
+from giantlike.ray_tracing.near_outline import outline_brightness, render_near
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import (
     REFLECTANCES,
@@ -33,6 +35,7 @@ __all__ = [
     "Akimov",
     "Backplanes",
     "Body",
+    "FocalPlane",
     "Hapke",
     "Lambert",
     "LommelSeeliger",
@@ -50,8 +53,10 @@ __all__ = [
     "UserReflectance",
     "disk_integrated",
     "disk_photocenter",
+    "outline_brightness",
     "reflectance_from_mapping",
     "render",
+    "render_near",
     "render_scene",
     "trace_backplanes",
     "trace_body",

@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, frozen, require
+from giantlike.core.arrays import Float, frozen
 from giantlike.core.outcomes import Failure
-from giantlike.ray_tracing.body import Body, sun_in_body, suns_of
-from giantlike.ray_tracing.neighbors import Neighbor, neighbors_of
-from giantlike.ray_tracing.sampling import Cells, RayGrid
+from giantlike.ray_tracing.body import Body, suns_of
+from giantlike.ray_tracing.footprint import FocalPlane, visible_box
+from giantlike.ray_tracing.neighbors import neighbors_of
+from giantlike.ray_tracing.options import DEFAULT_OPTIONS
+from giantlike.ray_tracing.sampling import RayGrid, Tile
+from giantlike.ray_tracing.trace import View, view_of
 from giantlike.ray_tracing.tracer import Mask
-from giantlike.ray_tracing.window import sampled_box
 
 _RAYS_AT_A_TIME = 100_000
+"""Rays traced together; bounds the memory to some 50 MB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,22 +88,22 @@ def trace_backplanes(
     InputError
         A size is not positive, or a direction is not a unit vector or not one for each body.
     """
-    require(columns > 0 and rows > 0, f"columns and rows must be > 0, got {columns} and {rows}")
+    plane = FocalPlane(model=model, columns=columns, rows=rows)
     bodies = [body.seen_by(model) for body in bodies]
     planes = _blank(columns, rows)
     for number, sun in enumerate(suns_of(bodies, sun_direction_camera)):
-        box = sampled_box(bodies[number], model, np.array([columns, rows], dtype=np.float64), 0)
+        box = visible_box(bodies[number], plane, 0)
         if isinstance(box, Failure):
             continue
-        x, y = (Cells.covering(float(box.low_px[i]), float(box.high_px[i]), 1) for i in range(2))
-        rotation = bodies[number].camera_from_body.as_matrix().T
-        grid, step = RayGrid(model, x, y, rotation), max(_RAYS_AT_A_TIME // x.count, 1)
-        neighbors = neighbors_of(bodies, number, sun, 0.0)
+        x, y = box.cells(per_px=1)
+        view = view_of(bodies[number], model, sun, DEFAULT_OPTIONS, tuple(neighbors_of(bodies, number, sun, 0.0)))
+        grid = RayGrid(model, x, y, view.body.camera_from_body.as_matrix().T)
+        step = max(_RAYS_AT_A_TIME // x.count, 1)
         for start in range(0, y.count, step):
-            stop = min(start + step, y.count)
-            window = slice(y.first + start, y.first + stop), slice(x.first, x.first + x.count)
-            directions = grid.tile(start, stop, 0, x.count)[:, :3].reshape(x.count, stop - start, 3)
-            _fill(planes, window, number, bodies[number], np.swapaxes(directions, 0, 1), sun, neighbors)
+            tile = Tile(start, min(start + step, y.count), 0, x.count)
+            window = slice(y.first + tile.start, y.first + tile.stop), slice(x.first, x.first + x.count)
+            directions = grid.directions(tile)[:, :3].reshape(x.count, tile.rows, 3)
+            _fill(planes, window, number, view, np.swapaxes(directions, 0, 1))
     for name in planes.__dataclass_fields__:
         frozen(getattr(planes, name))
     return planes
@@ -131,13 +134,11 @@ def _fill(
     planes: Backplanes,
     window: tuple[slice, slice],
     number: int,
-    body: Body,
+    view: View,
     directions: Float,
-    sun_camera: Float,
-    neighbors: Sequence[Neighbor],
 ) -> None:
     """Write what a body shows along directions (h, w, 3), body axes, into a window of the planes, if it is nearest."""
-    sun, camera_km = sun_in_body(body, sun_camera), body.camera_body_km
+    body, sun, camera_km = view.body, view.sun_body[:3], view.body.camera_body_km
     rays = directions.reshape(-1, 3)
     hits = body.tracer.intersect(camera_km, rays)
     range_km = np.linalg.norm(hits.points_km - camera_km, axis=1)
@@ -145,7 +146,7 @@ def _fill(
     nearest = np.flatnonzero(hits.hit & ~(range_km >= before))
     points, normals, rays = hits.points_km[nearest], hits.normals[nearest], rays[nearest]
     shadowed = body.tracer.shadowed(hits, sun)[nearest]
-    for neighbor in neighbors:
+    for neighbor in view.neighbors:
         if neighbor.shades:
             shadowed |= neighbor.dark(points, sun)
     values = {

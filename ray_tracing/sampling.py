@@ -74,6 +74,21 @@ class Cells:
         return csr_matrix((weights[place][inside], (rows[inside], columns[inside])), shape=(count_px, self.count))
 
 
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """Cells in rows ``start`` to ``stop`` and columns ``left`` to ``right``, counted from the first of a grid."""
+
+    start: int
+    stop: int
+    left: int
+    right: int
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self.stop - self.start
+
+
 def _ramp(x: Float, sigma: float) -> Float:
     """Function whose second derivative is a Gaussian (sigma > 0) or a spike (sigma = 0)."""
     if sigma == 0.0:
@@ -117,11 +132,19 @@ class RayGrid:
                 self._basis = down.basis(self._rows_px), values, across.basis(self._columns_px)
                 return
 
-    def tile(self, start: int, stop: int, left: int, right: int) -> Float:
-        """Unit directions (n, 4), the fourth column 0, of some cells.
+    def directions(self, tile: Tile) -> Float:
+        """Directions of the rays through some cells.
 
-        Those in columns ``left`` to ``right``, one after the other, each from row ``start`` to row ``stop``.
+        Parameters
+        ----------
+        tile : Tile
+
+        Returns
+        -------
+        (n, 4) float64
+            Unit vectors and zeros, column after column of the tile.
         """
+        start, stop, left, right = tile.start, tile.stop, tile.left, tile.right
         if self._jitter_seed is None:
             return self._points(start, stop, left, right).reshape(-1, 4)
         corners = self._points(start, stop + 1, left, right + 1)

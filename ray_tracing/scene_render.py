@@ -13,6 +13,7 @@ from giantlike.core.arrays import Float, as_floats
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing.body import Body, suns_of
+from giantlike.ray_tracing.footprint import FocalPlane
 from giantlike.ray_tracing.neighbors import neighbors_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.render import rendered
@@ -103,18 +104,10 @@ def render_scene(
     Every body is rendered as :func:`~giantlike.ray_tracing.render` does, but rays that meet another body first are
     dropped, and shadow rays are tested against all bodies. Light that one body casts on another is left out.
     """
+    plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
     bodies = [body.seen_by(model) for body in bodies]
     templates = tuple(
-        rendered(
-            body,
-            model,
-            sun_direction_camera=sun,
-            psf=psf,
-            columns=columns,
-            rows=rows,
-            options=options,
-            neighbors=tuple(neighbors_of(bodies, number, sun, options.sun_radius_rad)),
-        )
+        rendered(body, plane, sun, options, tuple(neighbors_of(bodies, number, sun, options.sun_radius_rad)))
         for number, (body, sun) in enumerate(zip(bodies, suns_of(bodies, sun_direction_camera), strict=True))
     )
     return SceneRender(columns=columns, rows=rows, templates=templates)

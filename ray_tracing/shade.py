@@ -1,4 +1,4 @@
-"""Traced rays become light on pixels: the reflectance law, the albedo and the point spread function."""
+"""Shading: the light of traced rays, under a reflectance law, gathered on pixels into a template."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, frozen
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.ray_tracing.footprint import Footprint
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.sampling import spread_over
-from giantlike.ray_tracing.trace import TracedTile, View
-from giantlike.ray_tracing.window import Tile
+from giantlike.ray_tracing.sampling import Tile, spread_over
+from giantlike.ray_tracing.trace import TracedRays, View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,7 +36,7 @@ class Template:
     lit_fraction : float
         Part of the rays on the body that end on lit surface.
     rendered_from_camera : Rotation
-        Takes camera axes to those that the body was rendered in: no turn, unless it was recenterd.
+        Takes camera axes to those that the body was rendered in: no turn, unless it was recentered.
     """
 
     brightness: Float
@@ -48,7 +48,18 @@ class Template:
     rendered_from_camera: Rotation = field(default_factory=Rotation.identity)
 
     def placed(self, columns: int, rows: int) -> Float:
-        """The brightness in a whole frame (rows, columns), zero elsewhere; what lies outside is cut off."""
+        """Return the brightness in a whole frame.
+
+        Parameters
+        ----------
+        columns, rows : int, px
+            Size of the frame.
+
+        Returns
+        -------
+        (rows, columns) float64
+            0 outside the template; what lies outside the frame is cut off.
+        """
         frame = np.zeros((rows, columns))
         height, width = self.brightness.shape
         x, y = (int(v) for v in self.corner_px)
@@ -60,7 +71,7 @@ class Template:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShadedTile:
-    """Light and cover of a tile of cells.
+    """Light and coverage of a tile of cells.
 
     Parameters
     ----------
@@ -87,35 +98,54 @@ class ShadedTile:
     lit: int
 
 
-def shade_tile(view: View, traced: TracedTile, law: Reflectance) -> ShadedTile:
-    """Brightness of the cells of a tile, gathered on the pixels across."""
-    tile, sight, window = traced.tile, traced.sight, view.window
-    brightness = np.zeros((window.cells[0].count, tile.rows))
+def shade_tile(footprint: Footprint, tile: Tile, traced: TracedRays, law: Reflectance) -> ShadedTile:
+    """Light of the cells of a tile under a reflectance law, on the pixel columns of the template.
+
+    Parameters
+    ----------
+    footprint : Footprint
+    tile : Tile
+    traced : TracedRays
+        One ray for each cell of the tile, column after column.
+    law : Reflectance
+
+    Returns
+    -------
+    ShadedTile
+    """
+    brightness = np.zeros((footprint.cells[0].count, tile.rows))
     inside = brightness[tile.left : tile.right]
-    flat = inside.reshape(-1)
-    for light in traced.light:
-        value = law(light.cos_incidence, sight.cos_emission.take(light.seen), light.phase_rad)
-        if traced.albedo is not None:
-            value = value * traced.albedo.take(light.seen)
-        flat[sight.rays.take(light.seen)] += value / len(traced.light)
-    first_row, cover = window.counted(tile, sight.rays)
+    inside[:] = traced.brightness(law).reshape(inside.shape)
+    first_row, cover = footprint.counted(tile, traced.sight.rays)
     return ShadedTile(
         tile=tile,
-        light=spread_over(window.spread[0], brightness),
+        light=spread_over(footprint.spread[0], brightness),
         by_column=inside.sum(axis=1),
         by_row=inside.sum(axis=0),
         cover=cover,
         first_row=first_row,
-        hits=int(sight.rays.size),
+        hits=int(traced.sight.rays.size),
         lit=traced.lit,
     )
 
 
-def gathered(view: View, tiles: Iterable[ShadedTile]) -> Template | Failure:
-    """Add up tiles, in their order; a body seen in the dark gives a black template with a NaN photocenter."""
-    window = view.window
-    x, y = (cells.centers_px for cells in window.cells)
-    width, height = window.size_px
+def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> Template | Failure:
+    """Template of tiles, added up in their order.
+
+    Parameters
+    ----------
+    view : View
+    footprint : Footprint
+    tiles : iterable of ShadedTile
+
+    Returns
+    -------
+    Template or Failure
+        A body seen in the dark gives a black template with a NaN photocenter; ``NO_SIGNAL`` where neighbors hide it,
+        ``OUT_OF_FRAME`` where no ray meets it.
+    """
+    x, y = (cells.centers_px for cells in footprint.cells)
+    width, height = footprint.size_px
     light, counts = np.zeros((y.size, width)), np.zeros((height, width), np.int64)
     by_column, by_row = np.zeros(x.size), np.zeros(y.size)
     n_hit = n_lit = 0
@@ -133,17 +163,17 @@ def gathered(view: View, tiles: Iterable[ShadedTile]) -> Template | Failure:
     with np.errstate(invalid="ignore"):
         photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
     return Template(
-        brightness=frozen(spread_over(window.spread[1], light)),
-        coverage=frozen(counts / window.cells[0].per_px ** 2),
-        corner_px=frozen(window.corner_px),
-        center_px=view.body.center_px(view.model),
+        brightness=frozen(spread_over(footprint.spread[1], light)),
+        coverage=frozen(counts / footprint.cells[0].per_px ** 2),
+        corner_px=frozen(footprint.corner_px),
+        center_px=view.body.center_px(footprint.plane.model),
         photocenter_px=photocenter_px,
         lit_fraction=n_lit / n_hit,
     )
 
 
 def unless_dark(template: Template | Failure) -> Template | Failure:
-    """``NOT_LIT`` for a template without any lit surface."""
+    """Return the template, or a failure ``NOT_LIT`` for one without any lit surface."""
     if isinstance(template, Template) and template.lit_fraction == 0.0:
         return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
     return template

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
-from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.embree import Float32, dot, rows_of
 from giantlike.ray_tracing.neighbors import Neighbor
 from giantlike.ray_tracing.options import RenderOptions
-from giantlike.ray_tracing.sampling import RayGrid
+from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.sun import disk_directions
 from giantlike.ray_tracing.tracer import Indices, Mask, Sight
-from giantlike.ray_tracing.window import Tile, Window
-from giantlike.shapes import TriangleMesh
+from giantlike.shapes import Shape, TriangleMesh
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -27,15 +27,11 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """A body before a camera, the Sun and its neighbors: what there is to trace.
+    """A body before a camera, the Sun and its neighbors: everything that rays meet.
 
     Parameters
     ----------
     body : Body
-    model : CameraModel
-    window : Window
-    camera_body_km : (3,) float64, km, body axes
-        Where the camera is.
     sun_body : (4,) float64, unitless, body axes
         Unit vector to the Sun and a zero: see ``Sight``.
     neighbors : tuple of Neighbor
@@ -43,22 +39,47 @@ class View:
     """
 
     body: Body
-    model: CameraModel
-    window: Window
-    camera_body_km: Float
     sun_body: Float
     neighbors: tuple[Neighbor, ...]
     options: RenderOptions
 
-    def ray_grid(self) -> RayGrid:
-        """Directions of the rays through the cells, body axes."""
-        rotation = self.body.camera_from_body.as_matrix().T
-        return RayGrid(self.model, *self.window.cells, rotation, self.options.jitter_seed)
+
+def view_of(
+    body: Body,
+    model: CameraModel,
+    sun_direction_camera: ArrayLike,
+    options: RenderOptions,
+    neighbors: tuple[Neighbor, ...] = (),
+) -> View:
+    """View of a body through a camera model.
+
+    Parameters
+    ----------
+    body : Body
+        Its level of detail is chosen for the camera.
+    model : CameraModel
+    sun_direction_camera : (3,), unitless, camera axes
+        Unit vector from body to Sun.
+    options : RenderOptions
+    neighbors : tuple of Neighbor
+
+    Returns
+    -------
+    View
+
+    Raises
+    ------
+    InputError
+        The direction is not a unit vector.
+    """
+    body = body.seen_by(model)
+    sun_body = np.append(sun_in_body(body, sun_direction_camera), 0.0)
+    return View(body=body, sun_body=sun_body, neighbors=neighbors, options=options)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sunlight:
-    """Where one point of the Sun shines on what is seen.
+    """Points of the surface on which one point of the Sun shines.
 
     Parameters
     ----------
@@ -74,23 +95,21 @@ class Sunlight:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TracedTile:
-    """A tile of cells, traced.
+class TracedRays:
+    """Rays of a camera, traced to the body and on to the Sun.
 
     Parameters
     ----------
-    tile : Tile
     sight : Sight
-        Ray numbers count the cells of the tile, column after column.
+        Surface met by the rays.
     directions : (n, 4) float64, unitless, body axes
-        Of all rays of the tile.
+        Of all rays.
     light : tuple of Sunlight
         One for each point of the Sun that rays are bounced to.
     albedo : (k,) float64, optional
-        Relative albedo at what is seen; None where it is 1 throughout.
+        Relative albedo at the points of ``sight``; None where it is 1 throughout.
     """
 
-    tile: Tile
     sight: Sight
     directions: Float
     light: tuple[Sunlight, ...]
@@ -98,38 +117,64 @@ class TracedTile:
 
     @property
     def lit(self) -> int:
-        """Number of rays that see some of the Sun."""
+        """Number of rays that end on a point in sunlight."""
         if len(self.light) == 1:
             return int(self.light[0].seen.size)
         return int(np.unique(np.concatenate([light.seen for light in self.light])).size)
 
+    def brightness(self, law: Reflectance) -> Float:
+        """Brightness (n,) of all rays under a reflectance law; 0 for those that meet nothing lit."""
+        brightness = np.zeros(len(self.directions))
+        for light in self.light:
+            value = law(light.cos_incidence, self.sight.cos_emission.take(light.seen), light.phase_rad)
+            if self.albedo is not None:
+                value = value * self.albedo.take(light.seen)
+            brightness[self.sight.rays.take(light.seen)] += value / len(self.light)
+        return brightness
 
-def trace_tile(view: View, grid: RayGrid, tile: Tile) -> TracedTile:
-    """Send the rays of a tile to the body and on to the Sun."""
-    body, camera_km = view.body, view.camera_body_km
-    directions = grid.tile(tile.start, tile.stop, tile.left, tile.right)
+
+def trace_rays(view: View, directions: Float, *, stratum: int = 0) -> TracedRays:
+    """Send rays to the body and on to the Sun.
+
+    Parameters
+    ----------
+    view : View
+    directions : (n, 4) float64, unitless, body axes
+        Unit vectors and zeros.
+    stratum : int
+        Seed, with ``sun_seed``, of the random points of an extended Sun.
+
+    Returns
+    -------
+    TracedRays
+    """
+    body = view.body
+    camera_km = body.camera_body_km
     sight = body.tracer.sight(camera_km, directions)
     for neighbor in view.neighbors:
         if neighbor.hides:
             before = neighbor.hidden(camera_km, directions.take(sight.rays, axis=0), sight.points_km)
             sight = sight.only(~before)
-    light = sunlight(view, tile, sight, directions)
-    return TracedTile(tile=tile, sight=sight, directions=directions, light=light, albedo=_albedo(body, sight))
+    albedo = None
+    if body.shape.albedo is not None:
+        albedo = surface_albedo(body.shape, sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64))
+    light = sunlight(view, sight, directions, stratum=stratum)
+    return TracedRays(sight=sight, directions=directions, light=light, albedo=albedo)
 
 
-def sunlight(view: View, tile: Tile, sight: Sight, directions: Float) -> tuple[Sunlight, ...]:
-    """Bounce what is seen along the ``directions`` (n, 4) of a tile to the points of the Sun."""
+def sunlight(view: View, sight: Sight, directions: Float, *, stratum: int) -> tuple[Sunlight, ...]:
+    """Bounce what is seen along ``directions`` (n, 4) to the points of the Sun."""
     options = view.options
     suns = [view.sun_body]
     if options.sun_radius_rad > 0.0:
-        random = np.random.default_rng([options.sun_seed, tile.start])
+        random = np.random.default_rng([options.sun_seed, stratum])
         first, turn = random.uniform(size=(2, sight.rays.size))
         suns = disk_directions(view.sun_body, options.sun_radius_rad, options.sun_samples, first, turn)
     return tuple(_sunlight(view, sight, directions, sun) for sun in suns)
 
 
 def _sunlight(view: View, sight: Sight, directions: Float, sun: Float) -> Sunlight:
-    """Which points see a point of the Sun, towards (4,) or (k, 4)."""
+    """Points of a sight that see a point of the Sun, towards (4,) or (k, 4)."""
     cos_incidence = dot(sight.normals, sun.astype(np.float32))
     seen = np.flatnonzero(cos_incidence > 0.0)
     toward = sun if sun.ndim == 1 else sun.take(seen, axis=0)
@@ -141,7 +186,7 @@ def _sunlight(view: View, sight: Sight, directions: Float, sun: Float) -> Sunlig
 
 
 def _dark(view: View, sight: Sight, seen: Indices, toward: Float) -> Mask:
-    """Whether anything stands between some of what is seen and a point of the Sun."""
+    """True where a body stands between a point seen and a point of the Sun."""
     points = rows_of(sight.points_km, seen)
     dark = view.body.tracer.dark(points, rows_of(sight.normals, seen), toward)
     for neighbor in view.neighbors:
@@ -150,18 +195,41 @@ def _dark(view: View, sight: Sight, seen: Indices, toward: Float) -> Mask:
     return dark
 
 
-def _albedo(body: Body, sight: Sight) -> Float | None:
-    """Relative albedo (k,) of what is seen."""
-    shape = body.shape
+def surface_albedo(shape: Shape, points_km: Float, facets: NDArray[np.int64]) -> Float:
+    """Relative albedo at points of a surface.
+
+    Parameters
+    ----------
+    shape : Shape
+    points_km : (k, 3) float64, km, body axes
+    facets : (k,) int64
+        Facets of a mesh that they lie on.
+
+    Returns
+    -------
+    (k,) float64
+        1 for a shape without albedo.
+    """
     if shape.albedo is None:
-        return None
-    points, facets = sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64)
-    weights = shape.barycentric(points, facets) if isinstance(shape, TriangleMesh) else None
-    return shape.albedo.at(points, facets, weights)
+        return np.ones(len(points_km))
+    weights = shape.barycentric(points_km, facets) if isinstance(shape, TriangleMesh) else None
+    return shape.albedo.at(points_km, facets, weights)
 
 
 def in_order(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> Iterator[Result]:
-    """Results of a function for all items, in their order, on some threads: the same for any number of them."""
+    """Results of a function for all items, in their order, computed on some threads: the same for any number of them.
+
+    Parameters
+    ----------
+    function : callable
+    items : iterable
+    threads : int
+
+    Yields
+    ------
+    object
+        What the function returned for the next item.
+    """
     if threads == 1:
         yield from map(function, items)
         return

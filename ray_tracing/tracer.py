@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, as_floats, require, unit
 from giantlike.core.errors import InputError
-from giantlike.ray_tracing.beside import facet_distances, facets_around
 from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, moved, padded, rows_of
+from giantlike.ray_tracing.float64_refinement import facet_distances, facets_around
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
 Mask = NDArray[np.bool_]

@@ -14,9 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float, require
+from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
+from giantlike.ray_tracing import FocalPlane
 from giantlike.scene import Scene, TargetGeometry
 
 _ATTITUDE_FLAGS = MappingProxyType(
@@ -111,6 +113,12 @@ class EstimatorInputs:
         return apparent_radius_px(
             self.camera, self.predicted_px, self.geometry.target.shape.circumscribing_radius_km, self.geometry.range_km
         )
+
+    def focal_plane(self, psf_sigma_px: float) -> FocalPlane:
+        """Return the camera as renders take it, with a point spread function of ``psf_sigma_px``."""
+        camera = self.camera
+        psf = GaussianPsf(sigma_px=psf_sigma_px)
+        return FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=psf)
 
     def fail(self, reason: Reason, detail: str) -> Failure:
         """Return a failure whose text starts with the image, the target and the estimator."""

@@ -30,7 +30,7 @@ from giantlike.ray_tracing import (
     render,
     trace_silhouette,
 )
-from giantlike.ray_tracing.sampling import Cells, RayGrid
+from giantlike.ray_tracing.sampling import Cells, RayGrid, Tile
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid, sphere
 
@@ -436,14 +436,14 @@ def test_ray_directions_are_those_of_the_camera_model_also_where_it_ends(k1: flo
     assert np.isnan(exact).any() == (k1 == -0.4)
     assert np.isfinite(exact).any()
     grid = RayGrid(model, x, y, TILTED.as_matrix().T)
-    directions = grid.tile(10, 60, 5, x.count).reshape(x.count - 5, 50, 4)  # column after column
+    directions = grid.directions(Tile(10, 60, 5, x.count)).reshape(x.count - 5, 50, 4)  # column after column
     assert_allclose(np.swapaxes(directions[..., :3], 0, 1), exact[10:60, 5:], rtol=0, atol=2e-11)
     assert np.all(directions[..., 3] == 0.0)
 
 
 def test_jittered_rays_stay_in_their_cells_and_fill_them() -> None:
     x, y = Cells.covering(100.0, 140.0, 3), Cells.covering(80.0, 100.0, 3)
-    rays = RayGrid(BROWN, x, y, np.eye(3), jitter_seed=1).tile(0, y.count, 0, x.count)[:, :3]
+    rays = RayGrid(BROWN, x, y, np.eye(3), jitter_seed=1).directions(Tile(0, y.count, 0, x.count))[:, :3]
     pixels = np.swapaxes(BROWN.project(rays).reshape(x.count, y.count, 2), 0, 1)
     within = 3.0 * (pixels - np.stack(np.meshgrid(x.edges_px[:-1], y.edges_px[:-1]), axis=-1))
     assert within.min() > -1e-4

@@ -30,7 +30,6 @@ from giantlike.relative.limb.fix import limb_design
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.limb.lines import plan_lines
 from giantlike.relative.limb.observation import LimbScanOptions, observe_limb
-from giantlike.relative.limb.rendering import WindowModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, sphere
 from tests.limb_images import CAMERA, NEES_LIMIT, BodyImage, assert_sound, body_image, mean_nees_band
@@ -425,29 +424,6 @@ def test_the_limb_of_a_mesh_moves_with_it_as_the_design_says() -> None:
     predicted = limb_design(there.normals_px, jacobian) @ (here.position_camera_km - there.position_camera_km)
     assert abs(np.median(here.shift_px)) < 0.02
     assert np.median(np.abs(there.shift_px - predicted)) < 0.06  # the same points, with rays through other places
-
-
-@pytest.mark.parametrize("scale", [1.0, 4.0])
-def test_a_window_of_a_camera_counts_its_pixels_from_its_corner(scale: float) -> None:
-    corner = np.array([40.0, 15.0])
-    window = WindowModel(CAMERA.model, corner, scale)
-    points = np.array([[0.1, -0.2, 3.0], [0.0, 0.1, 2.0]])
-    pixels = CAMERA.model.project(points)
-    inside = (pixels - corner) / scale
-    assert_allclose(window.project(points), inside, rtol=0, atol=1e-12)
-    assert_allclose(window.unproject(inside), CAMERA.model.unproject(pixels), rtol=0, atol=1e-12)
-    assert_allclose(window.project_jacobian(points), CAMERA.model.project_jacobian(points) / scale, rtol=0, atol=1e-9)
-    assert_allclose(
-        window.unproject_jacobian(inside), CAMERA.model.unproject_jacobian(pixels) * scale, rtol=0, atol=1e-12
-    )
-    parameters = window.parameters * 1.1
-    longer = window.with_parameters(parameters)
-    assert longer.focal_length_px == pytest.approx(1.1 * CAMERA.model.focal_length_px / scale)
-    assert longer.project(points) == pytest.approx(
-        (CAMERA.model.with_parameters(parameters).project(points) - corner) / scale
-    )
-    assert window.parameter_jacobian(points).shape == (2, 2, parameters.size)
-    assert window.at_temperature(20.0).scale == scale
 
 
 # --- real images ------------------------------------------------------------------------------------------------

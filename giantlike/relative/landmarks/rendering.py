@@ -198,7 +198,7 @@ class LandmarkRenderer:
     def _shaded_otherwise(self, trace: Trace, box: FitBox) -> Float | None:
         if not self._other_law:
             return None
-        own = trace.view.body.reflectance
+        own = trace.body.reflectance
         template = trace.with_reflectance(LommelSeeliger() if isinstance(own, Lambert) else Lambert()).template()
         return None if isinstance(template, Failure) else template.placed(box.width, box.height)
 

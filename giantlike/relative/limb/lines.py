@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
+from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
 from giantlike.relative.estimator import EstimatorInputs
-from giantlike.relative.limb.rendering import outline_brightness
 
 Mask = NDArray[np.bool_]
 
@@ -122,7 +121,7 @@ def survey_outline(inputs: EstimatorInputs, body: Body) -> OutlineSurvey:
         outline.points_px,
         outline.normals_px,
         body,
-        inputs.camera,
+        inputs.camera.model,
         sun_direction_camera=sun,
         radius_px=inputs.radius_px,
     )

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
-from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
@@ -29,10 +28,9 @@ from giantlike.processing.limb.scan import (
     step_profile,
 )
 from giantlike.processing.limb.search import search_limb
-from giantlike.ray_tracing import Body
+from giantlike.ray_tracing import Body, render_near
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
 from giantlike.relative.limb.lines import LimbLines, lay_lines, plan_lines, survey_outline, trace_lines
-from giantlike.relative.limb.rendering import render_near
 
 Mask = NDArray[np.bool_]
 
@@ -362,9 +360,8 @@ def _expected(
     brightness = render_near(
         places,
         body,
-        inputs.camera,
+        inputs.focal_plane(psf_sigma_px),
         sun_direction_camera=inputs.geometry.sun_direction_camera,
-        psf=GaussianPsf(sigma_px=psf_sigma_px),
         rays_per_pixel_side=_rays_for(inputs.radius_px, options),
     )
     if isinstance(brightness, Failure):

@@ -1,153 +1,92 @@
-"""Rendering for limbs: tiles of the frame along one, and how bright a body is all along its outline."""
+"""Renders near the outline of a body only: pixels along a limb, and the brightness just inside the outline."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_floats, unit
-from giantlike.core.detector import GaussianPsf
+from giantlike.core.arrays import Float, unit
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.ray_tracing import Body, RenderOptions
-from giantlike.ray_tracing.render import viewed
+from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.footprint import FocalPlane, visible_box
+from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.sampling import Cells
-from giantlike.ray_tracing.trace import View, sunlight
-from giantlike.ray_tracing.tracer import Sight
-from giantlike.ray_tracing.window import Tile
-from giantlike.shapes import TriangleMesh
+from giantlike.ray_tracing.trace import View, trace_rays, view_of
 
-_TILE_PX = 16
-_FOOTPRINT_PX = 2  # of the B-spline that samples the template, from the nearest pixel
-_UNEVEN = 0.1  # difference between neighboring rays over the brightest
+_TILE_PX = 16  # side of the squares over which directions are parabolas; see _ray_axes for their error
+_SPLINE_PX = 2  # reach of the cubic B-spline that samples the image, from the nearest pixel
+_UNEVEN = 0.1  # difference between neighboring rays over the brightest, from which a pixel gets all of its rays
 _COARSER = 6.0  # rays along a pixel where light is uneven over those elsewhere
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_DEPTHS, _ASIDES = np.array([0.005, 0.015, 0.025, 0.035]), np.array([-0.015, 0.0, 0.015])  # over the radius
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # golden ratio: fills an interval evenly whatever the number of points
+_DEPTHS, _ASIDES = np.array([0.005, 0.015, 0.025, 0.035]), np.array([-0.015, 0.0, 0.015])
+"""Places inside the outline whose brightness is averaged, over the radius: a square of a twenty-fifth of it."""
 _PSF_REACH_SIGMA = 3.5  # beyond and half a pixel lies a ten-thousandth of the light
-_ONE_RAY = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
-_ANYWHERE = RenderOptions(rays_per_pixel_side=1, min_rays_across=1, margin_px=4096)  # also beside the frame
-
-
-@dataclass(frozen=True, slots=True)
-class WindowModel:
-    """A camera model whose pixels are counted from another corner, and may have another size.
-
-    Parameters
-    ----------
-    model : CameraModel
-    corner_px : (2,) float64, px
-        Pixel of ``model`` that becomes (0, 0).
-    scale : float, px
-        Pixels of ``model`` to one of the window.
-    """
-
-    type_name: ClassVar[str] = "window"
-    parameter_names: ClassVar[tuple[str, ...]] = ()
-
-    model: CameraModel
-    corner_px: Float
-    scale: float = 1.0
-
-    @property
-    def parameters(self) -> Float:
-        """Those of the model inside (k,)."""
-        return self.model.parameters
-
-    def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same window of a model with other parameters (k,)."""
-        return type(self)(self.model.with_parameters(values), self.corner_px, self.scale)
-
-    @property
-    def focal_length_px(self) -> float:
-        """Focal length along x, px."""
-        return self.model.focal_length_px / self.scale
-
-    def project(self, points_camera: ArrayLike) -> Float:
-        """Pixels (..., 2) of points (..., 3) in camera axes."""
-        return (self.model.project(points_camera) - self.corner_px) / self.scale
-
-    def unproject(self, points_px: ArrayLike) -> Float:
-        """Unit vectors (..., 3) in camera axes of pixels (..., 2)."""
-        return self.model.unproject(self._of_model(points_px))
-
-    def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative (..., 2, 3) of ``project`` with respect to the point."""
-        return self.model.project_jacobian(points_camera) / self.scale
-
-    def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative (..., 3, 2) of ``unproject`` with respect to the pixel, 1/px."""
-        return self.model.unproject_jacobian(self._of_model(points_px)) * self.scale
-
-    def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative (..., 2, k) of the pixels at a temperature with respect to the parameters."""
-        return self.model.parameter_jacobian(points_camera, temperature_c) / self.scale
-
-    def at_temperature(self, temperature_c: float) -> Self:
-        """Return the same window of the model at a temperature in degrees Celsius."""
-        return type(self)(self.model.at_temperature(temperature_c), self.corner_px, self.scale)
-
-    def _of_model(self, points_px: ArrayLike) -> Float:
-        return self.scale * as_floats(points_px, (2,), "points_px") + self.corner_px
+_OPTIONS = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
 
 
 def render_near(
-    places_px: Float,
+    points_px: Float,
     body: Body,
-    camera: Camera,
+    plane: FocalPlane,
     *,
     sun_direction_camera: Float,
-    psf: GaussianPsf,
     rays_per_pixel_side: int,
 ) -> Float | Failure:
-    """Brightness of a body in a frame, rendered where it is asked for.
+    """Brightness of a body in a frame, rendered only near given points.
 
     Parameters
     ----------
-    places_px : (..., 2) float64, px
-        Where the brightness is needed; what lies more than a few pixels away from all of them stays 0.
+    points_px : (..., 2) float64, px
+        Points at which the brightness is needed; pixels more than a few pixels away from all of them stay 0.
     body : Body
-    camera : Camera
+    plane : FocalPlane
+        With a point spread function.
     sun_direction_camera : (3,) float64, unitless, camera axes
-    psf : GaussianPsf
+        Unit vector from body to Sun.
     rays_per_pixel_side : int
-        Where light is uneven, as where the outline lies; elsewhere a sixth of that will do.
+        Where light is uneven, as along the outline; elsewhere a sixth of that is enough.
 
     Returns
     -------
     (rows, columns) float64 or Failure
-        ``NOT_LIT`` or ``OUT_OF_FRAME`` when no light falls on any of the places.
+        ``NOT_LIT`` or ``OUT_OF_FRAME`` when no light falls near any of the points, ``DEGENERATE_GEOMETRY`` when the
+        camera lies inside the body.
+
+    Raises
+    ------
+    InputError
+        The direction is not a unit vector.
 
     Notes
     -----
     The light of a ray is spread over the pixels as that of its cell, cell, point spread and pixel together and exactly,
-    as by :func:`giantlike.ray_tracing.render`. Where in its cell a ray goes differs from row to row, so that an outline
-    along the rows does not meet all of a row's rays at once.
+    as by :func:`giantlike.ray_tracing.render`. The place of a ray in its cell differs from row to row, so that an
+    outline along the rows does not meet all of a row's rays at once.
     """
-    size = camera.columns, camera.rows
-    view = viewed(body, camera.model, sun_direction_camera, psf, size, _ONE_RAY)
-    if isinstance(view, Failure):
-        return view
-    reach = math.ceil(_PSF_REACH_SIGMA * psf.sigma_px + 0.5)
-    pixels = _pixels_near(places_px.reshape(-1, 2), size, reach)
+    view = view_of(body, plane.model, sun_direction_camera, _OPTIONS)
+    box = visible_box(view.body, plane, plane.halo_px)
+    if isinstance(box, Failure):
+        return box
+    size, sigma_px = (plane.columns, plane.rows), plane.psf_sigma_px
+    reach = math.ceil(_PSF_REACH_SIGMA * sigma_px + 0.5)
+    pixels = _pixels_near(points_px.reshape(-1, 2), size, reach)
     if len(pixels) == 0:
-        return Failure(Reason.OUT_OF_FRAME, "nothing to render lies in the frame")
-    rays = _ray_axes(view.model, pixels) @ view.body.camera_from_body.as_matrix()
+        return Failure(Reason.OUT_OF_FRAME, "none of the points to render lies in the frame")
+    rays = _ray_axes(plane.model, pixels) @ view.body.camera_from_body.as_matrix()
     light = _light(view, rays, math.ceil(rays_per_pixel_side / _COARSER))
     uneven = _uneven(pixels, light)
     if not light.any():
-        return Failure(Reason.NOT_LIT, "the body is dark wherever it was rendered")
+        return Failure(Reason.NOT_LIT, "the body is dark at all points that were rendered")
     first = pixels.min(axis=0) - reach
     columns, rows = (pixels.max(axis=0) + reach + 1 - first).tolist()
-    patch = _spread(pixels[~uneven] - first, light[~uneven], (rows, columns), psf, reach)
+    patch = _spread(pixels[~uneven] - first, light[~uneven], (rows, columns), sigma_px, reach)
     light = _light(view, rays[uneven], rays_per_pixel_side)
-    patch += _spread(pixels[uneven] - first, light, (rows, columns), psf, reach)
-    frame = np.zeros((camera.rows, camera.columns))
+    patch += _spread(pixels[uneven] - first, light, (rows, columns), sigma_px, reach)
+    frame = np.zeros((plane.rows, plane.columns))
     (left, top), (right, bottom) = np.maximum(first, 0), np.minimum(first + np.array([columns, rows]), size)
     frame[top:bottom, left:right] = patch[top - first[1] : bottom - first[1], left - first[0] : right - first[0]]
     return frame
@@ -157,20 +96,21 @@ def outline_brightness(
     points_px: Float,
     normals_px: Float,
     body: Body,
-    camera: Camera,
+    model: CameraModel,
     *,
     sun_direction_camera: Float,
     radius_px: float,
 ) -> Float:
-    """How bright a body is just inside its outline: mean over a square of a twenty-fifth of its radius.
+    """Brightness of a body just inside its outline: mean over a square of a twenty-fifth of its radius.
 
     Parameters
     ----------
     points_px, normals_px : (n, 2) float64
         The outline and its outward normals; points that are not finite get 0.
     body : Body
-    camera : Camera
+    model : CameraModel
     sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
     radius_px : float, px
         Apparent radius of the body.
 
@@ -179,27 +119,31 @@ def outline_brightness(
     (n,) float64
         Over the largest of the values; 0 everywhere where none of the places is lit.
 
+    Raises
+    ------
+    InputError
+        The direction is not a unit vector.
+
     Notes
     -----
     On the outline itself the cosine of the incidence angle says little: with the Sun behind the camera it is zero all
     around, however bright the limb.
     """
+    view = view_of(body, model, sun_direction_camera, _OPTIONS)
     across = np.stack([-normals_px[:, 1], normals_px[:, 0]], axis=-1)
     depth, aside = np.meshgrid(_DEPTHS, _ASIDES)
     steps = aside.ravel()[:, None] * across[:, None] - depth.ravel()[:, None] * normals_px[:, None]
     directions = np.zeros((len(points_px), depth.size, 4))
-    directions[..., :3] = body.to_body(camera.model.unproject(points_px[:, None] + radius_px * steps))
-    view = viewed(body, camera.model, sun_direction_camera, None, (camera.columns, camera.rows), _ANYWHERE)
-    if isinstance(view, Failure):
-        return np.zeros(len(points_px))
-    light = np.mean(_traced(view, directions.reshape(-1, 4)).reshape(len(points_px), -1), axis=1)
+    directions[..., :3] = view.body.to_body(model.unproject(points_px[:, None] + radius_px * steps))
+    traced = trace_rays(view, directions.reshape(-1, 4))
+    light = np.mean(traced.brightness(view.body.reflectance).reshape(len(points_px), -1), axis=1)
     result: Float = light / max(float(light.max()), 1e-300)
     return result
 
 
 def _pixels_near(places_px: Float, size_px: tuple[int, int], reach_px: int) -> NDArray[np.int64]:
     """Pixels (n, 2) whose light falls near places (k, 2): those in the frame, and as many beyond as it takes."""
-    margin = _FOOTPRINT_PX + reach_px
+    margin = _SPLINE_PX + reach_px
     index = np.rint(places_px).astype(np.int64)
     index = index[np.all((index >= 0) & (index < size_px), axis=1)]
     if len(index) == 0:
@@ -275,36 +219,14 @@ def _light(view: View, axes: Float, per_side: int) -> Float:
     steps = np.stack([np.ones(per_side**2), x.ravel(), y.ravel()], axis=-1)
     directions = np.zeros((len(axes) * per_side**2, 4))
     directions[:, :3] = unit(np.einsum("rk,nkc->nrc", steps, axes).reshape(-1, 3))
-    return _traced(view, directions).reshape(-1, per_side**2)
+    return trace_rays(view, directions).brightness(view.body.reflectance).reshape(-1, per_side**2)
 
 
-def _traced(view: View, directions: Float) -> Float:
-    """Brightness (n,) along unit directions (n, 4), body axes."""
-    sight = view.body.tracer.sight(view.camera_body_km, directions)
-    light = np.zeros(len(directions))
-    albedo, law = _albedo(view.body, sight), view.body.reflectance
-    for sun in sunlight(view, Tile(0, 1, 0, len(directions)), sight, directions):
-        value = law(sun.cos_incidence, sight.cos_emission.take(sun.seen), sun.phase_rad)
-        light[sight.rays.take(sun.seen)] = value if albedo is None else value * albedo.take(sun.seen)
-    return light
-
-
-def _albedo(body: Body, sight: Sight) -> Float | None:
-    """Relative albedo (k,) of what is seen; None where it is 1 throughout."""
-    shape = body.shape
-    if shape.albedo is None:
-        return None
-    points, facets = sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64)
-    return shape.albedo.at(
-        points, facets, shape.barycentric(points, facets) if isinstance(shape, TriangleMesh) else None
-    )
-
-
-def _spread(pixels: NDArray[np.int64], light: Float, shape: tuple[int, int], psf: GaussianPsf, reach: int) -> Float:
+def _spread(pixels: NDArray[np.int64], light: Float, shape: tuple[int, int], sigma_px: float, reach: int) -> Float:
     """The light (n, rays) of pixels (n, 2), each of them once and ``reach`` from the border, as an image of a shape."""
     image = np.zeros(shape)
     per_side, width = math.isqrt(light.shape[1]), 2 * reach + 1
-    share = Cells(0, per_side, per_side).spread(-reach, width, psf.sigma_px).toarray()  # (width, per_side)
+    share = Cells(0, per_side, per_side).spread(-reach, width, sigma_px).toarray()  # (width, per_side)
     rows = light.reshape(-1, per_side, per_side) @ share.T  # by rows of rays and pixels across
     corner = pixels[:, 1] * shape[1] + pixels[:, 0] - reach
     for number in range(per_side):

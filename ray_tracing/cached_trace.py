@@ -1,0 +1,170 @@
+"""A cached trace: another reflectance law, point spread function or Sun costs only what it changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import require
+from giantlike.core.detector import GaussianPsf
+from giantlike.core.outcomes import Failure
+from giantlike.ray_tracing.body import Body, sun_in_body
+from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
+from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
+from giantlike.ray_tracing.reflectance import Reflectance
+from giantlike.ray_tracing.render import ray_grid
+from giantlike.ray_tracing.sampling import Tile
+from giantlike.ray_tracing.shade import Template, gathered, shade_tile, unless_dark
+from giantlike.ray_tracing.trace import TracedRays, View, in_order, sunlight, trace_rays, view_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trace:
+    """A body traced in one pose, ready to be shaded; from :func:`trace_body`.
+
+    Each ``with_`` method returns a new trace whose :meth:`template` equals, to the last bit, that of a
+    :func:`~giantlike.ray_tracing.render` with that one thing changed.
+
+    Parameters
+    ----------
+    view : View
+        Body, Sun and options of the trace.
+    footprint : Footprint
+        Pixels and cells of the trace.
+    tiles : tuple of TracedRays
+        Rays of each tile of the footprint.
+    """
+
+    view: View
+    footprint: Footprint
+    tiles: tuple[TracedRays, ...] = field(repr=False)
+
+    @property
+    def body(self) -> Body:
+        """The body as it was traced."""
+        return self.view.body
+
+    def template(self) -> Template | Failure:
+        """Shade the rays and gather them on pixels.
+
+        Returns
+        -------
+        Template or Failure
+            As :func:`~giantlike.ray_tracing.render`.
+        """
+        law, footprint = self.body.reflectance, self.footprint
+        pairs = zip(footprint.tiles, self.tiles, strict=True)
+        shaded = (shade_tile(footprint, tile, traced, law) for tile, traced in pairs)
+        return unless_dark(gathered(self.view, footprint, shaded))
+
+    def with_reflectance(self, reflectance: Reflectance) -> Trace:
+        """Return the same rays under another law; costs nothing until it is shaded.
+
+        Parameters
+        ----------
+        reflectance : Reflectance
+
+        Returns
+        -------
+        Trace
+        """
+        return replace(self, view=replace(self.view, body=replace(self.body, reflectance=reflectance)))
+
+    def with_psf(self, psf: GaussianPsf | None) -> Trace:
+        """Return the same rays under another point spread function.
+
+        Parameters
+        ----------
+        psf : GaussianPsf or None
+
+        Returns
+        -------
+        Trace
+
+        Raises
+        ------
+        InputError
+            The frame cuts the body, and this PSF would carry in light of rays that were not traced.
+        """
+        plane = replace(self.footprint.plane, psf=psf)
+        footprint = footprint_of(self.body, plane, self.view.options)
+        same = not isinstance(footprint, Failure) and footprint.cells == self.footprint.cells
+        require(
+            same, f"a psf of {plane.psf_sigma_px:g} px needs other rays where the frame cuts the body: trace it anew"
+        )
+        return self if isinstance(footprint, Failure) else replace(self, footprint=footprint)
+
+    def with_sun(self, sun_direction_camera: ArrayLike) -> Trace:
+        """Return the same hits under another Sun; only shadow rays are traced.
+
+        Parameters
+        ----------
+        sun_direction_camera : (3,), unitless, camera axes
+            Unit vector from body to Sun.
+
+        Returns
+        -------
+        Trace
+
+        Raises
+        ------
+        InputError
+            The direction is not a unit vector.
+        """
+        view = replace(self.view, sun_body=np.append(sun_in_body(self.body, sun_direction_camera), 0.0))
+
+        def relit(pair: tuple[Tile, TracedRays]) -> TracedRays:
+            tile, traced = pair
+            return replace(traced, light=sunlight(view, traced.sight, traced.directions, stratum=tile.start))
+
+        pairs = zip(self.footprint.tiles, self.tiles, strict=True)
+        return replace(self, view=view, tiles=tuple(in_order(relit, pairs, view.options.threads)))
+
+
+def trace_body(
+    body: Body,
+    model: CameraModel,
+    *,
+    sun_direction_camera: ArrayLike,
+    psf: GaussianPsf | None = None,
+    columns: int,
+    rows: int,
+    options: RenderOptions = DEFAULT_OPTIONS,
+) -> Trace | Failure:
+    """Trace a body once, to shade it many times.
+
+    Parameters
+    ----------
+    body : Body
+    model : CameraModel
+    sun_direction_camera : (3,), unitless, camera axes
+        Unit vector from body to Sun.
+    psf : GaussianPsf, optional
+    columns, rows : int, px
+    options : RenderOptions
+
+    Returns
+    -------
+    Trace or Failure
+        Some 100 bytes for each ray. ``OUT_OF_FRAME`` when no light can fall on the (widened) frame,
+        ``DEGENERATE_GEOMETRY`` when the camera lies inside the body.
+
+    Raises
+    ------
+    InputError
+        A size is not positive or the direction is not a unit vector.
+    """
+    plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
+    view = view_of(body, model, sun_direction_camera, options)
+    footprint = footprint_of(view.body, plane, options)
+    if isinstance(footprint, Failure):
+        return footprint
+    grid = ray_grid(view, footprint)
+
+    def traced(tile: Tile) -> TracedRays:
+        return trace_rays(view, grid.directions(tile), stratum=tile.start)
+
+    return Trace(view=view, footprint=footprint, tiles=tuple(in_order(traced, footprint.tiles, options.threads)))

@@ -1,0 +1,241 @@
+"""Footprint of a body on the detector: the pixels that its light can reach, and the cells that sample them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, require
+from giantlike.core.detector import GaussianPsf
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.ray_tracing.body import Body
+from giantlike.ray_tracing.options import RenderOptions
+from giantlike.ray_tracing.sampling import PSF_REACH_SIGMA, Cells, Tile, finite_rows, span
+
+_BOUND_MARGIN = 0.02
+"""Extra room around the convex hull of the body, over its extent: hull points lie up to 1 % inside the surface, and a
+hull of points before the distortion is only nearly one after it."""
+_RAYS_PER_TILE, _ROWS_PER_TILE = 32_768, 8
+"""Size of a tile in rays, and least number of its rows: larger tiles leave the caches, smaller ones share less work."""
+_TANGENTS_RAD = (np.arange(32) + 0.5) * (2.0 * np.pi / 32)
+"""Directions of the tangents that bound a hull, rad; none of them along a row or column. Their number only sets how
+tight the tiles are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FocalPlane:
+    """Camera model, size of the detector and point spread function.
+
+    Parameters
+    ----------
+    model : CameraModel
+    columns, rows : int, px
+        Size of the detector.
+    psf : GaussianPsf, optional
+        None records without blur beyond the pixel itself.
+
+    Raises
+    ------
+    InputError
+        A size is not positive.
+    """
+
+    model: CameraModel
+    columns: int
+    rows: int
+    psf: GaussianPsf | None = None
+
+    def __post_init__(self) -> None:
+        require(self.columns > 0 and self.rows > 0, f"columns and rows must be > 0, got {self.columns} and {self.rows}")
+
+    @property
+    def psf_sigma_px(self) -> float:
+        """Standard deviation of the point spread function, px; 0 without one."""
+        return 0.0 if self.psf is None else self.psf.sigma_px
+
+    @property
+    def halo_px(self) -> int:
+        """Distance in whole pixels over which the point spread function carries light."""
+        return math.ceil(PSF_REACH_SIGMA * self.psf_sigma_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VisibleBox:
+    """Part of the image that a body can touch.
+
+    Parameters
+    ----------
+    low_px, high_px : (2,) float64, px
+        Corners, cut at the edges of the detector and what is sampled beyond.
+    extent_px : float, px
+        Narrow side of the whole body.
+    outline_px : (k, 2) float64, px, optional
+        Points whose hull, widened by ``pad_px``, contains the body; None where the camera model images only part of it.
+    pad_px : float, px
+    """
+
+    low_px: Float
+    high_px: Float
+    extent_px: float
+    outline_px: Float | None
+    pad_px: float
+
+    def cells(self, per_px: int) -> tuple[Cells, Cells]:
+        """Columns and rows of cells that cover the box, ``per_px`` along each side of a pixel."""
+        x, y = (Cells.covering(float(self.low_px[i]), float(self.high_px[i]), per_px) for i in range(2))
+        return x, y
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Footprint:
+    """Cells over the part of a focal plane that a body can touch, and the pixels that their light reaches.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+    cells : (Cells, Cells)
+        Along x and y.
+    tiles : tuple of Tile
+        Those parts of the cells that can meet the body.
+    spread : (csr_matrix, csr_matrix)
+        Fractions of the light of each column (row) of cells that fall on each column (row) of pixels: (width, columns)
+        and (height, rows).
+    corner_px : (2,) int64, px
+        First pixel (x, y).
+    size_px : (int, int), px
+        Width and height.
+    """
+
+    plane: FocalPlane
+    cells: tuple[Cells, Cells]
+    tiles: tuple[Tile, ...]
+    spread: tuple[csr_matrix[np.float64], csr_matrix[np.float64]]
+    corner_px: NDArray[np.int64]
+    size_px: tuple[int, int]
+
+    def counted(self, tile: Tile, rays: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
+        """Number of rays on each pixel (height, width) of a tile, and the row of the footprint where these start.
+
+        ``rays`` (n,) are numbers of cells of the tile, column after column.
+        """
+        ends = (tile.left, tile.right), (tile.start, tile.stop)
+        x, y = (
+            np.clip((cells.first + np.arange(*end)) // cells.per_px - int(corner), -1, size)
+            for cells, end, corner, size in zip(self.cells, ends, self.corner_px, self.size_px, strict=True)
+        )
+        x, y, first = x + 1, y - y[0], int(y[0])  # with a pixel to either side for rays outside the footprint
+        width, height = self.size_px[0] + 2, int(y[-1]) + 1
+        counts = np.bincount((x[:, None] + width * y).reshape(-1).take(rays), minlength=width * height)
+        inside = slice(max(-first, 0), self.size_px[1] - first)
+        return max(first, 0), counts.reshape(height, width)[inside, 1:-1]
+
+
+def footprint_of(body: Body, plane: FocalPlane, options: RenderOptions) -> Footprint | Failure:
+    """Lay cells over the part of a focal plane, and the margin around it, that light of a body can reach.
+
+    Parameters
+    ----------
+    body : Body
+        As :meth:`~giantlike.ray_tracing.Body.seen_by` the camera.
+    plane : FocalPlane
+    options : RenderOptions
+
+    Returns
+    -------
+    Footprint or Failure
+        ``OUT_OF_FRAME`` when no light of the body can fall there, ``DEGENERATE_GEOMETRY`` for a camera inside the body.
+    """
+    size = np.array([plane.columns, plane.rows])
+    box = visible_box(body, plane, options.margin_px + plane.halo_px)
+    if isinstance(box, Failure):
+        return box
+    x, y = box.cells(max(options.rays_per_pixel_side, math.ceil(options.min_rays_across / box.extent_px)))
+    first = np.maximum(np.floor(box.low_px + 0.5).astype(np.int64) - plane.halo_px, -options.margin_px)
+    last = np.minimum(np.ceil(box.high_px - 0.5) + plane.halo_px, size - 1 + options.margin_px).astype(np.int64)
+    width, height = (int(n) for n in last - first + 1)
+    return Footprint(
+        plane=plane,
+        cells=(x, y),
+        tiles=_tiles(x, y, box),
+        spread=(
+            x.spread(int(first[0]), width, plane.psf_sigma_px),
+            y.spread(int(first[1]), height, plane.psf_sigma_px),
+        ),
+        corner_px=first,
+        size_px=(width, height),
+    )
+
+
+def _tiles(x: Cells, y: Cells, box: VisibleBox) -> tuple[Tile, ...]:
+    """Strips of rows, each as wide as the outline of the body at its height; left out where there is none."""
+    step = max(_RAYS_PER_TILE // x.count, _ROWS_PER_TILE)
+    starts = np.arange(0, y.count, step)
+    stops = np.minimum(starts + step, y.count)
+    left, right = np.zeros(starts.size, np.int64), np.full(starts.size, x.count)
+    if box.outline_px is not None:
+        ends_px = _extent(box.outline_px, box.pad_px, y.edges_px[starts], y.edges_px[stops])
+        low, high = ((end_px + 0.5) * x.per_px - x.first for end_px in ends_px)
+        left = np.clip(np.floor(low), 0, x.count).astype(np.int64)
+        right = np.clip(np.ceil(high), 0, x.count).astype(np.int64)
+    tiles = zip(starts.tolist(), stops.tolist(), left.tolist(), right.tolist(), strict=True)
+    return tuple(Tile(*tile) for tile in tiles if tile[2] < tile[3])
+
+
+def _extent(outline_px: Float, pad_px: float, low_px: Float, high_px: Float) -> tuple[Float, Float]:
+    """Smallest and largest x (n,) that the hull of points reaches between heights ``low_px`` and ``high_px`` (n,).
+
+    The hull is bounded by tangents in a few directions, each ``pad_px`` outside: never too narrow.
+    """
+    toward = np.stack([np.cos(_TANGENTS_RAD), np.sin(_TANGENTS_RAD)], axis=-1)
+    support = (outline_px @ toward.T).max(axis=0) + pad_px
+    room = support - np.minimum(low_px[:, None] * toward[:, 1], high_px[:, None] * toward[:, 1])
+    reach = room / toward[:, 0]
+    rightward = toward[:, 0] > 0.0
+    return reach[:, ~rightward].max(axis=1), reach[:, rightward].min(axis=1)
+
+
+def visible_box(body: Body, plane: FocalPlane, reach_px: int) -> VisibleBox | Failure:
+    """Part of a focal plane, widened by ``reach_px``, that the body can touch.
+
+    Parameters
+    ----------
+    body : Body
+    plane : FocalPlane
+    reach_px : int, px
+
+    Returns
+    -------
+    VisibleBox or Failure
+        ``OUT_OF_FRAME``, and ``DEGENERATE_GEOMETRY`` for a camera inside the body.
+    """
+    if body.tracer.encloses(body.camera_body_km):
+        return Failure(Reason.DEGENERATE_GEOMETRY, "the camera lies inside the body: check position and units")
+    hull_px = body.hull_px(plane.model)
+    box = span(hull_px)
+    if box is None:
+        return Failure(Reason.OUT_OF_FRAME, "the body lies behind the camera or where its model has no image")
+    low, high = box
+    size = np.array([plane.columns, plane.rows], dtype=np.float64)
+    plane_low, plane_high = np.array([-0.5, -0.5]) - reach_px, size - 0.5 + reach_px
+    outline_px, pad_px = None, _BOUND_MARGIN * float(np.max(high - low))
+    if finite_rows(hull_px).all():
+        outline_px = hull_px
+        low, high = low - pad_px, high + pad_px
+    else:  # the model images only part of the body: the rest may be anywhere on the detector
+        low, high = plane_low, plane_high
+    if np.any(low >= plane_high) or np.any(high <= plane_low):
+        x, y = (0.5 * (low + high)).tolist()
+        place = f"the body lies around pixel ({x:.0f}, {y:.0f})"
+        return Failure(Reason.OUT_OF_FRAME, f"{place}, outside the frame of {plane.columns} x {plane.rows} px")
+    return VisibleBox(
+        low_px=np.maximum(low, plane_low),
+        high_px=np.minimum(high, plane_high),
+        extent_px=float(np.min(high - low)),
+        outline_px=outline_px,
+        pad_px=pad_px,
+    )
