@@ -18,8 +18,7 @@ check: $(VENV)/installed-dev
 	$(BIN)/lint-imports
 
 wheel: $(VENV)/installed-dev
-	$(BIN)/pip -q install build
-	$(BIN)/python -m build --wheel
+	$(BIN)/python -m build
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -1,7 +1,5 @@
-"""The version of giantlike, for provenance."""
+"""The version of giantlike: the package metadata, provenance and ``giantlike --version`` take it from here."""
 
 from __future__ import annotations
 
-from importlib.metadata import version
-
-VERSION = version("giantlike")
+VERSION = "0.2.0"
