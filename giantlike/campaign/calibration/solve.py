@@ -21,7 +21,8 @@ from giantlike.calibration.star_images import StarCalibration, StarImage
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import model_to_mapping
-from giantlike.campaign.file.config import CalibrationSetup, Campaign, ImageEntry
+from giantlike.campaign.file.config import Campaign, ImageEntry
+from giantlike.campaign.file.schema import CalibrationSection
 from giantlike.campaign.store.observables import rows
 from giantlike.campaign.store.records import CalibrationRecord
 from giantlike.catalogs import StarCatalog
@@ -144,14 +145,14 @@ def _stars_of(record: CalibrationRecord, catalog: StarCatalog, options: StarOpti
 
 
 def calibrate_campaign(
-    campaign: Campaign, setup: CalibrationSetup, records: Sequence[CalibrationRecord], catalog: StarCatalog
+    campaign: Campaign, setup: CalibrationSection, records: Sequence[CalibrationRecord], catalog: StarCatalog
 ) -> CampaignCalibration:
     """Calibrate the camera of a campaign from the first identification of its star images.
 
     Parameters
     ----------
     campaign : Campaign
-    setup : CalibrationSetup
+    setup : CalibrationSection
     records : sequence of CalibrationRecord
     catalog : StarCatalog
     """
@@ -161,7 +162,7 @@ def calibrate_campaign(
         [_stars_of(record, catalog, options) for record in records if record.problem is None],
         campaign.camera,
         estimate=setup.estimate,
-        model_type=setup.model_type,
+        model_type=setup.model,
         min_snr=setup.min_snr,
         stars=options,
         options=setup.options,

@@ -1,4 +1,4 @@
-"""Tables of a campaign file to option dataclasses: names and types checked, one clear line for what is wrong."""
+"""Tables of a TOML file to option dataclasses: names and types checked, one clear line for what is wrong."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import PlainValidator, TypeAdapter, ValidationError
 
 from giantlike.core.errors import InputError
 
@@ -23,14 +23,19 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
     kind : type
         A dataclass whose fields have defaults; a field may itself be such a dataclass.
     table : mapping
-        Values for some of its fields, as TOML gives them.
+        Values of some of its fields, as TOML gives them.
     where : str
-        How errors call the table.
+        Name of the table in error messages.
+
+    Returns
+    -------
+    dataclass
+        An instance of ``kind``.
 
     Raises
     ------
     InputError
-        A name is unknown, a value of the wrong type or out of range.
+        A name is unknown, or a value has the wrong type or is out of range.
     """
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: expected a table of options, got {table!r}")
@@ -51,22 +56,51 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
         raise InputError(f"{where}: {error}") from error
 
 
+def options_validator(kind: type[Any], *, elsewhere: tuple[str, ...] = ()) -> PlainValidator:
+    """Annotation of a pydantic field whose table becomes an options dataclass.
+
+    Parameters
+    ----------
+    kind : type
+        The dataclass, see :func:`options_from_mapping`.
+    elsewhere : tuple of str
+        Fields that have a key of their own beside the table, and are refused in it.
+
+    Returns
+    -------
+    PlainValidator
+    """
+
+    def build(table: Any) -> Any:
+        twice = [name for name in elsewhere if isinstance(table, Mapping) and name in table]
+        if twice:
+            raise InputError(f"{twice[0]} has a key of its own beside this table")
+        return options_from_mapping(kind, table, "")
+
+    return PlainValidator(build)
+
+
 def with_files_found(options: Options, folder: Path, where: str) -> Options:
-    """Return options whose paths count from a folder.
+    """Return options whose relative paths are resolved against a folder.
 
     Parameters
     ----------
     options : dataclass
-        Its fields that hold a ``Path`` name files or folders.
+        Its fields of type ``Path`` name files or folders.
     folder : Path
-        That of the campaign file.
+        Folder of the campaign file.
     where : str
-        How errors call the table.
+        Name of the table in error messages.
+
+    Returns
+    -------
+    dataclass
+        Of the type of ``options``.
 
     Raises
     ------
     InputError
-        One of them is not there.
+        One of the files does not exist.
     """
     paths = {}
     for field in dataclasses.fields(options):  # type: ignore[arg-type]

@@ -1,107 +1,188 @@
-"""The keys of a campaign file: which there are and of what type."""
+"""Keys of a campaign file: one pydantic field per key holds its type, default, limits and description.
+
+The checks on reading and the page ``docs/campaign_file.md`` both follow from these fields.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field
+from pydantic import Field, PlainValidator
 
+from giantlike.calibration import CalibrationCriteria, CalibrationOptions
 from giantlike.calibration.star_images import DEFAULT_MIN_SNR
+from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.toml_file import Section
+from giantlike.core.errors import InputError
+from giantlike.processing.detection.detect import DetectionOptions
+from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferMethod
+
+Radii: TypeAlias = tuple[float, float, float]
+"""Radii of an ellipsoid along its body-fixed x, y and z axes, km."""
+
+
+def _checked_hdu(value: object) -> int | str:
+    if isinstance(value, bool) or not isinstance(value, int | str):
+        raise InputError(f"expected a number or a name, got {value!r}")
+    return value
+
+
+def _checked_shape(value: object) -> str | Radii:
+    if isinstance(value, str):
+        return value
+    radii = value.get("radii_km") if isinstance(value, Mapping) and len(value) == 1 else None
+    if not isinstance(radii, list) or len(radii) != 3:
+        raise InputError(f"expected a mesh file or {{ radii_km = [a, b, c] }}, got {value!r}")
+    if any(isinstance(r, bool) or not isinstance(r, int | float) or not math.isfinite(r) or not r > 0 for r in radii):
+        raise InputError(f"radii_km must be three positive and finite numbers, got {radii!r}")
+    return float(radii[0]), float(radii[1]), float(radii[2])
 
 
 class CampaignSection(Section):
-    """``[campaign]``: name of the campaign and its run folder."""
+    """``[campaign]``: the name and the run folder."""
 
-    name: str = Field(min_length=1)
-    output: str = Field(min_length=1)
+    name: str = Field(min_length=1, description="Name of the campaign, for the report.")
+    output: str = Field(min_length=1, description="Run folder; a folder in use is only continued, with `--resume`.")
 
 
 class ImagesSection(Section):
-    """``[images]``: patterns of image files, a geometry table, and which extension of a FITS file to read.
+    """``[images]``: the image files and their a priori geometry."""
 
-    ``bottom_up`` turns the rows of files whose first row is the bottom of the picture.
-    """
-
-    files: list[str] = Field(min_length=1)
-    geometry: str | None = None
-    hdu: Any = None
-    bottom_up: bool = False
+    files: list[str] = Field(
+        min_length=1, description="File names or glob patterns (`**` for subfolders) of images in any readable format."
+    )
+    geometry: str | None = Field(
+        default=None, description="Table of a priori geometry; what it leaves out comes from headers, then SPICE."
+    )
+    hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = Field(
+        default=None, description="Number (from 0) or name of the FITS extension; default: the first with an image."
+    )
+    bottom_up: bool = Field(
+        default=False, description="The first stored row is the bottom of the picture: reverse the rows."
+    )
 
 
 class SpiceSection(Section):
-    """``[spice]``: kernels in loading order, the spacecraft, and the frame of the camera.
+    """``[spice]``: kernels, the spacecraft and the frame of the camera."""
 
-    ``camera_from_frame_xyzw`` turns the axes of a frame that is not +x along columns, +y along rows, +z boresight.
-    """
-
-    kernels: list[str] = Field(min_length=1)
-    spacecraft: str
-    frame: str | None = None
-    camera_from_frame_xyzw: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
+    kernels: list[str] = Field(
+        min_length=1, description="File names or glob patterns of SPICE kernels, in loading order."
+    )
+    spacecraft: str = Field(description="NAIF name or code of the spacecraft.")
+    frame: str | None = Field(
+        default=None, description="SPICE frame of the camera; without it SPICE gives no a priori attitude."
+    )
+    camera_from_frame_xyzw: list[float] = Field(
+        default=[0.0, 0.0, 0.0, 1.0],
+        description="Quaternion, scalar last, from that frame to camera axes (+x along columns, +y along rows, "
+        "+z boresight), where the two differ.",
+    )
 
 
 class StarsSection(Section):
-    """``[stars]``: catalog, identification, and how star images serve the others.
+    """``[stars]``: star identification, and the transfer of attitudes to short exposures.
 
-    ``options`` takes any option of :class:`giantlike.stars.StarOptions` that has no key of its own here,
-    ``detection`` any of :class:`giantlike.processing.detection.detect.DetectionOptions`. ``rates`` is a table of
-    angular rates for ``transfer = "propagate"`` (:func:`giantlike.stars.rates.read_rates`).
+    Without this section no stars are processed and the a priori attitudes are used.
     """
 
-    catalog: str = "default"
-    max_magnitude: float | None = None
-    lost_in_space: bool = False
-    long_exposure_s: float | None = Field(default=None, gt=0)
-    transfer: TransferMethod = TransferMethod.INTERPOLATE
-    rates: str | None = None
-    max_gap_s: float | None = None
-    drift_arcsec_per_sqrt_s: float = 0.1
-    max_disagreement_deg: float = 1.0
-    options: dict[str, Any] = Field(default_factory=dict)
-    detection: dict[str, Any] = Field(default_factory=dict)
+    catalog: str = Field(
+        default="default", description="`default` (Gaia and Hipparcos), or the file of a built catalog or CSV."
+    )
+    max_magnitude: float | None = Field(
+        default=None, description="Faintest star used, in the band of the catalog (Gaia G for the default)."
+    )
+    lost_in_space: bool = Field(
+        default=False, description="Search the whole sky where the a priori attitude does not lead to a solution."
+    )
+    long_exposure_s: float | None = Field(
+        default=None,
+        gt=0,
+        description="At or above this exposure, s, an image is a star image; a shorter one takes its attitude from "
+        "its neighbors in time. Default: every image is both a star image and an image of bodies.",
+    )
+    transfer: TransferMethod = Field(
+        default=TransferMethod.INTERPOLATE, description="Method by which a short exposure gets its attitude."
+    )
+    rates: str | None = Field(
+        default=None, description='Table of angular rates (a gyro\'s) for `transfer = "propagate"`.'
+    )
+    max_gap_s: float = Field(default=math.inf, description="Largest distance in time to a star image, s.")
+    drift_arcsec_per_sqrt_s: float = Field(
+        default=0.1, description="Random walk of the attitude between images, arcsec per square root of a second."
+    )
+    max_disagreement_deg: float = Field(
+        default=1.0,
+        description="Largest difference between the a priori turn and the turn that the method assumes, deg; catches "
+        "slews, and 180 switches the check off.",
+    )
+    options: Annotated[StarOptions, options_validator(StarOptions, elsewhere=("max_magnitude", "lost_in_space"))] = (
+        Field(default_factory=StarOptions, description="Options of the star solution that have no key of their own.")
+    )
+    detection: Annotated[DetectionOptions, options_validator(DetectionOptions)] = Field(
+        default_factory=DetectionOptions, description="Options of the detection of stars."
+    )
 
 
 class CalibrationSection(Section):
-    """``[calibration]``: which parameters of the camera to estimate from the stars of the campaign.
+    """``[calibration]``: parameters of the camera to estimate from the stars of the campaign.
 
-    ``model`` is the type of the model when it is not that of the camera, ``scale_error`` how wrong its focal length
-    may be, ``temperature_keyword`` the header keyword that holds the temperature of the camera in Celsius.
-    ``options`` takes any option of :class:`giantlike.calibration.CalibrationOptions`, ``criteria`` any of
-    :class:`giantlike.calibration.CalibrationCriteria`.
+    With this section the camera is calibrated first, and everything else uses the calibrated camera.
     """
 
-    estimate: list[str] = Field(min_length=1)
-    model: str | None = None
-    min_snr: float = Field(default=DEFAULT_MIN_SNR, ge=0)
-    scale_error: float = Field(default=0.1, gt=0, le=0.2)
-    temperature_keyword: str | None = None
-    options: dict[str, Any] = Field(default_factory=dict)
-    criteria: dict[str, Any] = Field(default_factory=dict)
+    estimate: list[str] = Field(min_length=1, description="Names of the parameters of the camera model to estimate.")
+    model: str | None = Field(default=None, description="Type of the model, where it is not that of the camera.")
+    min_snr: float = Field(
+        default=DEFAULT_MIN_SNR, ge=0, description="Lowest signal-to-noise ratio of the stars to calibrate from."
+    )
+    scale_error: float = Field(
+        default=0.1, gt=0, le=0.2, description="Relative error that the focal length of the camera may have."
+    )
+    temperature_keyword: str | None = Field(
+        default=None, description="Header keyword that holds the temperature of the camera, Celsius."
+    )
+    options: Annotated[CalibrationOptions, options_validator(CalibrationOptions)] = Field(
+        default_factory=CalibrationOptions, description="Options of the fit."
+    )
+    criteria: Annotated[CalibrationCriteria, options_validator(CalibrationCriteria)] = Field(
+        default_factory=CalibrationCriteria, description="Limits that a calibration must meet to be used."
+    )
 
 
-class TargetSection(Section):
-    """``[[targets]]``: a body, and the estimators to run on it.
+class BodySection(Section):
+    """A body: its name, shape, brightness law and name in SPICE."""
 
-    ``spice_body`` and ``frame`` are needed only where SPICE knows the body by another name than ``name``, or where
-    its axes are not those of the body's default fixed frame.
-    """
+    name: str = Field(min_length=1, description="Name of the target in tables; the default of `spice_body`.")
+    shape: Annotated[str | Radii, PlainValidator(_checked_shape)] = Field(
+        description="Mesh file, or an ellipsoid as `{ radii_km = [a, b, c] }`."
+    )
+    units: Literal["km", "m", "auto"] = Field(
+        default="km", description="Unit of the mesh file; `auto` decides by the size of the body, with a warning."
+    )
+    reflectance: dict[str, Any] | None = Field(
+        default=None, description='Reflectance law and its parameters; default: `{ model = "mcewen" }`.'
+    )
+    spice_body: str | None = Field(default=None, description="NAIF name or code, where it is not `name`.")
+    frame: str | None = Field(default=None, description="Body-fixed SPICE frame, where it is not the body's default.")
 
-    name: str = Field(min_length=1)
-    shape: Any
-    units: Literal["km", "m", "auto"] = "km"
-    reflectance: dict[str, Any] | None = None
-    estimators: list[str] = Field(min_length=1)
-    options: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    spice_body: str | None = None
-    frame: str | None = None
+
+class TargetSection(BodySection):
+    """``[[targets]]``: a body, and the estimators to run on it."""
+
+    estimators: list[str] = Field(
+        min_length=1, description="Names of the estimators; `giantlike estimators` lists them."
+    )
+    options: dict[str, dict[str, Any]] = Field(
+        default_factory=dict, description="Options by estimator; `giantlike estimators NAME` shows those of one."
+    )
 
 
 class ReportSection(Section):
-    """``[report]``: how many images ``report.html`` shows."""
+    """``[report]``: the contents of ``report.html``."""
 
-    max_overlays: int = Field(default=24, ge=0)
+    max_overlays: int = Field(default=24, ge=0, description="Number of images shown with what was found in them.")
 
 
 class CampaignFile(Section):
@@ -109,7 +190,7 @@ class CampaignFile(Section):
 
     campaign: CampaignSection
     images: ImagesSection
-    camera: dict[str, Any]
+    camera: dict[str, Any] = Field(description="`file`, the name of a camera file, or the keys of one.")
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None

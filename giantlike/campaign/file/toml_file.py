@@ -1,4 +1,4 @@
-"""A TOML file whose keys a pydantic model knows: read, checked, and one clear line for what is wrong."""
+"""TOML files read and checked by a pydantic model of their keys; an error is one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Content = TypeVar("Content", bound=BaseModel)
 
 
 class Section(BaseModel):
-    """A table of a file: strict in its types, closed to unknown keys, immutable."""
+    """Base of the tables of a file: types are strict, unknown keys are refused, values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -27,21 +27,23 @@ def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dic
     Parameters
     ----------
     path : Path
+        File to read.
     model : type
         Section of the whole file.
     what : str
-        How an error calls the file.
+        Name of the kind of file in error messages.
 
     Returns
     -------
-    model
-    dict
+    content : model
+        The checked content.
+    table : dict
         The plain table, for provenance.
 
     Raises
     ------
     DataError
-        The file is missing or no TOML, a key is unknown or missing, or a value is of the wrong type; one line.
+        The file is missing or is not TOML, a key is unknown or missing, or a value has the wrong type.
     """
     try:
         with path.open("rb") as stream:
@@ -60,7 +62,7 @@ def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dic
 
 
 def _refuse_dates(value: object) -> Any:
-    raise InputError(f"dates and times are not expected here, got {value}: put it in quotes where text is meant")
+    raise InputError(f"dates and times are not expected here, got {value}: if text is meant, put it in quotes")
 
 
 def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
@@ -71,7 +73,7 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def _one_problem(problem: ErrorDetails, model: type[BaseModel]) -> str:
-    """One line for a pydantic error: the key, what was expected there and what came."""
+    """One line for a pydantic error: the key, what was expected and what was found."""
     location = problem["loc"]
     key = key_text(location)
     if problem["type"] == "extra_forbidden":
@@ -80,29 +82,51 @@ def _one_problem(problem: ErrorDetails, model: type[BaseModel]) -> str:
         return f"key {key} is missing"
     if problem["type"] in {"too_short", "string_too_short"} and not problem["input"]:
         return f"{key}: must not be empty, got {problem['input']!r}"
+    if problem["type"] == "value_error":  # raised by a validator of ours; options name the key inside their table
+        text = str(problem["ctx"]["error"])
+        return key + (text if text.startswith((":", ".")) else f": {text}")
     expected = problem["msg"].removeprefix("Input should be ")
     return f"{key}: expected {expected}, got {problem['input']!r}"
 
 
 def _section(location: tuple[int | str, ...], model: type[BaseModel]) -> type[BaseModel]:
-    """The model of the table that a key lies in."""
+    """Model of the table that holds a key."""
     section = model
     for part in location[:-1]:
         if isinstance(part, str) and part in section.model_fields:
-            section = _model_in(section.model_fields[part].annotation) or section
+            section = model_in(section.model_fields[part].annotation) or section
     return section
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """The model inside ``list[...]``, ``dict[str, ...]`` and ``... | None``."""
+def model_in(annotation: Any) -> type[BaseModel] | None:
+    """Model inside an annotation such as ``list[...]``, ``dict[str, ...]`` or ``... | None``.
+
+    Parameters
+    ----------
+    annotation : type
+
+    Returns
+    -------
+    type or None
+        None if there is no model in it.
+    """
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    found = (_model_in(inner) for inner in get_args(annotation))
+    found = (model_in(inner) for inner in get_args(annotation))
     return next((inner for inner in found if inner is not None), None)
 
 
 def key_text(location: tuple[int | str, ...]) -> str:
-    """Dotted name of a key, list positions from 0: ``targets[0].units``.
+    """Dotted name of a key, with positions in lists counted from 0.
+
+    Parameters
+    ----------
+    location : tuple of int or str
+        Names and list positions, outermost first.
+
+    Returns
+    -------
+    str
 
     >>> key_text(("targets", 0, "units"))
     'targets[0].units'

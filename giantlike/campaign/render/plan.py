@@ -15,23 +15,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.file.config import (
+from giantlike.campaign.file.inputs import (
     SpiceSetup,
     TargetSetup,
     camera_of,
     existing_file,
-    shape_of,
     spice_of,
-    with_units_decided,
+    targets_of,
 )
-from giantlike.campaign.file.options import options_from_mapping
 from giantlike.campaign.file.toml_file import read_toml
 from giantlike.campaign.render.schema import (
     DetectorSection,
     ImageSection,
     PlaceSection,
     RenderFile,
-    RenderTargetSection,
 )
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
@@ -43,13 +40,11 @@ from giantlike.image import ObserverState
 from giantlike.io.geometry_table import ImageGeometry, read_geometry
 from giantlike.io.image_files import read_image_file
 from giantlike.io.spice import attitude, load_kernels, orientation, spk_state
-from giantlike.ray_tracing import McEwen, reflectance_from_mapping
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
 from giantlike.simulation import DetectorModel, HotPixels, Photometry, Shot, SimulationOptions
-from giantlike.simulation.cosmic_rays import CosmicRays
 from giantlike.simulation.detector import Stream, scattered_pixels
-from giantlike.simulation.effects import DarkCurrent, FlatField, FrameTransfer, FullWell, StrayLight, pixel_response
+from giantlike.simulation.effects import FlatField, pixel_response
 from giantlike.simulation.incident import true_geometry
 from giantlike.simulation.shot import unexposed
 
@@ -278,11 +273,7 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
     camera, _ = camera_of(path, content.camera)
     if camera.psf is None:
         raise InputError("camera: rendering needs the PSF of the camera, [psf] with sigma_px")
-    targets = tuple(_target(path, f"targets[{k}]", section) for k, section in enumerate(content.targets))
-    repeated = [name for name, count in Counter(target.name for target in targets).items() if count > 1]
-    if repeated:
-        raise InputError(f"targets: two targets have the name {repeated[0]!r}")
-    targets, guessed = with_units_decided(targets)
+    targets, guessed = targets_of(path, content.targets)
     if content.light.direction is not None and not any(content.light.direction):
         raise InputError("light.direction: must not be the zero vector")
     light = content.light
@@ -305,26 +296,8 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
         exposures=exposures,
         detector=_detector(path, content.detector, camera),
         catalog=catalog,
-        spice=None if content.spice is None else spice_of(path, content.spice),
+        spice=spice_of(path, content.spice),
         warnings=tuple(guessed),
-    )
-
-
-def _target(path: Path, where: str, section: RenderTargetSection) -> TargetSetup:
-    shape_file, radii = shape_of(path, f"{where}.shape", section.shape)
-    try:
-        reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
-    except InputError as error:
-        raise InputError(f"{where}.{error}") from error
-    return TargetSetup(
-        name=section.name,
-        shape_file=shape_file,
-        units=section.units,
-        radii_km=radii,
-        reflectance=reflectance,
-        estimators=(),
-        spice_body=section.spice_body or section.name,
-        frame=section.frame or section.spice_body or section.name,
     )
 
 
@@ -428,15 +401,15 @@ def _detector(path: Path, section: DetectorSection, camera: Camera) -> DetectorM
     hot = section.hot_pixels
     try:
         return DetectorModel(
-            stray=options_from_mapping(StrayLight, section.stray, "stray"),
+            stray=section.stray,
             flat=FlatField(response=response, vignetting=section.vignetting),
-            transfer=options_from_mapping(FrameTransfer, section.transfer, "transfer"),
-            dark=options_from_mapping(DarkCurrent, section.dark, "dark"),
+            transfer=section.transfer,
+            dark=section.dark,
             hot_pixels=HotPixels.scattered(hot.count, *size, Stream.HOT_PIXELS.random(seed), median_e_s=hot.median_e_s),
             dead_px=scattered_pixels(section.dead_pixels, *size, Stream.DEAD_PIXELS.random(seed)),
             shot_noise=section.shot_noise,
-            cosmic_rays=options_from_mapping(CosmicRays, section.cosmic_rays, "cosmic_rays"),
-            well=options_from_mapping(FullWell, section.well, "well"),
+            cosmic_rays=section.cosmic_rays,
+            well=section.well,
             bits=section.bits,
         )
     except InputError as error:

@@ -191,10 +191,10 @@ def _write_campaign(plan: RenderPlan, folder: Path, rows: Iterable[GeometryRow],
 
 def _target_table(plan: RenderPlan, number: int, folder: Path) -> dict[str, Any]:
     setup, section = plan.targets[number], plan.content.targets[number]
-    shape = section.shape if setup.shape_file is None else _relative(setup.shape_file, folder)
+    shape = setup.shape
     table = {
         "name": setup.name,
-        "shape": shape,
+        "shape": _relative(shape, folder) if isinstance(shape, Path) else {"radii_km": list(shape)},
         "units": setup.units,
         "estimators": list(plan.content.render.estimators),
     }

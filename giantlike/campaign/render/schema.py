@@ -1,141 +1,161 @@
-"""The keys of a scene file for ``giantlike render``: which there are and of what type."""
+"""Keys of a scene file for ``giantlike render``: one pydantic field per key holds its type, limits and description.
+
+The checks on reading and the page ``docs/scene_file.md`` both follow from these fields.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
-from giantlike.campaign.file.schema import SpiceSection
+from giantlike.campaign.file.options import options_validator
+from giantlike.campaign.file.schema import BodySection, SpiceSection
 from giantlike.campaign.file.toml_file import Section
+from giantlike.simulation.cosmic_rays import CosmicRays
+from giantlike.simulation.effects import DarkCurrent, FrameTransfer, FullWell, StrayLight
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
 class SceneSection(Section):
-    """A table of a scene file: its numbers are finite."""
+    """Base of the tables of a scene file: numbers must be finite."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
 
 class RenderSection(SceneSection):
-    """``[render]``: where images go and how they are made.
+    """``[render]``: where the images go, and how they are made."""
 
-    ``rays_per_pixel_side`` squared is the number of rays in a pixel. ``geometry`` names a table that stands for
-    ``[[images]]``. ``truth`` and ``backplanes`` add extensions to the images, ``preview`` a PNG beside each, and
-    ``campaign`` what ``giantlike run`` needs, with these ``estimators``.
-    """
-
-    output: str = "rendered"
-    seed: int = Field(default=0, ge=0)
-    rays_per_pixel_side: int = Field(default=4, ge=1, le=32)
-    geometry: str | None = None
-    truth: bool = True
-    backplanes: bool = False
-    preview: bool = False
-    campaign: bool = False
-    estimators: list[str] = Field(default=["cross_correlation", "limb_matching"])
+    output: str = Field(default="rendered", description="Folder of the images.")
+    seed: int = Field(default=0, ge=0, description="Seed of all noise; equal seeds give equal images.")
+    rays_per_pixel_side: int = Field(
+        default=4, ge=1, le=32, description="Rays along the side of a pixel; its square is their number in a pixel."
+    )
+    geometry: str | None = Field(default=None, description="Geometry table that takes the place of `[[images]]`.")
+    truth: bool = Field(default=True, description="Add the truth as FITS extensions.")
+    backplanes: bool = Field(default=False, description="Add maps of what each pixel sees as FITS extensions.")
+    preview: bool = Field(default=False, description="Write a PNG for each image.")
+    campaign: bool = Field(default=False, description="Write a campaign, camera and geometry for `giantlike run`.")
+    estimators: list[str] = Field(
+        default=["cross_correlation", "limb_matching"], description="Estimators of that campaign."
+    )
 
 
 class LightSection(SceneSection):
-    """``[light]``: the Sun; ``direction`` is from the targets, inertial axes, and need not be of length one."""
+    """``[light]``: the Sun."""
 
-    direction: Vector | None = None
-    distance_au: float = Field(default=1.0, gt=0)
-    extended: bool = False
+    direction: Vector | None = Field(
+        default=None, description="From the targets to the Sun, inertial axes, of any length; default: from SPICE."
+    )
+    distance_au: float = Field(default=1.0, gt=0, description="Distance of the Sun from the targets, au.")
+    extended: bool = Field(default=False, description="The Sun has a disk, so that shadows have soft edges.")
 
 
 class PhotometrySection(SceneSection):
-    """``[photometry]``: electrons per second of a star of magnitude 0."""
+    """``[photometry]``: brightness of stars."""
 
-    zero_point_e_s: float = Field(default=2.0e5, gt=0)
+    zero_point_e_s: float = Field(
+        default=2.0e5, gt=0, description="Signal of a star of magnitude 0, electrons per second."
+    )
 
 
 class SkySection(SceneSection):
-    """``[stars]``: the catalog, and its faintest star that is drawn."""
+    """``[stars]``: the star catalog; without this section there are no stars."""
 
-    catalog: str = "default"
-    max_magnitude: float | None = None
+    catalog: str = Field(default="default", description="`default`, or the file of a built catalog or CSV.")
+    max_magnitude: float | None = Field(default=None, description="Faintest star drawn.")
 
 
 class HotPixelSection(SceneSection):
-    """``[detector.hot_pixels]``: how many, and the median of their rates."""
+    """``[detector.hot_pixels]``: pixels of high dark current."""
 
-    count: int = Field(default=0, ge=0)
-    median_e_s: float = Field(default=500.0, gt=0)
+    count: int = Field(default=0, ge=0, description="Number of hot pixels.")
+    median_e_s: float = Field(default=500.0, gt=0, description="Median of their rates, electrons per second.")
 
 
 class DetectorSection(SceneSection):
-    """``[detector]``: what the detector does beyond the ``[detector]`` of its camera file.
+    """``[detector]``: detector effects beyond the ``[detector]`` of the camera file."""
 
-    ``pattern_seed`` places what does not change from image to image: pixel response, hot and dead pixels. The tables
-    take the options of the classes of the same names in :mod:`giantlike.simulation`.
-    """
-
-    pattern_seed: int = Field(default=0, ge=0)
-    shot_noise: bool = True
-    bits: int = 16
-    dark: dict[str, Any] = Field(default_factory=dict)
-    stray: dict[str, Any] = Field(default_factory=dict)
-    transfer: dict[str, Any] = Field(default_factory=dict)
-    cosmic_rays: dict[str, Any] = Field(default_factory=dict)
-    well: dict[str, Any] = Field(default_factory=dict)
+    pattern_seed: int = Field(
+        default=0, ge=0, description="Seed of what all images share: pixel response, hot and dead pixels."
+    )
+    shot_noise: bool = Field(default=True, description="Add the Poisson noise of light and dark current.")
+    bits: int = Field(default=16, description="Bits of the converter.")
+    dark: Annotated[DarkCurrent, options_validator(DarkCurrent)] = Field(
+        default_factory=DarkCurrent, description="Dark current."
+    )
+    stray: Annotated[StrayLight, options_validator(StrayLight)] = Field(
+        default_factory=StrayLight, description="Stray light."
+    )
+    transfer: Annotated[FrameTransfer, options_validator(FrameTransfer)] = Field(
+        default_factory=FrameTransfer, description="Smear of a frame-transfer detector."
+    )
+    cosmic_rays: Annotated[CosmicRays, options_validator(CosmicRays)] = Field(
+        default_factory=CosmicRays, description="Hits of cosmic rays."
+    )
+    well: Annotated[FullWell, options_validator(FullWell)] = Field(
+        default_factory=FullWell, description="Full well and blooming."
+    )
     hot_pixels: HotPixelSection = HotPixelSection()
-    dead_pixels: int = Field(default=0, ge=0)
-    response_rms: float = Field(default=0.0, ge=0, lt=0.3)
-    response_file: str | None = None
-    vignetting: float = Field(default=0.0, ge=0, le=1)
+    dead_pixels: int = Field(default=0, ge=0, description="Number of pixels without signal.")
+    response_rms: float = Field(default=0.0, ge=0, lt=0.3, description="Relative rms of the pixel response.")
+    response_file: str | None = Field(default=None, description="Image of the pixel response, instead of a random one.")
+    vignetting: float = Field(default=0.0, ge=0, le=1, description="Relative loss of light in the corners.")
 
 
 class PlaceSection(SceneSection):
-    """Where a target is: apparent vector from the camera, orientation, and its Sun where that differs."""
+    """Position, orientation and illumination of a target."""
 
-    position_km: Vector | None = None
-    body_from_inertial_xyzw: Quaternion | None = None
-    sun_direction: Vector | None = None
+    position_km: Vector | None = Field(
+        default=None, description="Apparent vector from camera to target center, inertial axes, km."
+    )
+    body_from_inertial_xyzw: Quaternion | None = Field(
+        default=None, description="Orientation when the light left, quaternion, scalar last."
+    )
+    sun_direction: Vector | None = Field(
+        default=None, description="From the target to the Sun, inertial axes, where it is not `light.direction`."
+    )
 
 
-class RenderTargetSection(PlaceSection):
-    """``[[targets]]``: a body, and where it is unless an image says otherwise."""
+class RenderTargetSection(PlaceSection, BodySection):
+    """``[[targets]]``: a body, and its place unless an image gives another."""
 
-    name: str = Field(min_length=1)
-    shape: Any
-    units: Literal["km", "m", "auto"] = "km"
-    reflectance: dict[str, Any] | None = None
-    albedo: float = Field(default=0.045, gt=0)
-    spice_body: str | None = None
-    frame: str | None = None
+    albedo: float = Field(default=0.045, gt=0, description="Geometric albedo.")
 
 
 class ObserverSection(SceneSection):
-    """``observer``: the spacecraft with respect to the solar system barycenter, for parallax and aberration."""
+    """``observer``: the spacecraft relative to the solar system barycenter, for parallax and aberration."""
 
-    position_km: Vector
-    velocity_km_s: Vector
+    position_km: Vector = Field(description="Inertial axes, km.")
+    velocity_km_s: Vector = Field(description="Inertial axes, km/s.")
 
 
 class ImageSection(SceneSection):
-    """``[[images]]``: an exposure. The attitude is a quaternion or the pointing (RA, Dec, roll) of the boresight.
+    """``[[images]]``: an exposure; its attitude is a quaternion or a pointing."""
 
-    ``targets`` holds places of targets in this image by name.
-    """
-
-    file: str = Field(min_length=1)
-    epoch_utc: str
-    exposure_s: float = Field(gt=0)
-    camera_from_inertial_xyzw: Quaternion | None = None
-    pointing_deg: Vector | None = None
-    angular_rate_deg_s: Vector = (0.0, 0.0, 0.0)
+    file: str = Field(min_length=1, description="FITS file to write, relative to the output folder.")
+    epoch_utc: str = Field(description="Mid-exposure, ISO 8601.")
+    exposure_s: float = Field(gt=0, description="Exposure, s.")
+    camera_from_inertial_xyzw: Quaternion | None = Field(default=None, description="Attitude, quaternion, scalar last.")
+    pointing_deg: Vector | None = Field(
+        default=None, description="Right ascension, declination and roll of the boresight, deg."
+    )
+    angular_rate_deg_s: Vector = Field(
+        default=(0.0, 0.0, 0.0), description="Rotation of the camera during the exposure, about its own axes, deg/s."
+    )
     observer: ObserverSection | None = None
-    targets: dict[str, PlaceSection] = Field(default_factory=dict)
+    targets: dict[str, PlaceSection] = Field(
+        default_factory=dict, description="Places of targets in this image, by name."
+    )
 
 
 class RenderFile(SceneSection):
     """A whole scene file."""
 
     render: RenderSection = RenderSection()
-    camera: dict[str, Any]
+    camera: dict[str, Any] = Field(description="`file`, the name of a camera file with `[psf]`, or the keys of one.")
     light: LightSection = LightSection()
     photometry: PhotometrySection = PhotometrySection()
     stars: SkySection | None = None

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.campaign.file.config import Campaign, ImageEntry, SpiceSetup, TargetSetup
+from giantlike.campaign.file.config import Campaign, ImageEntry
+from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Reason

@@ -18,7 +18,8 @@ from giantlike.campaign.calibration.solve import (
     calibration_summary,
     write_calibration,
 )
-from giantlike.campaign.file.config import CalibrationSetup, Campaign, ImageEntry
+from giantlike.campaign.file.config import Campaign, ImageEntry
+from giantlike.campaign.file.schema import CalibrationSection
 from giantlike.campaign.report.report import write_report
 from giantlike.campaign.run.attitude_transfer import attitude_to_use, carry_attitudes
 from giantlike.campaign.run.image_loading import targets_in
@@ -180,7 +181,7 @@ class _Run:
     def _done(self, kind: type[Record], entry: ImageEntry) -> Record | None:
         return self.folder.load_valid(kind, entry.index, entry.key, self.stamps[entry.index])
 
-    def calibrate(self, bench: Workbench, setup: CalibrationSetup) -> CampaignCalibration:
+    def calibrate(self, bench: Workbench, setup: CalibrationSection) -> CampaignCalibration:
         """Identify the stars of all star images, calibrate, and write what comes out."""
         entries = self.campaign.images
         records = {

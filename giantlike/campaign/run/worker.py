@@ -16,7 +16,8 @@ import numpy as np
 from giantlike.calibration import identify_first
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import NO_STAR_IMAGE, record_of_stars, temperature_of
-from giantlike.campaign.file.config import Campaign, ImageEntry, TargetSetup
+from giantlike.campaign.file.config import Campaign, ImageEntry
+from giantlike.campaign.file.inputs import TargetSetup
 from giantlike.campaign.run.image_loading import PreparedImage, open_image, scene_of, targets_in
 from giantlike.campaign.store.observables import (
     attitude_fields,

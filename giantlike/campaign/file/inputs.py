@@ -1,0 +1,252 @@
+"""Cameras, kernels and bodies that a campaign file or a scene file names: found, checked and resolved."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.campaign.file.options import options_from_mapping, with_files_found
+from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
+from giantlike.core.arrays import require
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import rotation_from_xyzw
+from giantlike.io.spice import find_kernels
+from giantlike.ray_tracing import McEwen, Reflectance, reflectance_from_mapping
+from giantlike.relative import ESTIMATORS, Estimator
+from giantlike.shapes import Ellipsoid, Shape, load_shape
+from giantlike.shapes.files.formats import read_file
+from giantlike.shapes.load import guessed_units
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpiceSetup:
+    """SPICE kernels, the spacecraft and its camera frame.
+
+    Parameters
+    ----------
+    kernels : tuple of Path
+        In loading order.
+    spacecraft : str
+        NAIF name or code.
+    frame : str or None
+        Frame of the camera; None: no attitude from SPICE.
+    camera_from_frame : Rotation
+        From that frame to camera axes.
+    """
+
+    kernels: tuple[Path, ...]
+    spacecraft: str
+    frame: str | None
+    camera_from_frame: Rotation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TargetSetup:
+    """A body with its names resolved; the shape is loaded later, by each process that needs it.
+
+    Parameters
+    ----------
+    name : str
+    shape : Path or tuple of float
+        Mesh file, or the radii of an ellipsoid, km.
+    units : str
+        Of the mesh file: km, m or auto.
+    reflectance : Reflectance
+    estimators : tuple of Estimator
+        Empty in a scene file.
+    spice_body, frame : str
+        NAIF name and body-fixed frame.
+    """
+
+    name: str
+    shape: Path | Radii
+    units: str
+    reflectance: Reflectance
+    estimators: tuple[Estimator, ...]
+    spice_body: str
+    frame: str
+
+    def load_shape(self) -> Shape:
+        """Read the mesh, or build the ellipsoid.
+
+        Returns
+        -------
+        Shape
+
+        Raises
+        ------
+        DataError
+            The mesh file is damaged.
+        """
+        if isinstance(self.shape, Path):
+            return load_shape(self.shape, units=self.units)
+        return Ellipsoid(radii_km=np.array(self.shape), name=self.name)
+
+
+def existing_file(path: Path, key: str, name: str) -> Path:
+    """Path of a file that a key of a campaign or scene file names.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign or scene file; ``name`` is relative to its folder.
+    key, name : str
+        The key, for the error message, and its value.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
+    file = path.parent / name
+    require(file.is_file(), f"{key}: there is no file {name!r} ({file})")
+    return file
+
+
+def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None]:
+    """Camera of a ``[camera]`` table, and its file where it has one.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign or scene file.
+    table : mapping
+        ``file``, or the keys of a camera file.
+
+    Returns
+    -------
+    camera : Camera
+    file : Path or None
+
+    Raises
+    ------
+    InputError
+        The file is missing or a key is wrong.
+    """
+    if "file" not in table:
+        try:
+            return Camera.from_mapping(table), None
+        except InputError as error:
+            raise InputError(f"[camera]: {error}") from error
+    others = sorted(set(table) - {"file"})
+    if others:
+        raise InputError(f"[camera]: give either file or the keys of a camera, not both; found {others[0]!r}")
+    if not isinstance(table["file"], str):
+        raise InputError(f"camera.file: expected the name of a camera file, got {table['file']!r}")
+    file = existing_file(path, "camera.file", table["file"])
+    return Camera.load(file), file
+
+
+def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
+    """Kernels, spacecraft and camera frame of a ``[spice]`` section.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign or scene file.
+    section : SpiceSection or None
+
+    Returns
+    -------
+    SpiceSetup or None
+
+    Raises
+    ------
+    InputError
+        A kernel is missing or the quaternion is not one.
+    """
+    if section is None:
+        return None
+    try:
+        kernels = find_kernels(section.kernels, path.parent)
+    except DataError as error:
+        raise InputError(f"spice.kernels: {error}") from error
+    turn = rotation_from_xyzw(section.camera_from_frame_xyzw, "spice.camera_from_frame_xyzw")
+    return SpiceSetup(kernels=kernels, spacecraft=section.spacecraft, frame=section.frame, camera_from_frame=turn)
+
+
+def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[TargetSetup, ...], list[str]]:
+    """Bodies of the ``[[targets]]`` of a campaign or scene file.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign or scene file.
+    sections : sequence of BodySection
+
+    Returns
+    -------
+    targets : tuple of TargetSetup
+        Units that were ``auto`` are decided, so that they are the same in all processes.
+    remarks : list of str
+        One for each unit that was guessed.
+
+    Raises
+    ------
+    InputError
+        A name, file, law, estimator or option is wrong, or two targets have the same name.
+    DataError
+        A mesh file whose unit is to be guessed is damaged, or both units fit.
+    """
+    decided, remarks = list[TargetSetup](), list[str]()
+    for number, section in enumerate(sections):
+        target = _target(path, f"targets[{number}]", section)
+        if isinstance(target.shape, Path) and target.units == "auto":
+            surface = read_file(target.shape)
+            units = "km"
+            if not surface.in_km:
+                units, remark = guessed_units(target.shape, surface)
+                remarks.append(remark)
+            target = replace(target, units=units)
+        decided.append(target)
+    repeated = [name for name, count in Counter(target.name for target in decided).items() if count > 1]
+    if repeated:
+        raise InputError(f"targets: two targets have the name {repeated[0]!r}")
+    return tuple(decided), remarks
+
+
+def _target(path: Path, where: str, section: BodySection) -> TargetSetup:
+    shape = section.shape
+    try:
+        reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
+    except InputError as error:
+        raise InputError(f"{where}.{error}") from error
+    return TargetSetup(
+        name=section.name,
+        shape=existing_file(path, f"{where}.shape", shape) if isinstance(shape, str) else shape,
+        units=section.units,
+        reflectance=reflectance,
+        estimators=_estimators(path, where, section) if isinstance(section, TargetSection) else (),
+        spice_body=section.spice_body or section.name,
+        frame=section.frame or section.spice_body or section.name,
+    )
+
+
+def _estimators(path: Path, where: str, section: TargetSection) -> tuple[Estimator, ...]:
+    """Estimators of a target; options of those that do not run are checked as well."""
+    for key, names in (("estimators", section.estimators), ("options", section.options)):
+        for name in names:
+            if name not in ESTIMATORS:
+                raise InputError(
+                    f"{where}.{key}: unknown estimator {name!r}; there are {', '.join(sorted(ESTIMATORS))}"
+                )
+    if len(set(section.estimators)) < len(section.estimators):
+        raise InputError(f"{where}.estimators: an estimator is named twice")
+    built: dict[str, Estimator] = {}
+    for name in (*section.estimators, *section.options):
+        kind: Any = ESTIMATORS[name]  # each class takes options of a type of its own
+        key = f"{where}.options.{name}"
+        options = options_from_mapping(type(kind().options), section.options.get(name, {}), key)
+        built[name] = kind(with_files_found(options, path.parent, key))
+    return tuple(built[name] for name in section.estimators)
