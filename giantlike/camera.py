@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -29,33 +29,39 @@ from giantlike.camera_models.plane import PlaneModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import quaternion_xyzw, rotation_from_xyzw
+from giantlike.core.frames import FrameRotation, quaternion_xyzw, require_same_frame, rotation_from_xyzw
+from giantlike.core.tables import checked_table, record_of_numbers, table_of_numbers
 from giantlike.io.atomic import write_text_atomic
 
-Part = TypeVar("Part", GaussianPsf, Detector)
-_WIDEST_PLANE_DEG, _WIDEST_FISHEYE_DEG = 170.0, 360.0
-_EDGE_NODES = 33  # along the longer side; the corners are among them
+if TYPE_CHECKING:
+    from giantlike.image import Image
+
+DEFAULT_NAME = "camera"
+"""Name of a camera that was given none; it does not tell one camera from another."""
+_WIDEST_PLANE_DEG = 170.0  # a gnomonic focal plane of 11 focal lengths each way; at 180 degrees it is infinite
+_WIDEST_FISHEYE_DEG = 360.0  # all directions
+_EDGE_NODES = 33  # nodes along the longer side of the frame; the corners are among them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ModelUncertainty:
-    """How well the parameters of a camera model are known: the ``[calibration]`` table of a camera file.
+    """Uncertainty of the parameters of a camera model: the ``[calibration]`` table of a camera file.
 
     Parameters
     ----------
     estimated : tuple of str
-        Names of the k parameters that were estimated; the others were taken as they are.
+        Names of the k parameters that were estimated; the others were held fixed.
     covariance : (k, k) float64
-        Of those, in their units.
+        Covariance of the estimated parameters, in their units.
     residual_sigma_px : float, px
-        Post-fit residual per axis of the calibration.
+        Standard deviation of the post-fit residuals, per axis.
     n_observations, n_images : int
-        What it rests on.
+        Numbers of star observations and of images that were fitted.
 
     Raises
     ------
     InputError
-        The covariance has another shape, or is not symmetric.
+        The names are not a list, or the covariance has another shape or is not symmetric.
     """
 
     estimated: tuple[str, ...]
@@ -65,96 +71,158 @@ class ModelUncertainty:
     n_images: int
 
     def __post_init__(self) -> None:
+        require(
+            isinstance(self.estimated, tuple | list),
+            f"[calibration] estimated must be a list of names, got {self.estimated!r}",
+        )
         count = len(self.estimated)
         covariance = as_finite(self.covariance, (count, count), "[calibration] covariance")
         tolerance = 1e-6 * np.sqrt(np.abs(np.outer(np.diag(covariance), np.diag(covariance))))
         symmetric = bool((np.abs(covariance - covariance.T) <= tolerance).all())
         require(symmetric, "[calibration] covariance must be symmetric")
+        object.__setattr__(self, "estimated", tuple(self.estimated))
         object.__setattr__(self, "covariance", covariance)
 
     @classmethod
-    def from_mapping(cls, table: Mapping[str, Any], known: tuple[str, ...]) -> ModelUncertainty:
-        """Build from the ``[calibration]`` table of a camera whose model has the parameters ``known``.
+    def from_mapping(cls, table: object) -> ModelUncertainty:
+        """Build from the ``[calibration]`` table of a camera file.
+
+        Parameters
+        ----------
+        table : mapping
+            Values by the names of the fields.
+
+        Returns
+        -------
+        ModelUncertainty
 
         Raises
         ------
         InputError
-            A key is missing or unknown, or a parameter is none of the model.
+            It is not a table, a key is missing or unknown, or a value is wrong.
         """
         names = [entry.name for entry in fields(cls)]
-        for key in (*table, *names):
-            require(key in names, f"[calibration] unknown key {key!r}; keys are {', '.join(names)}")
-            require(key in table, f"[calibration] {key} is missing")
-        estimated = table["estimated"]
-        require(isinstance(estimated, list), f"[calibration] estimated must be a list of names, got {estimated!r}")
-        for name in estimated:
-            require(name in known, f"[calibration] estimated: the model has no parameter {name!r}")
-        return cls(**(dict(table) | {"estimated": tuple(estimated)}))
+        return cls(**checked_table(table, "[calibration]", names, names))
 
     def to_mapping(self) -> dict[str, Any]:
-        """The ``[calibration]`` table."""
+        """Return the ``[calibration]`` table of a camera file.
+
+        Returns
+        -------
+        dict
+        """
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return values | {"estimated": list(self.estimated), "covariance": self.covariance.tolist()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MissionFrame:
-    """The camera frame of a mission's own kernels: the ``[mission_frame]`` table of a camera file.
+    """Camera frame of a mission's own kernels: the ``[mission_frame]`` table of a camera file.
 
     Parameters
     ----------
     name : str
-        As in the mission's frame kernel.
+        Name in the mission's frame kernel.
     camera_from_mission : Rotation
-        Takes vectors in that frame to our camera axes: ``camera_from_inertial = camera_from_mission *
-        mission_from_inertial``, the last from pointing kernels.
+        Takes vectors in that frame to the camera axes of this package: ``camera_from_inertial =
+        camera_from_mission * mission_from_inertial``, the last from pointing kernels.
     """
 
     name: str
     camera_from_mission: Rotation
 
+    def mission_from_camera(self, camera: Camera) -> FrameRotation:
+        """Return the rotation from the axes of a camera to this frame, with the names of both.
+
+        Parameters
+        ----------
+        camera : Camera
+            The camera that this frame belongs to.
+
+        Returns
+        -------
+        FrameRotation
+        """
+        return FrameRotation(rotation=self.camera_from_mission.inv(), target=self.name, source=camera.frame_name)
+
     @classmethod
-    def from_mapping(cls, table: Any) -> MissionFrame:
-        """Build from the ``[mission_frame]`` table.
+    def from_mapping(cls, table: object) -> MissionFrame:
+        """Build from the ``[mission_frame]`` table of a camera file.
+
+        Parameters
+        ----------
+        table : mapping
+            ``name``, and ``camera_from_mission_xyzw``: a unit quaternion, scalar last.
+
+        Returns
+        -------
+        MissionFrame
 
         Raises
         ------
         InputError
-            It is no table, or a key is missing or unknown, or the quaternion is not unit.
+            It is not a table, a key is missing or unknown, or the quaternion is not unit.
         """
         keys = ("name", "camera_from_mission_xyzw")
-        require(isinstance(table, Mapping), f"[mission_frame] must be a table, got {table!r}")
-        require(set(table) == set(keys), f"[mission_frame] needs the keys {', '.join(keys)}; got {', '.join(table)}")
-        quaternion = rotation_from_xyzw(table[keys[1]], "[mission_frame] camera_from_mission_xyzw")
-        return cls(name=str(table["name"]), camera_from_mission=quaternion)
+        checked = checked_table(table, "[mission_frame]", keys, keys)
+        turn = rotation_from_xyzw(checked[keys[1]], "[mission_frame] camera_from_mission_xyzw")
+        return cls(name=str(checked["name"]), camera_from_mission=turn)
 
     def to_mapping(self) -> dict[str, Any]:
-        """The ``[mission_frame]`` table."""
+        """Return the ``[mission_frame]`` table of a camera file.
+
+        Returns
+        -------
+        dict
+        """
         return {"name": self.name, "camera_from_mission_xyzw": quaternion_xyzw(self.camera_from_mission).tolist()}
+
+
+class _Section(NamedTuple):
+    """A table of a camera file: its name there and in :class:`Camera`, and the functions that read and write it."""
+
+    key: str
+    attribute: str
+    read: Callable[[Any], object]
+    write: Callable[[Any], Mapping[str, Any]]
+
+
+_SECTIONS = (
+    _Section("model", "model", model_from_mapping, model_to_mapping),
+    _Section("psf", "psf", partial(record_of_numbers, GaussianPsf, where="[psf]"), table_of_numbers),
+    _Section("detector", "detector", partial(record_of_numbers, Detector, where="[detector]"), table_of_numbers),
+    _Section("calibration", "uncertainty", ModelUncertainty.from_mapping, ModelUncertainty.to_mapping),
+    _Section("mission_frame", "mission_frame", MissionFrame.from_mapping, MissionFrame.to_mapping),
+)
+_SIZE = ("columns", "rows")
+_KEYS = ("name", *_SIZE, "fov_deg", *(section.key for section in _SECTIONS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """What turns directions into pixels and light into numbers.
+    """A lens, a point spread function and a detector: turns directions into pixels and light into numbers.
 
     Parameters
     ----------
     name : str
+        Name in tables and messages; also stands for the camera axes where frames are checked.
     columns, rows : int
-        Size of the detector as stored in the images.
+        Size of the stored images.
     model : CameraModel
+        Projection from camera axes to pixels.
     psf : GaussianPsf, optional
-        None when unknown: what needs it then estimates it from the image or says so.
+        None when unknown; algorithms that need it estimate it from the image or return a failure.
     detector : Detector
+        Gain, read noise, saturation and bias.
     uncertainty : ModelUncertainty, optional
         Of the model, where it was calibrated: the ``[calibration]`` table of its file.
     mission_frame : MissionFrame, optional
-        Axes of the mission's own kernels, where the model was turned into ours on import.
+        Axes of the mission's own kernels, where they differ from the camera axes of this package.
 
     Raises
     ------
     InputError
-        The size is not positive.
+        The size is not positive, or ``uncertainty`` names a parameter that the model does not have.
     """
 
     name: str
@@ -167,35 +235,46 @@ class Camera:
     mission_frame: MissionFrame | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        for key in ("columns", "rows"):
-            value = getattr(self, key)
+        _require_size(self.name, self.columns, self.rows)
+        for name in () if self.uncertainty is None else self.uncertainty.estimated:
             require(
-                isinstance(value, int) and not isinstance(value, bool) and value > 0,
-                f"camera {self.name!r}: {key} must be a positive whole number, got {value!r}",
+                name in self.model.parameter_names,
+                f"[calibration] estimated: the model has no parameter {name!r}; it has "
+                f"{', '.join(self.model.parameter_names)}",
             )
 
     @classmethod
     def from_fov(
-        cls, fov_deg: float, columns: int, rows: int, *, name: str = "camera", type_name: str = "pinhole"
+        cls, fov_deg: float, columns: int, rows: int, *, name: str = DEFAULT_NAME, type_name: str = "pinhole"
     ) -> Camera:
-        """Return a camera of a rough field of view along x, principal point at the image center, ideal lens.
+        """Return a camera with a rough field of view along x, an ideal lens and a centered principal point.
 
         Parameters
         ----------
         fov_deg : float, degrees
+            Full angle from the left edge of the image to the right edge.
         columns, rows : int
+            Size of the images.
         name : str
+            Name of the camera.
         type_name : str
             A key of :data:`~giantlike.camera_models.MODELS`.
+
+        Returns
+        -------
+        Camera
 
         Raises
         ------
         InputError
-            The type is unknown or such a lens does not see so much.
+            The type is unknown, the field is wider than such a lens can image, or the size is not positive.
 
+        Examples
+        --------
         >>> round(Camera.from_fov(90.0, 100, 80).model.focal_length_px, 9)
         50.0
         """
+        _require_size(name, columns, rows)
         require(type_name in MODELS, f"camera model type must be one of {', '.join(sorted(MODELS))}, got {type_name!r}")
         widest = _WIDEST_PLANE_DEG if issubclass(MODELS[type_name], PlaneModel) else _WIDEST_FISHEYE_DEG
         require(0 < fov_deg < widest, f"fov_deg must be between 0 and {widest:g} for {type_name}, got {fov_deg}")
@@ -203,16 +282,25 @@ class Camera:
         unit = MODELS[type_name](fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **WIDE_START.get(type_name, {}))
         focal = columns / (2 * float(unit.project([math.sin(half), 0.0, math.cos(half)])[0]))
         values = {"fx_px": focal, "fy_px": focal, "cx_px": (columns - 1) / 2, "cy_px": (rows - 1) / 2}
-        return cls(name=name, columns=columns, rows=rows, model=dataclasses.replace(unit, **values))
+        return cls(name=name, columns=columns, rows=rows, model=replace(unit, **values))
 
     @classmethod
     def load(cls, path: str | Path) -> Camera:
         """Read a camera TOML file.
 
+        Parameters
+        ----------
+        path : path-like
+            The file.
+
+        Returns
+        -------
+        Camera
+
         Raises
         ------
         DataError
-            The file is missing or no TOML, a key is unknown or missing, or a value is out of range.
+            The file is missing or not valid TOML, a key is unknown or missing, or a value is out of range.
         """
         try:
             with Path(path).open("rb") as stream:
@@ -230,57 +318,91 @@ class Camera:
     def from_mapping(cls, table: Mapping[str, Any]) -> Camera:
         """Build a camera from the keys of a camera file.
 
-        ``fov_deg``, a rough field of view along x, may take the place of the model: see :meth:`from_fov`.
+        Parameters
+        ----------
+        table : mapping
+            As :meth:`to_mapping` returns it; ``fov_deg``, a rough field of view along x, may take the place of
+            ``model``: see :meth:`from_fov`.
+
+        Returns
+        -------
+        Camera
 
         Raises
         ------
         InputError
             A key is unknown or missing, or a value is of the wrong kind or out of range.
         """
-        known = ("name", "columns", "rows", "model", "fov_deg", "psf", "detector", "calibration", "mission_frame")
-        for key in table:
-            if key not in known:
-                raise InputError(f"unknown key {key!r}; a camera has {', '.join(known)}")
-        for key in ("columns", "rows"):
-            if key not in table:
-                raise InputError(f"key {key!r} is missing")
-        built = _model(table)
-        uncertainty = table.get("calibration")
-        if uncertainty is not None and not isinstance(uncertainty, Mapping):
-            raise InputError(f"[calibration] must be a table, got {uncertainty!r}")
-        return cls(
-            name=str(table.get("name", "camera")),
-            columns=table["columns"],
-            rows=table["rows"],
-            model=built,
-            psf=_part(GaussianPsf, table["psf"], "psf") if "psf" in table else None,
-            detector=_part(Detector, table.get("detector", {}), "detector"),
-            uncertainty=None
-            if uncertainty is None
-            else ModelUncertainty.from_mapping(uncertainty, built.parameter_names),
-            mission_frame=MissionFrame.from_mapping(table["mission_frame"]) if "mission_frame" in table else None,
-        )
+        checked_table(table, "", _KEYS, _SIZE)
+        name, columns, rows = str(table.get("name", DEFAULT_NAME)), table["columns"], table["rows"]
+        parts: dict[str, Any] = {part.attribute: part.read(table[part.key]) for part in _SECTIONS if part.key in table}
+        if "fov_deg" in table:
+            fov = table["fov_deg"]
+            require("model" not in parts, "give either [model] or fov_deg, not both")
+            numeric = isinstance(fov, int | float) and not isinstance(fov, bool)
+            require(numeric, f"fov_deg must be a number, got {fov!r}")
+            parts["model"] = cls.from_fov(float(fov), columns, rows, name=name).model
+        require("model" in parts, "key 'model' is missing; give a [model] table or fov_deg")
+        return cls(name=name, columns=columns, rows=rows, **parts)
 
     def to_mapping(self) -> dict[str, Any]:
-        """The keys of a camera file; what is unknown or infinite is left out."""
-        table: dict[str, Any] = {"name": self.name, "columns": self.columns, "rows": self.rows}
-        table["model"] = model_to_mapping(self.model)
-        if self.psf is not None:
-            table["psf"] = _numbers(self.psf)
-        table["detector"] = _numbers(self.detector)
-        if self.uncertainty is not None:
-            table["calibration"] = self.uncertainty.to_mapping()
-        if self.mission_frame is not None:
-            table["mission_frame"] = self.mission_frame.to_mapping()
-        return table
+        """Return the keys of a camera file; unknown parts and infinite values are left out.
+
+        Returns
+        -------
+        dict
+            ``name``, ``columns``, ``rows`` and the tables ``model``, ``psf``, ``detector``, ``calibration`` and
+            ``mission_frame``.
+        """
+        parts = {section: getattr(self, section.attribute) for section in _SECTIONS}
+        tables = {section.key: section.write(part) for section, part in parts.items() if part is not None}
+        return {"name": self.name, "columns": self.columns, "rows": self.rows, **tables}
 
     def save(self, path: str | Path) -> None:
-        """Write a camera TOML file that :meth:`load` reads back exactly."""
+        """Write a camera TOML file that :meth:`load` reads back exactly.
+
+        Parameters
+        ----------
+        path : path-like
+            New file; an existing one is replaced.
+
+        Raises
+        ------
+        DataError
+            The file cannot be written.
+        """
         write_text_atomic(Path(path), tomli_w.dumps(self.to_mapping()))
 
     @property
+    def frame_name(self) -> str:
+        """Name of the camera axes: the name of the camera, or empty for a camera without a name of its own."""
+        return "" if self.name == DEFAULT_NAME else self.name
+
+    def require_image(self, image: Image) -> None:
+        """Raise unless an image has the size of this camera and, where the image names its camera, is one of it.
+
+        Parameters
+        ----------
+        image : Image
+            The image that is to be used with this camera.
+
+        Raises
+        ------
+        InputError
+            The image has another size than the camera.
+        FrameMismatchError
+            The image was taken by another camera, so its attitude refers to other axes.
+        """
+        require(
+            (image.columns, image.rows) == (self.columns, self.rows),
+            f"{image.name}: image is {image.columns} x {image.rows} pixels, camera {self.name!r} has {self.columns} x "
+            f"{self.rows}; use the camera of this image, or Camera.binned or Camera.windowed of it",
+        )
+        require_same_frame(image.camera_name, self.frame_name)
+
+    @property
     def center_px(self) -> Float:
-        """Middle of the image ((columns - 1) / 2, (rows - 1) / 2), px: what RA, Dec and roll refer to."""
+        """Center of the image ((columns - 1) / 2, (rows - 1) / 2), (2,), px; RA, Dec and roll refer to it."""
         return np.array([(self.columns - 1) / 2, (self.rows - 1) / 2])
 
     @property
@@ -292,8 +414,8 @@ class Camera:
     def half_diagonal_rad(self) -> float:
         """Largest angle between the line of sight of the image center and any other that the image holds, rad.
 
-        That of a corner, or of the rim of the image circle where a lens leaves the corners dark; NaN when the lens
-        shows nothing.
+        The angle to a corner, or to the rim of the image circle where a lens leaves the corners dark; NaN when the
+        lens images nothing.
         """
         edge = frame_grid(self.columns, self.rows, nodes=_EDGE_NODES)
         cosines = self.model.unproject(edge) @ self.model.unproject(self.center_px)
@@ -301,26 +423,61 @@ class Camera:
         return float(np.arccos(np.clip(seen.min(), -1.0, 1.0))) if seen.size else math.nan
 
     def at_temperature(self, temperature_c: float) -> Camera:
-        """Return the camera at a temperature in degrees Celsius: its model scaled by the temperature terms."""
+        """Return the camera at a temperature: its model scaled by the temperature terms.
+
+        Parameters
+        ----------
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        Camera
+        """
         return replace(self, model=self.model.at_temperature(temperature_c))
 
     def windowed(self, x0_px: int, y0_px: int, *, columns: int, rows: int) -> Camera:
-        """Return the camera of a window of the detector whose first pixel is (``x0_px``, ``y0_px``).
+        """Return the camera of images that hold a window of the detector.
+
+        Parameters
+        ----------
+        x0_px, y0_px : int, px
+            First pixel of the window on the detector.
+        columns, rows : int
+            Size of the window.
+
+        Returns
+        -------
+        Camera
 
         Raises
         ------
         InputError
-            The window reaches over the detector, or the model can't be windowed.
+            The window reaches over the detector, or the model cannot be shifted.
         """
         inside = 0 <= x0_px <= self.columns - columns and 0 <= y0_px <= self.rows - rows
         require(inside, f"the window must lie on the {self.columns} by {self.rows} detector")
         return replace(self, columns=columns, rows=rows, model=_lens(self.model).windowed(x0_px, y0_px))
 
     def binned(self, factor: int, *, detector: Detector) -> Camera:
-        """Return the camera of images whose pixels are ``factor`` by ``factor`` of these, first block first.
+        """Return the camera of images whose pixels are blocks of ``factor`` by ``factor`` pixels.
 
-        ``detector`` is the one of the binned images: whether binning adds read noise or lowers it, and where it
-        saturates, depends on the electronics. Columns and rows that fill no block are left out.
+        Parameters
+        ----------
+        factor : int
+            Pixels along one side of a block; columns and rows that fill no block are left out.
+        detector : Detector
+            Detector of the binned images: the effect of binning on read noise and saturation depends on the
+            electronics.
+
+        Returns
+        -------
+        Camera
+
+        Raises
+        ------
+        InputError
+            The factor is below one, or the model cannot be binned.
         """
         psf = None if self.psf is None else GaussianPsf(sigma_px=self.psf.sigma_px / factor)
         return replace(
@@ -333,15 +490,49 @@ class Camera:
         )
 
     def in_field(self, points_camera: ArrayLike, *, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Whether points or directions (..., 3) in camera axes are imaged, at least ``margin_px`` from the edge."""
+        """Return which points or directions are imaged.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+        margin_px : float, px
+            Required distance from the edge of the image; negative values accept points outside it.
+
+        Returns
+        -------
+        (...,) bool
+        """
         return self.contains(self.model.project(points_camera), margin_px=margin_px)
 
     def ifov_rad(self, points_px: ArrayLike | None = None) -> Float:
-        """Geometric-mean angle (...,), rad, that a pixel subtends at pixels (..., 2); default the image center."""
+        """Return the geometric-mean angle that one pixel subtends.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px, optional
+            Pixels; default: the image center.
+
+        Returns
+        -------
+        (...,) float64, rad
+        """
         return ifov_rad(self.model, self.center_px if points_px is None else points_px)
 
     def contains(self, points_px: ArrayLike, *, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Whether pixels (..., 2) lie on the detector, at least ``margin_px`` from its edge; NaN does not."""
+        """Return which pixels lie on the detector; NaN does not.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixel coordinates.
+        margin_px : float, px
+            Required distance from the edge; negative values accept points outside the detector.
+
+        Returns
+        -------
+        (...,) bool
+        """
         points = as_floats(points_px, (2,), "points_px")
         low, high = margin_px - 0.5, np.array([self.columns, self.rows]) - 0.5 - margin_px
         with np.errstate(invalid="ignore"):
@@ -349,41 +540,16 @@ class Camera:
         return result
 
 
+def _require_size(name: str, columns: int, rows: int) -> None:
+    for key, value in (("columns", columns), ("rows", rows)):
+        require(
+            isinstance(value, int) and not isinstance(value, bool) and value > 0,
+            f"camera {name!r}: {key} must be a positive whole number, got {value!r}",
+        )
+
+
 def _lens(model: CameraModel) -> AffineModel | GridCorrectedModel:
-    """The model as one that knows about binning and windows."""
+    """The model as one that can be binned and windowed."""
     if not isinstance(model, AffineModel | GridCorrectedModel):
-        raise InputError(f"a {model.type_name} model can't be binned or windowed")
+        raise InputError(f"a {model.type_name} model cannot be binned or windowed")
     return model
-
-
-def _model(table: Mapping[str, Any]) -> CameraModel:
-    """Model of a camera file; a pinhole where only a field of view is given."""
-    if "fov_deg" in table:
-        fov = table["fov_deg"]
-        sizes = [table[key] for key in ("columns", "rows")]
-        require(all(isinstance(size, int) and size > 0 for size in sizes), f"columns, rows must be whole, got {sizes}")
-        require("model" not in table, "give either [model] or fov_deg, not both")
-        require(isinstance(fov, int | float) and not isinstance(fov, bool), f"fov_deg must be a number, got {fov!r}")
-        return Camera.from_fov(float(fov), table["columns"], table["rows"]).model
-    if "model" not in table:
-        raise InputError("key 'model' is missing")
-    if not isinstance(table["model"], Mapping):
-        raise InputError(f"[model] must be a table, got {table['model']!r}")
-    return model_from_mapping(table["model"])
-
-
-def _part(kind: type[Part], table: Any, name: str) -> Part:
-    if not isinstance(table, Mapping):
-        raise InputError(f"[{name}] must be a table, got {table!r}")
-    known = [entry.name for entry in fields(kind)]
-    for key, value in table.items():
-        if key not in known:
-            raise InputError(f"[{name}] unknown key {key!r}; keys are {', '.join(known)}")
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"[{name}] {key} must be a number, got {value!r}")
-    return kind(**{key: float(value) for key, value in table.items()})
-
-
-def _numbers(part: GaussianPsf | Detector) -> dict[str, float]:
-    values = {entry.name: float(getattr(part, entry.name)) for entry in fields(part)}
-    return {key: value for key, value in values.items() if math.isfinite(value)}

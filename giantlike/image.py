@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, frozen, require
+from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeFix
 from giantlike.core.time import et_from_time
@@ -60,7 +61,9 @@ class Image:
         How tables and messages call the image.
     path : Path, optional
     sha256 : str
-        Of the file, for provenance.
+        SHA-256 of the file, for provenance.
+    camera_name : str
+        Name of the camera that took the image and whose axes the attitude refers to; empty when unknown.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class Image:
     name: str = "image"
     path: Path | None = None
     sha256: str = ""
+    camera_name: str = ""
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels)
@@ -151,7 +155,7 @@ class Image:
 
     def with_attitude(
         self,
-        attitude: AttitudeFix | Rotation,
+        attitude: AttitudeFix | FrameRotation | Rotation,
         *,
         source: AttitudeSource | None = None,
         covariance_rad2: ArrayLike | None = None,
@@ -160,22 +164,39 @@ class Image:
 
         Parameters
         ----------
-        attitude : AttitudeFix or Rotation
-            A star solution (its covariance comes along), or ``camera_from_inertial``.
+        attitude : AttitudeFix, FrameRotation or Rotation
+            A star solution, whose covariance is used too, or ``camera_from_inertial``. The first two name the camera
+            whose axes they refer to, which must be the camera of this image where both are known.
         source : AttitudeSource, optional
             Default: ``stars`` for a fix, ``a_priori`` for a rotation.
-        covariance_rad2 : (3, 3), rad^2, camera axes, optional
-            For a rotation.
+        covariance_rad2 : (3, 3) array_like, rad^2, camera axes, optional
+            Covariance of a rotation; a fix brings its own.
+
+        Returns
+        -------
+        Image
+
+        Raises
+        ------
+        FrameMismatchError
+            The attitude is one of another camera, or its source is not the inertial frame.
+        InputError
+            The covariance has another shape or is not finite.
         """
+        camera_name, default = self.camera_name, AttitudeSource.A_PRIORI
+        covariance = None if covariance_rad2 is None else as_finite(covariance_rad2, (3, 3), "covariance_rad2")
         if isinstance(attitude, AttitudeFix):
-            rotation, default = attitude.camera_from_inertial, AttitudeSource.STARS
-            covariance: Float | None = attitude.covariance_rad2
-        else:
-            rotation, default = attitude, AttitudeSource.A_PRIORI
-            covariance = None if covariance_rad2 is None else as_finite(covariance_rad2, (3, 3), "covariance_rad2")
+            default, covariance = AttitudeSource.STARS, attitude.covariance_rad2
+            attitude = FrameRotation(
+                rotation=attitude.camera_from_inertial, target=attitude.camera_name, source=INERTIAL_FRAME
+            )
+        if isinstance(attitude, FrameRotation):
+            camera_name = camera_name or attitude.target
+            attitude = attitude.between(camera_name, INERTIAL_FRAME)
         return dataclasses.replace(
             self,
-            camera_from_inertial=rotation,
+            camera_from_inertial=attitude,
             attitude_source=source or default,
             attitude_covariance_rad2=covariance,
+            camera_name=camera_name,
         )

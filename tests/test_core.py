@@ -14,8 +14,9 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import as_finite, as_unit
-from giantlike.core.errors import DataError, EstimationError, InputError
+from giantlike.core.errors import DataError, EstimationError, FrameMismatchError, InputError
 from giantlike.core.frames import (
+    FrameRotation,
     camera_from_inertial_of_pointing,
     direction_from_radec,
     pointing_deg,
@@ -118,3 +119,35 @@ def test_checks_name_what_is_wrong() -> None:
     with pytest.raises(InputError, match="normalize"):
         as_unit([[1.0, 0.0, 0.1]], "rays")
     assert "gone.fits: is missing" in str(DataError("gone.fits", "is missing"))
+
+
+# --- Frames with names ------------------------------------------------------------------------------------
+
+
+def named(target: str, source: str, turn_rad: float = 0.1) -> FrameRotation:
+    return FrameRotation(rotation=Rotation.from_rotvec([turn_rad, 0.0, 0.0]), target=target, source=source)
+
+
+def test_named_frames_cancel_in_products() -> None:
+    product = named("CAMERA", "BUS") * named("BUS", "J2000", 0.2)
+    assert (product.target, product.source) == ("CAMERA", "J2000")
+    assert_allclose(product.rotation.as_rotvec(), [0.3, 0.0, 0.0], rtol=0, atol=ROUNDING)
+    back = product.inv()
+    assert (back.target, back.source) == ("J2000", "CAMERA")
+    assert (product * back).between("CAMERA", "CAMERA").magnitude() < ROUNDING
+
+
+def test_a_product_of_rotations_whose_inner_frames_differ_is_refused() -> None:
+    with pytest.raises(FrameMismatchError) as caught:
+        named("CAMERA", "BUS") * named("TRACKER", "J2000")
+    assert (caught.value.have, caught.value.need) == ("TRACKER", "BUS")
+
+
+def test_a_rotation_between_other_frames_than_needed_is_refused() -> None:
+    with pytest.raises(FrameMismatchError) as caught:
+        named("CAMERA", "ECLIPJ2000").between("CAMERA", "J2000")
+    assert (caught.value.have, caught.value.need) == ("ECLIPJ2000", "J2000")
+
+
+def test_a_frame_without_a_name_fits_any_other() -> None:
+    assert (named("CAMERA", "") * named("BUS", "J2000")).source == "J2000"

@@ -17,8 +17,9 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError, FrameMismatchError, InputError
+from giantlike.core.frames import FrameRotation
 from giantlike.core.light import aberrate
-from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.outcomes import AttitudeFix, Failure, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import ApparentGeometry, DistantLight, FixedEphemeris, SpiceEphemeris
 from giantlike.image import AttitudeSource, Image, ObserverState
@@ -115,6 +116,52 @@ def test_the_edge_pixels_belong_to_the_field_and_nan_does_not() -> None:
     camera = Camera.from_fov(10.0, 100, 80)
     points = [[-0.5, -0.5], [99.5, 79.5], [-0.6, 0.0], [0.0, 79.6], [np.nan, 1.0]]
     assert_array_equal(camera.contains(points), [True, True, False, False, False])
+
+
+def test_an_image_of_another_size_or_of_another_camera_is_refused() -> None:
+    camera = Camera.from_fov(10.0, 10, 8, name="NAVCAM")
+    camera.require_image(image_at())
+    camera.require_image(image_at(camera_name="NAVCAM"))
+    with pytest.raises(InputError, match="image is 10 x 8 pixels, camera 'NAVCAM' has 20 x 8"):
+        dataclasses.replace(camera, columns=20).require_image(image_at())
+    with pytest.raises(FrameMismatchError) as caught:
+        camera.require_image(image_at(camera_name="MAPCAM"))
+    assert (caught.value.have, caught.value.need) == ("MAPCAM", "NAVCAM")
+
+
+def test_an_attitude_of_another_camera_is_not_put_on_an_image() -> None:
+    image = image_at(camera_name="MAPCAM")
+    mapcam, navcam = (
+        FrameRotation(rotation=Rotation.identity(), target=name, source="J2000") for name in ("MAPCAM", "NAVCAM")
+    )
+    assert image.with_attitude(mapcam).camera_name == "MAPCAM"
+    assert image_at().with_attitude(navcam).camera_name == "NAVCAM"
+    for attitude in (navcam, attitude_fix("NAVCAM")):
+        with pytest.raises(FrameMismatchError) as caught:
+            image.with_attitude(attitude)
+        assert (caught.value.have, caught.value.need) == ("NAVCAM", "MAPCAM")
+    with pytest.raises(FrameMismatchError, match="ECLIPJ2000"):
+        image.with_attitude(dataclasses.replace(mapcam, source="ECLIPJ2000"))
+
+
+def attitude_fix(camera_name: str) -> AttitudeFix:
+    nothing, pixels = np.zeros(0), np.zeros((0, 2))
+    return AttitudeFix(
+        camera_from_inertial=Rotation.identity(),
+        covariance_rad2=1e-12 * np.eye(3),
+        star_ids=nothing.astype(np.int64),
+        detection_indices=nothing.astype(np.int64),
+        observed_px=pixels,
+        predicted_px=pixels,
+        sigma_px=nothing,
+        magnitudes=nothing,
+        n_detected=0,
+        n_rejected=0,
+        false_match_probability=0.0,
+        focal_length_px=1000.0,
+        fov_deg=10.0,
+        camera_name=camera_name,
+    )
 
 
 # --- Scene ------------------------------------------------------------------------------------------------

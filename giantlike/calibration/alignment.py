@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
 from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
 
 _STEPS = 20
@@ -40,6 +41,8 @@ class AlignmentFix:
         False for what disagrees.
     reduced_chi2 : float
         Of those used. Where it is more than noise explains, the covariances have been scaled with it.
+    first, second : str
+        Names of the two frames; empty when unknown.
     """
 
     rotation: Rotation
@@ -50,12 +53,38 @@ class AlignmentFix:
     residuals_rad: Float
     used: NDArray[np.bool_]
     reduced_chi2: float
+    first: str = ""
+    second: str = ""
 
     def rotation_at(self, temperature_c: float) -> Rotation:
-        """``second_from_first`` at a temperature."""
+        """Return ``second_from_first`` at a temperature.
+
+        Parameters
+        ----------
+        temperature_c : float, Celsius
+            Temperature of the sensors.
+
+        Returns
+        -------
+        scipy Rotation
+        """
         turn = self.rate_rad_per_c * (temperature_c - self.reference_c)
         result: Rotation = Rotation.from_rotvec(turn) * self.rotation
         return result
+
+    def frame_rotation_at(self, temperature_c: float) -> FrameRotation:
+        """Return ``second_from_first`` at a temperature with the names of the two frames, which products check.
+
+        Parameters
+        ----------
+        temperature_c : float, Celsius
+            Temperature of the sensors.
+
+        Returns
+        -------
+        FrameRotation
+        """
+        return FrameRotation(rotation=self.rotation_at(temperature_c), target=self.second, source=self.first)
 
     def unwrap(self) -> AlignmentFix:
         """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
@@ -125,9 +154,9 @@ def align(
 
 
 def interlock(
-    first_from_inertial: Rotation,
+    first_from_inertial: FrameRotation | Rotation,
     first_covariance_rad2: ArrayLike,
-    second_from_inertial: Rotation,
+    second_from_inertial: FrameRotation | Rotation,
     second_covariance_rad2: ArrayLike,
     *,
     temperatures_c: ArrayLike | None = None,
@@ -136,8 +165,9 @@ def interlock(
 
     Parameters
     ----------
-    first_from_inertial, second_from_inertial : Rotation
-        n attitudes each: a star tracker's and a camera's, for example.
+    first_from_inertial, second_from_inertial : FrameRotation or Rotation
+        n attitudes each: a star tracker's and a camera's, for example. Where both name their frames, both must count
+        from the same inertial frame.
     first_covariance_rad2, second_covariance_rad2 : (n, 3, 3), rad^2
         Each about its own sensor's axes.
     temperatures_c : (n,), Celsius, optional
@@ -146,19 +176,33 @@ def interlock(
     -------
     AlignmentFix or Failure
 
+    Raises
+    ------
+    InputError
+        Shapes disagree.
+    FrameMismatchError
+        The attitudes count from different inertial frames.
+
     References
     ----------
     .. [1] Inman and Holt, Artemis I Optical Navigation System Performance, IV.A (interlock of camera and trackers).
     """
-    count = len(first_from_inertial)
-    require(
-        len(second_from_inertial) == count, f"{count} attitudes of one sensor, {len(second_from_inertial)} of the other"
-    )
+    one, other = _named(first_from_inertial), _named(second_from_inertial)
+    count = len(one.rotation)
+    require(len(other.rotation) == count, f"{count} attitudes of one sensor, {len(other.rotation)} of the other")
     first = as_finite(first_covariance_rad2, (count, 3, 3), "first_covariance_rad2")
     second = as_finite(second_covariance_rad2, (count, 3, 3), "second_covariance_rad2")
-    between = second_from_inertial * first_from_inertial.inv()
-    turn = between.as_matrix()
-    return align(between, second + turn @ first @ np.swapaxes(turn, 1, 2), temperatures_c=temperatures_c)
+    between = other * one.inv()
+    turn = between.rotation.as_matrix()
+    covariances = second + turn @ first @ np.swapaxes(turn, 1, 2)
+    found = align(between.rotation, covariances, temperatures_c=temperatures_c)
+    return found if isinstance(found, Failure) else replace(found, first=between.source, second=between.target)
+
+
+def _named(attitudes: FrameRotation | Rotation) -> FrameRotation:
+    if isinstance(attitudes, FrameRotation):
+        return attitudes
+    return FrameRotation(rotation=attitudes, target="", source="")
 
 
 def _converged(

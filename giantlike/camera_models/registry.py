@@ -1,8 +1,9 @@
-"""Model names and how a model is written in a camera file."""
+"""Camera models by their names in camera files, read from and written to the ``[model]`` table."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from types import MappingProxyType
 from typing import Any
 
@@ -17,6 +18,7 @@ from giantlike.camera_models.pinhole import PinholeModel
 from giantlike.camera_models.scaramuzza import ScaramuzzaModel
 from giantlike.core.arrays import as_floats
 from giantlike.core.errors import InputError
+from giantlike.core.tables import checked_table, record_of_numbers
 
 MODELS: Mapping[str, type[AffineModel]] = MappingProxyType(
     {
@@ -43,58 +45,58 @@ def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
     table : mapping
         ``type`` and the parameters of that type; parameters with a default may be absent.
 
+    Returns
+    -------
+    CameraModel
+
     Raises
     ------
     InputError
-        The type or a key is unknown, a required parameter is missing, or a value is no number.
+        It is not a table, the type or a key is unknown, a required parameter is missing, or a value is not a number.
     """
-    if table.get("type") == GridCorrectedModel.type_name:
-        return _grid_from_mapping(table)
-    return _lens_from_mapping(table)
-
-
-def _lens_from_mapping(table: Mapping[str, Any]) -> AffineModel:
+    if not isinstance(table, Mapping):
+        raise InputError(f"[model] must be a table, got {table!r}")
     values = dict(table)
     name = values.pop("type", None)
+    if name == GridCorrectedModel.type_name:
+        return _grid_from_table(values)
+    return _lens_from_table(name, values)
+
+
+def _lens_from_table(name: object, values: Mapping[str, Any]) -> AffineModel:
     if name not in MODELS:
         known = ", ".join([*sorted(MODELS), GridCorrectedModel.type_name])
         raise InputError(f"[model] type must be one of {known}, got {name!r}")
-    model = MODELS[name]
-    unknown = sorted(set(values) - set(model.parameter_names))
-    if unknown:
-        raise InputError(
-            f"[model] unknown key {unknown[0]!r} for type {name!r}; keys are {', '.join(model.parameter_names)}"
-        )
-    for key, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"[model] {key} must be a number, got {value!r}")
-    missing = [key for key in ("fx_px", "fy_px", "cx_px", "cy_px") if key not in values]
-    if missing:
-        raise InputError(f"[model] {missing[0]} is missing for type {name!r}")
-    return model(**{key: float(value) for key, value in values.items()})
+    return record_of_numbers(MODELS[str(name)], values, f"[model] of type {name!r}")
 
 
-def _grid_from_mapping(table: Mapping[str, Any]) -> GridCorrectedModel:
-    keys = ("type", "base", "corner_px", "step_px", "dx_px", "dy_px")
-    for key in table:
-        if key not in keys:
-            raise InputError(f"[model] unknown key {key!r} for type 'grid'; keys are {', '.join(keys)}")
-    for key in keys:
-        if key not in table:
-            raise InputError(f"[model] {key} is missing for type 'grid'")
+def _grid_from_table(values: Mapping[str, Any]) -> GridCorrectedModel:
+    keys = [entry.name for entry in fields(GridCorrectedModel)]
+    where = "[model] of type 'grid'"
+    table = checked_table(values, where, keys, keys)
     if not isinstance(table["base"], Mapping):
         raise InputError(f"[model.base] must be the table of another model, got {table['base']!r}")
+    lens = dict(table["base"])
     return GridCorrectedModel(
-        base=_lens_from_mapping(table["base"]),
-        corner_px=as_floats(table["corner_px"], (2,), "[model] corner_px"),
-        step_px=float(as_floats(table["step_px"], (), "[model] step_px")),
-        dx_px=as_floats(table["dx_px"], (), "[model] dx_px"),
-        dy_px=as_floats(table["dy_px"], (), "[model] dy_px"),
+        base=_lens_from_table(lens.pop("type", None), lens),
+        corner_px=table["corner_px"],
+        step_px=float(as_floats(table["step_px"], (), f"{where}: step_px")),
+        dx_px=as_floats(table["dx_px"], (), f"{where}: dx_px"),
+        dy_px=as_floats(table["dy_px"], (), f"{where}: dy_px"),
     )
 
 
 def model_to_mapping(model: CameraModel) -> dict[str, Any]:
-    """The ``[model]`` table of a model: ``type`` and every parameter; temperature terms only where there are any."""
+    """Return the ``[model]`` table of a model: ``type`` and every parameter; temperature terms only if not zero.
+
+    Parameters
+    ----------
+    model : CameraModel
+
+    Returns
+    -------
+    dict
+    """
     if isinstance(model, GridCorrectedModel):
         arrays = {name: getattr(model, name).tolist() for name in ("corner_px", "dx_px", "dy_px")}
         return {"type": model.type_name, "base": model_to_mapping(model.base), "step_px": model.step_px} | arrays

@@ -18,6 +18,7 @@ from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
+from giantlike.core.frames import require_same_frame
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
 from giantlike.io.ccsds_aem import write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
@@ -133,8 +134,8 @@ def camera_of_run(folder: Path) -> Camera:
     return Camera.from_mapping(table)
 
 
-def attitude_series(records: list[AttitudeRecord]) -> AttitudeSeries:
-    """Series of records that have an attitude and an epoch, in order of time.
+def attitude_series(records: list[AttitudeRecord], camera: Camera) -> AttitudeSeries:
+    """Series of records that have an attitude and an epoch, in order of time, in the axes of their camera.
 
     Raises
     ------
@@ -152,6 +153,7 @@ def attitude_series(records: list[AttitudeRecord]) -> AttitudeSeries:
         camera_from_inertial=Rotation.from_quat(np.reshape([a.quaternion_xyzw for _, _, a in known], (-1, 4))),
         covariance_rad2=np.reshape([a.covariance_rad2 or unknown for _, _, a in known], (-1, 3, 3)),
         names=tuple(record.file for _, record, _ in known),
+        frame=camera.frame_name,
     )
 
 
@@ -201,7 +203,7 @@ class _Job:
 
 
 def _csv(job: _Job) -> tuple[Path, ...]:
-    write_attitude_csv(job.output, attitude_series(job.records))
+    write_attitude_csv(job.output, attitude_series(job.records, job.camera))
     return (job.output,)
 
 
@@ -209,17 +211,11 @@ def _ck(job: _Job) -> tuple[Path, ...]:
     code = job.options.instrument_id
     require(code is not None, "a C-kernel needs --instrument, the NAIF code of the camera frame")
     assert code is not None
-    series, frame = attitude_series(job.records), job.camera.mission_frame
+    series, frame = attitude_series(job.records, job.camera), job.camera.mission_frame
     if frame is not None:
-        turn = frame.camera_from_mission.inv()
-        matrix = turn.as_matrix()
-        series = AttitudeSeries(
-            et=series.et,
-            camera_from_inertial=turn * series.camera_from_inertial,
-            covariance_rad2=matrix @ series.covariance_rad2 @ matrix.T,
-            names=series.names,
-        )
+        series = series.turned(frame.mission_from_camera(job.camera))
     target = CkTarget(instrument_id=code, frame_name=_frame_name(job.camera, job.options))
+    _require_label(series, target.frame_name, job.camera)
     comments = [f"{job.camera.name}, {len(job.records)} attitudes from star images", "axes: " + target.frame_name]
     return write_ck(
         job.output, series, target, sclk=job.options.sclk, max_gap_s=job.options.max_gap_s, comments=comments
@@ -227,13 +223,15 @@ def _ck(job: _Job) -> tuple[Path, ...]:
 
 
 def _aem(job: _Job) -> tuple[Path, ...]:
+    series, label = attitude_series(job.records, job.camera), job.options.frame_name or "INSTRUMENT_1"
+    _require_label(series, label, job.camera)
     write_aem(
         job.output,
-        attitude_series(job.records),
+        series,
         object_name=job.options.object_name,
         object_id=job.options.object_id,
         originator=job.options.originator,
-        frame=job.options.frame_name or "INSTRUMENT_1",
+        frame=label,
         max_gap_s=job.options.max_gap_s,
         comments=(f"camera {job.camera.name}: +x along columns, +y along rows, +z boresight",),
     )
@@ -258,6 +256,13 @@ def _wcs(job: _Job) -> tuple[Path, ...]:
         )
         files.append(path)
     return tuple(files)
+
+
+def _require_label(series: AttitudeSeries, label: str, camera: Camera) -> None:
+    """Refuse to write attitudes under a name that is known to stand for the other of the camera's two frames."""
+    mission = "" if camera.mission_frame is None else camera.mission_frame.name
+    if label in (camera.frame_name, mission):
+        require_same_frame(series.frame, label)
 
 
 def _frame_name(camera: Camera, options: ExportOptions) -> str:

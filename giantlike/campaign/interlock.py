@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.calibration.alignment import AlignmentFix, interlock
-from giantlike.campaign.export import attitude_series
+from giantlike.campaign.export import attitude_series, camera_of_run
 from giantlike.campaign.store.results import load_result
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError, InputError
@@ -105,15 +105,11 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
         for index in indices:
             if not np.isfinite(series.covariance_rad2[index]).all():
                 raise DataError(path, f"{series.names[index]}: the covariance is needed to weight the pair")
-    fix = interlock(
-        one.camera_from_inertial[left],
-        one.covariance_rad2[left],
-        other.camera_from_inertial[right],
-        other.covariance_rad2[right],
-    )
+    first_from_inertial, second_from_inertial = one.attitudes(left), other.attitudes(right)
+    fix = interlock(first_from_inertial, one.covariance_rad2[left], second_from_inertial, other.covariance_rad2[right])
     if isinstance(fix, Failure):
         raise InputError(f"{first} and {second}: {fix.detail}")
-    between = other.camera_from_inertial[right] * one.camera_from_inertial[left].inv()
+    between = (second_from_inertial * first_from_inertial.inv()).rotation
     turn = between.as_matrix()
     covariance = other.covariance_rad2[right] + turn @ one.covariance_rad2[left] @ np.swapaxes(turn, 1, 2)
     return InterlockResult(
@@ -155,7 +151,7 @@ def _series(path: Path) -> AttitudeSeries:
     ]
     timed = [record for record in records if record.et is not None]
     require(bool(timed), f"{path}: the run has no attitude from stars with an epoch")
-    return attitude_series(timed)
+    return attitude_series(timed, camera_of_run(path))
 
 
 def _pairs(first_et: Float, second_et: Float, tolerance_s: float) -> list[tuple[int, int]]:

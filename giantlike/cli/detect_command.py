@@ -91,11 +91,9 @@ class DetectRequest:
         InputError
             The image has another size than the camera.
         """
-        camera, have = self.camera, (image.columns, image.rows)
-        require(
-            camera is None or have == (camera.columns, camera.rows),
-            f"{image.name}: image is {have[0]}x{have[1]}, the camera has another size",
-        )
+        camera = self.camera
+        if camera is not None:
+            camera.require_image(image)
         sigma = self.psf_sigma_px
         if sigma is None and camera is not None and camera.psf is not None:
             sigma = camera.psf.sigma_px

@@ -1,16 +1,94 @@
-"""Directions, attitudes and small rotations; everything here is exact geometry, no physics.
+"""Directions, attitudes and small rotations: exact geometry without physics.
 
-Rotations are scipy :class:`~scipy.spatial.transform.Rotation` named ``to_from_from``
-(``camera_from_inertial``), so that neighbors cancel in products.
+Rotations are scipy :class:`~scipy.spatial.transform.Rotation` named ``target_from_source``
+(``camera_from_inertial``), so that neighbors cancel in products. Where the names of the frames are known only at run
+time (SPICE frames, mission frames, two cameras), a :class:`FrameRotation` holds them and checks every product.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, as_floats, require, unit
+from giantlike.core.errors import FrameMismatchError
+
+INERTIAL_FRAME = "J2000"
+"""Name that SPICE gives the axes of the ICRF."""
+
+
+def require_same_frame(have: str, need: str) -> None:
+    """Raise unless two frame names agree; an empty name stands for a frame that is not known and fits any other.
+
+    Parameters
+    ----------
+    have, need : str
+        Names of the frame of a quantity and of the frame needed.
+
+    Raises
+    ------
+    FrameMismatchError
+        Both names are known and differ.
+    """
+    if have and need and have != need:
+        raise FrameMismatchError(have, need)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrameRotation:
+    """A rotation ``target_from_source`` between two frames with names that every product checks.
+
+    Parameters
+    ----------
+    rotation : scipy Rotation
+        One or n rotations that take vectors in ``source`` axes to ``target`` axes.
+    target, source : str
+        Names of the frames, such as ``"CASSINI_ISS_NAC"`` and ``"J2000"``; empty where a name is not known.
+
+    Examples
+    --------
+    >>> bus_from_inertial = FrameRotation(rotation=Rotation.identity(), target="BUS", source="J2000")
+    >>> camera_from_bus = FrameRotation(rotation=Rotation.identity(), target="CAMERA", source="BUS")
+    >>> (camera_from_bus * bus_from_inertial).target
+    'CAMERA'
+    """
+
+    rotation: Rotation
+    target: str
+    source: str
+
+    def __mul__(self, other: FrameRotation) -> FrameRotation:
+        """``target_from_source * source_from_other``; the inner frames must agree."""
+        require_same_frame(other.target, self.source)
+        return FrameRotation(rotation=self.rotation * other.rotation, target=self.target, source=other.source)
+
+    def inv(self) -> FrameRotation:
+        """Return ``source_from_target``."""
+        return FrameRotation(rotation=self.rotation.inv(), target=self.source, source=self.target)
+
+    def between(self, target: str, source: str) -> Rotation:
+        """Return the plain rotation for callers that need ``target_from_source``.
+
+        Parameters
+        ----------
+        target, source : str
+            Names of the frames that the caller needs; an empty name is not checked.
+
+        Returns
+        -------
+        scipy Rotation
+
+        Raises
+        ------
+        FrameMismatchError
+            The rotation is one between other frames.
+        """
+        require_same_frame(self.target, target)
+        require_same_frame(self.source, source)
+        return self.rotation
 
 
 def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:

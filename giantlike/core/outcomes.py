@@ -146,6 +146,8 @@ class AttitudeFix:
         Field of view along x of the camera model used: ``2 atan(columns / (2 fx))``.
     rejected_px : (n_rejected, 2) float64, px
         Measured centroids of the matches thrown out.
+    camera_name : str
+        Name of the camera whose axes the attitude refers to; empty when unknown.
     flags : Quality
     provenance : mapping of str to str
         Versions and hashes of what the fix was made from.
@@ -165,6 +167,7 @@ class AttitudeFix:
     focal_length_px: float
     fov_deg: float
     rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    camera_name: str = ""
     flags: Quality = Quality.NONE
     provenance: Mapping[str, str] = field(default_factory=dict)
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, require
-from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, quaternion_xyzw
 from giantlike.core.time import et_from_time, time_from_et, utc_text
 from giantlike.io.atomic import write_text_atomic
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
@@ -35,7 +36,9 @@ class AttitudeSeries:
     covariance_rad2 : (n, 3, 3) float64, rad^2
         Of the small rotations about the camera axes; not a number where unknown.
     names : tuple of str
-        Of the images.
+        Names of the images.
+    frame : str
+        Name of the axes that the attitudes refer to; empty when unknown.
 
     Raises
     ------
@@ -47,6 +50,7 @@ class AttitudeSeries:
     camera_from_inertial: Rotation
     covariance_rad2: Float
     names: tuple[str, ...]
+    frame: str = ""
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -66,6 +70,46 @@ class AttitudeSeries:
         turns = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
         quaternions[1:][np.cumsum(turns) % 2 == 1] *= -1.0
         return quaternions
+
+    def attitudes(self, index: slice | NDArray[np.intp] = slice(None)) -> FrameRotation:
+        """Return attitudes (all by default) with the names of their frames.
+
+        Parameters
+        ----------
+        index : slice or (k,) int
+            Which attitudes.
+
+        Returns
+        -------
+        FrameRotation
+        """
+        return FrameRotation(rotation=self.camera_from_inertial[index], target=self.frame, source=INERTIAL_FRAME)
+
+    def turned(self, turn: FrameRotation) -> AttitudeSeries:
+        """Return the series of another frame that is fixed with respect to this one.
+
+        Parameters
+        ----------
+        turn : FrameRotation
+            From the frame of this series to the other.
+
+        Returns
+        -------
+        AttitudeSeries
+            Attitudes and covariances about the axes of the other frame.
+
+        Raises
+        ------
+        FrameMismatchError
+            The rotation starts at another frame than that of the series.
+        """
+        product, matrix = turn * self.attitudes(), turn.rotation.as_matrix()
+        return replace(
+            self,
+            camera_from_inertial=product.rotation,
+            covariance_rad2=matrix @ self.covariance_rad2 @ matrix.T,
+            frame=product.target,
+        )
 
     def segments(self, max_gap_s: float) -> tuple[slice, ...]:
         """Runs of attitudes whose neighbors are at most ``max_gap_s`` apart: what may be interpolated over.

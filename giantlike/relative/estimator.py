@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.version import VERSION
@@ -164,11 +164,7 @@ def gather(
     DataError
         SPICE kernels do not cover the epoch.
     """
-    require(
-        (image.columns, image.rows) == (camera.columns, camera.rows),
-        f"{image.name}: image is {image.columns} x {image.rows} pixels, camera {camera.name!r} has "
-        f"{camera.columns} x {camera.rows}",
-    )
+    camera.require_image(image)
     geometry = scene.geometry(image, target)
     if isinstance(geometry, Failure):
         return geometry

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
 from giantlike.catalogs import StarCatalog
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
@@ -92,10 +92,7 @@ class StarNavigation:
         InputError
             The image has another size than the camera.
         """
-        have, need = (image.columns, image.rows), (self.camera.columns, self.camera.rows)
-        require(
-            have == need, f"{image.name}: image is {have[0]}x{have[1]}, camera {self.camera.name!r} {need[0]}x{need[1]}"
-        )
+        self.camera.require_image(image)
         return detect_sources(
             image.pixels,
             detector=self.camera.detector,
@@ -200,6 +197,7 @@ class StarNavigation:
             focal_length_px=focal,
             fov_deg=math.degrees(2.0 * math.atan(self.camera.columns / (2.0 * focal))),
             rejected_px=detections.points_px[usable[outcome.matches.detection_indices[~used]]],
+            camera_name=self.camera.frame_name,
             flags=_flags(solution, detections.flags[indices]) | _unknowns(image),
             provenance=self._provenance(image, outcome, method),
         )

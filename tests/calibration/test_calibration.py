@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,8 @@ from giantlike.calibration.robust import Loss
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
-from giantlike.core.errors import InputError
+from giantlike.core.errors import FrameMismatchError, InputError
+from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
 
 SIGMA_PX = 0.1
@@ -431,6 +433,22 @@ def test_interlock_with_drift_is_recovered_and_a_bad_attitude_left_out() -> None
 
 def drift_at(rate: Float, temperature_c: float) -> Rotation:
     return Rotation.from_rotvec(rate * (temperature_c - 5.0))
+
+
+def test_interlock_keeps_the_names_of_the_frames_and_refuses_attitudes_that_count_from_different_ones() -> None:
+    turn = Rotation.from_rotvec([[0.0, 0.0, 0.1], [0.0, 0.2, 0.0]])
+    covariances = np.tile(1e-10 * np.eye(3), (2, 1, 1))
+    tracker = FrameRotation(rotation=turn, target="TRACKER", source="J2000")
+    camera = FrameRotation(rotation=Rotation.from_rotvec([0.3, 0.0, 0.0]) * turn, target="CAMERA", source="J2000")
+    fix = interlock(tracker, covariances, camera, covariances).unwrap()
+    found = fix.frame_rotation_at(20.0) * tracker
+    assert (found.target, found.source) == ("CAMERA", "J2000")
+    assert np.max((found.rotation * camera.rotation.inv()).magnitude()) < 1e-9
+    with pytest.raises(FrameMismatchError) as caught:
+        fix.frame_rotation_at(20.0) * camera
+    assert (caught.value.have, caught.value.need) == ("CAMERA", "TRACKER")
+    with pytest.raises(FrameMismatchError, match="ECLIPJ2000"):
+        interlock(replace(tracker, source="ECLIPJ2000"), covariances, camera, covariances)
 
 
 def test_a_static_alignment_of_scattered_attitudes_has_their_scatter() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,10 @@ from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem, Status
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
-from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import radec_from_direction
+from giantlike.core.errors import DataError, FrameMismatchError, InputError
+from giantlike.core.frames import FrameRotation, radec_from_direction
 from giantlike.core.outcomes import Reason
-from giantlike.io.attitude_series import AttitudeSeries
+from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 from giantlike.io.ccsds_aem import write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import attitude_of_wcs
@@ -273,6 +274,17 @@ def test_a_ck_is_in_the_frame_of_the_mission_where_the_camera_names_one(tmp_path
     for file in export_run(folder, tmp_path / "att.bc", ExportFormat.CK, options).files:
         spiceypy.furnsh(str(file))
     assert _angle(turn * _camera_from_j2000(TIMES[0]), _attitude(TIMES[0])) < 1e-9
+
+
+def test_attitudes_are_not_written_under_the_name_of_another_frame_of_the_camera(tmp_path: Path) -> None:
+    camera = replace(CAMERA, mission_frame=MissionFrame(name="GL_TEST_CAM", camera_from_mission=Rotation.identity()))
+    folder = _run(tmp_path / "run", [_record(0), _record(1)], camera)
+    with pytest.raises(FrameMismatchError) as caught:
+        export_run(folder, tmp_path / "a.aem", ExportFormat.AEM, ExportOptions(frame_name="GL_TEST_CAM"))
+    assert (caught.value.have, caught.value.need) == (CAMERA.frame_name, "GL_TEST_CAM")
+    series = read_attitude_csv(export_run(folder, tmp_path / "a.csv", ExportFormat.CSV).files[0])
+    with pytest.raises(FrameMismatchError, match="OTHER"):
+        replace(series, frame="OTHER").turned(FrameRotation(rotation=Rotation.identity(), target="A", source="CAM"))
 
 
 def test_the_camera_of_a_run_that_calibrated_is_the_calibrated_one(run: Path) -> None:

@@ -112,7 +112,7 @@ def test_an_image_of_another_size_than_the_camera_fails_with_both_named(tmp_path
     path, _ = stars_in(tmp_path)
     result = giantlike("detect", path, "--camera", camera_file(tmp_path, columns=100), "--json")
     assert result.exit_code == 1
-    assert "240x200" in json.loads(result.stdout)[0]["detail"]
+    assert "240 x 200" in json.loads(result.stdout)[0]["detail"]
 
 
 def test_the_noise_may_come_from_covered_pixels_or_the_detector(tmp_path: Path) -> None:

@@ -340,7 +340,7 @@ def test_a_camera_file_remembers_the_frame_of_the_mission(tmp_path: Path) -> Non
     ("table", "message"),
     [
         ("mission_frame = 3", "must be a table"),
-        ("[mission_frame]\nname = 'A'", "needs the keys"),
+        ("[mission_frame]\nname = 'A'", "'camera_from_mission_xyzw' is missing"),
         ("[mission_frame]\nname = 'A'\ncamera_from_mission_xyzw = [1.0, 1.0, 0.0, 0.0]", "norm 1"),
     ],
 )

@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.options import options_from_mapping, with_files_found
 from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import rotation_from_xyzw
-from giantlike.io.spice import find_kernels
+from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_xyzw
+from giantlike.io.spice import attitude, find_kernels
 from giantlike.ray_tracing import McEwen, Reflectance, reflectance_from_mapping
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.shapes import Ellipsoid, Shape, load_shape
@@ -35,16 +34,21 @@ class SpiceSetup:
         In loading order.
     spacecraft : str
         NAIF name or code.
-    frame : str or None
-        Frame of the camera; None: no attitude from SPICE.
-    camera_from_frame : Rotation
-        From that frame to camera axes.
+    camera_from_frame : FrameRotation or None
+        From the camera frame of the kernels to camera axes; None: no attitude from SPICE.
     """
 
     kernels: tuple[Path, ...]
     spacecraft: str
-    frame: str | None
-    camera_from_frame: Rotation
+    camera_from_frame: FrameRotation | None
+
+    def camera_from_inertial(self, et: float) -> FrameRotation | None:
+        """Attitude of the camera at ``et``; None without a camera frame, ``DataError`` where no kernel covers it."""
+        turn = self.camera_from_frame
+        if turn is None:
+            return None
+        pointing = attitude(turn.source, et)
+        return turn * FrameRotation(rotation=pointing, target=turn.source, source=INERTIAL_FRAME)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,7 +177,8 @@ def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
     except DataError as error:
         raise InputError(f"spice.kernels: {error}") from error
     turn = rotation_from_xyzw(section.camera_from_frame_xyzw, "spice.camera_from_frame_xyzw")
-    return SpiceSetup(kernels=kernels, spacecraft=section.spacecraft, frame=section.frame, camera_from_frame=turn)
+    named = None if section.frame is None else FrameRotation(rotation=turn, target="", source=section.frame)
+    return SpiceSetup(kernels=kernels, spacecraft=section.spacecraft, camera_from_frame=named)
 
 
 def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[TargetSetup, ...], list[str]]:

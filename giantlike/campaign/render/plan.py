@@ -39,7 +39,7 @@ from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import ObserverState
 from giantlike.io.geometry_table import ImageGeometry, read_geometry
 from giantlike.io.image_files import read_image_file
-from giantlike.io.spice import attitude, load_kernels, orientation, spk_state
+from giantlike.io.spice import load_kernels, orientation, spk_state
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
 from giantlike.simulation import DetectorModel, HotPixels, Photometry, Shot, SimulationOptions
@@ -205,8 +205,9 @@ class RenderPlan:
         turn, observer = exposure.camera_from_inertial, exposure.observer
         if self.spice is not None:
             et = et_from_time(exposure.epoch)
-            if turn is None and self.spice.frame is not None:
-                turn = self.spice.camera_from_frame * attitude(self.spice.frame, et)
+            if turn is None:
+                pointing = self.spice.camera_from_inertial(et)
+                turn = None if pointing is None else pointing.rotation
             if observer is None:
                 position, velocity = spk_state(self.spice.spacecraft, et, observer=BARYCENTER)
                 observer = ObserverState(position_km=position, velocity_km_s=velocity)

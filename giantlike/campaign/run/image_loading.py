@@ -13,14 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup
-from giantlike.core.arrays import Float, require, unit
+from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import Image, ObserverState
 from giantlike.io.geometry_table import GeometryRow
-from giantlike.io.spice import CoverageError, attitude, orientation, spk_state
+from giantlike.io.spice import CoverageError, orientation, spk_state
 from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape
@@ -46,13 +46,12 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
     InputError
         The image has another size than the camera.
     """
-    image = dataclasses.replace(Image.open(entry.path, hdu=campaign.hdu, bottom_up=campaign.bottom_up), name=entry.key)
-    camera = campaign.camera
-    require(
-        (image.columns, image.rows) == (camera.columns, camera.rows),
-        f"{entry.path}: the image has {image.columns} x {image.rows} pixels, camera {camera.name!r} "
-        f"{camera.columns} x {camera.rows}",
+    image = dataclasses.replace(
+        Image.open(entry.path, hdu=campaign.hdu, bottom_up=campaign.bottom_up),
+        name=entry.key,
+        camera_name=campaign.camera.frame_name,
     )
+    campaign.camera.require_image(image)
     known = campaign.geometry.get(entry.key)
     if known is not None:
         image = dataclasses.replace(
@@ -96,9 +95,10 @@ def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]
             image = dataclasses.replace(image, observer=observer)
         except DataError as error:
             notes.append(f"stars without aberration and parallax: {error}")
-    if image.camera_from_inertial is None and spice.frame is not None:
+    if image.camera_from_inertial is None:
         try:
-            image = image.with_attitude(spice.camera_from_frame * attitude(spice.frame, et))
+            pointing = spice.camera_from_inertial(et)
+            image = image if pointing is None else image.with_attitude(pointing)
         except DataError as error:
             notes.append(f"no a priori attitude: {error}")
     return image, tuple(notes)
