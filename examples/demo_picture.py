@@ -78,8 +78,10 @@ def picture(folder: Path) -> Figure:
     star_image, image = (gl.Image.open(folder / "images" / name) for name in (STARS, BODY))
     attitude = gl.StarNavigation(camera, load_catalog("default"), options).solve(star_image).unwrap()
     image = image.with_attitude(attitude)
-    row = read_geometry(folder / "geometry.csv").image(BODY).targets[TARGET]
-    assert row.target_position_inertial_km is not None  # a demonstration fills every column
+    geometry_row = read_geometry(folder / "geometry.csv").image(BODY)
+    assert geometry_row is not None  # a demonstration has every image in it
+    row = geometry_row.targets[TARGET]
+    assert row.target_position_inertial_km is not None  # and fills every column
     assert row.body_from_inertial is not None
     assert row.sun_direction_inertial is not None
     place = gl.ApparentGeometry(
