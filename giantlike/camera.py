@@ -27,11 +27,11 @@ from giantlike.camera_models.affine import AffineModel
 from giantlike.camera_models.convert import WIDE_START, frame_grid
 from giantlike.camera_models.plane import PlaneModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import FrameRotation, quaternion_xyzw, require_same_frame, rotation_from_xyzw
 from giantlike.core.tables import checked_table, record_of_numbers, table_of_numbers
-from giantlike.io.atomic import write_text_atomic
 
 if TYPE_CHECKING:
     from giantlike.image import Image

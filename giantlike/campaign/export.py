@@ -20,7 +20,8 @@ from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
 from giantlike.core.frames import require_same_frame
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
-from giantlike.io.ccsds_aem import write_aem
+from giantlike.io.camera_sip import PosedModel
+from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import write_wcs
 
@@ -228,10 +229,12 @@ def _aem(job: _Job) -> tuple[Path, ...]:
     write_aem(
         job.output,
         series,
-        object_name=job.options.object_name,
-        object_id=job.options.object_id,
-        originator=job.options.originator,
-        frame=label,
+        AemNames(
+            object_name=job.options.object_name,
+            object_id=job.options.object_id,
+            originator=job.options.originator,
+            frame=label,
+        ),
         max_gap_s=job.options.max_gap_s,
         comments=(f"camera {job.camera.name}: +x along columns, +y along rows, +z boresight",),
     )
@@ -245,10 +248,12 @@ def _wcs(job: _Job) -> tuple[Path, ...]:
         path = job.output / f"{'_'.join(Path(record.file).parts)}.wcs.fits"
         write_wcs(
             path,
-            job.camera.model,
-            columns=job.camera.columns,
-            rows=job.camera.rows,
-            camera_from_inertial=Rotation.from_quat(record.attitude.quaternion_xyzw),
+            PosedModel(
+                model=job.camera.model,
+                columns=job.camera.columns,
+                rows=job.camera.rows,
+                camera_from_inertial=Rotation.from_quat(record.attitude.quaternion_xyzw),
+            ),
             et=record.et,
             name=record.file,
             order=job.options.sip_order,

@@ -16,12 +16,12 @@ from giantlike.calibration.alignment import AlignmentFix, interlock
 from giantlike.campaign.export import attitude_series, camera_of_run
 from giantlike.campaign.store.results import load_result
 from giantlike.core.arrays import Float, require
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.units import ARCSEC_PER_RAD
-from giantlike.io.atomic import write_text_atomic
 from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 
 _AXES = ("x", "y", "z")

@@ -16,9 +16,9 @@ from giantlike.campaign.store.results import RunResult
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import OpNavError
 from giantlike.image import Image
-from giantlike.io.atomic import write_text_atomic
 
 _CAMPAIGN = "campaign.toml"
 _ESTIMATE = "fx_px,fy_px,k1,p1,p2"

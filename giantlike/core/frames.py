@@ -107,6 +107,23 @@ def radec_from_direction(direction_inertial: ArrayLike) -> tuple[Float, Float]:
     return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
 
 
+def east_north(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[Float, Float]:
+    """Unit vectors to the east and to the north at points of the sky.
+
+    Parameters
+    ----------
+    ra_deg, dec_deg : (...), deg
+
+    Returns
+    -------
+    east, north : (..., 3) float64, unitless, inertial
+    """
+    ra, dec = np.radians(as_floats(ra_deg, (), "ra_deg")), np.radians(as_floats(dec_deg, (), "dec_deg"))
+    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
+    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
+    return east, north
+
+
 def position_angle_deg(direction_inertial: ArrayLike, toward_inertial: ArrayLike) -> float:
     """Position angle at a point of the sky, north through east, in [0, 360) degrees.
 
@@ -160,9 +177,7 @@ def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: fl
     [10.0, 20.0, 30.0]
     """
     z = direction_from_radec(ra_deg, dec_deg)
-    ra = np.radians(ra_deg)
-    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
-    north = np.cross(z, east)
+    east, north = east_north(ra_deg, dec_deg)
     roll = np.radians(roll_deg)
     up = np.cos(roll) * north + np.sin(roll) * east
     return Rotation.from_matrix(np.stack([np.cross(-up, z), -up, z]))

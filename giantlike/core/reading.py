@@ -87,6 +87,13 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def library_message(error: BaseException) -> str:
+    """One line of the text of an exception; of SPICE's, the short message and the first sentence of the long one."""
+    short, long = str(getattr(error, "short", "")), " ".join(str(getattr(error, "long", "") or error).split())
+    first = long.split(". ")[0].rstrip(".") if short else long[:_LONGEST_TEXT]
+    return f"{short}: {first}" if short else first
+
+
 def _is_of_content(error: Exception) -> bool:
     """True unless a mistake in this package's own code raised the exception."""
     if isinstance(error, _OF_CONTENT) or type(error).__module__ != "builtins":
@@ -103,7 +110,7 @@ def _problem(error: Exception, what: str, remedy: str) -> str:
         return "there is no such file"
     if isinstance(error, OSError) and error.strerror:
         return f"cannot be read as {what}: {error.strerror}"
-    text = " ".join(str(error).split())[:_LONGEST_TEXT] or type(error).__name__
+    text = library_message(error) or type(error).__name__
     if isinstance(error, KeyError):
         text = f"{text} is missing"
     return f"cannot be read as {what}: {text}; {remedy}"

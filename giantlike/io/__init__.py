@@ -1,7 +1,7 @@
 """Files to values and back: images, SPICE kernels, geometry and ephemeris tables."""
 
+from giantlike.core.atomic import write_bytes_atomic, write_text_atomic
 from giantlike.core.observer import ObserverState
-from giantlike.io.atomic import write_bytes_atomic, write_text_atomic
 from giantlike.io.ephemeris_table import read_ephemeris_table
 from giantlike.io.fits import navigation_header, write_fits
 from giantlike.io.geometry_table import read_geometry, write_geometry

@@ -1,9 +1,7 @@
-"""Attitudes of a camera at many times, and the parts of such a series over which one may interpolate."""
+"""Attitudes of a camera at many times, in memory and as CSV files."""
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,9 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, quaternion_xyzw
-from giantlike.core.time import et_from_time, time_from_et, utc_text
-from giantlike.io.atomic import write_text_atomic
-from giantlike.io.csv_rows import CsvRow, read_csv_rows
+from giantlike.core.time import time_from_et, utc_text
+from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
 
 _UPPER = np.triu_indices(3)
 _QUATERNION = ("qx", "qy", "qz", "qw")
@@ -112,8 +109,19 @@ class AttitudeSeries:
         )
 
     def segments(self, max_gap_s: float) -> tuple[slice, ...]:
-        """Runs of attitudes whose neighbors are at most ``max_gap_s`` apart: what may be interpolated over.
+        """Runs of attitudes without long gaps, over which one may interpolate.
 
+        Parameters
+        ----------
+        max_gap_s : float, s
+            Longest time between neighbors of a run.
+
+        Returns
+        -------
+        tuple of slice
+
+        Examples
+        --------
         >>> import numpy as np
         >>> still = Rotation.from_rotvec(np.zeros((3, 3)))
         >>> unknown = np.full((3, 3, 3), np.nan)
@@ -133,21 +141,23 @@ def write_attitude_csv(path: str | Path, series: AttitudeSeries) -> None:
     The covariance is the upper triangle by rows, rad^2, about the camera axes; empty where unknown. Numbers keep all
     their digits.
 
+    Parameters
+    ----------
+    path : path-like
+    series : AttitudeSeries
+
     Raises
     ------
     DataError
         The file cannot be written.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for name, et, quaternion, covariance in zip(
-        series.names, series.et.tolist(), series.quaternions_xyzw.tolist(), series.covariance_rad2, strict=True
-    ):
-        known = bool(np.isfinite(covariance).all())
-        terms = covariance[_UPPER].tolist() if known else [""] * 6
-        writer.writerow([name, utc_text(time_from_et(et)), repr(et), *map(repr, quaternion), *terms])
-    write_text_atomic(Path(path), text.getvalue())
+    rows = (
+        [name, utc_text(time_from_et(et)), et, *quaternion, *_terms(covariance)]
+        for name, et, quaternion, covariance in zip(
+            series.names, series.et.tolist(), series.quaternions_xyzw.tolist(), series.covariance_rad2, strict=True
+        )
+    )
+    write_csv_rows(path, _COLUMNS, rows)
 
 
 def read_attitude_csv(path: str | Path) -> AttitudeSeries:
@@ -155,6 +165,14 @@ def read_attitude_csv(path: str | Path) -> AttitudeSeries:
 
     The columns are those of :func:`write_attitude_csv`; ``epoch_utc`` or ``et`` and the quaternion are needed, ``name``
     and the covariance may be absent or empty.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    AttitudeSeries
 
     Raises
     ------
@@ -175,19 +193,18 @@ def read_attitude_csv(path: str | Path) -> AttitudeSeries:
     )
 
 
+def _terms(covariance: Float) -> list[float | None]:
+    """Upper triangle (6,) of a covariance (3, 3), None where it is unknown."""
+    return covariance[_UPPER].tolist() if bool(np.isfinite(covariance).all()) else [None] * 6
+
+
 def _parsed(row: CsvRow) -> tuple[float, Rotation, Float, str]:
-    et, epoch = row.number("et"), row.utc("epoch_utc")
-    rotation, terms = row.rotation(_QUATERNION), row.vector(_COVARIANCE)
-    if et is None:
-        if epoch is None:
-            raise row.error("epoch_utc", "epoch_utc or et is needed")
-        et = et_from_time(epoch)
-    if rotation is None:
-        raise row.error("qx", "a quaternion is needed")
+    """Epoch, attitude, covariance (3, 3) and name of a row."""
+    rotation, terms = row.needed(row.rotation(_QUATERNION), _QUATERNION), row.vector(_COVARIANCE)
     covariance = np.full((3, 3), np.nan)
     if terms is not None:
         covariance[_UPPER] = terms
         covariance.T[_UPPER] = terms
         if not np.linalg.eigvalsh(covariance)[0] > 0.0:
             raise row.error("cov_xx_rad2", "the covariance must be positive definite")
-    return et, rotation, covariance, row.text("name") or f"line {row.line}"
+    return row.et(), rotation, covariance, row.text("name") or f"line {row.line}"

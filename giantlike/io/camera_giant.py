@@ -8,6 +8,7 @@ expressions; only numbers and arrays of numbers are read, nothing is evaluated.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import BrownModel, EquidistantModel, OpenCVModel, OwenModel, PinholeModel
 from giantlike.camera_models.affine import AffineModel
 from giantlike.core.arrays import Float
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.errors import InputError
+from giantlike.core.reading import reads
 from giantlike.io.mission_frame import Boresight, ImportedCamera, from_mission_frame
 
 _KINDS: dict[str, type[AffineModel]] = {
@@ -27,7 +29,7 @@ _KINDS: dict[str, type[AffineModel]] = {
     "OwenModel": OwenModel,
     "FisheyeModel": EquidistantModel,
 }
-_ORDER = {  # of distortion_coefficients
+_ORDER = {  # of the numbers in distortion_coefficients
     "BrownModel": ("k1", "k2", "k3", "p1", "p2"),
     "OpenCVModel": ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3", "s4"),
     "OwenModel": ("e2", "e4", "e5", "e6", "e1", "e3"),
@@ -49,6 +51,7 @@ _OWEN_POWERS = {"e1": 1, "e2": 2, "e3": 3, "e4": 4, "e5": 1, "e6": 1}  # of the 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?\b(?:nan|inf)\b")
 
 
+@reads("a camera file of NASA's GIANT")
 def read_giant_camera(
     path: str | Path, name: str | None = None, *, boresight: Boresight | None = None
 ) -> ImportedCamera:
@@ -57,41 +60,37 @@ def read_giant_camera(
     Parameters
     ----------
     path : path-like
+        XML file.
     name : str, optional
-        Which one; may be left out where the file holds one only.
+        Name of the camera; may be left out where the file holds one only.
     boresight : {"+z", "-z"}, optional
         Sense of the z axis of GIANT's camera frame, see :func:`~giantlike.io.mission_frame.from_mission_frame`.
+
+    Returns
+    -------
+    ImportedCamera
 
     Raises
     ------
     DataError
         The file is missing or no such XML, the camera is not in it, or a value is missing or no number.
     """
-    element = _element(Path(path), name)
+    element = _element(ElementTree.parse(path).getroot(), name)
     kind = element.get("type", "")
     if kind not in _KINDS:
-        raise DataError(path, f"camera {element.tag!r} is of type {kind!r}; known are {', '.join(_KINDS)}")
-    values = {child.tag: _numbers(child.text or "") for child in element}
-    try:
-        return _imported(element.tag, kind, values, boresight)
-    except InputError as error:
-        raise DataError(path, f"camera {element.tag!r}: {error}") from error
+        raise ValueError(f"camera {element.tag!r} is of type {kind!r}; known are {', '.join(_KINDS)}")
+    return _imported(element.tag, kind, {child.tag: _numbers(child.text or "") for child in element}, boresight)
 
 
-def _element(path: Path, name: str | None) -> ElementTree.Element:
-    try:
-        root = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise DataError(path, f"cannot read camera file: {error.strerror}") from error
-    except ElementTree.ParseError as error:
-        raise DataError(path, f"is not valid XML: {error}") from error
+def _element(root: ElementTree.Element, name: str | None) -> ElementTree.Element:
+    """The element of the camera with this name, or of the only camera."""
     cameras = {element.tag: element for element in root.iter() if element.get("type") and element.get("module")}
     if not cameras:
-        raise DataError(path, "holds no GIANT camera: elements with the attributes module and type were expected")
+        raise ValueError("it holds no GIANT camera: elements with the attributes module and type were expected")
     if name is None and len(cameras) == 1:
         return next(iter(cameras.values()))
     if name not in cameras:
-        raise DataError(path, f"name one of its cameras, {', '.join(sorted(cameras))}; got {name!r}")
+        raise ValueError(f"name one of its cameras, {', '.join(sorted(cameras))}; got {name!r}")
     return cameras[name]
 
 
@@ -102,6 +101,7 @@ def _numbers(text: str) -> Float:
 
 
 def _imported(name: str, kind: str, values: dict[str, Float], boresight: Boresight | None) -> ImportedCamera:
+    """Camera of the values of one element, in our axes."""
     single = {key: float(numbers[0]) for key, numbers in values.items() if numbers.size == 1}
     matrix, focal = _matrix(single, values.get("intrinsic_matrix"))
     lens = dict(zip(_ORDER.get(kind, ()), values.get("distortion_coefficients", np.array([])).tolist(), strict=False))
@@ -125,13 +125,9 @@ def _imported(name: str, kind: str, values: dict[str, Float], boresight: Boresig
         rows=sizes[1], boresight=boresight,
     )  # fmt: skip
     misaligned = np.any(values.get("misalignment", np.zeros(3)) != 0)
-    return ImportedCamera(
-        name=name,
-        model=camera.model,
-        columns=camera.columns,
-        rows=camera.rows,
+    return replace(
+        camera,
         camera_from_mission=camera.camera_from_mission * Rotation.from_rotvec([0.0, 0.0, turn]),
-        rows_reversed=camera.rows_reversed,
         ignored=("misalignment",) if misaligned else (),
     )
 

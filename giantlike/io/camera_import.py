@@ -1,10 +1,11 @@
-"""A camera file of any program: which one is told by the file itself."""
+"""Camera files of other programs, told apart by their names and contents."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.errors import InputError
+from giantlike.core.reading import reads
 from giantlike.io.camera_giant import read_giant_camera
 from giantlike.io.camera_ik import read_ik_camera
 from giantlike.io.camera_opencv import read_opencv_camera
@@ -12,7 +13,7 @@ from giantlike.io.camera_sip import read_sip_camera
 from giantlike.io.mission_frame import Boresight, ImportedCamera
 
 FOREIGN_SUFFIXES = (".xml", ".yml", ".yaml", ".ti", ".fits", ".fit", ".fts")
-"""Ends of file names that :func:`read_foreign_camera` knows."""
+"""File name extensions that :func:`read_foreign_camera` knows."""
 
 
 def read_foreign_camera(
@@ -38,10 +39,14 @@ def read_foreign_camera(
     boresight : {"+z", "-z"}, optional
         See :func:`~giantlike.io.mission_frame.from_mission_frame`.
 
+    Returns
+    -------
+    ImportedCamera
+
     Raises
     ------
     InputError
-        An instrument kernel without ``instrument_id``, or a name that ends otherwise.
+        An instrument kernel without ``instrument_id``, or an unknown file name extension.
     DataError
         The file is missing or damaged.
     """
@@ -49,7 +54,7 @@ def read_foreign_camera(
     suffix = path.suffix.lower()
     if suffix == ".ti":
         if instrument_id is None:
-            raise InputError(f"{path}: which instrument of the kernel? Its NAIF code is needed")
+            raise InputError(f"{path}: the NAIF code of the instrument is needed: a kernel can hold several")
         return read_ik_camera(path, instrument_id, first_pixel=first_pixel, boresight=boresight or "+z")
     if suffix in (".fits", ".fit", ".fts"):
         return read_sip_camera(path).camera
@@ -57,11 +62,11 @@ def read_foreign_camera(
         if suffix == ".xml" and _is_giant(path):
             return read_giant_camera(path, name, boresight=boresight)
         return read_opencv_camera(path)
-    raise InputError(f"{path}: a camera file of another program ends in {', '.join(FOREIGN_SUFFIXES)}")
+    known = ", ".join(FOREIGN_SUFFIXES)
+    raise InputError(f"{path}: camera files of other programs are {known}, got {path.suffix or 'no extension'}")
 
 
+@reads("a camera file")
 def _is_giant(path: Path) -> bool:
-    try:
-        return b"<CameraModels" in path.read_bytes()[:4096]
-    except OSError as error:
-        raise DataError(path, f"cannot read camera file: {error.strerror}") from error
+    """True for an XML file whose root element is that of GIANT."""
+    return b"<CameraModels" in path.read_bytes()[:4096]

@@ -1,4 +1,4 @@
-"""Camera models from and to OpenCV's calibration files (FileStorage, YAML or XML).
+"""Camera models from and to OpenCV's calibration files (``cv2.FileStorage``, YAML or XML).
 
 OpenCV counts pixels from the center of the first one, and its x and y are ours: nothing is converted.
 """
@@ -15,10 +15,12 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, OpenCVModel, PinholeModel
 from giantlike.camera_models.affine import TEMPERATURE_NAMES, AffineModel
 from giantlike.core.arrays import Float
-from giantlike.core.errors import DataError, InputError
-from giantlike.io.atomic import write_text_atomic
+from giantlike.core.atomic import write_text_atomic
+from giantlike.core.errors import InputError
+from giantlike.core.reading import reads
 from giantlike.io.mission_frame import ImportedCamera
 
+# Order and possible numbers of distortion coefficients: OpenCV 4 documentation, module calib3d, "Detailed Description".
 _ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 _COUNTS = (0, 4, 5, 8, 12, 14)
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "K", "M1")
@@ -27,6 +29,7 @@ _WIDTH = ("image_width", "image_Width", "imageWidth", "width")
 _HEIGHT = ("image_height", "image_Height", "imageHeight", "height")
 
 
+@reads("an OpenCV camera file")
 def read_opencv_camera(path: str | Path, *, fisheye: bool | None = None) -> ImportedCamera:
     """Read the camera matrix and distortion of an OpenCV calibration file.
 
@@ -35,8 +38,12 @@ def read_opencv_camera(path: str | Path, *, fisheye: bool | None = None) -> Impo
     path : path-like
         YAML or XML as written by ``cv2.FileStorage``; the usual spellings of the keys are known.
     fisheye : bool, optional
-        Whether the coefficients are those of ``cv2.fisheye``; by default as the file's ``fisheye_model`` or
-        ``distortion_model`` says, else not.
+        True if the coefficients are those of ``cv2.fisheye``; by default as the file's ``fisheye_model`` or
+        ``distortion_model`` says, else False.
+
+    Returns
+    -------
+    ImportedCamera
 
     Raises
     ------
@@ -46,26 +53,21 @@ def read_opencv_camera(path: str | Path, *, fisheye: bool | None = None) -> Impo
     """
     import cv2
 
-    if not Path(path).is_file():
-        raise DataError(path, "cannot read camera file: there is no such file")
+    Path(path).open("rb").close()  # a missing file is said to be missing
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:
-        raise DataError(path, f"is no OpenCV FileStorage: {str(error).strip().splitlines()[-1]}") from error
+        raise ValueError(str(error).strip().splitlines()[-1]) from error
     try:
-        matrix = _matrix(storage, _MATRIX)
-        coefficients = _matrix(storage, _COEFFICIENTS)
+        matrix, coefficients = _matrix(storage, _MATRIX), _matrix(storage, _COEFFICIENTS)
         width, height = (_whole(storage, keys) for keys in (_WIDTH, _HEIGHT))
         if fisheye is None:
             fisheye = _is_fisheye(storage)
     finally:
         storage.release()
     if matrix is None or matrix.shape != (3, 3):
-        raise DataError(path, f"a 3 by 3 matrix under one of {', '.join(_MATRIX)} was expected")
-    try:
-        model = _model(matrix, np.array([]) if coefficients is None else coefficients.ravel(), fisheye)
-    except InputError as error:
-        raise DataError(path, str(error)) from error
+        raise ValueError(f"a 3 by 3 matrix under one of {', '.join(_MATRIX)} is needed")
+    model = _model(matrix, np.array([]) if coefficients is None else coefficients.ravel(), fisheye)
     return ImportedCamera(
         name=Path(path).stem, model=model, columns=width, rows=height, camera_from_mission=Rotation.identity()
     )
@@ -84,6 +86,8 @@ def write_opencv_camera(path: str | Path, model: CameraModel, *, columns: int, r
 
     Raises
     ------
+    DataError
+        The file cannot be written.
     InputError
         OpenCV has no such model: see :func:`~giantlike.camera_models.convert.convert`.
     """

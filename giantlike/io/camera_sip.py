@@ -17,18 +17,19 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import MODELS, CameraModel
 from giantlike.camera_models.convert import Conversion, fit_lens, frame_grid
 from giantlike.core.arrays import Float, require, unit
-from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import direction_from_radec, radec_from_direction
+from giantlike.core.errors import InputError
+from giantlike.core.frames import direction_from_radec, east_north, radec_from_direction
+from giantlike.core.reading import reads
 from giantlike.io.mission_frame import ImportedCamera
 
-_FIRST_PIXEL = 1.0
-_NODES = 41
-_ORDERS = range(2, 10)
+_FIRST_PIXEL = 1.0  # FITS calls the center of the first pixel so: FITS Standard 4.0, section 8.1
+_NODES = 41  # grid points along each side of the frame to which lens and polynomials are fitted, 1681 in all
+_ORDERS = range(2, 10)  # the keywords have one digit for each power: Shupe et al., The SIP Convention, 2005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SipCamera:
-    """What a TAN-SIP header says of a camera and its attitude.
+    """Camera and attitude of a TAN-SIP header.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ class SipCamera:
     camera_from_inertial : Rotation
         Attitude, boresight at CRVAL, x along increasing columns.
     conversion : Conversion
-        How far the fitted lens is from the polynomials, over the frame.
+        Differences of the fitted lens from the polynomials, over the frame.
     """
 
     camera: ImportedCamera
@@ -46,8 +47,26 @@ class SipCamera:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PosedModel:
+    """A camera model with the size of its image and its attitude, to be written as world coordinates.
+
+    Parameters
+    ----------
+    model : CameraModel
+    columns, rows : int
+        Size of the image.
+    camera_from_inertial : Rotation
+    """
+
+    model: CameraModel
+    columns: int
+    rows: int
+    camera_from_inertial: Rotation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SipHeader:
-    """A camera model and an attitude as TAN-SIP keywords, and what the polynomials lose.
+    """TAN-SIP keywords of a camera model and an attitude, and the errors of their polynomials.
 
     Parameters
     ----------
@@ -64,6 +83,7 @@ class SipHeader:
     inverse_max_px: float
 
 
+@reads("a FITS header with TAN-SIP coordinates")
 def read_sip_camera(path: str | Path, *, hdu: int = 0, type_name: str = "brown") -> SipCamera:
     """Read camera and attitude from the header of a FITS image.
 
@@ -71,8 +91,13 @@ def read_sip_camera(path: str | Path, *, hdu: int = 0, type_name: str = "brown")
     ----------
     path : path-like
     hdu : int
+        Index of the HDU.
     type_name : str
         Lens model to fit to the polynomials, a key of :data:`~giantlike.camera_models.MODELS`.
+
+    Returns
+    -------
+    SipCamera
 
     Raises
     ------
@@ -81,17 +106,10 @@ def read_sip_camera(path: str | Path, *, hdu: int = 0, type_name: str = "brown")
     """
     from astropy.io import fits
 
-    try:
-        header = fits.getheader(path, hdu)
-        return camera_of_sip(
-            header, columns=header["NAXIS1"], rows=header["NAXIS2"], type_name=type_name, name=Path(path).stem
-        )
-    except (OSError, IndexError, fits.VerifyError) as error:
-        raise DataError(path, f"cannot read a FITS header: {error}") from error
-    except KeyError as error:
-        raise DataError(path, f"keyword missing: {error}") from error
-    except InputError as error:
-        raise DataError(path, str(error)) from error
+    header = fits.getheader(path, hdu)
+    return camera_of_sip(
+        header, columns=header["NAXIS1"], rows=header["NAXIS2"], type_name=type_name, name=Path(path).stem
+    )
 
 
 def camera_of_sip(
@@ -139,7 +157,8 @@ def camera_of_sip(
         cy_px=first[1],
     )  # fmt: skip
     model = fit_lens(start, directions.reshape(-1, 3), points_px.reshape(-1, 2))
-    east, north, up = _tangent_axes(_number(header, "CRVAL1"), _number(header, "CRVAL2"))
+    ra_deg, dec_deg = _number(header, "CRVAL1"), _number(header, "CRVAL2")
+    (east, north), up = east_north(ra_deg, dec_deg), direction_from_radec(ra_deg, dec_deg)
     x = along_x[0] * east + along_x[1] * north
     return SipCamera(
         camera=ImportedCamera(
@@ -151,19 +170,18 @@ def camera_of_sip(
     )  # fmt: skip
 
 
-def sip_header(
-    model: CameraModel, *, columns: int, rows: int, camera_from_inertial: Rotation, order: int = 4
-) -> SipHeader:
+def sip_header(posed: PosedModel, *, order: int = 4) -> SipHeader:
     """Fit TAN-SIP keywords to a camera model and an attitude (linear least squares over the frame).
 
     Parameters
     ----------
-    model : CameraModel
-    columns, rows : int
-        Size of the image.
-    camera_from_inertial : Rotation
+    posed : PosedModel
     order : int
-        Of the polynomials, 2 to 9.
+        Order of the polynomials, 2 to 9.
+
+    Returns
+    -------
+    SipHeader
 
     Raises
     ------
@@ -171,7 +189,8 @@ def sip_header(
         The order is out of range, or the frame sees more than the hemisphere that a tangent plane shows.
     """
     require(order in _ORDERS, f"the order of SIP polynomials is 2 to 9, got {order}")
-    points_px = frame_grid(columns, rows, nodes=_NODES).reshape(-1, 2)
+    model, camera_from_inertial = posed.model, posed.camera_from_inertial
+    points_px = frame_grid(posed.columns, posed.rows, nodes=_NODES).reshape(-1, 2)
     directions = model.unproject(points_px)
     require(
         bool((directions[:, 2] > 0).all()),
@@ -180,8 +199,10 @@ def sip_header(
     boresight_px = model.project([0.0, 0.0, 1.0])
     inertial_from_camera = camera_from_inertial.inv()
     ra_deg, dec_deg = radec_from_direction(inertial_from_camera.apply([0.0, 0.0, 1.0]))
-    sky = np.degrees(_tangent_plane(inertial_from_camera.apply(directions), float(ra_deg), float(dec_deg)))
-    scale = max(columns, rows) / 2.0
+    (east, north), up = east_north(ra_deg, dec_deg), direction_from_radec(ra_deg, dec_deg)
+    seen = inertial_from_camera.apply(directions)
+    sky = np.degrees(np.stack([seen @ east, seen @ north], axis=-1) / (seen @ up)[:, None])
+    scale = max(posed.columns, posed.rows) / 2.0
     powers = [(p, q) for p in range(order + 1) for q in range(order + 1) if 1 <= p + q <= order]
     offsets = points_px - boresight_px
     design = _design(offsets / scale, powers)
@@ -196,7 +217,6 @@ def sip_header(
             cards |= {f"A_{p}_{q}": float(a / scale ** (p + q)), f"B_{p}_{q}": float(b / scale ** (p + q))}
         cards |= {f"AP_{p}_{q}": float(ap / scale ** (p + q)), f"BP_{p}_{q}": float(bp / scale ** (p + q))}
     plane = np.radians(design @ fitted)
-    east, north, up = _tangent_axes(float(ra_deg), float(dec_deg))
     said = camera_from_inertial.apply(up + plane[:, :1] * east + plane[:, 1:] * north)
     lost = np.linalg.norm(model.project(said) - points_px, axis=1)
     at = (design @ fitted) @ np.linalg.inv(linear).T
@@ -220,21 +240,8 @@ def _cards(ra_deg: Float, dec_deg: Float, boresight_px: Float, cd: Float, order:
 
 
 def _design(offsets: Float, powers: list[tuple[int, int]]) -> Float:
+    """Powers x^p y^q (n, k) of offsets (n, 2)."""
     return np.stack([offsets[:, 0] ** p * offsets[:, 1] ** q for p, q in powers], axis=-1)
-
-
-def _tangent_axes(ra_deg: float, dec_deg: float) -> tuple[Float, Float, Float]:
-    """East, north and outward at a point of the sky."""
-    up = direction_from_radec(ra_deg, dec_deg)
-    ra = np.radians(ra_deg)
-    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
-    return east, np.cross(up, east), up
-
-
-def _tangent_plane(directions_inertial: Float, ra_deg: float, dec_deg: float) -> Float:
-    east, north, up = _tangent_axes(ra_deg, dec_deg)
-    depth = directions_inertial @ up
-    return np.stack([directions_inertial @ east / depth, directions_inertial @ north / depth], axis=-1)
 
 
 def _number(header: Mapping[str, Any], key: str) -> float:

@@ -9,27 +9,53 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from giantlike.core.arrays import Float, require
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.version import VERSION
-from giantlike.io.atomic import write_text_atomic
 from giantlike.io.attitude_series import AttitudeSeries
 
-_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # signs of the quaternion x, y, z, w of the opposite rotation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AemNames:
+    """Names in the header and metadata of an AEM.
+
+    Parameters
+    ----------
+    object_name, object_id : str
+        Spacecraft and its international designator.
+    originator : str
+        Organization that writes the message.
+    frame : str
+        ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
+
+    Raises
+    ------
+    InputError
+        A text holds a line break or is empty.
+    """
+
+    object_name: str = "UNKNOWN"
+    object_id: str = "UNKNOWN"
+    originator: str = "UNKNOWN"
+    frame: str = "INSTRUMENT_1"
+
+    def __post_init__(self) -> None:
+        _require_lines([getattr(self, field.name) for field in fields(self)])
 
 
 def write_aem(
     path: str | Path,
     series: AttitudeSeries,
+    names: AemNames,
     *,
-    object_name: str = "UNKNOWN",
-    object_id: str = "UNKNOWN",
-    originator: str = "UNKNOWN",
-    frame: str = "INSTRUMENT_1",
     max_gap_s: float = 600.0,
     comments: Sequence[str] = (),
 ) -> None:
@@ -39,24 +65,20 @@ def write_aem(
     ----------
     path : path-like
     series : AttitudeSeries
-    object_name, object_id, originator : str
-        Spacecraft, its international designator, and the organization that writes the message.
-    frame : str
-        ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
+    names : AemNames
     max_gap_s : float, s
-        A longer gap starts a new segment: over it nobody is to interpolate.
+        A longer gap starts a new segment: readers are not to interpolate over it.
     comments : sequence of str
         Lines for the start of each segment.
 
     Raises
     ------
     InputError
-        A text holds a line break or is empty, or two epochs are the same to the microsecond.
+        A comment holds a line break or is empty, or two epochs are the same to the microsecond.
     DataError
         The file cannot be written.
     """
-    for text in (object_name, object_id, originator, frame, *comments):
-        require(bool(text.strip()) and "\n" not in text, f"an AEM needs one line of text here, got {text!r}")
+    _require_lines(comments)
     epochs = [utc_text(time_from_et(et)) for et in series.et.tolist()]
     for name, first, second in zip(series.names[1:], epochs, epochs[1:], strict=False):
         require(first != second, f"{name!r}: an AEM must not repeat the epoch {second}")
@@ -64,17 +86,17 @@ def write_aem(
         "CCSDS_AEM_VERS = 2.0",
         f"COMMENT written by giantlike {VERSION}",
         f"CREATION_DATE = {time.strftime('%Y-%m-%dT%H:%M:%S', time.gmtime())}",
-        f"ORIGINATOR = {originator}",
+        f"ORIGINATOR = {names.originator}",
     ]
     for part in series.segments(max_gap_s):
         lines += [
             "",
             "META_START",
             *(f"COMMENT {text}" for text in comments),
-            f"OBJECT_NAME = {object_name}",
-            f"OBJECT_ID = {object_id}",
+            f"OBJECT_NAME = {names.object_name}",
+            f"OBJECT_ID = {names.object_id}",
             "REF_FRAME_A = ICRF",
-            f"REF_FRAME_B = {frame}",
+            f"REF_FRAME_B = {names.frame}",
             "TIME_SYSTEM = UTC",
             f"START_TIME = {epochs[part][0]}",
             f"STOP_TIME = {epochs[part][-1]}",
@@ -87,6 +109,11 @@ def write_aem(
             "DATA_STOP",
         ]
     write_text_atomic(Path(path), "\n".join(lines) + "\n")
+
+
+def _require_lines(texts: Sequence[str]) -> None:
+    for text in texts:
+        require(bool(text.strip()) and "\n" not in text, f"an AEM needs one line of text here, got {text!r}")
 
 
 def _data_lines(epochs: Sequence[str], quaternions: Float) -> list[str]:

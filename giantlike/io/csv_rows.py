@@ -1,38 +1,89 @@
-"""Rows of a CSV file with named columns, and errors that say where in the file the trouble is."""
+"""CSV files with named columns, and errors that name file, line and column."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotation_from_xyzw
-from giantlike.core.time import time_from_utc
+from giantlike.core.reading import reads
+from giantlike.core.time import et_from_time, time_from_utc
 
 if TYPE_CHECKING:
     from astropy.time import Time
 
 
+Value = TypeVar("Value")
+
+_UNIT_NORM = 1e-3  # unit vectors to this: some digits were rounded off; a larger error is a wrong column or unit
+
+
 @dataclass(frozen=True, slots=True)
 class CsvRow:
-    """One row: its file, its line in that file (the header is line 1) and the text of its cells, stripped."""
+    """One row of a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+    line : int
+        Line in the file; the header is line 1.
+    cells : dict of str to str
+        Text by column, without blanks around it.
+    """
 
     path: Path
     line: int
     cells: dict[str, str]
 
     def error(self, column: str, problem: str) -> DataError:
-        """A :class:`DataError` that names file, line, column and value."""
+        """Return a :class:`DataError` that names file, line, column and value.
+
+        Parameters
+        ----------
+        column : str
+        problem : str
+            What is needed there.
+
+        Returns
+        -------
+        DataError
+        """
         return DataError(self.path, f"line {self.line}, column {column}: {problem}, got {self.cells.get(column, '')!r}")
+
+    def needed(self, value: Value | None, columns: Sequence[str]) -> Value:
+        """Return the value of cells that must not be empty.
+
+        Parameters
+        ----------
+        value : object or None
+            None where the cells are empty.
+        columns : sequence of str
+            The columns that it is from.
+
+        Returns
+        -------
+        object
+            ``value``.
+
+        Raises
+        ------
+        DataError
+            It is None.
+        """
+        if value is None:
+            raise self.error(columns[0], f"{', '.join(columns)} must be filled in every row")
+        return value
 
     def text(self, column: str) -> str | None:
         """The cell's text, None when it is empty or there is no such column."""
@@ -78,9 +129,18 @@ class CsvRow:
         if values is None:
             return None
         norm = float(np.linalg.norm(values))
-        if not abs(norm - 1.0) < 1e-3:
+        if not abs(norm - 1.0) < _UNIT_NORM:
             raise self.error(columns[0], f"{', '.join(columns)} must make a unit vector, the norm is {norm:.6g}")
         return values / norm
+
+    def et(self) -> float:
+        """Epoch of the columns ``et`` or ``epoch_utc``, TDB seconds past J2000; one of them must be filled."""
+        et, epoch = self.number("et"), self.utc("epoch_utc")
+        if et is not None:
+            return et
+        if epoch is None:
+            raise self.error("et" if "et" in self.cells else "epoch_utc", "epoch_utc or et is needed")
+        return et_from_time(epoch)
 
     def utc(self, column: str) -> Time | None:
         """Epoch of an ISO 8601 UTC cell, None when it is empty or there is no such column."""
@@ -93,6 +153,7 @@ class CsvRow:
             raise self.error(column, "an ISO 8601 UTC epoch such as 2018-12-01T10:07:11.123 is needed") from None
 
 
+@reads("a CSV table in UTF-8")
 def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[str]) -> list[CsvRow]:
     """Read a CSV file whose first line names the columns; empty lines are skipped.
 
@@ -105,6 +166,10 @@ def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[s
     required : sequence of str
         Those that must.
 
+    Returns
+    -------
+    list of CsvRow
+
     Raises
     ------
     DataError
@@ -112,13 +177,7 @@ def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[s
         cells.
     """
     source = Path(path)
-    try:
-        text = source.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise DataError(source, "there is no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(source, f"cannot be read as UTF-8 text: {error}") from error
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    reader = csv.reader(io.StringIO(source.read_text(encoding="utf-8-sig"), newline=""), strict=True)
     rows: list[CsvRow] = []
     names: list[str] = []
     try:
@@ -130,10 +189,8 @@ def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[s
                 names = stripped
                 _check_names(source, names, columns, required)
             elif len(stripped) != len(names):
-                raise DataError(
-                    source,
-                    f"line {reader.line_num}: {len(names)} cells are needed as in the header, got {len(stripped)}",
-                )
+                problem = f"{len(names)} cells are needed as in the header, got {len(stripped)}"
+                raise DataError(source, f"line {reader.line_num}: {problem}")
             else:
                 rows.append(CsvRow(source, reader.line_num, dict(zip(names, stripped, strict=True))))
     except csv.Error as error:
@@ -141,6 +198,28 @@ def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[s
     if not names:
         raise DataError(source, f"the table is empty: a header with {', '.join(required)} is needed")
     return rows
+
+
+def write_csv_rows(path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> None:
+    """Write a CSV file, whole or not at all; numbers keep all their digits.
+
+    Parameters
+    ----------
+    path : path-like
+    columns : sequence of str
+    rows : iterable of sequences
+        Values in the order of the columns; None leaves a cell empty.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    write_text_atomic(path, text.getvalue())
 
 
 def _check_names(path: Path, names: list[str], columns: Sequence[str], required: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""What every image reader hands back, before it becomes an :class:`~giantlike.io.image_files.ImageFile`."""
+"""An image as the decoder of one file format returns it, see :mod:`giantlike.io.image_files`."""
 
 from __future__ import annotations
 
@@ -15,15 +15,29 @@ if TYPE_CHECKING:
     from astropy.time import Time
 
 HeaderValue: TypeAlias = str | int | float | bool
-"""What a header item may be once read: a plain value."""
+"""Value of a header or label item."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DecodedImage:
-    """Pixels as stored and whatever the file's own header says about them.
+    """Pixels as stored, and the contents of the file's own header.
 
-    ``pixels`` is 2-D, rows as stored, any byte order, and may hold NaN; ``mask`` marks pixels that the
-    format itself declares missing (None: no such pixels).
+    Parameters
+    ----------
+    pixels : (rows, columns) array, DN
+        Rows as stored, any byte order; may hold NaN.
+    format : str
+        ``fits``, ``png``, ``tiff``, ``jpeg``, ``vicar`` or ``pds3``.
+    mask : (rows, columns) bool or None
+        True where the format itself declares a pixel missing; None where no pixel is.
+    epoch : Time or None
+        Mid-exposure.
+    exposure_s : float or None, s
+    camera_from_inertial : Rotation or None
+    observer : ObserverState or None
+        Spacecraft with respect to the solar system barycenter.
+    header : dict of str to str, int, float or bool
+        Header or label items.
     """
 
     pixels: NDArray[Any]

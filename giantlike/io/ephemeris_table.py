@@ -9,6 +9,7 @@ Columns: the epoch, as ``epoch_utc`` (ISO 8601) or ``et`` (TDB seconds past J200
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
-from giantlike.core.time import et_from_time
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
 
 _POSITION = ("x_km", "y_km", "z_km")
@@ -47,6 +47,15 @@ class EphemerisSamples:
 def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
     """Read a sampled ephemeris; rows may be in any order.
 
+    Parameters
+    ----------
+    path : path-like
+        CSV file with the columns of :mod:`giantlike.io.ephemeris_table`.
+
+    Returns
+    -------
+    EphemerisSamples
+
     Raises
     ------
     DataError
@@ -60,7 +69,7 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
     names = set(rows[0].cells)
     if len(names & {"epoch_utc", "et"}) != 1:
         raise DataError(path, "line 1: one of the columns epoch_utc and et is needed, not both")
-    et = np.array([_et(row) for row in rows])
+    et = np.array([row.et() for row in rows])
     order = np.argsort(et, kind="stable")
     for before, after in itertools.pairwise(order):
         if et[before] == et[after]:
@@ -69,36 +78,16 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
                 f"an epoch other than that of line {rows[before].line} is needed",
             )
     has_velocity, has_body = bool(names & set(_VELOCITY)), bool(names & set(_BODY))
-    quaternions = np.array([_body_quaternion(row) for row in rows])[order] if has_body else None
+    ordered = [rows[k] for k in order]
+    body = [row.needed(row.rotation(_BODY), _BODY) for row in ordered] if has_body else []
     return EphemerisSamples(
         et=et[order],
-        position_km=np.array([_filled(row, _POSITION) for row in rows])[order],
-        velocity_km_s=np.array([_filled(row, _VELOCITY) for row in rows])[order] if has_velocity else None,
-        inertial_from_body=None if quaternions is None else Rotation.from_quat(quaternions).inv(),
+        position_km=_vectors(ordered, _POSITION),
+        velocity_km_s=_vectors(ordered, _VELOCITY) if has_velocity else None,
+        inertial_from_body=Rotation.concatenate(body).inv() if body else None,
     )
 
 
-def _et(row: CsvRow) -> float:
-    if "et" in row.cells:
-        number = row.number("et")
-        if number is None:
-            raise row.error("et", "an epoch is needed")
-        return number
-    epoch = row.utc("epoch_utc")
-    if epoch is None:
-        raise row.error("epoch_utc", "an epoch is needed")
-    return et_from_time(epoch)
-
-
-def _filled(row: CsvRow, columns: tuple[str, ...]) -> Float:
-    values = row.vector(columns)
-    if values is None:
-        raise row.error(columns[0], f"{', '.join(columns)} must be filled in every row")
-    return values
-
-
-def _body_quaternion(row: CsvRow) -> Float:
-    rotation = row.rotation(_BODY)
-    if rotation is None:
-        raise row.error(_BODY[0], f"{', '.join(_BODY)} must be filled in every row")
-    return np.asarray(rotation.as_quat(), dtype=np.float64)
+def _vectors(rows: Sequence[CsvRow], columns: tuple[str, ...]) -> Float:
+    """Values (n, 3) of three columns, which every row must fill."""
+    return np.array([row.needed(row.vector(columns), columns) for row in rows])

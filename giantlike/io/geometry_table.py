@@ -21,8 +21,6 @@ One row per image and target. Every column but ``file`` may be absent or empty:
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -38,8 +36,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.observer import ObserverState
 from giantlike.core.time import utc_text
-from giantlike.io.atomic import write_text_atomic
-from giantlike.io.csv_rows import CsvRow, read_csv_rows
+from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -59,7 +56,7 @@ COLUMNS = ("file", "epoch_utc", "exposure_s", *_ATTITUDE, "target", *_TARGET, *_
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GeometryRow:
-    """What one row says; None for what it leaves empty.
+    """One row of a geometry table; None for cells that are empty.
 
     Parameters
     ----------
@@ -74,11 +71,11 @@ class GeometryRow:
     target_position_inertial_km : (3,) float64 or None, km, inertial axes
         Apparent vector from camera to target center.
     body_from_inertial : Rotation or None
-        Of the target when the light left it.
+        Orientation of the target when the light left it.
     sun_direction_inertial : (3,) float64 or None, unitless, inertial
         Unit vector from target to Sun.
     observer : ObserverState or None
-        The spacecraft, with respect to the solar system barycenter.
+        State of the spacecraft with respect to the solar system barycenter.
     line : int
         Line in the file, 0 for a row that was not read from one.
     """
@@ -97,7 +94,7 @@ class GeometryRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageGeometry:
-    """All that a table says about one image.
+    """Geometry of one image, from all its rows of a table.
 
     Parameters
     ----------
@@ -132,7 +129,18 @@ class GeometryTable:
     rows: tuple[GeometryRow, ...]
 
     def image(self, file: str) -> ImageGeometry | None:
-        """All about the image written as ``file`` in the table, None when it is not there."""
+        """Geometry of one image.
+
+        Parameters
+        ----------
+        file : str
+            As written in the table.
+
+        Returns
+        -------
+        ImageGeometry or None
+            None when it is not there.
+        """
         rows = [row for row in self.rows if row.file == file]
         return _merged(rows) if rows else None
 
@@ -185,7 +193,11 @@ def read_geometry(path: str | Path, *, default_target: str | None = None) -> Geo
     ----------
     path : path-like
     default_target : str, optional
-        Name for rows that leave ``target`` empty; pass it where a campaign has one target only.
+        Name for rows that leave ``target`` empty; for campaigns with one target.
+
+    Returns
+    -------
+    GeometryTable
 
     Raises
     ------
@@ -205,38 +217,43 @@ def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
 
     The observer columns are there only when a row has an observer.
 
+    Parameters
+    ----------
+    path : path-like
+    rows : iterable of GeometryRow
+
     Raises
     ------
     DataError
         The file cannot be written.
     """
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
     rows = list(rows)
     count = len(COLUMNS) if any(row.observer is not None for row in rows) else COLUMNS.index(_OBSERVER[0])
-    writer.writerow(COLUMNS[:count])
-    for row in rows:
-        writer.writerow(
-            [
-                row.file,
-                "" if row.epoch is None else utc_text(row.epoch),
-                "" if row.exposure_s is None else repr(float(row.exposure_s)),
-                *_quaternion_cells(row.camera_from_inertial),
-                row.target or "",
-                *_vector_cells(row.target_position_inertial_km),
-                *_quaternion_cells(row.body_from_inertial),
-                *_vector_cells(row.sun_direction_inertial),
-                *_vector_cells(None if row.observer is None else row.observer.position_km),
-                *_vector_cells(None if row.observer is None else row.observer.velocity_km_s),
-            ][:count]
-        )
-    write_text_atomic(path, buffer.getvalue())
+    write_csv_rows(path, COLUMNS[:count], (_cells(row)[:count] for row in rows))
+
+
+def _cells(row: GeometryRow) -> list[str | float | None]:
+    """Values of a row in the order of :data:`COLUMNS`."""
+    attitude, body, observer = row.camera_from_inertial, row.body_from_inertial, row.observer
+    return [
+        row.file,
+        None if row.epoch is None else utc_text(row.epoch),
+        None if row.exposure_s is None else float(row.exposure_s),
+        *_numbers(None if attitude is None else quaternion_xyzw(attitude), 4),
+        row.target,
+        *_numbers(row.target_position_inertial_km, 3),
+        *_numbers(None if body is None else quaternion_xyzw(body), 4),
+        *_numbers(row.sun_direction_inertial, 3),
+        *_numbers(None if observer is None else observer.position_km, 3),
+        *_numbers(None if observer is None else observer.velocity_km_s, 3),
+    ]
+
+
+def _numbers(vector: Float | None, count: int) -> list[float | None]:
+    return [None] * count if vector is None else np.asarray(vector, dtype=np.float64).tolist()
 
 
 def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
-    file = row.text("file")
-    if file is None:
-        raise row.error("file", "an image file is needed")
     exposure_s = row.number("exposure_s")
     if exposure_s is not None and exposure_s < 0:
         raise row.error("exposure_s", "an exposure time >= 0 is needed")
@@ -250,7 +267,7 @@ def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
     if described and target is None:
         raise row.error("target", "a target name is needed where its geometry is given")
     return GeometryRow(
-        file=file,
+        file=row.needed(row.text("file"), ("file",)),
         epoch=row.utc("epoch_utc"),
         exposure_s=exposure_s,
         camera_from_inertial=row.rotation(_ATTITUDE),
@@ -311,11 +328,3 @@ def _first(values: Iterable[Value | None]) -> Value | None:
 
 def _absolute(path: Path) -> str:
     return os.path.abspath(path)
-
-
-def _quaternion_cells(rotation: Rotation | None) -> list[str]:
-    return [""] * 4 if rotation is None else [repr(value) for value in quaternion_xyzw(rotation).tolist()]
-
-
-def _vector_cells(vector: Float | None) -> list[str]:
-    return [""] * 3 if vector is None else [repr(value) for value in np.asarray(vector, dtype=np.float64).tolist()]

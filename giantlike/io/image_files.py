@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import re
 import warnings
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import frozen
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.observer import ObserverState
+from giantlike.core.reading import reads, unzipped
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.fits import decode_fits
 from giantlike.io.label_times import label_epoch, label_exposure_s
@@ -34,13 +34,13 @@ _MAGIC = {
     "tiff": re.compile(rb"II[*+]\0|MM\0[*+]"),
     "vicar": re.compile(rb"LBLSIZE\s*="),
     "pds3": LABEL_START,
-    "gzip": re.compile(rb"\x1f\x8b\x08"),
 }
+"""First bytes of the files of each format."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageFile:
-    """An image as its file holds it.
+    """Image of a file: pixels, mask, and the navigation data of its header.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
 
 
 def _read_image(path: Path, hdu: int | str | None) -> ImageFile:
-    data = _read(path)
+    data = _content(path)
     digest = hashlib.sha256(data).hexdigest()
     data = _unzipped(path, data)
     kind = _sniff(data)
@@ -134,7 +134,7 @@ def _read_image(path: Path, hdu: int | str | None) -> ImageFile:
         label = _label_beside(path)
         if label is None:
             raise DataError(path, "is of no supported format; supported are FITS, PNG, TIFF, JPEG, VICAR and PDS3")
-        decoded, digest = _decode_labeled(label, _read(label), digest)
+        decoded, digest = _decode_labeled(label, _content(label), digest)
     return _finish(path, decoded, digest)
 
 
@@ -157,7 +157,7 @@ def _decode_labeled(path: Path, data: bytes, digest: str) -> tuple[DecodedImage,
     target = _find_beside(path, pointer.file)
     if target is None:
         raise DataError(path, f"the image file {pointer.file!r} that this label points to is not beside it")
-    pixels = _read(target)
+    pixels = _content(target)
     kind, digest = _sniff(pixels), hashlib.sha256(pixels).hexdigest()
     if kind not in {"fits", "vicar"}:
         return decode_pds3(target, pixels, label, pointer.offset_bytes), digest
@@ -193,31 +193,22 @@ def _finish(path: Path, decoded: DecodedImage, digest: str) -> ImageFile:
     )
 
 
-def _read(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise DataError(path, "there is no such file") from error
-    except OSError as error:
-        raise DataError(path, f"cannot be read: {error.strerror or error}") from error
+@reads("an image")
+def _content(path: Path) -> bytes:
+    data = path.read_bytes()
     if not data:
         raise DataError(path, "the file is empty")
     return data
 
 
+@reads("a gzip file")
 def _unzipped(path: Path, data: bytes) -> bytes:
-    if _MAGIC["gzip"].match(data) is None:
-        return data
-    import gzip
-
-    try:
-        return gzip.decompress(data)
-    except (EOFError, OSError, zlib.error) as error:
-        raise DataError(path, f"the gzip file is truncated or damaged: {error}") from error
+    return unzipped(data)
 
 
 def _sniff(data: bytes) -> str | None:
-    return next((kind for kind, magic in _MAGIC.items() if kind != "gzip" and magic.match(data)), None)
+    """Format of a file by its first bytes; None for one that is not known."""
+    return next((kind for kind, magic in _MAGIC.items() if magic.match(data)), None)
 
 
 def _label_beside(path: Path) -> Path | None:
@@ -225,7 +216,7 @@ def _label_beside(path: Path) -> Path | None:
     for suffix in (".LBL", ".lbl"):
         label = path.with_suffix(suffix)
         if label != path and label.is_file():
-            pointer = image_pointer(label, parse_pds3(label, _read(label)))
+            pointer = image_pointer(label, parse_pds3(label, _content(label)))
             if pointer.file is not None and pointer.file.lower() == path.name.lower():
                 return label
     return None

@@ -11,13 +11,13 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from giantlike.core.errors import DataError
+from giantlike.core.reading import reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.label_times import label_epoch, label_exposure_s
-from giantlike.io.raw_image import RawLayout, read_raw
+from giantlike.io.raw_image import RawLayout, label_count, read_raw
 
 LABEL_START = re.compile(rb"\s*(PDS_VERSION_ID|CCSD3ZF|NJPL1I|ODL_VERSION_ID)\b")
-"""How a PDS3 label (or its SFDU wrapper) begins."""
+"""First word of a PDS3 label, or of its SFDU wrapper."""
 
 _END = re.compile(r"^\s*END\s*$", re.MULTILINE)
 _STATEMENT = re.compile(
@@ -56,14 +56,34 @@ class Pds3Label:
 
 @dataclass(frozen=True, slots=True)
 class ImagePointer:
-    """Where a label says its image is: a file (None: the label's own) and a first byte, from 0."""
+    """Location of the image that a label describes.
+
+    Parameters
+    ----------
+    file : str or None
+        Name of the file; None for the file of the label itself.
+    offset_bytes : int
+        First byte of the image, from 0.
+    """
 
     file: str | None
     offset_bytes: int
 
 
+@reads("a PDS3 label")
 def parse_pds3(path: Path, data: bytes) -> Pds3Label:
-    """Parse the PDS3 label that ``data`` begins with.
+    """Parse the PDS3 label that a file begins with.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    data : bytes
+        The file, or its beginning.
+
+    Returns
+    -------
+    Pds3Label
 
     Raises
     ------
@@ -73,7 +93,7 @@ def parse_pds3(path: Path, data: bytes) -> Pds3Label:
     text = data.decode("latin-1")
     end = _END.search(text)
     if end is None:
-        raise DataError(path, "the PDS3 label has no END statement: it is truncated or no label")
+        raise ValueError("it has no END statement")
     label = Pds3Label({}, {}, {})
     nesting: list[str] = []
     for match in _STATEMENT.finditer(text, 0, end.start()):
@@ -94,8 +114,19 @@ def parse_pds3(path: Path, data: bytes) -> Pds3Label:
     return label
 
 
+@reads("a PDS3 label of an image")
 def image_pointer(path: Path, label: Pds3Label) -> ImagePointer:
-    """Where the image of a label is.
+    """Location of the image that a label describes.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    label : Pds3Label
+
+    Returns
+    -------
+    ImagePointer
 
     Raises
     ------
@@ -104,19 +135,20 @@ def image_pointer(path: Path, label: Pds3Label) -> ImagePointer:
     """
     text = label.raw.get("^IMAGE")
     if text is None:
-        raise DataError(path, "the PDS3 label has no ^IMAGE pointer")
+        raise ValueError("it has no ^IMAGE pointer")
     match = _POINTER.fullmatch(text.strip())
     if match is None:
-        raise DataError(path, f"the PDS3 pointer ^IMAGE = {text!r} is not understood")
+        raise ValueError(f"the pointer ^IMAGE = {text!r} is not understood")
     start = int(match["start"] or 1)
     if match["bytes"] is not None or start == 1:
         return ImagePointer(match["file"], start - 1)
     record = label.values.get("RECORD_BYTES")
     if type(record) is not int or start < 1:
-        raise DataError(path, f"the PDS3 pointer ^IMAGE = {text!r} counts records, but RECORD_BYTES is {record!r}")
+        raise ValueError(f"the pointer ^IMAGE = {text!r} counts records, but RECORD_BYTES is {record!r}")
     return ImagePointer(match["file"], (start - 1) * record)
 
 
+@reads("a PDS3 image")
 def decode_pds3(path: Path, data: bytes, label: Pds3Label, offset_bytes: int) -> DecodedImage:
     """Decode the raw image that a PDS3 label describes.
 
@@ -130,37 +162,35 @@ def decode_pds3(path: Path, data: bytes, label: Pds3Label, offset_bytes: int) ->
     offset_bytes : int
         First byte of the image in ``data``.
 
+    Returns
+    -------
+    DecodedImage
+
     Raises
     ------
     DataError
         The image object is incomplete, compressed, has several bands or a sample type that is not read, or
         the file is truncated.
     """
-
-    def count(name: str, default: int) -> int:
-        value = label.values.get(f"IMAGE.{name}", default)
-        if type(value) is not int:
-            raise DataError(path, f"the PDS3 label has IMAGE {name} = {value!r}: a whole number is needed")
-        return value
-
-    encoding = str(label.values.get("IMAGE.ENCODING_TYPE", "N/A"))
-    if count("BANDS", 1) != 1 or encoding not in {"N/A", "NONE"}:
-        raise DataError(path, f"only uncompressed PDS3 images of one band are read, got ENCODING_TYPE {encoding!r}")
+    values = label.values
+    encoding = str(values.get("IMAGE.ENCODING_TYPE", "N/A"))
+    if label_count(values, "IMAGE.BANDS", 1) != 1 or encoding not in {"N/A", "NONE"}:
+        raise ValueError(f"only uncompressed PDS3 images of one band are read, got ENCODING_TYPE {encoding!r}")
     layout = RawLayout(
         offset_bytes=offset_bytes,
-        rows=count("LINES", 0),
-        columns=count("LINE_SAMPLES", 0),
-        prefix_bytes=count("LINE_PREFIX_BYTES", 0),
-        suffix_bytes=count("LINE_SUFFIX_BYTES", 0),
-        sample=_sample(path, str(label.values.get("IMAGE.SAMPLE_TYPE")), count("SAMPLE_BITS", 8)),
+        rows=label_count(values, "IMAGE.LINES", 0),
+        columns=label_count(values, "IMAGE.LINE_SAMPLES", 0),
+        prefix_bytes=label_count(values, "IMAGE.LINE_PREFIX_BYTES", 0),
+        suffix_bytes=label_count(values, "IMAGE.LINE_SUFFIX_BYTES", 0),
+        sample=_sample(str(values.get("IMAGE.SAMPLE_TYPE")), label_count(values, "IMAGE.SAMPLE_BITS", 8)),
     )
-    exposure_s = label_exposure_s(label.values, label.units)
+    exposure_s = label_exposure_s(values, label.units)
     return DecodedImage(
-        pixels=read_raw(path, data, layout),
+        pixels=read_raw(data, layout),
         format="pds3",
-        epoch=label_epoch(label.values, exposure_s),
+        epoch=label_epoch(values, exposure_s),
         exposure_s=exposure_s,
-        header=dict(label.values),
+        header=dict(values),
     )
 
 
@@ -174,13 +204,13 @@ def _plain(text: str) -> HeaderValue:
     return float(text) if _REAL.fullmatch(text) else text
 
 
-def _sample(path: Path, sample_type: str, bits: int) -> str:
+def _sample(sample_type: str, bits: int) -> str:
     """Sample type as :class:`RawLayout` has it; names without a byte order are most significant byte first."""
     prefix = next((p for p in (*_BIG, *_LITTLE, "IEEE_") if sample_type.startswith(p)), "")
     kinds = {"UNSIGNED_INTEGER": "u", "INTEGER": "i", "REAL": "f", "FLOAT": "f"}
     kind, size = kinds.get(sample_type.removeprefix(prefix)), bits // 8
     if kind is None or bits not in {8, 16, 32, 64} or (kind == "f" and size < 4):
-        raise DataError(path, f"PDS3 samples of type {sample_type!r} with {bits} bits are not read")
+        raise ValueError(f"PDS3 samples of type {sample_type!r} with {bits} bits are not read")
     if kind == "f" and prefix == "VAX_":
         return f"vax{size}"
     return f"{'<' if prefix in _LITTLE else '>'}{kind}{size}"

@@ -16,26 +16,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.errors import DataError
+from giantlike.core.reading import reads
 from giantlike.io.decoded import DecodedImage
 
 LUMINANCE_BGR = (0.114, 0.587, 0.299)
 """Weights of blue, green and red in the luminance of a color image (ITU-R BT.601, the luma that JPEG stores)."""
 
 _JPEG_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
+# Tags of the TIFF 6.0 specification (Adobe, 1992): Orientation, PhotometricInterpretation; offsets and byte counts of
+# strips, of tiles; struct codes of the unsigned integer types by their number (16 and 18 are BigTIFF's).
 _ORIENTATION, _PHOTOMETRIC = 274, 262
-_OFFSETS, _COUNTS = (273, 324), (279, 325)  # of strips, of tiles
+_OFFSETS, _COUNTS = (273, 324), (279, 325)
 _TIFF_UNSIGNED = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
 
 
 @dataclass(frozen=True, slots=True)
 class _TiffTag:
-    """Unsigned integers of a TIFF tag and the byte at which they stand."""
+    """Unsigned integers of a TIFF tag and the byte of the file at which they begin."""
 
     values: tuple[int, ...]
-    place: int
+    offset: int
 
 
+@reads("a PNG, TIFF or JPEG image")
 def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
     """Decode a PNG, TIFF or JPEG file.
 
@@ -52,47 +55,48 @@ def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
         The whole file.
     kind : {'png', 'tiff', 'jpeg'}
 
+    Returns
+    -------
+    DecodedImage
+        Pixels only.
+
     Raises
     ------
     DataError
         The file is truncated or damaged, or OpenCV does not decode this variant.
     """
     if kind == "tiff":
-        return DecodedImage(pixels=_decode_tiff(path, data), format=kind)
-    (_require_whole_png if kind == "png" else _require_whole_jpeg)(path, data)
-    return DecodedImage(pixels=luminance(_decode(path, data, kind)), format=kind)
+        return DecodedImage(pixels=_decode_tiff(data), format=kind)
+    (_require_whole_png if kind == "png" else _require_whole_jpeg)(data)
+    return DecodedImage(pixels=_gray(_decode(data)), format=kind)
 
 
-def _decode(path: Path, data: bytes, kind: str) -> NDArray[Any]:
+def _decode(data: bytes) -> NDArray[Any]:
     import cv2
 
     log_level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise DataError(path, f"the {kind.upper()} image cannot be decoded: {error.err}") from error
     finally:
         cv2.utils.logging.setLogLevel(log_level)
     if pixels is None:
-        raise DataError(path, f"the {kind.upper()} image is damaged or of a variant that is not supported")
+        raise ValueError("OpenCV does not decode it: a variant that is not supported")
     return pixels
 
 
-def luminance(pixels: NDArray[Any]) -> NDArray[Any]:
-    """One channel (rows, columns) of an image in OpenCV's order (gray, gray-alpha, BGR or BGRA)."""
+def _gray(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Gray image (rows, columns) of one in OpenCV's order of channels (gray, gray-alpha, BGR or BGRA)."""
     if pixels.ndim == 2:
         return pixels
     if pixels.shape[2] < 3:
         return pixels[:, :, 0]
-    blue, green, red = (pixels[:, :, k] for k in range(3))
-    if np.array_equal(blue, green, equal_nan=pixels.dtype.kind == "f") and np.array_equal(
-        green, red, equal_nan=pixels.dtype.kind == "f"
-    ):
-        return blue
+    has_nan = pixels.dtype.kind == "f"
+    if all(np.array_equal(pixels[:, :, 0], pixels[:, :, k], equal_nan=has_nan) for k in (1, 2)):
+        return pixels[:, :, 0]
     return (pixels[:, :, :3].astype(np.float32) @ np.array(LUMINANCE_BGR, dtype=np.float32)).astype(np.float32)
 
 
-def _require_whole_png(path: Path, data: bytes) -> None:
+def _require_whole_png(data: bytes) -> None:
     position = 8
     while position + 12 <= len(data):
         length = int.from_bytes(data[position : position + 4], "big")
@@ -101,20 +105,18 @@ def _require_whole_png(path: Path, data: bytes) -> None:
             break
         name = data[position + 4 : position + 8]
         if zlib.crc32(data[position + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            raise DataError(
-                path, f"the PNG file is damaged: checksum of its chunk {name!r} at byte {position} is wrong"
-            )
+            raise ValueError(f"the checksum of the PNG chunk {name!r} at byte {position} is wrong")
         if name == b"IEND":
             return
         position = end
-    raise DataError(path, f"the PNG file is truncated: it ends at byte {len(data)} without its end mark")
+    raise ValueError(f"the PNG file is truncated: it ends at byte {len(data)} without its end mark")
 
 
-def _require_whole_jpeg(path: Path, data: bytes) -> None:
+def _require_whole_jpeg(data: bytes) -> None:
     position = 2
     while position + 4 <= len(data):
         if data[position] != 0xFF:
-            raise DataError(path, f"the JPEG file is damaged: no marker at byte {position}")
+            raise ValueError(f"there is no JPEG marker at byte {position}")
         marker = data[position + 1]
         if marker == 0xFF:
             position += 1
@@ -127,35 +129,35 @@ def _require_whole_jpeg(path: Path, data: bytes) -> None:
             position = len(data) if found is None else found.end() - 2
             if data[position + 1 : position + 2] == b"\xd9":
                 return
-    raise DataError(path, f"the JPEG file is truncated: it ends at byte {len(data)} without its end mark")
+    raise ValueError(f"the JPEG file is truncated: it ends at byte {len(data)} without its end mark")
 
 
-def _decode_tiff(path: Path, data: bytes) -> NDArray[Any]:
+def _decode_tiff(data: bytes) -> NDArray[Any]:
     """Decode a TIFF; OpenCV obeys its orientation tag, which is therefore made neutral first."""
-    tags = _whole_tiff_tags(path, data)
+    tags = _whole_tiff_tags(data)
     orientation = tags.get(_ORIENTATION)
     if orientation is not None and orientation.values != (1,):
         neutral = (1).to_bytes(2, "little" if data[:2] == b"II" else "big")
-        data = data[: orientation.place] + neutral + data[orientation.place + 2 :]
-    pixels = luminance(_decode(path, data, "tiff"))
+        data = data[: orientation.offset] + neutral + data[orientation.offset + 2 :]
+    pixels = _gray(_decode(data))
     white_is_zero = _PHOTOMETRIC in tags and tags[_PHOTOMETRIC].values == (0,)
     if white_is_zero and pixels.dtype.kind == "u" and pixels.dtype.itemsize > 1:  # OpenCV turns over 8 bits itself
         pixels = np.iinfo(pixels.dtype).max - pixels
     return pixels
 
 
-def _whole_tiff_tags(path: Path, data: bytes) -> dict[int, _TiffTag]:
+def _whole_tiff_tags(data: bytes) -> dict[int, _TiffTag]:
     """Tags of the first page, after a check that all its pixels are in the file."""
     try:
         tags = _first_tiff_directory(data)
     except struct.error as error:
-        raise DataError(path, "the TIFF file is truncated: its directory of tags lies outside the file") from error
+        raise ValueError("the TIFF file is truncated: its directory of tags lies outside the file") from error
     offsets, counts = ([tags[tag].values for tag in pair if tag in tags] for pair in (_OFFSETS, _COUNTS))
     if len(offsets) != 1 or len(counts) != 1 or len(offsets[0]) != len(counts[0]):
-        raise DataError(path, "the TIFF file is damaged: its first page has no table of strips or tiles")
+        raise ValueError("the first page of the TIFF file has no table of strips or tiles")
     end = max(offset + count for offset, count in zip(offsets[0], counts[0], strict=True))
     if end > len(data):
-        raise DataError(path, f"the TIFF file is truncated: its pixels reach to byte {end}, got {len(data)}")
+        raise ValueError(f"the TIFF file is truncated: its pixels reach to byte {end}, got {len(data)}")
     return tags
 
 
@@ -172,8 +174,8 @@ def _first_tiff_directory(data: bytes) -> dict[int, _TiffTag]:
         tag, kind, count = struct.unpack_from(order + "HH" + word, data, first + k * entry_bytes)
         if kind not in _TIFF_UNSIGNED:
             continue
-        place = first + k * entry_bytes + 4 + word_bytes
+        offset = first + k * entry_bytes + 4 + word_bytes
         if count * struct.calcsize("=" + _TIFF_UNSIGNED[kind]) > word_bytes:
-            place = struct.unpack_from(order + word, data, place)[0]
-        tags[tag] = _TiffTag(struct.unpack_from(f"{order}{count}{_TIFF_UNSIGNED[kind]}", data, place), place)
+            offset = struct.unpack_from(order + word, data, offset)[0]
+        tags[tag] = _TiffTag(struct.unpack_from(f"{order}{count}{_TIFF_UNSIGNED[kind]}", data, offset), offset)
     return tags

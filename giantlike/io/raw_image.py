@@ -1,21 +1,21 @@
-"""Rows of pixels cut out of a file of fixed-length records, as VICAR and PDS3 store them."""
+"""Pixels of images stored in fixed-length records, as VICAR and PDS3 files have them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
-from giantlike.core.errors import DataError
+from giantlike.io.decoded import HeaderValue
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawLayout:
-    """Where the pixels of an image lie in a file.
+    """Position and type of the pixels of an image in a file.
 
     Parameters
     ----------
@@ -36,39 +36,85 @@ class RawLayout:
     suffix_bytes: int = 0
     sample: str = "u1"
 
+    @property
+    def sample_bytes(self) -> int:
+        """Bytes of one pixel."""
+        return int(self.sample[-1])
 
-def read_raw(path: Path, data: bytes, layout: RawLayout) -> NDArray[Any]:
-    """Pixels (rows, columns) of a raw image.
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one record: prefix, pixels of a row and suffix."""
+        return self.prefix_bytes + self.columns * self.sample_bytes + self.suffix_bytes
+
+    @property
+    def end_bytes(self) -> int:
+        """First byte after the last row."""
+        return self.offset_bytes + self.rows * self.row_bytes
+
+
+def label_count(label: Mapping[str, HeaderValue], key: str, default: int) -> int:
+    """Non-negative whole number of a label item, ``default`` where the label does not have it.
 
     Raises
     ------
-    DataError
-        The size makes no sense, or the file ends before the last row.
+    ValueError
+        The value is something else.
     """
-    if layout.rows < 1 or layout.columns < 1 or min(layout.prefix_bytes, layout.suffix_bytes, layout.offset_bytes) < 0:
-        raise DataError(path, f"the label gives no usable image size: {layout.rows} rows, {layout.columns} columns")
-    size = int(layout.sample[-1])
-    row_bytes = layout.prefix_bytes + layout.columns * size + layout.suffix_bytes
-    end = layout.offset_bytes + layout.rows * row_bytes
-    if end > len(data):
-        complete = max(0, len(data) - layout.offset_bytes) // row_bytes
-        raise DataError(
-            path,
-            f"the file is truncated: {end} bytes needed for {layout.rows} rows, "
-            f"got {len(data)} ({complete} complete rows)",
+    value = label.get(key, default)
+    if type(value) is not int or value < 0:
+        raise ValueError(f"the label has {key} = {value!r}, where a number of bytes, rows or columns is needed")
+    return value
+
+
+def read_raw(data: bytes, layout: RawLayout) -> NDArray[Any]:
+    """Pixels (rows, columns) of a raw image.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    layout : RawLayout
+
+    Returns
+    -------
+    (rows, columns) array
+        Of the type of the samples; VAX floating numbers become float64.
+
+    Raises
+    ------
+    ValueError
+        The image has no rows or columns, or the file ends before the last row.
+    """
+    if layout.rows < 1 or layout.columns < 1:
+        raise ValueError(f"the label gives no usable image size: {layout.rows} rows, {layout.columns} columns")
+    if layout.end_bytes > len(data):
+        complete = max(0, len(data) - layout.offset_bytes) // layout.row_bytes
+        raise ValueError(
+            f"the file is truncated: {layout.end_bytes} bytes are needed for {layout.rows} rows, "
+            f"got {len(data)} ({complete} complete rows)"
         )
-    records = np.frombuffer(data, np.uint8, layout.rows * row_bytes, layout.offset_bytes).reshape(
-        layout.rows, row_bytes
-    )
-    pixels = np.ascontiguousarray(records[:, layout.prefix_bytes : layout.prefix_bytes + layout.columns * size])
+    stored = np.frombuffer(data, np.uint8, layout.rows * layout.row_bytes, layout.offset_bytes)
+    first, size = layout.prefix_bytes, layout.columns * layout.sample_bytes
+    pixels = np.ascontiguousarray(stored.reshape(layout.rows, layout.row_bytes)[:, first : first + size])
     if layout.sample.startswith("vax"):
-        return vax_floats(pixels.reshape(layout.rows, layout.columns, size))
+        return vax_floats(pixels.reshape(layout.rows, layout.columns, layout.sample_bytes))
     return pixels.view(np.dtype(layout.sample))
 
 
 def vax_floats(stored: NDArray[np.uint8]) -> Float:
-    """Values (...) of VAX F or D floating numbers, given as their bytes (..., 4) or (..., 8).
+    """Values of VAX F or D floating numbers.
 
+    Parameters
+    ----------
+    stored : (..., 4) or (..., 8) uint8
+        Their bytes.
+
+    Returns
+    -------
+    (...) float64
+
+    Notes
+    -----
     Both are sign, 8 exponent bits of excess 128 and a fraction with a hidden leading bit in [0.5, 1), stored
     as little-endian 16-bit words with the most significant word first. The reserved operand (sign set,
     exponent zero) is NaN.

@@ -1,4 +1,4 @@
-"""SPICE kernels in, states and orientations out.
+"""SPICE: kernels loaded, states and orientations asked for.
 
 SPICE keeps one pool of kernels per process. The functions here read that pool: they are not thread-safe, and a
 worker process loads its kernels again (:func:`load_kernels` with the same arguments). Distances are km, velocities
@@ -8,7 +8,6 @@ aberration are the caller's.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 import struct
@@ -23,11 +22,14 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError
+from giantlike.core.reading import file_sha256, library_message, reads
 from giantlike.core.time import time_from_et, utc_text
 
 Answer = TypeVar("Answer")
 
 _TRANSFER = (b"DAFETF", b"DASETF")
+_FILE_RECORD = 1024  # bytes, of DAF files: NAIF's DAF Required Reading
+_DEEPEST = 8  # meta-kernels that list meta-kernels: more are taken for a circle
 _DATA_SECTION = re.compile(
     r"^[ \t]*\\begindata[ \t]*\r?$(.*?)(?:^[ \t]*\\begintext[ \t]*\r?$|\Z)", re.MULTILINE | re.DOTALL
 )
@@ -37,12 +39,12 @@ _UNKNOWN_NAME = ("IDCODENOTFOUND", "NOTRANSLATION", "UNKNOWNFRAME", "bods2c")
 
 
 class CoverageError(DataError):
-    """The loaded kernels cannot answer: a body, a frame or a time is not covered.
+    """A body, a frame or a time that the loaded kernels do not cover.
 
     Parameters
     ----------
     problem : str
-        What was asked for and which kernel is needed.
+        The quantity that was asked for and the kernel that is needed.
     """
 
     def __init__(self, problem: str) -> None:
@@ -65,11 +67,17 @@ class SpiceKernels:
     paths: tuple[Path, ...]
 
     def sha256(self) -> dict[str, str]:
-        """Hash of each file by its path, for provenance; reads them all."""
-        return {str(path): _sha256(path) for path in self.paths}
+        """SHA-256 of each file, for provenance; reads them all.
+
+        Returns
+        -------
+        dict of str to str
+            Hexadecimal hashes by path.
+        """
+        return {str(path): file_sha256(path) for path in self.paths}
 
     def unload(self) -> None:
-        """Take the kernels out of the process's pool."""
+        """Remove the kernels from the process's pool."""
         import spiceypy
 
         for path in reversed(self.paths):
@@ -94,6 +102,11 @@ def find_kernels(patterns: Sequence[str | Path], base: str | Path) -> tuple[Path
         of one pattern come in alphabetical order; a file that several patterns name stands where the last does.
     base : path-like
         Folder of the file that names them.
+
+    Returns
+    -------
+    tuple of Path
+        Absolute paths.
 
     Raises
     ------
@@ -127,6 +140,10 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
     patterns, base
         As for :func:`find_kernels`.
 
+    Returns
+    -------
+    SpiceKernels
+
     Raises
     ------
     DataError
@@ -145,7 +162,7 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
             spiceypy.furnsh(str(path))
         except SpiceyError as error:
             SpiceKernels(tuple(loaded)).unload()
-            raise DataError(path, f"SPICE cannot load this kernel: {spice_message(error)}") from error
+            raise DataError(path, f"SPICE cannot load this kernel: {library_message(error)}") from error
         loaded.append(path)
     return SpiceKernels(tuple(loaded))
 
@@ -195,6 +212,10 @@ def orientation(frame_or_body: str | int, et: float) -> Rotation:
         default fixed frame, or for its PCK orientation when SPICE knows no frame of it.
     et : float, TDB seconds past J2000
 
+    Returns
+    -------
+    Rotation
+
     Raises
     ------
     CoverageError
@@ -236,6 +257,10 @@ def attitude(frame: str, et: float) -> Rotation:
         Frame name, such as ``CASSINI_ISS_NAC``.
     et : float, TDB seconds past J2000
 
+    Returns
+    -------
+    Rotation
+
     Raises
     ------
     CoverageError
@@ -255,7 +280,16 @@ def attitude(frame: str, et: float) -> Rotation:
 
 
 def body_radii_km(body: str | int) -> Float:
-    """Radii (3,), km, of a body's reference ellipsoid along its own axes.
+    """Radii of a body's reference ellipsoid along its own axes.
+
+    Parameters
+    ----------
+    body : str or int
+        NAIF name or id.
+
+    Returns
+    -------
+    (3,) float64, km
 
     Raises
     ------
@@ -271,7 +305,7 @@ def body_radii_km(body: str | int) -> Float:
 
 
 def _ask(question: Callable[[], Answer], et: float | None, subject: str, advice: str) -> Answer:
-    """Put a question to SPICE and turn what it complains of into one line."""
+    """Answer of SPICE to a question, its errors as a :class:`CoverageError` of one line."""
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 
@@ -279,27 +313,20 @@ def _ask(question: Callable[[], Answer], et: float | None, subject: str, advice:
     try:
         return question()
     except (SpiceyError, spiceypy.NotFoundError) as error:
-        message = spice_message(error)
+        message = library_message(error)
         if any(name in message for name in _UNKNOWN_NAME):
             advice = "a name is not known: use the NAIF id, or load the kernel that defines it"
         when = "" if et is None else f" at {utc_text(time_from_et(et))} UTC"
         raise CoverageError(f"{subject}{when}: {advice} ({message})") from error
 
 
-def spice_message(error: Exception) -> str:
-    """SPICE's short message and the first sentence of its long one, on one line."""
-    short, long = str(getattr(error, "short", "")), " ".join(str(getattr(error, "long", "") or error).split())
-    first = long.split(". ")[0].rstrip(".")
-    return f"{short}: {first}" if short else first
-
-
 def _expanded(path: Path, depth: int = 0) -> list[Path]:
-    """The kernel itself, checked, or what a meta-kernel lists."""
+    """The kernel itself, checked, or the kernels that a meta-kernel lists."""
     text = _kernel_text(path)
     listed = [] if text is None else _meta_kernel_paths(path, text)
     if not listed:
         return [path]
-    if depth > 8:
+    if depth > _DEEPEST:
         raise DataError(path, "meta-kernels list each other in a circle")
     paths: list[Path] = []
     for name in listed:
@@ -310,22 +337,20 @@ def _expanded(path: Path, depth: int = 0) -> list[Path]:
     return paths
 
 
+@reads("a SPICE kernel")
 def _kernel_text(path: Path) -> str | None:
-    """Content of a text kernel, None for a binary one; refuses what is no whole kernel."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(1024)
-            size = file.seek(0, 2)
-        if head.startswith(_TRANSFER):
-            raise DataError(path, "is a SPICE transfer file: convert it to a binary kernel with NAIF's tobin")
-        if head.startswith((b"DAF/", b"NAIF/DAF")):
-            _require_whole_daf(path, head, size)
-            return None
-        if head.startswith((b"DAS/", b"NAIF/DAS")):
-            return None
-        text = path.read_bytes().decode("latin-1")
-    except OSError as error:
-        raise DataError(path, f"cannot be read: {error.strerror or error}") from error
+    """Content of a text kernel, None for a binary one; refuses files that are no whole kernel."""
+    with path.open("rb") as file:
+        head = file.read(_FILE_RECORD)
+        size = file.seek(0, 2)
+    if head.startswith(_TRANSFER):
+        raise DataError(path, "is a SPICE transfer file: convert it to a binary kernel with NAIF's tobin")
+    if head.startswith((b"DAF/", b"NAIF/DAF")):
+        _require_whole_daf(path, head, size)
+        return None
+    if head.startswith((b"DAS/", b"NAIF/DAS")):
+        return None
+    text = path.read_bytes().decode("latin-1")
     if _DATA_SECTION.search(text) is None:
         raise DataError(path, "is no SPICE kernel: neither a DAF or DAS file nor text with a \\begindata section")
     return text
@@ -333,8 +358,8 @@ def _kernel_text(path: Path) -> str | None:
 
 def _require_whole_daf(path: Path, head: bytes, size: int) -> None:
     """Refuse a DAF file that ends before its first free address (file record, NAIF's DAF Required Reading)."""
-    if len(head) < 1024:
-        raise DataError(path, f"the SPICE kernel is truncated: its first record has 1024 bytes, got {len(head)}")
+    if len(head) < _FILE_RECORD:
+        raise DataError(path, f"the SPICE kernel is truncated: {_FILE_RECORD} bytes are needed, got {len(head)}")
     order = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}.get(head[88:96])
     if order is None:
         return
@@ -380,8 +405,3 @@ def _joined(strings: list[str]) -> list[str]:
         continues = part.endswith("+")
         joined.append(whole.removesuffix("+") if continues else whole)
     return joined
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,7 +1,7 @@
-"""Attitudes as a SPICE C-kernel of type 3, and the clock and frame kernels that make it readable on its own.
+"""Attitudes as a SPICE C-kernel of type 3, with clock and frame kernels where the mission has none.
 
 The clock has the form of NAIF's fictional clocks (``mex_fake.tsc`` was opened): type 1, running with TDB,
-one coefficient triple. What ``ckw03`` writes is read back by SPICE itself in the tests.
+one coefficient triple.
 """
 
 from __future__ import annotations
@@ -14,22 +14,24 @@ from pathlib import Path
 import numpy as np
 
 from giantlike.core.arrays import require
+from giantlike.core.atomic import replacing, write_text_atomic
 from giantlike.core.errors import DataError
+from giantlike.core.reading import library_message
 from giantlike.core.version import VERSION
-from giantlike.io.atomic import write_text_atomic
 from giantlike.io.attitude_series import AttitudeSeries
-from giantlike.io.spice import load_kernels, spice_message
+from giantlike.io.spice import load_kernels
 
 _INERTIAL = "J2000"
-_CLOCK_START_ET = -1577880000.0  # the year 1950
-_TICKS_PER_SECOND = 100_000
+_CLOCK_START_ET = -1577880000.0  # s, the year 1950: earlier than any image of a spacecraft
+_TICKS_PER_SECOND = 100_000  # of the made-up clock: epochs are rounded to 10 us, below the exposure times of cameras
 _FRAME_NAME = re.compile(r"[A-Z][A-Z0-9_+-]{0,25}")  # SPICE allows 26 characters
-_SEGMENT_NAME = 40
+_SEGMENT_NAME = 40  # characters of a segment identifier: NAIF's CK Required Reading
+_COMMENT = 1000  # characters of a line that dafac takes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CkTarget:
-    """Whose attitude a C-kernel holds.
+    """The instrument whose attitudes a C-kernel holds.
 
     Parameters
     ----------
@@ -115,24 +117,20 @@ def write_ck(
     try:
         with load_kernels([Path(sclk).absolute()], path.parent):
             ticks = np.array([spiceypy.sce2c(target.clock_id, et) for et in series.et.tolist()])
-        part = path.with_name(f".{path.name}.part")
-        part.unlink(missing_ok=True)
-        handle = spiceypy.ckopn(str(part), "giantlike attitudes", 0)
-        try:
-            spiceypy.dafac(handle, [f"giantlike {VERSION}", *(text[:1000] for text in comments)])
-            spiceypy.ckw03(
-                handle, ticks[0], ticks[-1], target.instrument_id, _INERTIAL, False,
-                f"giantlike {target.frame_name}"[:_SEGMENT_NAME], ticks.size, ticks,
-                np.ascontiguousarray(np.roll(series.quaternions_xyzw, 1, axis=1)), np.zeros((ticks.size, 3)),
-                len(parts), np.array([ticks[part.start] for part in parts]),
-            )  # fmt: skip
-        finally:
-            spiceypy.ckcls(handle)
-        part.replace(path)
+        with replacing(path) as file:
+            handle = spiceypy.ckopn(str(file), "giantlike attitudes", 0)
+            try:
+                spiceypy.dafac(handle, [f"giantlike {VERSION}", *(text[:_COMMENT] for text in comments)])
+                spiceypy.ckw03(
+                    handle, ticks[0], ticks[-1], target.instrument_id, _INERTIAL, False,
+                    f"giantlike {target.frame_name}"[:_SEGMENT_NAME], ticks.size, ticks,
+                    np.ascontiguousarray(np.roll(series.quaternions_xyzw, 1, axis=1)), np.zeros((ticks.size, 3)),
+                    len(parts), np.array([ticks[part.start] for part in parts]),
+                )  # fmt: skip
+            finally:
+                spiceypy.ckcls(handle)
     except SpiceyError as error:
-        raise DataError(path, f"cannot write the C-kernel: {spice_message(error)}") from error
-    except OSError as error:
-        raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+        raise DataError(path, f"the C-kernel cannot be written: {library_message(error)}") from error
     return tuple(written)
 
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.errors import DataError
+from giantlike.core.reading import reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.label_times import label_epoch, label_exposure_s
-from giantlike.io.raw_image import RawLayout, read_raw
+from giantlike.io.raw_image import RawLayout, label_count, read_raw
 
 _LABEL_SIZE = re.compile(rb"LBLSIZE\s*=\s*(\d+)")
 _ITEM = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]*)\s*=\s*('(?:[^']|'')*'|\((?:'(?:[^']|'')*'|[^)'])*\)|[^\s']+)")
@@ -39,6 +39,7 @@ class LabelItem:
     value: HeaderValue
 
 
+@reads("a VICAR image")
 def decode_vicar(path: Path, data: bytes) -> DecodedImage:
     """Decode a VICAR file.
 
@@ -47,9 +48,20 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
     system items always keep their own name. Lists are joined by commas. Epoch and exposure:
     :func:`~giantlike.io.label_times.label_epoch` and :func:`~giantlike.io.label_times.label_exposure_s`.
 
-    What never reached the ground is in the file as zeros, and is masked: where the label counts
+    Pixels that never reached the ground are zero in the file, and are masked: where the label counts
     ``MISSING_LINES``, the zeros of rows that are at least half zero; where it names a ``CUT_OUT_WINDOW``, rows
     and columns of nothing but zeros.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    data : bytes
+        The whole file.
+
+    Returns
+    -------
+    DecodedImage
 
     Raises
     ------
@@ -57,12 +69,11 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
         The label is damaged, the file is truncated, or the image is of a kind that is not read: complex
         pixels, more than one band, pixel-interleaved.
     """
-    label_bytes = _label_size(path, data)
-    system = _system_items(path, parse_label(path, _text(data[:label_bytes])))
-    layout = _layout(path, system, label_bytes)
-    pixels = read_raw(path, data, layout)
-    items = parse_label(path, _text(data[:label_bytes]) + b" " + _end_label(path, data, system, layout))
-    header = label_header(items)
+    label_bytes = _label_size(data)
+    system = _system_items(_parse_label(_text(data[:label_bytes])))
+    layout = _layout(system, label_bytes)
+    pixels = read_raw(data, layout)
+    items = _parse_label(_text(data[:label_bytes]) + b" " + _end_label(data, system, layout))
     names = {item.key: item.value for item in reversed(items)}
     exposure_s = label_exposure_s(names, {})
     return DecodedImage(
@@ -71,25 +82,19 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
         mask=_never_received(pixels, names),
         epoch=label_epoch(names, exposure_s),
         exposure_s=exposure_s,
-        header=header,
+        header=_header(items),
     )
 
 
-def parse_label(path: Path, label: bytes) -> list[LabelItem]:
-    """Items of a VICAR label, in order.
-
-    Raises
-    ------
-    DataError
-        Something in the label is no ``KEY=VALUE``.
-    """
+def _parse_label(label: bytes) -> list[LabelItem]:
+    """Items of a VICAR label, in order."""
     text = label.decode("latin-1").rstrip()
     items: list[LabelItem] = []
     group, position, tasks = _SYSTEM, 0, Counter[str]()
     while position < len(text):
         match = _ITEM.match(text, position)
         if match is None:
-            raise DataError(path, f"the VICAR label is damaged near {text[position : position + 40].strip()!r}")
+            raise ValueError(f"the VICAR label is damaged near {text[position : position + 40].strip()!r}")
         position = match.end()
         key, value = match[1], _value(match[2])
         if key == "PROPERTY":
@@ -102,7 +107,7 @@ def parse_label(path: Path, label: bytes) -> list[LabelItem]:
     return items
 
 
-def label_header(items: list[LabelItem]) -> dict[str, HeaderValue]:
+def _header(items: list[LabelItem]) -> dict[str, HeaderValue]:
     """Header items of label items, a name that is used in several groups with its group in front."""
     uses = Counter(item.key for item in items)
     header: dict[str, HeaderValue] = {}
@@ -112,11 +117,11 @@ def label_header(items: list[LabelItem]) -> dict[str, HeaderValue]:
     return header
 
 
-def _label_size(path: Path, data: bytes) -> int:
+def _label_size(data: bytes) -> int:
     match = _LABEL_SIZE.match(data)
     size = int(match[1]) if match else 0
     if not 0 < size <= len(data):
-        raise DataError(path, f"the file is truncated: its VICAR label needs {size} bytes, got {len(data)}")
+        raise ValueError(f"the file is truncated: its VICAR label needs {size} bytes, got {len(data)}")
     return size
 
 
@@ -134,7 +139,7 @@ def _value(text: str) -> HeaderValue:
         return text
 
 
-def _system_items(path: Path, items: list[LabelItem]) -> dict[str, HeaderValue]:
+def _system_items(items: list[LabelItem]) -> dict[str, HeaderValue]:
     """System items by name; NBB and NLB may stand behind the first task, as Galileo's labels have it."""
     system: dict[str, HeaderValue] = {}
     for item in items:
@@ -142,74 +147,65 @@ def _system_items(path: Path, items: list[LabelItem]) -> dict[str, HeaderValue]:
             system.setdefault(item.key, item.value)
     for key in ("FORMAT", "RECSIZE", "NL", "NS"):
         if key not in system:
-            raise DataError(path, f"the VICAR label has no {key}")
+            raise ValueError(f"the VICAR label has no {key}")
     return system
 
 
-def _layout(path: Path, system: dict[str, HeaderValue], label_bytes: int) -> RawLayout:
-    def count(key: str, default: int) -> int:
-        value = system.get(key, default)
-        if type(value) is not int or value < 0:
-            raise DataError(path, f"the VICAR label has {key}={value!r}: a count is needed")
-        return value
-
-    rows, columns, record = count("NL", 0), count("NS", 0), count("RECSIZE", 0)
-    prefix, header_records = count("NBB", 0), count("NLB", 0)
-    organization = system.get("ORG", "BSQ")
-    if count("NB", 1) != 1 or organization not in {"BSQ", "BIL"}:
-        raise DataError(
-            path, f"only VICAR images of one band are read, got NB={system.get('NB', 1)}, ORG={organization!r}"
-        )
-    sample = _sample(path, system)
-    if record != prefix + columns * int(sample[-1]):
-        raise DataError(
-            path,
-            f"the VICAR label contradicts itself: RECSIZE={record}, but NBB={prefix} and {columns} samples of "
-            f"{system['FORMAT']!r} make {prefix + columns * int(sample[-1])}",
-        )
-    return RawLayout(
-        offset_bytes=label_bytes + header_records * record,
-        rows=rows,
-        columns=columns,
-        prefix_bytes=prefix,
-        sample=sample,
+def _layout(system: dict[str, HeaderValue], label_bytes: int) -> RawLayout:
+    record = label_count(system, "RECSIZE", 0)
+    bands, organization = label_count(system, "NB", 1), system.get("ORG", "BSQ")
+    if bands != 1 or organization not in {"BSQ", "BIL"}:
+        raise ValueError(f"only VICAR images of one band are read, got NB={bands}, ORG={organization!r}")
+    layout = RawLayout(
+        offset_bytes=label_bytes + label_count(system, "NLB", 0) * record,
+        rows=label_count(system, "NL", 0),
+        columns=label_count(system, "NS", 0),
+        prefix_bytes=label_count(system, "NBB", 0),
+        sample=_sample(system),
     )
+    if record != layout.row_bytes:
+        raise ValueError(
+            f"the VICAR label contradicts itself: RECSIZE={record}, but NBB={layout.prefix_bytes} and "
+            f"{layout.columns} samples of {system['FORMAT']!r} make {layout.row_bytes}"
+        )
+    return layout
 
 
-def _sample(path: Path, system: dict[str, HeaderValue]) -> str:
+def _sample(system: dict[str, HeaderValue]) -> str:
     """Sample type as :class:`RawLayout` has it; labels older than INTFMT and REALFMT are of the VAX."""
     kind, integers, reals = system["FORMAT"], system.get("INTFMT", "LOW"), system.get("REALFMT", "VAX")
     if kind in _INTEGER_SAMPLES:
         orders = {"LOW": "<", "HIGH": ">"}
         if integers not in orders:
-            raise DataError(path, f"VICAR INTFMT must be HIGH or LOW, got {integers!r}")
+            raise ValueError(f"VICAR INTFMT must be HIGH or LOW, got {integers!r}")
         return orders[str(integers)] + _INTEGER_SAMPLES[str(kind)]
     if kind in _REAL_BYTES:
         starts = {"IEEE": ">f", "RIEEE": "<f", "VAX": "vax"}
         if reals not in starts:
-            raise DataError(path, f"VICAR REALFMT must be IEEE, RIEEE or VAX, got {reals!r}")
+            raise ValueError(f"VICAR REALFMT must be IEEE, RIEEE or VAX, got {reals!r}")
         return starts[str(reals)] + str(_REAL_BYTES[str(kind)])
     known = ", ".join([*_INTEGER_SAMPLES, *_REAL_BYTES])
-    raise DataError(path, f"VICAR FORMAT {kind!r} is not read; formats are {known}")
+    raise ValueError(f"VICAR FORMAT {kind!r} is not read; formats are {known}")
 
 
-def _end_label(path: Path, data: bytes, system: dict[str, HeaderValue], layout: RawLayout) -> bytes:
-    """The part of the label that stands behind the image, empty when there is none."""
+def _end_label(data: bytes, system: dict[str, HeaderValue], layout: RawLayout) -> bytes:
+    """Part of the label that follows the image, empty where there is none."""
     if system.get("EOL", 0) != 1:
         return b""
-    start = layout.offset_bytes + layout.rows * (layout.prefix_bytes + layout.columns * int(layout.sample[-1]))
+    start = layout.end_bytes
     match = _LABEL_SIZE.match(data, start)
     if match is None or start + int(match[1]) > len(data):
-        raise DataError(path, "the file is truncated: the end of its VICAR label, behind the image, is missing")
+        raise ValueError("the file is truncated: the end of its VICAR label, behind the image, is missing")
     return _text(data[match.end() : start + int(match[1])])
 
 
 def _text(label: bytes) -> bytes:
-    """A label without what stands behind its terminating zero byte."""
+    """Label up to its terminating zero byte."""
     return label.partition(b"\0")[0]
 
 
 def _never_received(pixels: NDArray[Any], label: dict[str, HeaderValue]) -> NDArray[np.bool_]:
+    """Mask (rows, columns) of pixels that the label declares missing."""
     empty = np.asarray(pixels == 0)
     missing = label.get("MISSING_LINES")
     mask = np.zeros_like(empty)

@@ -13,55 +13,44 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
 from giantlike.camera_models.convert import frame_grid
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.atomic import replacing
+from giantlike.core.errors import InputError
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.version import VERSION
-from giantlike.io.camera_sip import camera_of_sip, sip_header
+from giantlike.io.camera_sip import PosedModel, SipHeader, camera_of_sip, sip_header
 
-_NODES = 21
+_NODES = 21  # directions along each side of the frame to which an attitude is fitted, 441 in all
 _SIP_TERM = re.compile(r"(?P<letter>[AB])P?_(?P<column>[0-9])_(?P<row>[0-9])")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WcsFit:
-    """What the polynomials of a header lose against the camera model: px, over the frame."""
-
-    max_px: float
-    rms_px: float
 
 
 def write_wcs(
     path: str | Path,
-    model: CameraModel,
+    posed: PosedModel,
     *,
-    columns: int,
-    rows: int,
-    camera_from_inertial: Rotation,
     et: float | None = None,
     name: str = "",
     order: int = 5,
     bottom_up: bool = False,
-) -> WcsFit:
-    """Write world coordinates as a FITS file that is only a header, for the pixels of the image as stored.
+) -> SipHeader:
+    """Write world coordinates, for the pixels of the image as stored, as a FITS file without data.
 
     Parameters
     ----------
     path : path-like
-    model : CameraModel
-    columns, rows : int
-    camera_from_inertial : Rotation
+    posed : PosedModel
     et : float, optional, TDB seconds past J2000
         Mid-exposure, for ``DATE-AVG``.
     name : str
-        Of the image, for ``FILENAME``.
+        Name of the image, for ``FILENAME``.
     order : int
-        Of the polynomials, 2 to 9.
+        Order of the polynomials, 2 to 9.
     bottom_up : bool
-        Whether the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
+        True if the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
 
     Returns
     -------
-    WcsFit
+    SipHeader
+        The keywords, for rows from the top, and the errors of the polynomials.
 
     Raises
     ------
@@ -72,7 +61,7 @@ def write_wcs(
     """
     from astropy.io import fits
 
-    fitted = sip_header(model, columns=columns, rows=rows, camera_from_inertial=camera_from_inertial, order=order)
+    fitted = sip_header(posed, order=order)
     header = fits.Header()
     header["CREATOR"] = f"giantlike {VERSION}"
     if name:
@@ -81,14 +70,12 @@ def write_wcs(
         epoch = time_from_et(et)
         header["DATE-AVG"] = (utc_text(epoch), "mid-exposure, UTC")
         header["MJD-AVG"] = float(epoch.utc.mjd)
-    header["IMAGEW"], header["IMAGEH"] = columns, rows
+    header["IMAGEW"], header["IMAGEH"] = posed.columns, posed.rows
     header["SIPMAX"] = (fitted.max_px, "[pixel] largest error of the polynomials")
-    header.update(_stored_from_below(fitted.cards, rows) if bottom_up else fitted.cards)
-    try:
-        fits.PrimaryHDU(header=header).writeto(path, overwrite=True)
-    except OSError as error:
-        raise DataError(Path(path), f"cannot be written: {error.strerror or error}") from error
-    return WcsFit(max_px=fitted.max_px, rms_px=fitted.rms_px)
+    header.update(_stored_from_below(fitted.cards, posed.rows) if bottom_up else fitted.cards)
+    with replacing(path) as part:
+        fits.PrimaryHDU(header=header).writeto(part)
+    return fitted
 
 
 def _stored_from_below(cards: Mapping[str, str | int | float], rows: int) -> dict[str, str | int | float]:
@@ -106,13 +93,13 @@ def _stored_from_below(cards: Mapping[str, str | int | float], rows: int) -> dic
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WcsAttitude:
-    """Attitude that world coordinates tell of an image.
+    """Attitude of an image by its world coordinates.
 
     Parameters
     ----------
     camera_from_inertial : Rotation
     rms_px : float, px
-        How far, root mean square over the frame, the camera model then is from the world coordinates.
+        Differences of the camera model at this attitude from the world coordinates, rms over the frame.
     """
 
     camera_from_inertial: Rotation
@@ -130,20 +117,25 @@ def attitude_of_wcs(
         FITS keywords, such as ``image.metadata``.
     model : CameraModel
     columns, rows : int
+        Size of the image.
     bottom_up : bool
-        Whether the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
+        True if the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
+
+    Returns
+    -------
+    WcsAttitude
 
     Raises
     ------
     InputError
         There are no such world coordinates, or they show the sky mirrored with the rows as they were read.
     """
-    said = camera_of_sip(header, columns=columns, rows=rows)
-    if said.camera.rows_reversed != bottom_up:
-        advice = "read the image with bottom_up" if said.camera.rows_reversed else "read it as stored"
+    solved = camera_of_sip(header, columns=columns, rows=rows)
+    if solved.camera.rows_reversed != bottom_up:
+        advice = "read the image with bottom_up" if solved.camera.rows_reversed else "read it as stored"
         raise InputError(f"by its world coordinates the image shows the sky mirrored: {advice}")
     points_px = frame_grid(columns, rows, nodes=_NODES).reshape(-1, 2)
-    inertial = said.camera_from_inertial.inv().apply(said.camera.model.unproject(points_px))
+    inertial = solved.camera_from_inertial.inv().apply(solved.camera.model.unproject(points_px))
     attitude, _ = Rotation.align_vectors(model.unproject(points_px), inertial)
     residuals = model.project(attitude.apply(inertial)) - points_px
     rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
@@ -151,5 +143,14 @@ def attitude_of_wcs(
 
 
 def has_world_coordinates(header: Mapping[str, Any]) -> bool:
-    """Whether a header has TAN or TAN-SIP world coordinates."""
+    """Return True if a header has TAN or TAN-SIP world coordinates.
+
+    Parameters
+    ----------
+    header : mapping of str to value
+
+    Returns
+    -------
+    bool
+    """
     return str(header.get("CTYPE1", "")).startswith("RA---TAN") and "CRVAL1" in header

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.time import et_from_time
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
 
 _RATE = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
@@ -85,11 +84,4 @@ def read_rates(path: str | Path) -> AngularRates:
 
 
 def _sample(row: CsvRow) -> tuple[float, Float]:
-    et, epoch, rate = row.number("et"), row.utc("epoch_utc"), row.vector(_RATE)
-    if rate is None:
-        raise row.error(_RATE[0], "a rate is needed")
-    if et is None:
-        if epoch is None:
-            raise row.error("epoch_utc", "epoch_utc or et is needed")
-        et = et_from_time(epoch)
-    return et, rate
+    return row.et(), row.needed(row.vector(_RATE), _RATE)

@@ -27,7 +27,7 @@ from giantlike.core.errors import DataError, FrameMismatchError, InputError
 from giantlike.core.frames import FrameRotation, radec_from_direction
 from giantlike.core.outcomes import Reason
 from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
-from giantlike.io.ccsds_aem import write_aem
+from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import attitude_of_wcs
 
@@ -154,7 +154,7 @@ def test_an_aem_holds_the_quaternion_as_the_book_defines_it(tmp_path: Path) -> N
         covariance_rad2=np.full((1, 3, 3), np.nan),
         names=("one",),
     )
-    write_aem(tmp_path / "one.aem", series)
+    write_aem(tmp_path / "one.aem", series, AemNames())
     metadata, data = _aem(tmp_path / "one.aem")
     np.testing.assert_allclose([float(text) for text in data[0][0][1:]], [0, 0, 0.5**0.5, 0.5**0.5], rtol=0, atol=1e-15)
     assert metadata[0]["REF_FRAME_A"] == "ICRF"
@@ -162,7 +162,7 @@ def test_an_aem_holds_the_quaternion_as_the_book_defines_it(tmp_path: Path) -> N
 
 
 def test_an_aem_starts_a_new_segment_after_a_gap(tmp_path: Path) -> None:
-    write_aem(tmp_path / "att.aem", _series(), object_name="PROBE", frame="INSTRUMENT_7")
+    write_aem(tmp_path / "att.aem", _series(), AemNames(object_name="PROBE", frame="INSTRUMENT_7"))
     metadata, data = _aem(tmp_path / "att.aem")
     assert [len(lines) for lines in data] == [3, 2]
     assert metadata[1]["START_TIME"] == data[1][0][0]
@@ -178,7 +178,7 @@ def test_epochs_that_repeat_are_refused_with_the_names_of_the_images(tmp_path: P
     with pytest.raises(InputError, match=r"image_1\.fits.*image_2\.fits"):
         _series(np.array([0.0, 1.0, 1.0]))
     with pytest.raises(InputError, match=r"image_2\.fits.*repeat"):
-        write_aem(tmp_path / "att.aem", _series(np.array([0.0, 1.0, 1.0 + 1e-8])))
+        write_aem(tmp_path / "att.aem", _series(np.array([0.0, 1.0, 1.0 + 1e-8])), AemNames())
 
 
 def _record(index: int, *, status: Status = "ok", source: str = "stars", et: float | None = None) -> AttitudeRecord:

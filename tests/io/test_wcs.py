@@ -24,6 +24,7 @@ from giantlike.cli.app import app
 from giantlike.core.errors import InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec
 from giantlike.image import Image
+from giantlike.io.camera_sip import PosedModel
 from giantlike.io.wcs_header import attitude_of_wcs, write_wcs
 
 WCS_PX = 0.01  # polynomials of order 5, and the lens fitted to them again
@@ -37,7 +38,8 @@ CAMERA = Camera(
 
 
 def _header(tmp_path: Path) -> fits.Header:
-    write_wcs(tmp_path / "x.wcs.fits", CAMERA.model, columns=320, rows=240, camera_from_inertial=ATTITUDE)
+    posed = PosedModel(model=CAMERA.model, columns=320, rows=240, camera_from_inertial=ATTITUDE)
+    write_wcs(tmp_path / "x.wcs.fits", posed)
     return fits.getheader(tmp_path / "x.wcs.fits")
 
 

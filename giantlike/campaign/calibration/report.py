@@ -19,8 +19,8 @@ from giantlike.camera_models.axial import AxialModel
 from giantlike.campaign.calibration.solve import REPORT_FILE, CampaignCalibration, calibration_summary
 from giantlike.campaign.report.page import render_page
 from giantlike.core.arrays import Float
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
-from giantlike.io.atomic import write_text_atomic
 from giantlike.plotting import (
     correlation_figure,
     distortion_figure,

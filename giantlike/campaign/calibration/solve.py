@@ -26,12 +26,12 @@ from giantlike.campaign.file.schema import CalibrationSection
 from giantlike.campaign.store.observables import rows
 from giantlike.campaign.store.records import CalibrationRecord
 from giantlike.catalogs import StarCatalog
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.image import Image
-from giantlike.io.atomic import write_text_atomic
 from giantlike.stars import Sky, StarOptions
 
 NO_STAR_IMAGE = "is no star image: its exposure is shorter than stars.long_exposure_s"

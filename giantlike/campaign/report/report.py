@@ -14,10 +14,10 @@ from giantlike.campaign.report.figures import attitude_figures, body_figures, ce
 from giantlike.campaign.report.page import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.outcomes import Quality
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
-from giantlike.io.atomic import write_text_atomic
 from giantlike.plotting import MARKS
 
 _MAX_FAILURES = 300

@@ -15,9 +15,9 @@ from pydantic import ValidationError
 
 from giantlike.campaign.store.provenance import changes
 from giantlike.campaign.store.records import AttitudeRecord, CalibrationRecord, ObservationsRecord
+from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Reason
-from giantlike.io.atomic import write_text_atomic
 
 Record = TypeVar("Record", AttitudeRecord, ObservationsRecord, CalibrationRecord)
 LightRecord = TypeVar("LightRecord", AttitudeRecord, ObservationsRecord)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from giantlike.campaign.store.records import AttitudeRecord, Matrix, ObservationRecord
+from giantlike.core.atomic import write_bytes_atomic, write_text_atomic
 from giantlike.core.units import ARCSEC_PER_RAD
-from giantlike.io.atomic import write_bytes_atomic, write_text_atomic
 
 Kinds = Mapping[str, str]
 Cells = Mapping[str, Any]
