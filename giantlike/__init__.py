@@ -10,6 +10,7 @@ used, so that ``import giantlike`` and the command line start fast.
 
 from __future__ import annotations
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
     from giantlike.stars import StarNavigation, StarOptions
 
 __version__ = VERSION
+
+logging.getLogger("giantlike").addHandler(logging.NullHandler())  # silent unless the user asks: docs/logging.md
 
 _HOMES = {
     "giantlike.camera": ("Camera",),

@@ -52,6 +52,12 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not loaded & {"numpy", "scipy", "cv2", "astropy", "matplotlib", "trimesh", "spiceypy", "pyarrow"}
 
 
+def test_the_package_logs_nothing_unless_asked() -> None:
+    code = "import giantlike, logging; logging.getLogger('giantlike.stars').error('text')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 # distributions: built without an index and without isolation -----------------------------------------------
 
 
