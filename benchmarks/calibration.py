@@ -28,6 +28,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ScaramuzzaModel
 from giantlike.camera_models.registry import model_from_mapping
 from giantlike.catalogs import load_catalog
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
 from giantlike.image import Image
 from giantlike.stars import StarNavigation
@@ -92,7 +93,7 @@ def star_images(
         observations.append(
             ImageObservations(
                 name=f"image {number}",
-                targets=attitude.inv().apply(vectors[seen]),
+                targets=rotate(attitude.inv(), vectors[seen]),
                 points_px=measured[seen],
                 sigma_px=np.array(SIGMA_PX),
                 camera_from_reference=known,
@@ -226,8 +227,8 @@ def board_images(model: CameraModel, seed: int) -> list[Image]:
         away = np.array([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)])
         facing = Rotation.from_euler("ZY", [azimuth, angle]) * Rotation.from_euler("Z", -azimuth)
         turn = facing * Rotation.from_rotvec(rng.normal(0.0, 0.3, 3))
-        position = rng.uniform(6.0, 9.0) * away - turn.apply(corners.mean(axis=0))
-        at = model.project(turn.apply(corners) + position)
+        position = rng.uniform(6.0, 9.0) * away - rotate(turn, corners.mean(axis=0))
+        at = model.project(rotate(turn, corners) + position)
         if not bool(np.all((at > 25) & (at < np.array(ODIN_FRAME) - 26))):
             continue
         inverse = turn.inv().as_matrix()

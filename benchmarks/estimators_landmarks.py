@@ -30,6 +30,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
@@ -100,9 +101,9 @@ def drawn(case: Case, seed: int) -> Draw:
     factor = 1.0 + RANGE_ERROR * float(random.choice([-1, 1]))
     back, turn = ATTITUDE.inv(), Rotation.from_rotvec(case.turn_rad * unit(random.normal(size=3)))
     geometry = ApparentGeometry(
-        position_inertial_km=back.apply(range_km * factor * CAMERA.model.unproject(predicted_px)),
+        position_inertial_km=rotate(back, range_km * factor * CAMERA.model.unproject(predicted_px)),
         inertial_from_body=back * turn * pose,
-        sun_direction_inertial=back.apply(sun),
+        sun_direction_inertial=rotate(back, sun),
     )
     target = Target(name="ROCK", shape=shape, ephemeris=geometry, reflectance=case.told)
     image = Image(pixels=pixels.astype(np.int16), camera_from_inertial=ATTITUDE, name=f"draw {seed}")

@@ -27,6 +27,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, EquidistantModel
 from giantlike.catalogs import MemoryCatalog, cache_folder, load_catalog
 from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure
 from giantlike.image import Image
 from giantlike.processing.detection.detections import Detections
@@ -62,7 +63,7 @@ class Field:
         """A random attitude and detections (m, 2), brightest first."""
         attitude = Rotation.random(rng=rng)
         stars = sky.field(camera, attitude, count=max(20 * self.n_stars, 400))
-        places = camera.model.project(attitude.apply(stars.directions_inertial))
+        places = camera.model.project(rotate(attitude, stars.directions_inertial))
         seen = np.flatnonzero(camera.contains(places))
         magnitude = stars.stars.magnitude[seen] + MAGNITUDE_NOISE * rng.normal(size=seen.size)
         chosen = np.argsort(magnitude)[: self.n_stars]
@@ -96,7 +97,7 @@ def corner_error_px(estimate: Rotation, truth: Rotation, camera: Camera) -> floa
     places = np.array([[0, 0], [last, 0], [0, last], [last, last], [0, last / 2], [last / 2, 0], [last / 2, last / 2]])
     rays = camera.model.unproject(places)
     seen = np.isfinite(rays).all(axis=1)
-    moved = camera.model.project((estimate * truth.inv()).apply(rays[seen]))
+    moved = camera.model.project(rotate(estimate * truth.inv(), rays[seen]))
     return float(np.linalg.norm(moved - places[seen], axis=1).max())
 
 

@@ -23,6 +23,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
@@ -139,9 +140,9 @@ def draws_of(truth: Truth, count: int, *, told: Reflectance | None = None) -> It
         predicted = truth.center_px + ERROR_PX * np.array([math.cos(angle), math.sin(angle)])
         factor = 1.0 + RANGE_ERROR * random.choice([-1.0, 1.0])
         geometry = ApparentGeometry(
-            position_inertial_km=back.apply(truth.range_km * factor * truth.camera.model.unproject(predicted)),
+            position_inertial_km=rotate(back, truth.range_km * factor * truth.camera.model.unproject(predicted)),
             inertial_from_body=back * target.camera_from_body,
-            sun_direction_inertial=back.apply(truth.sun),
+            sun_direction_inertial=rotate(back, truth.sun),
         )
         known = Target(name="BODY", shape=target.shape, ephemeris=geometry, reflectance=told or target.reflectance)
         yield Draw(

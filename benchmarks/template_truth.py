@@ -17,6 +17,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.frames import rotate
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, Lambert, McEwen, Reflectance, RenderOptions, Template, render
@@ -139,9 +140,9 @@ def draw_of(truth: Truth, seed: int, *, range_error: float, range_sigma: float =
     position = truth.range_km * factor * CAMERA.model.unproject(predicted_px)
     back = ATTITUDE.inv()
     geometry = ApparentGeometry(
-        position_inertial_km=back.apply(position),
+        position_inertial_km=rotate(back, position),
         inertial_from_body=back * truth.body.camera_from_body,
-        sun_direction_inertial=back.apply(truth.sun),
+        sun_direction_inertial=rotate(back, truth.sun),
     )
     target = Target(name="ROCK", shape=truth.shape, ephemeris=geometry, reflectance=law)
     return Draw(

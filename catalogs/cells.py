@@ -17,6 +17,7 @@ from giantlike.catalogs.table import StarTable
 from giantlike.core.arrays import Float
 from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
+from giantlike.core.values import Value
 
 ZONES = 180
 YEARS_FROM_EPOCH = 125.0
@@ -34,7 +35,7 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SkyIndex:
+class SkyIndex(Value):
     """Where the stars of a catalog in this order are.
 
     Parameters

@@ -43,9 +43,10 @@ from giantlike.catalogs.nearby import radial_velocities, with_nearby
 from giantlike.catalogs.readers.fixed_width import HIPPARCOS_EPOCH, read_hipparcos
 from giantlike.catalogs.stored import SUFFIX, open_catalog, save_catalog
 from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import DataError
 from giantlike.core.frames import direction_from_radec
+from giantlike.core.statistics import robust_sigma
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
 
 GAIA_EPOCH = 2016.0
@@ -115,7 +116,7 @@ def build_default_stars() -> StarTable:
     return stars.select(np.argsort(stars.dec_deg, kind="stable"))
 
 
-def _has_companion(stars: StarTable) -> NDArray[np.bool_]:
+def _has_companion(stars: StarTable) -> Mask:
     """Which stars (n,) have another one near them in 2016."""
     directions = apparent_directions(stars, et_of_julian_year(GAIA_EPOCH))
     pairs = cKDTree(directions).query_pairs(DOUBLE_ARCSEC * RAD_PER_ARCSEC, output_type="ndarray")
@@ -142,7 +143,7 @@ def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
     for _ in range(5):
         coefficients = np.polyfit(color_bv[keep], difference[keep], 3)
         residual = difference - g_minus_hp(color_bv, coefficients)
-        spread = 1.4826 * np.median(np.abs(residual[keep]))
+        spread = robust_sigma(residual[keep], 0.0)
         keep = np.isfinite(color_bv) & (color_bv > -0.3) & (color_bv < 2.0) & (np.abs(residual) < 4.0 * spread)
     return coefficients
 

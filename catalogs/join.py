@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from giantlike.catalogs.astrometry import apparent_directions
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Mask, require
 from giantlike.core.units import RAD_PER_ARCSEC
 
 SAME_STAR_ARCSEC = 3.0
@@ -49,7 +48,7 @@ def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCata
     return MemoryCatalog(stars, name=name, band=first.band, version=version)
 
 
-def _found_in(stars: StarTable, others: StarTable) -> NDArray[np.bool_]:
+def _found_in(stars: StarTable, others: StarTable) -> Mask:
     """Which stars (n,) one of the others is."""
     found = np.zeros(len(stars), dtype=np.bool_)
     for epoch in np.unique(others.epoch_jyear):

@@ -9,15 +9,16 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, frozen, require
+from giantlike.core.arrays import Float, Mask, frozen, require
 from giantlike.core.units import RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
+from giantlike.core.values import Value
 
 _NO_COLORS: Float = np.empty(0)
-_NO_FLAGS: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)
+_NO_FLAGS: Mask = np.empty(0, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarTable:
+class StarTable(Value):
     """Astrometry of n stars at their catalog epochs, barycentric, ICRF.
 
     Parameters
@@ -63,7 +64,7 @@ class StarTable:
     sigma_mas: Float
     sigma_pm_mas_yr: Float
     color_bp_rp: Float = field(default_factory=lambda: _NO_COLORS)
-    is_double: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
+    is_double: Mask = field(default_factory=lambda: _NO_FLAGS)
 
     def __post_init__(self) -> None:
         n = np.asarray(self.ids).shape
@@ -76,6 +77,7 @@ class StarTable:
             column = np.asarray(getattr(self, name), dtype=dtype)
             require(column.shape == n, f"star table: {name} must have shape {n}, got {column.shape}")
             object.__setattr__(self, name, frozen(column.view()))
+        Value.__post_init__(self)
 
     def __len__(self) -> int:
         return int(self.ids.size)

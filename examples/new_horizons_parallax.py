@@ -24,6 +24,7 @@ from giantlike.catalogs.readers import build_catalog, column_map
 from giantlike.catalogs.table import joined
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
+from giantlike.core.frames import rotate
 from giantlike.io.camera_sip import read_sip_camera
 from giantlike.processing import NOT_A_STAR, detect_sources
 
@@ -70,7 +71,7 @@ def sighting(path: Path, star: str, star_id: int, catalog: MemoryCatalog, publis
     assert image.et is not None
     assert image.observer is not None
     predicted, at_rest = (
-        model.project(told.camera_from_inertial.apply(directions))[0]
+        model.project(rotate(told.camera_from_inertial, directions))[0]
         for directions in (
             apparent_directions(stars, image.et, observer_position_km=image.observer.position_km),
             apparent_directions(stars, image.et),

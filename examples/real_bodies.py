@@ -33,6 +33,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import unit
 from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.ephemeris import ApparentGeometry
@@ -83,7 +84,7 @@ def vesta_campaign(data: Path, output: Path) -> Path:
                 target="VESTA",
                 target_position_inertial_km=np.array(pose["t_body_in_camera_km"]),
                 body_from_inertial=camera_from_body.inv(),
-                sun_direction_inertial=camera_from_body.apply(unit(np.array(pose["sun_body"]))),
+                sun_direction_inertial=rotate(camera_from_body, unit(np.array(pose["sun_body"]))),
             )
         )
     return _write(output, camera, rows, folder / "*.png", "VESTA", data / "shapes" / "vesta_5002.ply")
@@ -161,7 +162,7 @@ def eros(data: Path) -> Iterator[Case]:
             image=image,
             camera=camera,
             scene=Scene(targets=(Target(name="EROS", shape=shape, ephemeris=apparent),)),
-            center_px=camera.model.project(row.camera_from_inertial.apply(row.target_position_inertial_km)),
+            center_px=camera.model.project(rotate(row.camera_from_inertial, row.target_position_inertial_km)),
             sigma_px=10.0,
             range_km=float(np.linalg.norm(row.target_position_inertial_km)),
             sigma_range=0.01,

@@ -22,7 +22,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
-from giantlike.core.frames import direction_from_radec
+from giantlike.core.frames import direction_from_radec, rotate
 from giantlike.core.light import aberrate
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.ephemeris import ApparentGeometry
@@ -126,7 +126,7 @@ def vesta(data: Path) -> Iterator[Case]:
         apparent = ApparentGeometry(
             position_inertial_km=off(camera, position),
             inertial_from_body=turn,
-            sun_direction_inertial=turn.apply(unit(np.array(pose["sun_body"]))),
+            sun_direction_inertial=rotate(turn, unit(np.array(pose["sun_body"]))),
         )
         yield Case(
             name=f"Vesta {name}",
@@ -181,7 +181,7 @@ def europa(data: Path) -> Iterator[Case]:
     with load_kernels([str(data / "kernels" / "pck00011.tpc")], base=Path()):
         shape = Ellipsoid(radii_km=body_radii_km("EUROPA"), name="Europa")
     apparent = ApparentGeometry(
-        position_inertial_km=off(camera, position), inertial_from_body=turn, sun_direction_inertial=turn.apply(sun)
+        position_inertial_km=off(camera, position), inertial_from_body=turn, sun_direction_inertial=rotate(turn, sun)
     )
     image = image.with_attitude(Rotation.identity())
     yield Case(
@@ -282,13 +282,13 @@ def best_roll(image: Image, camera: Camera, scene: Scene, disk: Disk) -> Rotatio
         body = Body(
             shape=scene.targets[0].shape,
             camera_from_body=attitude * ephemeris.inertial_from_body,
-            position_camera_km=attitude.apply(ephemeris.position_inertial_km),
+            position_camera_km=rotate(attitude, ephemeris.position_inertial_km),
             reflectance=Lambert(),
         )
         template = render(
             body,
             coarse.model,
-            sun_direction_camera=attitude.apply(ephemeris.sun_direction_inertial),
+            sun_direction_camera=rotate(attitude, ephemeris.sun_direction_inertial),
             psf=coarse.psf,
             columns=coarse.columns,
             rows=coarse.rows,
@@ -341,7 +341,7 @@ def voyager(data: Path) -> Iterator[Case]:
             image=image,
             camera=camera,
             scene=placed("SATURN", Ellipsoid(radii_km=radii, name="Saturn"), apparent),
-            center_px=camera.model.project(attitude.apply(position)),
+            center_px=camera.model.project(rotate(attitude, position)),
             sigma_px=60.0,
             range_km=float(np.linalg.norm(position)),
             sigma_range=0.003 if name.endswith("gem") else 0.02,
@@ -449,7 +449,7 @@ def earth(data: Path) -> Iterator[Case]:
     pixels = pixels - np.median(pixels, axis=0)
     disk = seen_disk(pixels, radii[0] / range_km * focal_px)
     apparent = ApparentGeometry(
-        position_inertial_km=range_km * attitude.inv().apply(camera.model.unproject(disk.center_px)),
+        position_inertial_km=range_km * rotate(attitude.inv(), camera.model.unproject(disk.center_px)),
         inertial_from_body=turn,
         sun_direction_inertial=unit(sun_km),
     )
@@ -477,7 +477,7 @@ def corner_camera(sights: Float, focal_px: float) -> tuple[Camera, Rotation, flo
         rays = model.unproject(corners_px)
         if np.isfinite(rays).all():
             attitude, _ = Rotation.align_vectors(rays, sights)
-            error = np.linalg.norm(model.project(attitude.apply(sights)) - corners_px, axis=1)
+            error = np.linalg.norm(model.project(rotate(attitude, sights)) - corners_px, axis=1)
             found.append((float(error.max()), float(k1), attitude, model))
     worst_px, _, attitude, model = min(found, key=lambda one: one[0])
     camera = Camera(

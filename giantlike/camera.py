@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import tomli_w
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import (
@@ -26,12 +26,13 @@ from giantlike.camera_models import (
 from giantlike.camera_models.affine import AffineModel
 from giantlike.camera_models.convert import WIDE_START, frame_grid
 from giantlike.camera_models.plane import PlaneModel
-from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import FrameRotation, quaternion_xyzw, require_same_frame, rotation_from_xyzw
 from giantlike.core.tables import checked_table, record_of_numbers, table_of_numbers
+from giantlike.core.values import Value
 
 if TYPE_CHECKING:
     from giantlike.image import Image
@@ -44,7 +45,7 @@ _EDGE_NODES = 33  # nodes along the longer side of the frame; the corners are am
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ModelUncertainty:
+class ModelUncertainty(Value):
     """Uncertainty of the parameters of a camera model: the ``[calibration]`` table of a camera file.
 
     Parameters
@@ -82,6 +83,7 @@ class ModelUncertainty:
         require(symmetric, "[calibration] covariance must be symmetric")
         object.__setattr__(self, "estimated", tuple(self.estimated))
         object.__setattr__(self, "covariance", covariance)
+        Value.__post_init__(self)
 
     @classmethod
     def from_mapping(cls, table: object) -> ModelUncertainty:
@@ -116,7 +118,7 @@ class ModelUncertainty:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MissionFrame:
+class MissionFrame(Value):
     """Camera frame of a mission's own kernels: the ``[mission_frame]`` table of a camera file.
 
     Parameters
@@ -489,7 +491,7 @@ class Camera:
             detector=detector,
         )
 
-    def in_field(self, points_camera: ArrayLike, *, margin_px: float = 0.0) -> NDArray[np.bool_]:
+    def in_field(self, points_camera: ArrayLike, *, margin_px: float = 0.0) -> Mask:
         """Return which points or directions are imaged.
 
         Parameters
@@ -519,7 +521,7 @@ class Camera:
         """
         return ifov_rad(self.model, self.center_px if points_px is None else points_px)
 
-    def contains(self, points_px: ArrayLike, *, margin_px: float = 0.0) -> NDArray[np.bool_]:
+    def contains(self, points_px: ArrayLike, *, margin_px: float = 0.0) -> Mask:
         """Return which pixels lie on the detector; NaN does not.
 
         Parameters
@@ -536,7 +538,7 @@ class Camera:
         points = as_floats(points_px, (2,), "points_px")
         low, high = margin_px - 0.5, np.array([self.columns, self.rows]) - 0.5 - margin_px
         with np.errstate(invalid="ignore"):
-            result: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=-1)
+            result: Mask = np.all((points >= low) & (points <= high), axis=-1)
         return result
 
 

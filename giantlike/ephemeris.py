@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 from giantlike.io.ephemeris_table import EphemerisSamples, read_ephemeris_table
 from giantlike.io.spice import orientation, spk_state
 
@@ -70,7 +71,7 @@ class SpiceEphemeris:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FixedEphemeris:
+class FixedEphemeris(Value):
     """A body that stays where it is.
 
     Parameters
@@ -87,6 +88,7 @@ class FixedEphemeris:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_km", as_finite(self.position_km, (3,), "position_km"))
+        Value.__post_init__(self)
 
     def state(self, et: float) -> tuple[Float, Float]:
         """Return the fixed position, km, and no velocity, at any ``et``."""
@@ -147,7 +149,7 @@ class TableEphemeris:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ApparentGeometry:
+class ApparentGeometry(Value):
     """What the camera sees of a body at one image: light time and stellar aberration are already in.
 
     Parameters
@@ -170,10 +172,11 @@ class ApparentGeometry:
         object.__setattr__(self, "position_inertial_km", position)
         if self.sun_direction_inertial is not None:
             object.__setattr__(self, "sun_direction_inertial", _unit3(self.sun_direction_inertial))
+        Value.__post_init__(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DistantLight:
+class DistantLight(Value):
     """A light infinitely far away.
 
     Parameters
@@ -186,6 +189,7 @@ class DistantLight:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "direction_inertial", _unit3(self.direction_inertial))
+        Value.__post_init__(self)
 
 
 def _unit3(value: ArrayLike) -> Float:

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_finite, frozen, require
+from giantlike.core.arrays import Float, Mask, as_finite, frozen, require
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeFix
 from giantlike.core.time import et_from_time
+from giantlike.core.values import Value
 from giantlike.io.image_files import read_image_file
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class AttitudeSource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Image:
+class Image(Value):
     """One image as a value: a better attitude gives a new image.
 
     Parameters
@@ -72,7 +73,7 @@ class Image:
     """
 
     pixels: NDArray[Any]
-    mask: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    mask: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     epoch: Time | None = None
     exposure_s: float | None = None
     camera_from_inertial: Rotation | None = None
@@ -104,6 +105,7 @@ class Image:
         object.__setattr__(self, "pixels", frozen(pixels.view()))
         object.__setattr__(self, "mask", frozen(bad))
         object.__setattr__(self, "metadata", dict(self.metadata))
+        Value.__post_init__(self)
 
     @classmethod
     def open(cls, path: str | Path, *, hdu: int | str | None = None, bottom_up: bool = False) -> Image:

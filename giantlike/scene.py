@@ -7,15 +7,16 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require, unit
+from giantlike.core.arrays import Float, Mask, require, unit
 from giantlike.core.errors import FrameMismatchError, InputError
+from giantlike.core.frames import rotate
 from giantlike.core.light import aberrate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
@@ -28,7 +29,7 @@ _LIGHT_TIME_STEPS = 5  # each gains a factor v/c: three suffice for the solar sy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Target:
+class Target(Value):
     """A body that may be in the image.
 
     Parameters
@@ -47,7 +48,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TargetGeometry:
+class TargetGeometry(Value):
     """A target as seen by one image, a priori.
 
     Parameters
@@ -89,7 +90,7 @@ class TargetGeometry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene:
+class Scene(Value):
     """Targets, the light on them, and where the camera is.
 
     Parameters
@@ -127,6 +128,7 @@ class Scene:
         for part in [self.observer, self.light, *(target.ephemeris for target in self.targets)]:
             if isinstance(part, Ephemeris) and part.origin != origin:
                 raise FrameMismatchError(f"origin {part.origin}", f"origin {origin}")
+        Value.__post_init__(self)
 
     def target(self, name: str | None = None) -> Target:
         """Return a target by name; without a name the only one.
@@ -179,9 +181,9 @@ class Scene:
         turn = image.camera_from_inertial
         return TargetGeometry(
             target=found,
-            position_camera_km=turn.apply(apparent.position_inertial_km),
+            position_camera_km=rotate(turn, apparent.position_inertial_km),
             camera_from_body=turn * apparent.inertial_from_body,
-            sun_direction_camera=turn.apply(sun),
+            sun_direction_camera=rotate(turn, sun),
         )
 
     def apparent(self, image: Image, target: Target) -> ApparentGeometry | Failure:
@@ -235,7 +237,7 @@ class Scene:
         return ", ".join(target.name for target in self.targets)
 
 
-def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 5.0) -> NDArray[np.bool_] | Failure:
+def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 5.0) -> Mask | Failure:
     """Pixels that the bodies of a scene cover, for a search of stars beside them.
 
     Parameters

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, frozen
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, suns_of
 from giantlike.ray_tracing.footprint import FocalPlane, visible_box
 from giantlike.ray_tracing.neighbors import neighbors_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS
 from giantlike.ray_tracing.sampling import RayGrid, Tile
 from giantlike.ray_tracing.trace import View, view_of
-from giantlike.ray_tracing.tracer import Mask
 
 _RAYS_AT_A_TIME = 100_000
 """Rays traced together; bounds the memory to some 50 MB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Backplanes:
+class Backplanes(Value):
     """Geometry at the center of every pixel; off all bodies numbers are -1, values NaN and flags False.
 
     Parameters
@@ -104,34 +105,32 @@ def trace_backplanes(
             window = slice(y.first + tile.start, y.first + tile.stop), slice(x.first, x.first + x.count)
             directions = grid.directions(tile)[:, :3].reshape(x.count, tile.rows, 3)
             _fill(planes, window, number, view, np.swapaxes(directions, 0, 1))
-    for name in planes.__dataclass_fields__:
-        frozen(getattr(planes, name))
-    return planes
+    return Backplanes(**planes)
 
 
-def _blank(columns: int, rows: int) -> Backplanes:
+def _blank(columns: int, rows: int) -> dict[str, NDArray[Any]]:
     """Planes of a frame without bodies, still to be written."""
 
     def unknown(*shape: int) -> Float:
         return np.full((rows, columns, *shape), np.nan)
 
-    return Backplanes(
-        body=np.full((rows, columns), -1, np.int32),
-        facet=np.full((rows, columns), -1, np.int32),
-        range_km=unknown(),
-        depth_km=unknown(),
-        incidence_rad=unknown(),
-        emission_rad=unknown(),
-        phase_rad=unknown(),
-        longitude_rad=unknown(),
-        latitude_rad=unknown(),
-        point_body_km=unknown(3),
-        shadowed=np.zeros((rows, columns), bool),
-    )
+    return {
+        "body": np.full((rows, columns), -1, np.int32),
+        "facet": np.full((rows, columns), -1, np.int32),
+        "range_km": unknown(),
+        "depth_km": unknown(),
+        "incidence_rad": unknown(),
+        "emission_rad": unknown(),
+        "phase_rad": unknown(),
+        "longitude_rad": unknown(),
+        "latitude_rad": unknown(),
+        "point_body_km": unknown(3),
+        "shadowed": np.zeros((rows, columns), bool),
+    }
 
 
 def _fill(
-    planes: Backplanes,
+    planes: Mapping[str, NDArray[Any]],
     window: tuple[slice, slice],
     number: int,
     view: View,
@@ -142,7 +141,7 @@ def _fill(
     rays = directions.reshape(-1, 3)
     hits = body.tracer.intersect(camera_km, rays)
     range_km = np.linalg.norm(hits.points_km - camera_km, axis=1)
-    before = planes.range_km[window].reshape(-1)
+    before = planes["range_km"][window].reshape(-1)
     nearest = np.flatnonzero(hits.hit & ~(range_km >= before))
     points, normals, rays = hits.points_km[nearest], hits.normals[nearest], rays[nearest]
     shadowed = body.tracer.shadowed(hits, sun)[nearest]
@@ -164,7 +163,7 @@ def _fill(
     }
     rows, columns = np.unravel_index(nearest, directions.shape[:2])
     for name, value in values.items():
-        getattr(planes, name)[window][rows, columns] = value
+        planes[name][window][rows, columns] = value
 
 
 def _angle(first: Float, second: Float) -> Float:

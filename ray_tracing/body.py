@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, unit
+from giantlike.core.frames import rotate
+from giantlike.core.values import Value
 from giantlike.ray_tracing.reflectance import McEwen, Reflectance
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import LevelsOfDetail, Point, Shape, sphere
@@ -20,7 +22,7 @@ _POINT_PX = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Body:
+class Body(Value):
     """A shape with its surface and its pose.
 
     Parameters
@@ -49,6 +51,7 @@ class Body:
             bool(np.any(position != 0.0)), "position_camera_km must not be zero: the camera sits in the body's center"
         )
         object.__setattr__(self, "position_camera_km", position)
+        Value.__post_init__(self)
 
     @property
     def camera_body_km(self) -> Float:
@@ -82,7 +85,7 @@ class Body:
         """Return the same body as seen by a camera turned about itself: position and attitude turn together."""
         return replace(
             self,
-            position_camera_km=turn.apply(self.position_camera_km),
+            position_camera_km=rotate(turn, self.position_camera_km),
             camera_from_body=turn * self.camera_from_body,
         )
 

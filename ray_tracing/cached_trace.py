@@ -11,6 +11,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import require
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
@@ -22,7 +23,7 @@ from giantlike.ray_tracing.trace import TracedRays, View, in_order, sunlight, tr
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trace:
+class Trace(Value):
     """A body traced in one pose, ready to be shaded; from :func:`trace_body`.
 
     Each ``with_`` method returns a new trace whose :meth:`template` equals, to the last bit, that of a

@@ -14,7 +14,7 @@ from embreex.mesh_construction import TriangleMesh as EmbreeTriangles
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import InputError
 
 Float32 = NDArray[np.float32]
@@ -57,11 +57,11 @@ class EmbreeSurface:
         second, third = answer["u"], answer["v"]
         return answer["primID"], answer["tfar"], np.minimum(np.minimum(second, third), 1.0 - second - third)
 
-    def occluded(self, origins: Float32, directions: Float32) -> NDArray[np.bool_]:
+    def occluded(self, origins: Float32, directions: Float32) -> Mask:
         """Whether anything lies on each ray (n, 3), however far."""
         if len(_checked(origins, directions)) == 0:
             return np.zeros(0, bool)
-        blocked: NDArray[np.bool_] = self._run(origins, directions, query="OCCLUDED") == 0
+        blocked: Mask = self._run(origins, directions, query="OCCLUDED") == 0
         return blocked
 
 

@@ -13,6 +13,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.sampling import PSF_REACH_SIGMA, Cells, Tile, finite_rows, span
@@ -28,7 +29,7 @@ tight the tiles are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FocalPlane:
+class FocalPlane(Value):
     """Camera model, size of the detector and point spread function.
 
     Parameters
@@ -52,6 +53,7 @@ class FocalPlane:
 
     def __post_init__(self) -> None:
         require(self.columns > 0 and self.rows > 0, f"columns and rows must be > 0, got {self.columns} and {self.rows}")
+        Value.__post_init__(self)
 
     @property
     def psf_sigma_px(self) -> float:
@@ -65,7 +67,7 @@ class FocalPlane:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class VisibleBox:
+class VisibleBox(Value):
     """Part of the image that a body can touch.
 
     Parameters
@@ -92,7 +94,7 @@ class VisibleBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Footprint:
+class Footprint(Value):
     """Cells over the part of a focal plane that a body can touch, and the pixels that their light reaches.
 
     Parameters

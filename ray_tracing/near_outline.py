@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.footprint import FocalPlane, visible_box
@@ -158,7 +158,7 @@ def _pixels_near(places_px: Float, size_px: tuple[int, int], reach_px: int) -> N
     return pixels[inside]
 
 
-def _uneven(pixels: NDArray[np.int64], light: Float) -> NDArray[np.bool_]:
+def _uneven(pixels: NDArray[np.int64], light: Float) -> Mask:
     """Which of the pixels (n, 2) are unevenly bright, by rays (n, k) in them and in the pixels around."""
     first = pixels.min(axis=0)
     x, y = (pixels - first).T
@@ -167,7 +167,7 @@ def _uneven(pixels: NDArray[np.int64], light: Float) -> NDArray[np.bool_]:
     most[y, x], least[y, x] = light.max(axis=1), light.min(axis=1)
     around = np.ones((3, 3), np.uint8)
     range_around = cv2.dilate(most, around) - cv2.erode(least, around)
-    uneven: NDArray[np.bool_] = range_around[y, x] > _UNEVEN * float(light.max())
+    uneven: Mask = range_around[y, x] > _UNEVEN * float(light.max())
     return uneven
 
 

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.embree import Float32
-from giantlike.ray_tracing.tracer import Mask, Tracer
+from giantlike.ray_tracing.tracer import Tracer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Neighbor:
+class Neighbor(Value):
     """Another body, reached from the axes of the body that is rendered.
 
     Parameters

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.sampling import finite_rows
-from giantlike.ray_tracing.tracer import Indices, Mask
+from giantlike.ray_tracing.tracer import Indices
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.limbs import crossings, largest_of_each, limb_ellipse, silhouette_edges
 
@@ -27,7 +28,7 @@ _ACROSS = 1e-12  # of the length of an edge: less of it lies across the line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Crossings:
+class Crossings(Value):
     """Where lines in the image leave a shape.
 
     Parameters
@@ -49,7 +50,7 @@ class Crossings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgeOutline:
+class EdgeOutline(Value):
     """Silhouette edges of a mesh in the image.
 
     Parameters
@@ -131,7 +132,7 @@ class EdgeOutline:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EllipseOutline:
+class EllipseOutline(Value):
     """The limb of an ellipsoid in the image: ``middle_km + cos(t) first_km + sin(t) second_km``.
 
     Parameters
@@ -216,13 +217,11 @@ def outline_of(body: Body, model: CameraModel) -> EdgeOutline | EllipseOutline:
 
 def _crossings(found: Mask, radii: Float, points: Float, normals: Float, facets: Indices) -> Crossings:
     """Crossings (k,) from values of those that were ``found``."""
-    count = found.size
-    result = Crossings(
-        np.full(count, np.nan), np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, -1)
-    )
-    result.radii_px[found], result.points_camera_km[found] = radii, points
-    result.normals_camera[found], result.facets[found] = normals, facets
-    return result
+    all_radii, all_facets = np.full(found.size, np.nan), np.full(found.size, -1)
+    all_points, all_normals = np.full((2, found.size, 3), np.nan)
+    all_radii[found], all_facets[found] = radii, facets
+    all_points[found], all_normals[found] = points, normals
+    return Crossings(all_radii, all_points, all_normals, all_facets)
 
 
 def _steps(angles_rad: Float) -> Float:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, unit
 from giantlike.core.detector import GaussianPsf
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
@@ -79,7 +80,7 @@ def render(
         return template
     middle = model.unproject([0.5 * (columns - 1), 0.5 * (rows - 1)])
     turn = shortest_turn(unit(body.position_camera_km), middle)
-    template = unless_dark(rendered(body.turned(turn), plane, turn.apply(sun), options))
+    template = unless_dark(rendered(body.turned(turn), plane, rotate(turn, sun), options))
     return replace(template, rendered_from_camera=turn) if isinstance(template, Template) else template
 
 

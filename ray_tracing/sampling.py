@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.special import ndtr
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import Float, Mask, unit
 
 PSF_REACH_SIGMA = 5.0
 _NODES = (9, 25)
@@ -220,7 +219,7 @@ def span(points_px: Float) -> tuple[Float, Float] | None:
     return points_px[finite].min(axis=0), points_px[finite].max(axis=0)
 
 
-def finite_rows(points: Float) -> NDArray[np.bool_]:
+def finite_rows(points: Float) -> Mask:
     """Which rows (n,) of an array (n, k) are finite throughout."""
     return np.asarray(np.isfinite(points).all(axis=1))
 

@@ -12,6 +12,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_floats
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, suns_of
 from giantlike.ray_tracing.footprint import FocalPlane
 from giantlike.ray_tracing.neighbors import neighbors_of
@@ -21,7 +22,7 @@ from giantlike.ray_tracing.shade import Template
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SceneRender:
+class SceneRender(Value):
     """Several bodies, rendered.
 
     Parameters

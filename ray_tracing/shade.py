@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, frozen
+from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.ray_tracing.footprint import Footprint
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.sampling import Tile, spread_over
@@ -18,7 +19,7 @@ from giantlike.ray_tracing.trace import TracedRays, View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Template:
+class Template(Value):
     """A rendered body, cut out to the pixels that its light reaches.
 
     Parameters
@@ -70,7 +71,7 @@ class Template:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ShadedTile:
+class ShadedTile(Value):
     """Light and coverage of a tile of cells.
 
     Parameters
@@ -163,9 +164,9 @@ def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> T
     with np.errstate(invalid="ignore"):
         photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
     return Template(
-        brightness=frozen(spread_over(footprint.spread[1], light)),
-        coverage=frozen(counts / footprint.cells[0].per_px ** 2),
-        corner_px=frozen(footprint.corner_px),
+        brightness=spread_over(footprint.spread[1], light),
+        coverage=counts / footprint.cells[0].per_px ** 2,
+        corner_px=footprint.corner_px,
         center_px=view.body.center_px(footprint.plane.model),
         photocenter_px=photocenter_px,
         lit_fraction=n_lit / n_hit,

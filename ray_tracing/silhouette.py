@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.outline import Crossings, EdgeOutline, outline_of, projected_normals
 from giantlike.ray_tracing.sampling import finite_rows
 from giantlike.ray_tracing.tracer import Hits
 from giantlike.shapes import TriangleMesh
-
-Mask = NDArray[np.bool_]
 
 _TANGENT_PX = 0.5
 _FAR_FOCAL_LENGTHS = 10.0  # 84 deg off the axis of a pinhole camera
@@ -24,7 +23,7 @@ _BEYOND = np.linspace(0.02, 1.0, 12)  # places between outline and the end of th
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Silhouette:
+class Silhouette(Value):
     """Outermost points of a body along directions in the image.
 
     Parameters
@@ -109,7 +108,8 @@ def trace_silhouette(
     edge = outline.outermost(center, angles)
     points_camera_km = edge.points_camera_km
     if not outline.complete:
-        points_camera_km[_covered(body, model, center, angles, edge.radii_px)] = np.nan
+        covered = _covered(body, model, center, angles, edge.radii_px)
+        points_camera_km = np.where(covered[:, None], np.nan, points_camera_km)
     points_px = model.project(points_camera_km)
     valid = finite_rows(points_px)
     grazing_px = projected_normals(model, points_camera_km, edge.normals_camera)
@@ -119,15 +119,15 @@ def trace_silhouette(
         normals_px = np.where(np.isfinite(chords_px), chords_px, grazing_px)
     hits = _hits(body, valid, points_camera_km, edge)
     return Silhouette(
-        angles_rad=frozen(angles.copy()),
+        angles_rad=angles.copy(),
         center_px=center,
-        valid=frozen(valid),
-        points_px=frozen(points_px),
-        points_camera_km=frozen(points_camera_km),
-        normals_px=frozen(normals_px),
-        points_by_position=frozen(_by_position(model, points_camera_km, grazing_px, angles)),
-        cos_incidence=frozen(np.where(valid, hits.normals @ sun_body, np.nan)),
-        lit=frozen(valid & ~body.tracer.shadowed(hits, sun_body)),
+        valid=valid,
+        points_px=points_px,
+        points_camera_km=points_camera_km,
+        normals_px=normals_px,
+        points_by_position=_by_position(model, points_camera_km, grazing_px, angles),
+        cos_incidence=np.where(valid, hits.normals @ sun_body, np.nan),
+        lit=valid & ~body.tracer.shadowed(hits, sun_body),
     )
 
 
@@ -177,7 +177,7 @@ def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, ed
     turn = np.minimum(_TANGENT_PX / radius, 0.05)
     angles = np.tile(angles_rad[known], 2) + np.repeat([-1.0, 1.0], known.size) * turn
     ends = outline.outermost(center_px, angles).radii_px
-    ends[~(np.abs(ends - radius) < 4.0 * turn * radius)] = np.nan
+    ends = np.where(np.abs(ends - radius) < 4.0 * turn * radius, ends, np.nan)
     points = ends[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     tangents = points[known.size :] - points[: known.size]
     lengths = np.linalg.norm(tangents, axis=1, keepdims=True)

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.embree import Float32, dot, rows_of
 from giantlike.ray_tracing.neighbors import Neighbor
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.sun import disk_directions
-from giantlike.ray_tracing.tracer import Indices, Mask, Sight
+from giantlike.ray_tracing.tracer import Indices, Sight
 from giantlike.shapes import Shape, TriangleMesh
 
 Item = TypeVar("Item")
@@ -26,7 +27,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class View:
+class View(Value):
     """A body before a camera, the Sun and its neighbors: everything that rays meet.
 
     Parameters
@@ -78,7 +79,7 @@ def view_of(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sunlight:
+class Sunlight(Value):
     """Points of the surface on which one point of the Sun shines.
 
     Parameters
@@ -95,7 +96,7 @@ class Sunlight:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TracedRays:
+class TracedRays(Value):
     """Rays of a camera, traced to the body and on to the Sun.
 
     Parameters

@@ -15,13 +15,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, as_floats, require, unit
+from giantlike.core.arrays import Float, Mask, as_floats, require, unit
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, moved, padded, rows_of
 from giantlike.ray_tracing.float64_refinement import facet_distances, facets_around
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 _SPHERE_MARGIN = 1.0001
@@ -37,7 +37,7 @@ higher looks over low edges: 1e-5 moves the light of a rough body of 300 px by 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hits:
+class Hits(Value):
     """Where rays meet a surface first.
 
     Parameters
@@ -58,7 +58,7 @@ class Hits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class Sight(Value):
     """What a camera sees along the rays of an image: k of them meet the body.
 
     Vectors are float32 with a fourth column of zeros, so that their rows move fast: see ``embree.padded``.

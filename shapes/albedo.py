@@ -13,8 +13,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, frozen, require
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 
 Faces = NDArray[np.int64]
 Indices = NDArray[np.int64]
@@ -47,7 +48,7 @@ class Albedo(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FacetAlbedo:
+class FacetAlbedo(Value):
     """One relative albedo for each facet of a mesh.
 
     Parameters
@@ -67,6 +68,7 @@ class FacetAlbedo:
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _checked(self.values, 1))
         object.__setattr__(self, "sha256", _hash("facets", self.values))
+        Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
         """The values (n,) of the facets."""
@@ -75,7 +77,7 @@ class FacetAlbedo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VertexAlbedo:
+class VertexAlbedo(Value):
     """A relative albedo for each vertex of a mesh, linear over each facet.
 
     Parameters
@@ -98,6 +100,7 @@ class VertexAlbedo:
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _checked(self.values, 1))
         object.__setattr__(self, "sha256", _hash("vertices", self.values))
+        Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
         """Values (n,) interpolated between the corners of the facets."""
@@ -109,7 +112,7 @@ class VertexAlbedo:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AlbedoMap:
+class AlbedoMap(Value):
     """A map of relative albedo over longitude and planetocentric latitude, simple cylindrical.
 
     Parameters
@@ -163,6 +166,7 @@ class AlbedoMap:
             ("sha256", _hash("map", values, np.array([west, east, first, last, self.outside]), center)),
         ):
             object.__setattr__(self, name, value)
+        Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
         """Values (n,) of the map under the points."""
@@ -192,7 +196,7 @@ class AlbedoMap:
         west, east = self.longitude_edges_rad
         return abs(east - west) >= 2.0 * math.pi - _POLE_RAD
 
-    def _place(self, longitude_rad: Float, latitude_rad: Float) -> tuple[Float, Float, NDArray[np.bool_]]:
+    def _place(self, longitude_rad: Float, latitude_rad: Float) -> tuple[Float, Float, Mask]:
         """Row and column (n,), pixel centers at whole numbers, and whether the map is there."""
         west, east = self.longitude_edges_rad
         first, last = self.latitude_edges_rad
@@ -213,7 +217,7 @@ class AlbedoMap:
         return found
 
 
-def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: NDArray[np.bool_]) -> Albedo:
+def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: Mask) -> Albedo:
     """Fit an albedo to the facets that a mesh keeps of those that it was made from.
 
     Parameters

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, frozen, require
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo, hash_with_albedo
 
 
@@ -53,7 +54,7 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
-class Ellipsoid:
+class Ellipsoid(Value):
     """A triaxial ellipsoid about the origin, its axes along the body axes.
 
     Parameters
@@ -85,6 +86,7 @@ class Ellipsoid:
         )
         content = hashlib.sha256(b"ellipsoid" + radii.tobytes()).hexdigest()
         object.__setattr__(self, "sha256", hash_with_albedo(content, self.albedo))
+        Value.__post_init__(self)
 
     @property
     def circumscribing_radius_km(self) -> float:
@@ -112,7 +114,7 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlacedEllipsoid:
+class PlacedEllipsoid(Value):
     """An ellipsoid with its own center and axes in a body.
 
     Parameters
@@ -130,6 +132,7 @@ class PlacedEllipsoid:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center_body_km", as_finite(self.center_body_km, (3,), "center_body_km"))
+        Value.__post_init__(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, weakref_slot=True)

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.shapes.mesh import Faces
-from giantlike.shapes.surface import Mask, Surface, coincident_names
+from giantlike.shapes.surface import Surface, coincident_names
 
 FLAT = 1e-20
 """Facets with less area, over the square of the extent of the body, count as without area, as for a mesh."""
@@ -71,7 +72,7 @@ class Defects:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Edges:
+class Edges(Value):
     """The edges of a surface, each once.
 
     Parameters

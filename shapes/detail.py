@@ -12,6 +12,7 @@ import numpy as np
 
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.base import PlacedEllipsoid
 from giantlike.shapes.decimate import decimated
@@ -23,7 +24,7 @@ _STEP = 4  # a facet of the next level is twice as long
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
-class LevelsOfDetail:
+class LevelsOfDetail(Value):
     """One body as meshes of several finenesses; everything but rays asks the finest.
 
     Parameters
@@ -59,6 +60,7 @@ class LevelsOfDetail:
                 "are they the same body, in the same units?",
             )
         object.__setattr__(self, "facet_sizes_km", sizes)
+        Value.__post_init__(self)
 
     @property
     def finest(self) -> TriangleMesh:

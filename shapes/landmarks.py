@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, frozen, require
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.values import Value
 from giantlike.shapes.files.maplet import read_maplet
 from giantlike.shapes.local_map import LocalMap
 from giantlike.shapes.mesh import TriangleMesh
@@ -29,7 +30,7 @@ _DAMAGE = (ValueError, LookupError, TypeError, OSError, EOFError, zipfile.BadZip
 
 
 @dataclass(frozen=True, eq=False)
-class Landmark:
+class Landmark(Value):
     """A place on a body.
 
     Parameters
@@ -46,6 +47,7 @@ class Landmark:
 
     def __post_init__(self) -> None:
         require(0.0 <= self.texture < math.inf, f"texture must be >= 0 and finite, got {self.texture}")
+        Value.__post_init__(self)
 
     @property
     def name(self) -> str:
@@ -85,7 +87,7 @@ class Landmark:
 
 
 @dataclass(frozen=True, eq=False)
-class LandmarkCatalog:
+class LandmarkCatalog(Value):
     """Landmarks of one body.
 
     Parameters
@@ -111,6 +113,7 @@ class LandmarkCatalog:
         names = [landmark.name for landmark in self.landmarks]
         require(len(names) > 0, "a catalog needs at least one landmark")
         require(len(set(names)) == len(names), "two landmarks of a catalog have one name")
+        Value.__post_init__(self)
 
     def __len__(self) -> int:
         return len(self.landmarks)

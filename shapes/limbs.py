@@ -11,19 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require, unit
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require, unit
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 from giantlike.shapes.base import Ellipsoid, Shape
 from giantlike.shapes.mesh import TriangleMesh
 
 Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 _ALONG_AXIS = 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Limb:
+class Limb(Value):
     """Limb points of a shape and their derivatives with respect to the camera.
 
     Parameters
@@ -219,11 +219,11 @@ def _ellipsoid_limb(ellipsoid: Ellipsoid, camera_km: Float, directions: Float) -
     steepness = points / radii
     normals = unit(steepness)
     return Limb(
-        valid=frozen(np.ones(len(points), dtype=bool)),
-        points_body_km=frozen(points * radii),
-        normals=frozen(normals),
-        points_by_camera=frozen(points_by_camera),
-        normals_by_camera=frozen(_unit_derivative(steepness, points_by_camera / radii[:, None] ** 2)),
+        valid=np.ones(len(points), dtype=bool),
+        points_body_km=points * radii,
+        normals=normals,
+        points_by_camera=points_by_camera,
+        normals_by_camera=_unit_derivative(steepness, points_by_camera / radii[:, None] ** 2),
     )
 
 
@@ -254,11 +254,11 @@ def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
     edge, normal = outward * edge, outward * normal
     turning = np.cross(np.swapaxes(by_camera - np.eye(3), 1, 2), edge[:, None, :])
     return Limb(
-        valid=frozen(valid),
-        points_body_km=frozen(_spread(points, valid)),
-        normals=frozen(_spread(unit(normal), valid)),
-        points_by_camera=frozen(_spread(by_camera, valid)),
-        normals_by_camera=frozen(_spread(_unit_derivative(normal, np.swapaxes(turning, 1, 2)), valid)),
+        valid=valid,
+        points_body_km=_spread(points, valid),
+        normals=_spread(unit(normal), valid),
+        points_by_camera=_spread(by_camera, valid),
+        normals_by_camera=_spread(_unit_derivative(normal, np.swapaxes(turning, 1, 2)), valid),
     )
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, frozen, require
+from giantlike.core.values import Value
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.mesh import Faces, TriangleMesh
 
@@ -22,7 +23,7 @@ _REACH = 0.1  # of the body's radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LocalMap:
+class LocalMap(Value):
     """Heights over a patch of a body.
 
     Parameters
@@ -65,6 +66,7 @@ class LocalMap:
         if self.albedo is not None:
             object.__setattr__(self, "albedo", frozen(as_finite(self.albedo, heights.shape, "albedo")))
         require(len(self._faces()) > 0, f"{self.name!r}: no cell of the map has heights at three corners")
+        Value.__post_init__(self)
 
     @property
     def half_extent_km(self) -> tuple[float, float]:
@@ -236,12 +238,12 @@ def _albedo_of(local: LocalMap) -> Float:
     return np.ones(local.heights_km.size) if local.albedo is None else local.albedo.ravel()
 
 
-def _overlapping(points: Float, faces: Faces, local: LocalMap, reach_km: float) -> NDArray[np.bool_]:
+def _overlapping(points: Float, faces: Faces, local: LocalMap, reach_km: float) -> Mask:
     """Facets (m,) whose bounding box touches that of a map, widened by ``reach_km`` along z."""
     half_x, half_y = local.half_extent_km
     top, bottom = float(local.heights_km.max()) + reach_km, float(local.heights_km.min()) - reach_km
     low, high = (extreme(points[faces], axis=1) for extreme in (np.min, np.max))
-    touching: NDArray[np.bool_] = np.all((low < [half_x, half_y, top]) & (high > [-half_x, -half_y, bottom]), axis=1)
+    touching: Mask = np.all((low < [half_x, half_y, top]) & (high > [-half_x, -half_y, bottom]), axis=1)
     return touching
 
 

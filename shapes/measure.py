@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.core.arrays import Float
+from giantlike.core.values import Value
 from giantlike.shapes.defects import edges_of
 from giantlike.shapes.mesh import TriangleMesh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Measures:
+class Measures(Value):
     """What a mesh measures, body axes, uniform density.
 
     Parameters

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_floats, frozen, require
 from giantlike.core.errors import InputError
+from giantlike.core.values import Value
 from giantlike.shapes.albedo import Albedo, AlbedoMap, fitted_to_mesh, hash_with_albedo
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 
@@ -22,7 +23,7 @@ _OPEN = 0.2  # sum of area vectors over area: a surface that is more open than t
 
 
 @dataclass(frozen=True, eq=False)
-class TriangleMesh:
+class TriangleMesh(Value):
     """A body as a surface of triangles, in body axes.
 
     Facets without area are dropped, and all facets are turned over when the volume they enclose comes
@@ -79,6 +80,7 @@ class TriangleMesh:
             ("_normals", frozen(vectors / areas[:, None])),
         ):
             object.__setattr__(self, field, value)
+        Value.__post_init__(self)
 
     def __reduce__(self) -> tuple[type[TriangleMesh], tuple[Float, Faces, str, str, Albedo | None]]:
         return type(self), (self.vertices_km, self.faces, self.name, self._surface_hash, self.albedo)

@@ -8,18 +8,19 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Mask, require
+from giantlike.core.values import Value
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.defects import Defects, defects_of, duplicate_facets, edges_of, flat_facets
 from giantlike.shapes.mesh import Faces
-from giantlike.shapes.surface import Mask, Surface
+from giantlike.shapes.surface import Surface
 
 _SAME_PLACE = 1e-9
 """Vertices nearer than this fraction of the extent are one: poles and seams of grids, computed twice."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Repair:
+class Repair(Value):
     """A mended surface and what was done to it.
 
     Parameters

@@ -5,20 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.values import Value
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.mesh import Faces
 
-Mask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surface:
+class Surface(Value):
     """Vertices and triangles that may be broken in any way, to be looked at or repaired.
 
     Parameters
@@ -52,6 +50,7 @@ class Surface:
             )
             have = len(self.albedo.values)
             require(have == needed, f"albedo by {by} must have {needed} values, got {have}")
+        Value.__post_init__(self)
 
     def kept(self, vertices: Mask, faces: Mask) -> Surface:
         """Only some of the vertices (n,) and facets (m,), renumbered; a facet that is kept keeps its vertices."""

@@ -16,7 +16,7 @@ from giantlike.camera_models import PinholeModel
 from giantlike.catalogs import MemoryCatalog, load_catalog
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
-from giantlike.core.frames import camera_from_inertial_of_pointing
+from giantlike.core.frames import camera_from_inertial_of_pointing, rotate
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import ObserverState
@@ -140,9 +140,9 @@ def _write_image(path: Path, visit: int, et: float, seconds: float, exposure_s: 
 
 def _apparent(attitude: Rotation, position_camera_km: Float) -> ApparentGeometry:
     return ApparentGeometry(
-        position_inertial_km=attitude.inv().apply(position_camera_km),
+        position_inertial_km=rotate(attitude.inv(), position_camera_km),
         inertial_from_body=attitude.inv() * Rotation.from_euler("xyz", [20.0, 30.0, 40.0], degrees=True),
-        sun_direction_inertial=attitude.inv().apply(SUN_CAMERA),
+        sun_direction_inertial=rotate(attitude.inv(), SUN_CAMERA),
     )
 
 

@@ -19,6 +19,7 @@ from giantlike.catalogs.readers.ucac4 import read_ucac4, zone_files
 from giantlike.catalogs.stored import Source
 from giantlike.catalogs.table import StarTable, joined
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.values import Value
 
 __all__ = ["FORMATS", "Built", "ColumnMap", "build_catalog", "column_map"]
 
@@ -37,7 +38,7 @@ FORMATS: Mapping[str, Reader] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Built:
+class Built(Value):
     """A catalog and what it was made of.
 
     Parameters

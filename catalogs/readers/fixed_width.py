@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from giantlike.catalogs.readers.rows import ReadStars, stars_of
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
+from giantlike.core.values import Value
 
 Places = Mapping[str, tuple[int, int]]
 """First and last byte of each column, counted from 1, as the descriptions do."""
@@ -21,7 +22,7 @@ HIPPARCOS_EPOCH = 1991.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class Lines(Value):
     """Lines of a file as bytes (n, width), padded with blanks."""
 
     path: Path

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.catalogs.table import COLUMN_TYPES, StarTable
+from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
 
 SIGMA_PM_UNKNOWN_MAS_YR = 15.0
@@ -123,6 +124,6 @@ def stars_of(
     return ReadStars(stars=StarTable(**table), left_out=int((~complete).sum()))
 
 
-def _value(given: Mapping[str, NDArray[Any]], name: str, keep: NDArray[np.bool_]) -> NDArray[Any]:
+def _value(given: Mapping[str, NDArray[Any]], name: str, keep: Mask) -> NDArray[Any]:
     """Values with 0 for those that are not given."""
     return np.nan_to_num(given[name][keep]) if name in given else np.zeros(int(keep.sum()))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.errors import DataError
+from giantlike.core.values import Value
 
 MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")
 """Text that stands for a missing value, in small letters."""
@@ -75,7 +76,7 @@ def open_table(path: Path) -> Table:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _TextTable:
+class _TextTable(Value):
     """Columns of text; ``first_line`` is that of the first row."""
 
     path: Path
@@ -167,7 +168,7 @@ def _unzipped(path: Path) -> bytes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _ArrayTable:
+class _ArrayTable(Value):
     """Columns that are arrays already, masked where values are missing."""
 
     path: Path

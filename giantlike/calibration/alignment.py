@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
-from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 
 _STEPS = 20
 _SMALL_RAD = 1e-14
@@ -20,7 +21,7 @@ _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AlignmentFix:
+class AlignmentFix(Value):
     """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``.
 
     Parameters
@@ -51,7 +52,7 @@ class AlignmentFix:
     covariance_rad2: Float
     rate_covariance: Float
     residuals_rad: Float
-    used: NDArray[np.bool_]
+    used: Mask
     reduced_chi2: float
     first: str = ""
     second: str = ""
@@ -207,9 +208,9 @@ def _named(attitudes: FrameRotation | Rotation) -> FrameRotation:
 
 def _converged(
     rotations: Rotation, weights: Float, offsets_c: Float, drifts: bool, outlier_sigma: float
-) -> tuple[Rotation, Float, NDArray[np.bool_]]:
+) -> tuple[Rotation, Float, Mask]:
     """Rotation at the reference temperature, rate, and which measurements agree with them."""
-    used: NDArray[np.bool_] = np.ones(len(rotations), dtype=bool)
+    used: Mask = np.ones(len(rotations), dtype=bool)
     rotation: Rotation = rotations.mean()
     rate: Float = np.zeros(3)
     for _ in range(_STEPS):
@@ -236,9 +237,7 @@ def _residuals(rotations: Rotation, rotation: Rotation, rate: Float, offsets_c: 
     return np.asarray((rotations * fitted.inv()).as_rotvec(), dtype=np.float64)
 
 
-def _step(
-    residuals: Float, weights: Float, offsets_c: Float, used: NDArray[np.bool_], drifts: bool
-) -> tuple[Float, Float]:
+def _step(residuals: Float, weights: Float, offsets_c: Float, used: Mask, drifts: bool) -> tuple[Float, Float]:
     """Correction (6,) of rotation and rate, and their covariance (6, 6); those of a rate not estimated are zero."""
     size = 6 if drifts else 3
     design = np.concatenate([np.broadcast_to(np.eye(3), weights.shape), offsets_c[:, None, None] * np.eye(3)], axis=2)

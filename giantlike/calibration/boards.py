@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.calibration.observations import ImageObservations
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 
@@ -121,7 +122,7 @@ def board_pose(corners: Float, points_px: Float, model: CameraModel) -> tuple[Ro
     left, _, right = np.linalg.svd(np.column_stack([first, second]), full_matrices=False)
     axes = left @ right
     rotation = Rotation.from_matrix(np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])]))
-    return rotation, size * position - rotation.apply(middle)
+    return rotation, size * position - rotate(rotation, middle)
 
 
 def board_observations(

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
@@ -21,8 +20,9 @@ from giantlike.calibration.observations import ImageObservations
 from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
 from giantlike.calibration.robust import Loss
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.processing.geometry.wahba import solve_wahba
 
@@ -121,10 +121,10 @@ def _start_rotations(observations: Sequence[ImageObservations], model: CameraMod
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fitted:
+class _Fitted(Value):
     minimum: Minimum
-    used: NDArray[np.bool_]
-    kept_images: NDArray[np.bool_]
+    used: Mask
+    kept_images: Mask
     steps: int
     rounds: int
 
@@ -138,7 +138,7 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
     """
     used = np.asarray(np.isfinite(predict(state, data)).all(axis=1))
     guard = Loss.HUBER if options.loss is Loss.LINEAR else options.loss
-    kept_images: NDArray[np.bool_] = np.ones(len(data.offsets) - 1, dtype=bool)
+    kept_images: Mask = np.ones(len(data.offsets) - 1, dtype=bool)
     steps = rounds = 0
     for rounds in range(1, options.max_rounds + 1):  # noqa: B007 - told in the result
         minimum = minimize(state, data, used, guard, max_steps=_LOOKING_STEPS, rough=True)
@@ -157,9 +157,7 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
     return _Fitted(minimum, used, kept_images, steps + minimum.steps, rounds)
 
 
-def _agreeing(
-    state: State, data: Data, used: NDArray[np.bool_], options: CalibrationOptions
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _agreeing(state: State, data: Data, used: Mask, options: CalibrationOptions) -> tuple[Mask, Mask]:
     """Observations that agree with the fit, and the images that keep any."""
     residuals = data.points_px - predict(state, data)
     squares = np.sum(residuals**2, axis=1) / data.sigma_px**2

@@ -14,14 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
-from giantlike.core.frames import skew
+from giantlike.core.frames import rotate, skew
+from giantlike.core.values import Value
 
 _ROTATION_STEPS = 5
 _CELLS = 25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FieldMap:
+class FieldMap(Value):
     """A vector per point of a grid over the detector.
 
     Parameters
@@ -71,19 +72,19 @@ def map_difference(
     pixels, vectors = pixels[seen], vectors[seen]
     rotation = Rotation.identity()
     for _ in range(_ROTATION_STEPS):
-        turned = rotation.apply(vectors)
+        turned = rotate(rotation, vectors)
         shifts = second.project(turned) - pixels
         good = np.isfinite(shifts).all(axis=1)
         by_rotation = (-second.project_jacobian(turned[good]) @ skew(turned[good])).reshape(-1, 3)
         step = np.linalg.lstsq(by_rotation, -shifts[good].reshape(-1), rcond=None)[0]
         rotation = Rotation.from_rotvec(step) * rotation
-    shifts = second.project(rotation.apply(vectors)) - pixels
+    shifts = second.project(rotate(rotation, vectors)) - pixels
     good = np.isfinite(shifts).all(axis=1)
     return FieldMap(points_px=pixels[good], shifts_px=shifts[good])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FieldSensitivity:
+class FieldSensitivity(Value):
     """How pixels over the field move with the parameters of a model.
 
     Parameters

@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.calibration.observability import ParameterSupport
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImageCalibration:
+class ImageCalibration(Value):
     """One image of a calibration.
 
     Parameters
@@ -68,7 +69,7 @@ class RejectedObservation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CalibrationFix:
+class CalibrationFix(Value):
     """A calibrated camera model with its covariance and everything needed to judge it.
 
     Parameters
@@ -123,7 +124,7 @@ class CalibrationFix:
     sigma_px: Float
     magnitudes: Float
     labels: NDArray[np.int64]
-    used: NDArray[np.bool_]
+    used: Mask
     rejected: tuple[RejectedObservation, ...]
     residual_sigma_px: float
     reduced_chi2: float

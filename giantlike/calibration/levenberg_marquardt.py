@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.calibration.normal import MAX_CONDITION, Data, NormalEquations, State, normal_equations
 from giantlike.calibration.robust import Loss
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 
 _FIRST_DAMPING = 1e-3
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-15, 1e12
@@ -21,7 +21,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Minimum:
+class Minimum(Value):
     """Where the cost is least: state, normal equations there without damping, and the number of steps."""
 
     state: State
@@ -30,7 +30,7 @@ class Minimum:
 
 
 def minimize(
-    state: State, data: Data, used: NDArray[np.bool_], loss: Loss, *, max_steps: int, rough: bool = False
+    state: State, data: Data, used: Mask, loss: Loss, *, max_steps: int, rough: bool = False
 ) -> Minimum | Failure:
     r"""Levenberg-Marquardt: steps of :math:`(H^T W H + \lambda\,\mathrm{diag}(H^T W H))^{-1} H^T W r`.
 

@@ -17,9 +17,10 @@ from scipy.spatial.transform import Rotation
 from giantlike.calibration.observations import ImageObservations
 from giantlike.calibration.robust import Loss
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
+from giantlike.core.values import Value
 
 TEMPERATURE_TERMS = frozenset({"a1_per_c", "a2_per_c2", "a3_per_c3"})
 """Parameters whose effect depends on the temperature of an image."""
@@ -28,7 +29,7 @@ MAX_CONDITION = 1e13
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Data:
+class Data(Value):
     """Observations of m images end to end (n in all), and what is estimated.
 
     ``offsets`` (m + 1,) says where each image starts; ``pose`` is 3 (orientation) or 6 (orientation, position).
@@ -79,7 +80,7 @@ class Data:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class State(Value):
     """A camera model and the poses of m images: ``rotation`` (m,) and ``position`` (m, 3), camera axes."""
 
     model: CameraModel
@@ -100,13 +101,13 @@ class State:
             model = self.model.with_parameters(values)
         except InputError:
             return None
-        rotation = Rotation.from_rotvec(step.poses[:, :3]) * self.rotation
+        rotation = Rotation.from_rotvec(step.poses[:, :3].copy()) * self.rotation
         position = self.position + step.poses[:, 3:] if data.pose == 6 else self.position
         return State(model, rotation, position)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class Step(Value):
     """Change of the k camera parameters and of the poses (m, 3 or 6), and the decrease it promises."""
 
     camera: Float
@@ -144,7 +145,7 @@ def linearized(state: State, data: Data) -> tuple[Float, Float, Float]:
     return pixels, camera, pose
 
 
-def _by_temperature(model: CameraModel, data: Data) -> list[tuple[NDArray[np.bool_] | slice, CameraModel, float]]:
+def _by_temperature(model: CameraModel, data: Data) -> list[tuple[Mask | slice, CameraModel, float]]:
     """Which observations share a temperature, and the model there; one group where temperature does not matter."""
     estimated = {model.parameter_names[k] for k in data.estimated}
     if estimated.isdisjoint(TEMPERATURE_TERMS) and bool(
@@ -157,7 +158,7 @@ def _by_temperature(model: CameraModel, data: Data) -> list[tuple[NDArray[np.boo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NormalEquations:
+class NormalEquations(Value):
     """Blocks at a state: camera (k, k), coupling (m, k, p), poses (m, p, p), right-hand sides, and the cost.
 
     ``image_camera`` (m, k, k) and ``image_gradient`` (m, k) are what each image adds to the camera block.
@@ -222,7 +223,7 @@ class NormalEquations:
         return (result + result.T) / 2.0
 
 
-def normal_equations(state: State, data: Data, used: NDArray[np.bool_], loss: Loss) -> NormalEquations | None:
+def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> NormalEquations | None:
     """Assemble the blocks; None where a used target cannot be imaged."""
     predicted, by_camera, by_pose = linearized(state, data)
     residuals = data.points_px - predicted

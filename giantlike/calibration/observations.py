@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, as_floats, as_unit, require
+from giantlike.core.values import Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImageObservations:
+class ImageObservations(Value):
     """Known targets in one image (or in one composite of images taken with one orientation of the camera).
 
     Parameters
@@ -87,6 +88,7 @@ class ImageObservations:
         )
         object.__setattr__(self, "labels", labels.astype(np.int64))
         object.__setattr__(self, "magnitudes", magnitudes)
+        Value.__post_init__(self)
 
     def __len__(self) -> int:
         return len(self.targets)

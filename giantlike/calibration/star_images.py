@@ -16,9 +16,10 @@ from giantlike.calibration.observations import ImageObservations
 from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, model_from_mapping, model_to_mapping
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.stars.field import Sky
 from giantlike.stars.matching import attitudes_of_sky
@@ -34,7 +35,7 @@ _BRIGHTEST = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarImage:
+class StarImage(Value):
     """What calibration keeps of a star image: its sources, its sky, and a first identification.
 
     Parameters
@@ -93,7 +94,7 @@ class AllStars:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarCalibration:
+class StarCalibration(Value):
     """A calibration from star images.
 
     Parameters
@@ -346,10 +347,10 @@ def _identified_with(
     return observations, failed
 
 
-def _bright(snr: Float, min_snr: float) -> NDArray[np.bool_]:
+def _bright(snr: Float, min_snr: float) -> Mask:
     """Which matches (k,) are bright enough to calibrate from."""
     order = np.argsort(-snr, kind="stable")
-    bright: NDArray[np.bool_] = snr >= min_snr
+    bright: Mask = snr >= min_snr
     bright[order[:_BRIGHTEST]] = True
     return bright
 

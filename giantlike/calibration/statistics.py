@@ -6,10 +6,9 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.calibration.fix import CalibrationFix
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 
 _BINS = 6
 _FEWEST = 2
@@ -82,7 +81,7 @@ def _binned(fix: CalibrationFix, kind: str, values: Float) -> list[ResidualGroup
     return groups
 
 
-def _group(fix: CalibrationFix, kind: str, label: str, middle: float, mine: NDArray[np.bool_]) -> ResidualGroup:
+def _group(fix: CalibrationFix, kind: str, label: str, middle: float, mine: Mask) -> ResidualGroup:
     residuals = fix.residuals_px[mine]
     mean = residuals.mean(axis=0)
     return ResidualGroup(

@@ -13,6 +13,7 @@ from giantlike.camera_models.plane import PlaneModel
 from giantlike.camera_models.registry import MODELS
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 
 _MAX_STEPS = 100
 _LEAST_GAIN = 1e-9  # of the sum of squares, relative
@@ -25,7 +26,7 @@ _SAME_LETTERS = frozenset({"pinhole", "brown", "opencv"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Conversion:
+class Conversion(Value):
     """A camera model of another type, and how far it is from the one it stands for.
 
     Parameters

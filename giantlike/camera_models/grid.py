@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.camera_models.affine import AffineModel, blockwise, inverse_on_the_sphere
 from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 
 _MAX_STEEPNESS = 0.5  # px per px: half of what would fold
 _MAX_TURNS = 60  # each at least halves the error
@@ -19,7 +20,7 @@ _LEFT_PX = 1e-10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GridCorrectedModel:
+class GridCorrectedModel(Value):
     """A camera model whose pixels are moved by a bicubic spline: ``pixel = q + g(q)``, q the pixel of the base.
 
     The spline is uniform, cubic and twice continuously differentiable. Its control values surround the pixels they
@@ -65,6 +66,7 @@ class GridCorrectedModel:
             f"the grid correction changes by {steepness:.3g} px per px, at most {_MAX_STEEPNESS} is sure to be "
             "invertible: give the base model more of the distortion",
         )
+        Value.__post_init__(self)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from giantlike.camera_models.base import CameraModel
 from giantlike.camera_models.pinhole import PinholeModel
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 
 
 def pinhole_of(model: CameraModel) -> PinholeModel:
@@ -72,7 +72,7 @@ def resample(
     require(np.ndim(image) == 2, f"an image has shape (rows, columns), got {np.shape(image)}")
     rows, columns = image.shape
     places = resampling_map(model, target or pinhole_of(model), columns=columns, rows=rows)
-    seen: NDArray[np.bool_] = np.all((places >= -0.5) & (places <= np.array([columns, rows]) - 0.5), axis=-1)
+    seen: Mask = np.all((places >= -0.5) & (places <= np.array([columns, rows]) - 0.5), axis=-1)
     at = np.where(seen[..., None], places, 0.0).astype(np.float32)
     result = cv2.remap(
         np.asarray(image, dtype=np.float64), at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE

@@ -21,6 +21,7 @@ from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Reason
+from giantlike.core.values import Value
 from giantlike.simulation import ApproachOptions, plan_approach, write_approach
 from giantlike.simulation.compare import (
     Comparison,
@@ -76,7 +77,7 @@ class Goal:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DemoReport:
+class DemoReport(Value):
     """What the demonstration found.
 
     Parameters

@@ -22,13 +22,14 @@ from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.core.values import Value
 from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 
 _AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class InterlockResult:
+class InterlockResult(Value):
     """Alignment of two sensors from pairs of attitudes taken at the same time.
 
     Parameters

@@ -12,6 +12,8 @@ from giantlike.core.errors import InputError
 Scalar = TypeVar("Scalar", bound=np.generic)
 Float = NDArray[np.float64]
 """A float64 array; its shape, unit and frame are in the docstring of whoever takes it."""
+Mask = NDArray[np.bool_]
+"""A boolean array; in the mask of an image True is a bad pixel."""
 
 
 def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, as_floats, require, unit
 from giantlike.core.errors import FrameMismatchError
+from giantlike.core.values import Value
 
 INERTIAL_FRAME = "J2000"
 """Name that SPICE gives the axes of the ICRF."""
@@ -38,7 +39,7 @@ def require_same_frame(have: str, need: str) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FrameRotation:
+class FrameRotation(Value):
     """A rotation ``target_from_source`` between two frames with names that every product checks.
 
     Parameters
@@ -163,9 +164,9 @@ def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike
         Roll is the position angle of the camera's -y axis (up in the image), north through east.
     """
     inertial_from_camera = camera_from_inertial.inv()
-    los = inertial_from_camera.apply(as_finite(line_of_sight_camera, (3,), "line_of_sight_camera"))
+    los = rotate(inertial_from_camera, as_finite(line_of_sight_camera, (3,), "line_of_sight_camera"))
     ra, dec = radec_from_direction(los)
-    up = inertial_from_camera.apply([0.0, -1.0, 0.0])
+    up = rotate(inertial_from_camera, [0.0, -1.0, 0.0])
     return float(ra), float(dec), position_angle_deg(los, up)
 
 
@@ -181,6 +182,17 @@ def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: fl
     roll = np.radians(roll_deg)
     up = np.cos(roll) * north + np.sin(roll) * east
     return Rotation.from_matrix(np.stack([np.cross(-up, z), -up, z]))
+
+
+def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
+    """Rotate vectors (..., 3) by one rotation, or vectors (n, 3) or (3,) by n rotations.
+
+    The same as ``rotation.apply(vectors)``, which refuses read-only arrays such as the fields of a value.
+    """
+    array = as_floats(vectors, (3,), "vectors")
+    matrix = rotation.as_matrix()
+    result: Float = array @ matrix.T if matrix.ndim == 2 else (matrix @ array[..., None])[..., 0]
+    return result
 
 
 def rotation_between(estimate: Rotation, truth: Rotation) -> Float:

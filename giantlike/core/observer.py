@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from giantlike.core.arrays import Float, as_finite
+from giantlike.core.values import Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ObserverState:
+class ObserverState(Value):
     """Position and velocity of the spacecraft with respect to the solar system barycenter, ICRF axes.
 
     Parameters
@@ -28,3 +29,4 @@ class ObserverState:
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_km", as_finite(self.position_km, (3,), "observer position_km"))
         object.__setattr__(self, "velocity_km_s", as_finite(self.velocity_km_s, (3,), "observer velocity_km_s"))
+        Value.__post_init__(self)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import EstimationError
+from giantlike.core.values import Value
 
 
 class Reason(StrEnum):
@@ -116,7 +117,7 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AttitudeFix:
+class AttitudeFix(Value):
     """Camera attitude from stars.
 
     Parameters
@@ -192,7 +193,7 @@ class AttitudeFix:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CenterFix:
+class CenterFix(Value):
     """Where the center of a body (the origin of its shape model) appears in an image.
 
     Parameters

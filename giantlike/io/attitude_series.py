@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, quaternion_xyzw
 from giantlike.core.time import time_from_et, utc_text
+from giantlike.core.values import Value
 from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
 
 _UPPER = np.triu_indices(3)
@@ -21,7 +22,7 @@ _COLUMNS = ("name", "epoch_utc", "et", *_QUATERNION, *_COVARIANCE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AttitudeSeries:
+class AttitudeSeries(Value):
     """Attitudes in order of time.
 
     Parameters
@@ -59,6 +60,7 @@ class AttitudeSeries:
         for index in np.flatnonzero(np.diff(self.et) <= 0.0):
             first, second = self.names[index], self.names[index + 1]
             require(False, f"times must increase: {first!r} and {second!r} are at et {self.et[index]:.6f} and before")
+        Value.__post_init__(self)
 
     @property
     def quaternions_xyzw(self) -> Float:

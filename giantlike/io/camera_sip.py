@@ -18,8 +18,9 @@ from giantlike.camera_models import MODELS, CameraModel
 from giantlike.camera_models.convert import Conversion, fit_lens, frame_grid
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import InputError
-from giantlike.core.frames import direction_from_radec, east_north, radec_from_direction
+from giantlike.core.frames import direction_from_radec, east_north, radec_from_direction, rotate
 from giantlike.core.reading import reads
+from giantlike.core.values import Value
 from giantlike.io.mission_frame import ImportedCamera
 
 _FIRST_PIXEL = 1.0  # FITS calls the center of the first pixel so: FITS Standard 4.0, section 8.1
@@ -28,7 +29,7 @@ _ORDERS = range(2, 10)  # the keywords have one digit for each power: Shupe et a
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SipCamera:
+class SipCamera(Value):
     """Camera and attitude of a TAN-SIP header.
 
     Parameters
@@ -198,9 +199,9 @@ def sip_header(posed: PosedModel, *, order: int = 4) -> SipHeader:
     )
     boresight_px = model.project([0.0, 0.0, 1.0])
     inertial_from_camera = camera_from_inertial.inv()
-    ra_deg, dec_deg = radec_from_direction(inertial_from_camera.apply([0.0, 0.0, 1.0]))
+    ra_deg, dec_deg = radec_from_direction(rotate(inertial_from_camera, [0.0, 0.0, 1.0]))
     (east, north), up = east_north(ra_deg, dec_deg), direction_from_radec(ra_deg, dec_deg)
-    seen = inertial_from_camera.apply(directions)
+    seen = rotate(inertial_from_camera, directions)
     sky = np.degrees(np.stack([seen @ east, seen @ north], axis=-1) / (seen @ up)[:, None])
     scale = max(posed.columns, posed.rows) / 2.0
     powers = [(p, q) for p in range(order + 1) for q in range(order + 1) if 1 <= p + q <= order]
@@ -217,7 +218,7 @@ def sip_header(posed: PosedModel, *, order: int = 4) -> SipHeader:
             cards |= {f"A_{p}_{q}": float(a / scale ** (p + q)), f"B_{p}_{q}": float(b / scale ** (p + q))}
         cards |= {f"AP_{p}_{q}": float(ap / scale ** (p + q)), f"BP_{p}_{q}": float(bp / scale ** (p + q))}
     plane = np.radians(design @ fitted)
-    said = camera_from_inertial.apply(up + plane[:, :1] * east + plane[:, 1:] * north)
+    said = rotate(camera_from_inertial, up + plane[:, :1] * east + plane[:, 1:] * north)
     lost = np.linalg.norm(model.project(said) - points_px, axis=1)
     at = (design @ fitted) @ np.linalg.inv(linear).T
     inverse = np.linalg.norm(scale * at + _design(at, powers) @ back - offsets, axis=1)

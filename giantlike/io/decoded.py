@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike.core.arrays import Mask
 from giantlike.core.observer import ObserverState
+from giantlike.core.values import Value
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -19,7 +20,7 @@ HeaderValue: TypeAlias = str | int | float | bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DecodedImage:
+class DecodedImage(Value):
     """Pixels as stored, and the contents of the file's own header.
 
     Parameters
@@ -42,7 +43,7 @@ class DecodedImage:
 
     pixels: NDArray[Any]
     format: str
-    mask: NDArray[np.bool_] | None = None
+    mask: Mask | None = None
     epoch: Time | None = None
     exposure_s: float | None = None
     camera_from_inertial: Rotation | None = None

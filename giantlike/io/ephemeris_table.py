@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
+from giantlike.core.values import Value
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
 
 _POSITION = ("x_km", "y_km", "z_km")
@@ -26,7 +27,7 @@ _BODY = ("body_qx", "body_qy", "body_qz", "body_qw")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EphemerisSamples:
+class EphemerisSamples(Value):
     """Samples of an ephemeris, in order of time.
 
     Parameters

@@ -36,12 +36,13 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.observer import ObserverState
 from giantlike.core.time import utc_text
+from giantlike.core.values import Value
 from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
 
 if TYPE_CHECKING:
     from astropy.time import Time
 
-Value = TypeVar("Value")
+Cell = TypeVar("Cell")
 
 _ATTITUDE = ("qx", "qy", "qz", "qw")
 _TARGET = ("target_x_km", "target_y_km", "target_z_km")
@@ -55,7 +56,7 @@ COLUMNS = ("file", "epoch_utc", "exposure_s", *_ATTITUDE, "target", *_TARGET, *_
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GeometryRow:
+class GeometryRow(Value):
     """One row of a geometry table; None for cells that are empty.
 
     Parameters
@@ -93,7 +94,7 @@ class GeometryRow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImageGeometry:
+class ImageGeometry(Value):
     """Geometry of one image, from all its rows of a table.
 
     Parameters
@@ -114,7 +115,7 @@ class ImageGeometry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GeometryTable:
+class GeometryTable(Value):
     """A geometry table.
 
     Parameters
@@ -322,7 +323,7 @@ def _merged(rows: list[GeometryRow]) -> ImageGeometry:
     )
 
 
-def _first(values: Iterable[Value | None]) -> Value | None:
+def _first(values: Iterable[Cell | None]) -> Cell | None:
     return next((value for value in values if value is not None), None)
 
 

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import frozen
+from giantlike.core.arrays import Mask, frozen
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.observer import ObserverState
 from giantlike.core.reading import reads, unzipped
+from giantlike.core.values import Value
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.fits import decode_fits
 from giantlike.io.label_times import label_epoch, label_exposure_s
@@ -39,7 +40,7 @@ _MAGIC = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImageFile:
+class ImageFile(Value):
     """Image of a file: pixels, mask, and the navigation data of its header.
 
     Parameters
@@ -65,7 +66,7 @@ class ImageFile:
     """
 
     pixels: NDArray[Any]
-    mask: NDArray[np.bool_]
+    mask: Mask
     epoch: Time | None
     exposure_s: float | None
     camera_from_inertial: Rotation | None
@@ -180,8 +181,8 @@ def _finish(path: Path, decoded: DecodedImage, digest: str) -> ImageFile:
     else:
         pixels = np.array(pixels, dtype=pixels.dtype.newbyteorder("="))
     return ImageFile(
-        pixels=frozen(pixels),
-        mask=frozen(mask),
+        pixels=pixels,
+        mask=mask,
         epoch=decoded.epoch,
         exposure_s=decoded.exposure_s,
         camera_from_inertial=decoded.camera_from_inertial,

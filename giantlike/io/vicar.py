@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.core.arrays import Mask
 from giantlike.core.reading import reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.label_times import label_epoch, label_exposure_s
@@ -204,7 +205,7 @@ def _text(label: bytes) -> bytes:
     return label.partition(b"\0")[0]
 
 
-def _never_received(pixels: NDArray[Any], label: dict[str, HeaderValue]) -> NDArray[np.bool_]:
+def _never_received(pixels: NDArray[Any], label: dict[str, HeaderValue]) -> Mask:
     """Mask (rows, columns) of pixels that the label declares missing."""
     empty = np.asarray(pixels == 0)
     missing = label.get("MISSING_LINES")

@@ -15,6 +15,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.camera_models.convert import frame_grid
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.version import VERSION
 from giantlike.io.camera_sip import PosedModel, SipHeader, camera_of_sip, sip_header
@@ -135,9 +136,9 @@ def attitude_of_wcs(
         advice = "read the image with bottom_up" if solved.camera.rows_reversed else "read it as stored"
         raise InputError(f"by its world coordinates the image shows the sky mirrored: {advice}")
     points_px = frame_grid(columns, rows, nodes=_NODES).reshape(-1, 2)
-    inertial = solved.camera_from_inertial.inv().apply(solved.camera.model.unproject(points_px))
+    inertial = rotate(solved.camera_from_inertial.inv(), solved.camera.model.unproject(points_px))
     attitude, _ = Rotation.align_vectors(model.unproject(points_px), inertial)
-    residuals = model.project(attitude.apply(inertial)) - points_px
+    residuals = model.project(rotate(attitude, inertial)) - points_px
     rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
     return WcsAttitude(camera_from_inertial=attitude, rms_px=rms)
 

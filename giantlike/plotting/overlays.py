@@ -15,7 +15,8 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.plotting.style import drawing
 
 MARKS = MappingProxyType(
@@ -41,7 +42,7 @@ _SOFTENING = 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarMarks:
+class StarMarks(Value):
     """Stars of an image, px.
 
     Parameters
@@ -66,7 +67,7 @@ class StarMarks:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CenterMark:
+class CenterMark(Value):
     """What one estimator found: the center (2,) with its covariance (2, 2), and the limb points (n, 2) it used, px."""
 
     color: str
@@ -76,7 +77,7 @@ class CenterMark:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BodyMarks:
+class BodyMarks(Value):
     """A body in an image, px.
 
     Parameters
@@ -97,7 +98,7 @@ class BodyMarks:
     predicted_px: Float
     radius_px: float
     outline_px: Float
-    lit: NDArray[np.bool_]
+    lit: Mask
     centers: Sequence[CenterMark] = ()
 
 

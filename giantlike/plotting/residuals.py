@@ -9,20 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.statistics import MAD_TO_SIGMA
+from giantlike.core.values import Value
 from giantlike.plotting.style import BLUE, GRAY, INK, MANY_POINTS, MARKERS, RED, SERIES, drawing, new_figure
 
 _MAX_ARROWS = 400
 _SMALLEST_PX = 1e-6  # a logarithmic axis has no zero
 _MAGNITUDE_BINS = 24
-_MAD_TO_SIGMA = 1.4826
 _RAYLEIGH_MEDIAN = 1.1774  # of the length of a vector with two independent unit Gaussian components
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Series:
+class Series(Value):
     """One quantity of one source over a campaign.
 
     Parameters
@@ -42,7 +42,7 @@ class Series:
     at: Float
     values: Float
     sigma: Float
-    suspect: NDArray[np.bool_]
+    suspect: Mask
 
 
 def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str, title: str) -> Figure:
@@ -155,7 +155,7 @@ def _draw_arrows(axis: Axes, points_px: Float, residuals_px: Float, columns: int
 
 
 def _draw_histogram(axis: Axes, residuals_px: Float) -> None:
-    spread = _MAD_TO_SIGMA * float(np.median(np.abs(residuals_px - np.median(residuals_px, axis=0))))
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(residuals_px - np.median(residuals_px, axis=0))))
     half = max(6 * spread, 1e-6)
     bins = np.linspace(-half, half, 49).tolist()
     clipped = np.clip(residuals_px, -half, half)

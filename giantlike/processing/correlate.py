@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
-
-Mask = NDArray[np.bool_]
+from giantlike.core.values import Value
 
 _FITTED = 4  # place (two), gain and level
 _LEAST_NOISE = 1e-12  # of the light: rounding may leave none
@@ -45,7 +44,7 @@ class CorrelationOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CorrelationPeak:
+class CorrelationPeak(Value):
     """The highest point of a correlation surface.
 
     Parameters

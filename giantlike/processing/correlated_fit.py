@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.statistics import robust_sigma
+from giantlike.core.values import Value
 
 _ITERATIONS = 20
 _REST = 0.01
 """Motion of the residuals, over the least sigma, below which robust weights need no more iterations."""
-_MAD_TO_SIGMA = 1.4826
 _TUKEY_LIMIT = 1.5
 """Where a weight reaches zero, over the limit for outliers."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e6, 22)])
@@ -23,7 +23,7 @@ _LEAST_SCALE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CorrelatedFit:
+class CorrelatedFit(Value):
     """Parameters of a linear model and their covariance.
 
     Parameters
@@ -52,9 +52,7 @@ class CorrelatedFit:
         return result
 
 
-def robust_solution(
-    residuals: Float, design: Float, sigma: Float, *, outlier_mad: float
-) -> tuple[Float, NDArray[np.bool_]]:
+def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_mad: float) -> tuple[Float, Mask]:
     """Solve ``design @ solution = residuals`` and tell which residuals belong.
 
     Parameters
@@ -87,9 +85,9 @@ def robust_solution(
         left = residuals - design @ solution
         if _same(left, before, floor):
             break
-        weights = 1.0 / np.maximum(np.abs(left), floor + _robust_sigma(left))
+        weights = 1.0 / np.maximum(np.abs(left), floor + robust_sigma(left))
     for _ in range(_ITERATIONS):
-        total = np.sqrt(sigma**2 + _robust_sigma(left) ** 2)
+        total = np.sqrt(sigma**2 + robust_sigma(left) ** 2)
         biweight = np.maximum(1.0 - (left / (_TUKEY_LIMIT * outlier_mad * total)) ** 2, 0.0) ** 2
         if np.count_nonzero(biweight) <= design.shape[1]:
             break
@@ -97,7 +95,7 @@ def robust_solution(
         left = residuals - design @ solution
         if _same(left, before, floor):
             break
-    keep: NDArray[np.bool_] = np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + _robust_sigma(left) ** 2)
+    keep: Mask = np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + robust_sigma(left) ** 2)
     return solution, keep
 
 
@@ -238,7 +236,3 @@ def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
 def _same(left: Float, before: Float, floor: float) -> bool:
     """Whether residuals have come to rest."""
     return float(np.max(np.abs(left - before))) < _REST * floor
-
-
-def _robust_sigma(residuals: Float) -> float:
-    return float(_MAD_TO_SIGMA * np.median(np.abs(residuals - np.median(residuals))))

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import FocalPlane
@@ -51,7 +52,7 @@ class Estimator(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EstimatorInputs:
+class EstimatorInputs(Value):
     """What an estimator works on, gathered from image, camera and scene.
 
     Parameters
@@ -84,9 +85,9 @@ class EstimatorInputs:
     camera: Camera
     predicted_px: Float
     pixels_dn: Float
-    usable: NDArray[np.bool_]
-    saturated: NDArray[np.bool_]
-    masked: NDArray[np.bool_]
+    usable: Mask
+    saturated: Mask
+    masked: Mask
     flags: Quality
     provenance: Mapping[str, str]
 
@@ -124,7 +125,7 @@ class EstimatorInputs:
         """Return a failure whose text starts with the image, the target and the estimator."""
         return Failure(reason, f"{self.image_name}: {self.target_name}: {self.estimator}: {detail}")
 
-    def flags_at(self, area: NDArray[np.bool_]) -> Quality:
+    def flags_at(self, area: Mask) -> Quality:
         """Flags for a measurement on the pixels ``area`` (rows, columns) bool: the shared ones and bad pixels on it."""
         flags = self.flags
         if bool((self.saturated & area).any()):

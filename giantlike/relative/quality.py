@@ -9,6 +9,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Quality
+from giantlike.core.values import Value
 
 SHORT_ARC_SHARE = 0.25
 """Share of the outline below which an arc is short; the documented meaning of ``Quality.SHORT_ARC``.
@@ -23,7 +24,7 @@ The median absolute deviation, by which outliers are found, breaks down where ha
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class QualityChecks:
+class QualityChecks(Value):
     """Numbers of a fix from which its quality flags follow; the defaults raise none.
 
     Parameters
@@ -61,6 +62,7 @@ class QualityChecks:
 
     def __post_init__(self) -> None:
         require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
+        Value.__post_init__(self)
 
     @property
     def far_from_prediction(self) -> bool:

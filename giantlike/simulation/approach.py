@@ -22,6 +22,7 @@ from giantlike.core.frames import camera_from_inertial_of_pointing, radec_from_d
 from giantlike.core.light import aberrate
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
+from giantlike.core.values import Value
 from giantlike.ephemeris import ApparentGeometry, FixedEphemeris
 from giantlike.image import ObserverState
 from giantlike.scene import Scene, Target, light_path
@@ -133,7 +134,7 @@ class ApproachOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Frame:
+class Frame(Value):
     """An image to be taken: what happens, and what is known of it beforehand.
 
     Parameters
@@ -165,7 +166,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Approach:
+class Approach(Value):
     """A whole made-up campaign, not yet photographed.
 
     Parameters
@@ -267,7 +268,7 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Encounter:
+class _Encounter(Value):
     """A body and a spacecraft that visits it."""
 
     target: Target
@@ -307,7 +308,7 @@ def _toward_camera(to_sun_km: Float, phase_deg: float, turn_deg: float) -> Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Planner:
+class _Planner(Value):
     """Turns visits into frames; draws everything random from one generator, in order."""
 
     camera: Camera

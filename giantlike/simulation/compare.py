@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError
-from giantlike.core.frames import rotation_between, rotation_from_xyzw
+from giantlike.core.frames import rotate, rotation_between, rotation_from_xyzw
 from giantlike.core.units import RAD_PER_ARCSEC
+from giantlike.core.values import Value
 
 _GRID = 5  # points along each side of the frame at which an attitude error is turned into pixels
 
@@ -24,7 +25,7 @@ Row = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AttitudeError:
+class AttitudeError(Value):
     """Attitude of one image against truth.
 
     Parameters
@@ -49,7 +50,7 @@ class AttitudeError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ObservationError:
+class ObservationError(Value):
     """One estimator on one image against truth.
 
     Parameters
@@ -81,7 +82,7 @@ class ObservationError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Comparison:
+class Comparison(Value):
     """A whole run against truth: one entry per row of its tables."""
 
     attitudes: tuple[AttitudeError, ...]
@@ -89,7 +90,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Score:
+class Score(Value):
     """Errors of many fixes, beside what was stated for them.
 
     Parameters
@@ -229,7 +230,7 @@ def _shift_px(camera: Camera, rotvec_rad: Float) -> Float:
     y = np.linspace(0.0, camera.rows - 1.0, _GRID)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     directions = camera.model.unproject(points)
-    moved = camera.model.project(unit(Rotation.from_rotvec(rotvec_rad).apply(directions)))
+    moved = camera.model.project(unit(rotate(Rotation.from_rotvec(rotvec_rad), directions)))
     return _rms(moved - points)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.core.arrays import Float, require
+from giantlike.core.values import Value
 
 _UM_PER_CM = 1e4
 _STEPS_PER_PX = 16  # a track is laid down in pieces of this length
@@ -58,7 +59,7 @@ class CosmicRays:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tracks:
+class Tracks(Value):
     """Tracks of particles.
 
     Parameters

@@ -14,8 +14,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.arrays import Float, Mask, as_floats, require
 from giantlike.core.detector import Detector
+from giantlike.core.values import Value
 from giantlike.simulation.cosmic_rays import CosmicRays, draw_tracks
 from giantlike.simulation.effects import DarkCurrent, FlatField, FrameTransfer, FullWell, StrayLight
 
@@ -47,7 +48,7 @@ class Stream(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HotPixels:
+class HotPixels(Value):
     """Single pixels that fill up without light.
 
     Parameters
@@ -65,6 +66,7 @@ class HotPixels:
             self.points_px.ndim == 2 and self.points_px.shape == (len(self.rate_e_s), 2),
             f"hot pixels need points_px (n, 2) and rate_e_s (n,), got {self.points_px.shape} and {self.rate_e_s.shape}",
         )
+        Value.__post_init__(self)
 
     @classmethod
     def scattered(
@@ -88,7 +90,7 @@ def scattered_pixels(count: int, columns: int, rows: int, rng: np.random.Generat
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DetectorModel:
+class DetectorModel(Value):
     """What a detector does beyond the gain, bias, read noise and saturation of a camera file.
 
     By default only shot noise is on.
@@ -126,6 +128,7 @@ class DetectorModel:
             f"dead_px must have shape (n, 2), got {self.dead_px.shape}",
         )
         require(1 <= self.bits <= 16, f"bits must be in [1, 16], got {self.bits}")
+        Value.__post_init__(self)
 
     def expected_e(self, light_e: Float, exposure_s: float) -> Float:
         """Mean number of electrons (rows, columns) before any noise, of light (rows, columns) on the pixels."""
@@ -145,7 +148,7 @@ class DetectorModel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Readout:
+class Readout(Value):
     """Numbers that came out of a detector, and what is true of them.
 
     Parameters
@@ -225,9 +228,7 @@ def converted(charge_e: Float, detector: Detector, *, bits: int = 16) -> NDArray
     return np.clip(numbers, 0.0, int(min(detector.saturation_dn, 2**bits - 1))).astype(np.uint16)
 
 
-def _inside(
-    points_px: NDArray[np.int64], columns: int, rows: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+def _inside(points_px: NDArray[np.int64], columns: int, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
     """Columns and rows of the pixels on a detector, and which of all they are."""
     x, y = points_px[:, 0], points_px[:, 1]
     inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)

@@ -12,6 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.values import Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +58,7 @@ class StrayLight:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FlatField:
+class FlatField(Value):
     """How much of the light each pixel answers to.
 
     Parameters
@@ -81,6 +82,7 @@ class FlatField:
                 response.ndim == 2 and bool(np.isfinite(response).all()) and lowest >= 0.0,
                 f"a flat field response must be (rows, columns), finite and >= 0, got {response.shape}, least {lowest}",
             )
+        Value.__post_init__(self)
 
     def factor(self, columns: int, rows: int) -> Float:
         """Factor (rows, columns) on the light; 1 where nothing is lost.

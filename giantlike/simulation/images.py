@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import Float
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.ray_tracing import Template
 from giantlike.scene import Scene, TargetGeometry
@@ -19,7 +20,7 @@ from giantlike.simulation.stars import StarField
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SimulatedImage:
+class SimulatedImage(Value):
     """An image and the truth behind it.
 
     Parameters

@@ -8,14 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.time import et_from_time
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.ray_tracing import RenderOptions, SceneRender, Template, render_scene
 from giantlike.scene import Scene, TargetGeometry
@@ -58,7 +59,7 @@ class SimulationOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class IncidentLight:
+class IncidentLight(Value):
     """Light on the pixels, and where it comes from.
 
     Parameters
@@ -83,11 +84,11 @@ class IncidentLight:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _SeenBodies:
+class _SeenBodies(Value):
     """Bodies at one moment: their light, electron/s (rows, columns), what they cover, and each of them."""
 
     rate_e_s: Float
-    covered: NDArray[np.bool_]
+    covered: Mask
     geometry: Mapping[str, TargetGeometry]
     templates: Mapping[str, Template]
 
@@ -145,7 +146,7 @@ def incident_light(
         now = shot.at(instant.since_middle_s)
         seen = _seen_bodies(now, camera, scene, photometry, coarse, random)
         electrons += instant.share * shot.exposure_s * seen.rate_e_s
-        points = camera.model.project(now.camera_from_inertial.apply(stars.directions_inertial))
+        points = camera.model.project(rotate(now.camera_from_inertial, stars.directions_inertial))
         shown = np.isfinite(points).all(axis=1) & ~_hidden(points, seen.covered, camera)
         free += instant.share * shown
         electrons += point_sources(
@@ -166,11 +167,11 @@ def _smear_px(shot: Shot, camera: Camera, scene: Scene | None) -> float:
     right, bottom = camera.columns - 0.5, camera.rows - 0.5
     corners = [[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]]
     fixed = camera.model.unproject(np.vstack([corners, camera.center_px]))
-    inertial = shot.camera_from_inertial.inv().apply(fixed)
+    inertial = rotate(shot.camera_from_inertial.inv(), fixed)
     path = []
     for since_s in shot.exposure_s * _SMEAR_STEPS:
         now = shot.at(float(since_s))
-        places = [now.camera_from_inertial.apply(inertial)]
+        places = [rotate(now.camera_from_inertial, inertial)]
         if scene is not None:
             frame = unexposed(now, camera)
             bodies = [true_geometry(scene, frame, target.name).position_camera_km for target in scene.targets]
@@ -196,7 +197,7 @@ def _stars(
     )
 
 
-def _hidden(points_px: Float, covered: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
+def _hidden(points_px: Float, covered: Mask, camera: Camera) -> Mask:
     """Which points (n, 2) of the image lie in pixels that a body covers."""
     on_detector = camera.contains(points_px)
     x, y = np.rint(points_px[on_detector]).astype(np.int64).T

@@ -16,6 +16,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import ifov_rad
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.time import et_from_time, time_from_et
+from giantlike.core.values import Value
 from giantlike.image import AttitudeSource, Image, ObserverState
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ class Photometry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shot:
+class Shot(Value):
     """An exposure as it really happens.
 
     Parameters
@@ -100,6 +101,7 @@ class Shot:
             math.isfinite(self.exposure_s) and self.exposure_s >= 0,
             f"{self.name}: exposure_s must be >= 0, got {self.exposure_s}",
         )
+        Value.__post_init__(self)
 
     def at(self, since_middle_s: float) -> Shot:
         """The same exposure as it stands some seconds after its middle: epoch, attitude and place of the camera."""

@@ -14,6 +14,8 @@ from giantlike.camera import Camera
 from giantlike.camera_models import ifov_rad
 from giantlike.catalogs import StarCatalog, apparent_directions
 from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.frames import rotate
+from giantlike.core.values import Value
 from giantlike.image import ObserverState
 
 _REACH_SIGMA = 7.0  # what lies beyond is below 1e-11 of a star
@@ -22,7 +24,7 @@ _CONE_MARGIN_RAD = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarField:
+class StarField(Value):
     """Stars on a detector, brightest first.
 
     Parameters
@@ -93,7 +95,7 @@ def star_field(
     StarField
         Those whose light reaches the detector, some a few pixels outside it.
     """
-    axis = camera_from_inertial.inv().apply(camera.model.unproject(camera.center_px))
+    axis = rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px))
     sigma_px = 0.0 if camera.psf is None else camera.psf.sigma_px
     margin_px = _REACH_SIGMA * sigma_px + smear_px
     margin_rad = _CONE_MARGIN_RAD + margin_px * float(ifov_rad(camera.model, camera.center_px))
@@ -104,7 +106,7 @@ def star_field(
         observer_position_km=None if observer is None else observer.position_km,
         observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
     )
-    points = camera.model.project(camera_from_inertial.apply(directions))
+    points = camera.model.project(rotate(camera_from_inertial, directions))
     seen = camera.contains(points, margin_px=-margin_px)
     return StarField(
         ids=stars.ids[seen],

@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
-from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.frames import quaternion_xyzw, rotate
 from giantlike.core.version import VERSION
 from giantlike.io import navigation_header, write_fits
 from giantlike.io.fits_keywords import Card
@@ -157,9 +157,9 @@ def geometry_rows(taken: SimulatedImage) -> list[GeometryRow]:
         dataclasses.replace(
             row,
             target=name,
-            target_position_inertial_km=inertial_from_camera.apply(body.position_camera_km),
+            target_position_inertial_km=rotate(inertial_from_camera, body.position_camera_km),
             body_from_inertial=(inertial_from_camera * body.camera_from_body).inv(),
-            sun_direction_inertial=inertial_from_camera.apply(body.sun_direction_camera),
+            sun_direction_inertial=rotate(inertial_from_camera, body.sun_direction_camera),
         )
         for name, body in taken.bodies.items()
     ]
@@ -176,9 +176,11 @@ def _target(
         f"{prefix}NAME": Card(name, "target"),
         f"{prefix}SHAPE": Card(geometry.target.shape.sha256[:_HASH_DIGITS], "SHA-256 of its shape"),
     }
-    cards |= _vector(prefix, inertial_from_camera.apply(geometry.position_camera_km), "[km] from camera, apparent")
+    cards |= _vector(prefix, rotate(inertial_from_camera, geometry.position_camera_km), "[km] from camera, apparent")
     cards |= _rotation(f"{prefix}Q", body_from_inertial, "body_from_inertial, scalar last")
-    cards |= _vector(f"{prefix}SUN", inertial_from_camera.apply(geometry.sun_direction_camera), "to the Sun, inertial")
+    cards |= _vector(
+        f"{prefix}SUN", rotate(inertial_from_camera, geometry.sun_direction_camera), "to the Sun, inertial"
+    )
     if np.isfinite(center).all():
         cards |= {f"{prefix}P{axis}": Card(float(center[k]), "[px] center, from 0") for k, axis in enumerate("XY")}
     return cards

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.matching import (
     Matches,
@@ -26,7 +28,7 @@ _VOTING_STARS, _VOTING_POINTS = 150, 100  # the brightest have enough to say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Identification:
+class Identification(Value):
     """Stars found in an image.
 
     Parameters
@@ -82,7 +84,7 @@ def identify_apriori(
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Matching Potential
        Stars with Known Stars From a Star Catalog, steps 1-10.
     """
-    predicted = camera.model.project(camera_from_inertial.apply(directions_inertial))
+    predicted = camera.model.project(rotate(camera_from_inertial, directions_inertial))
     predicted[~camera.contains(predicted, margin_px=-options.max_pixel_distance)] = np.nan
     near = np.flatnonzero(np.isfinite(predicted[:, 0]))
     if near.size < options.min_matches:
@@ -192,7 +194,7 @@ def _verified(
     directions_inertial: Float, points_px: Float, camera: Camera, rotation: Rotation, options: StarOptions
 ) -> Identification | Failure:
     """Match all stars with the attitude found, and ask whether chance would do as well."""
-    predicted = camera.model.project(rotation.apply(directions_inertial))
+    predicted = camera.model.project(rotate(rotation, directions_inertial))
     predicted[~camera.contains(predicted, margin_px=-options.inlier_px)] = np.nan
     matches = match_nearest(predicted, points_px, options.inlier_px)
     area = float(camera.columns * camera.rows)

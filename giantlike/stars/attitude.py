@@ -9,15 +9,15 @@ from functools import partial
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, require
-from giantlike.core.frames import skew
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 
 _MAX_STEPS = 20
@@ -29,7 +29,7 @@ _MEDIAN_CHI2 = 2.0 * np.log(2.0)  # two degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AttitudeSolution:
+class AttitudeSolution(Value):
     """Weighted attitude of one image.
 
     Parameters
@@ -54,7 +54,7 @@ class AttitudeSolution:
     camera_from_inertial: Rotation
     covariance_rad2: Float
     model: CameraModel
-    used: NDArray[np.bool_]
+    used: Mask
     predicted_px: Float
     sigma_px: Float
     error_floor_px: float
@@ -134,7 +134,7 @@ def fit_attitude(
     require(weighted or scale is Scale.FIXED, f"method {method} cannot estimate the scale; use 'weighted'")
     fit: Fitter = _gauss_newton if weighted else partial(_wahba, WahbaMethod(method))
     vectors = model.unproject(points_px)
-    seen: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=1)
+    seen: Mask = np.all(np.isfinite(vectors), axis=1)
     sigma = np.sqrt(np.trace(covariance_px2[seen], axis1=1, axis2=2) / 2.0)
     start = solve_wahba(
         directions_inertial[seen],
@@ -159,7 +159,7 @@ class _Stars:
     points_px: Float
     covariance_px2: Float
 
-    def select(self, which: NDArray[np.bool_]) -> _Stars:
+    def select(self, which: Mask) -> _Stars:
         return _Stars(self.directions[which], self.points_px[which], self.covariance_px2[which])
 
     def inflated(self, floor_px: float) -> _Stars:
@@ -176,11 +176,11 @@ class _State:
     model: CameraModel
 
     def predict(self, directions_inertial: Float) -> Float:
-        return self.model.project(self.rotation.apply(directions_inertial))
+        return self.model.project(rotate(self.rotation, directions_inertial))
 
     def jacobian(self, directions_inertial: Float, scale: Scale) -> Float:
         """(n, 2, 3 + scale) derivative of the pixels by the small rotation, the log of the focal length, and k1."""
-        vectors = self.rotation.apply(directions_inertial)
+        vectors = rotate(self.rotation, directions_inertial)
         columns = [-self.model.project_jacobian(vectors) @ skew(vectors)]
         if scale:
             names = self.model.parameter_names
@@ -239,8 +239,8 @@ def _gauss_newton(state: _State, stars: _Stars, scale: Scale) -> tuple[_State, F
 
 
 def _without_outliers(
-    state: _State, stars: _Stars, used: NDArray[np.bool_], scale: Scale, outlier_sigma: float, fit: Fitter
-) -> tuple[_State, NDArray[np.bool_]] | Failure:
+    state: _State, stars: _Stars, used: Mask, scale: Scale, outlier_sigma: float, fit: Fitter
+) -> tuple[_State, Mask] | Failure:
     """Fit and leave out what lies further off than the median allows, until that changes nothing."""
     for _ in range(_MAX_ROUNDS):
         chosen = stars.select(used)
@@ -258,9 +258,7 @@ def _without_outliers(
     return state, used
 
 
-def _solution(
-    state: _State, stars: _Stars, used: NDArray[np.bool_], scale: Scale, fit: Fitter
-) -> AttitudeSolution | Failure:
+def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitter) -> AttitudeSolution | Failure:
     """Last fit, on the stars that are left: as they are weighted if chi-square allows, else with an error floor."""
     chosen = stars.select(used)
     freedom = 2 * int(used.sum()) - 3 - scale

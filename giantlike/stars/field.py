@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, StarTable, apparent_directions, et_of_julian_year
 from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
+from giantlike.core.values import Value
 
 EPOCH_WHEN_UNKNOWN = 2016.0
 """Julian epoch at which stars are put when an image has none: that of most positions in the default catalog."""
@@ -18,7 +20,7 @@ _MARGIN = 1.05  # a little more sky than the camera sees: its model may still ch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarField:
+class StarField(Value):
     """Stars in and around the field of view, brightest first.
 
     Parameters
@@ -48,7 +50,7 @@ class StarField:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sky:
+class Sky(Value):
     """A catalog as an observer sees it at one time.
 
     Parameters
@@ -76,7 +78,7 @@ class Sky:
         self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0, count: int | None = None
     ) -> StarField:
         """Stars within the field of view of a camera, and ``margin_px`` around it; the ``count`` brightest of them."""
-        axis = camera_from_inertial.inv().apply(camera.model.unproject(camera.center_px))
+        axis = rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px))
         radius = _half_diagonal_rad(camera) * _MARGIN + margin_px / camera.model.focal_length_px
         return self.cone(axis / np.linalg.norm(axis), min(radius, np.pi), count=count)
 

@@ -14,12 +14,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.stars.field import Sky
 from giantlike.stars.index_store import sky_index
 from giantlike.stars.matching import attitudes_of_sky, attitudes_within_angle
@@ -40,7 +41,7 @@ _BRIGHTEST = 40
 _NARROW_RAD = math.radians(0.75)  # half a field of view: below, the catalog may have too few stars for it
 _SAMPLED_RAD = 0.3  # distance of the places where its stars are counted
 _BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # searches that find most images
-Bools = NDArray[np.bool_]
+Bools = Mask
 
 
 def identify_lost_in_space(
@@ -113,7 +114,7 @@ def identify_in_cone(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
+class _Problem(Value):
     """What :func:`identify_lost_in_space` or :func:`identify_in_cone` was asked."""
 
     points_px: Float
@@ -210,7 +211,7 @@ class _Problem:
         catalog, limit = self.sky.catalog, self.sky.max_magnitude
         if self.apriori is None:
             return sky_index(catalog, pattern, radius_rad, max_magnitude=limit)
-        axis = self.apriori.inv().apply(self.camera.model.unproject(self.camera.center_px))
+        axis = rotate(self.apriori.inv(), self.camera.model.unproject(self.camera.center_px))
         axis = axis / np.linalg.norm(axis)
         reach = self.reach_rad()
         share = (1.0 - math.cos(reach)) / 2.0
@@ -225,7 +226,7 @@ class _Problem:
             return math.inf
         axes, reach = caps(_SAMPLED_RAD), _SAMPLED_RAD / 4.0
         if self.apriori is not None:
-            axes = self.apriori.inv().apply(self.camera.model.unproject(self.camera.center_px))[None]
+            axes = rotate(self.apriori.inv(), self.camera.model.unproject(self.camera.center_px))[None]
             reach = self.reach_rad()
         limit = self.sky.max_magnitude
         found = [len(self.sky.catalog.cone(axis, reach, max_magnitude=limit)) for axis in unit(axes)]

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.special import betainc, rel_entr
 
 from giantlike.core.arrays import Float
+from giantlike.core.values import Value
 
 BLEND_PX = 4.0
 """Stars closer than this to each other pull each other's centroid."""
@@ -18,7 +19,7 @@ _DISTORTION = 0.05  # of the image's half size: more than a fit of k1 may take u
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Matches:
+class Matches(Value):
     """Pairs of a star and a detection, each of them at most once.
 
     Parameters

@@ -14,6 +14,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
 from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
@@ -152,7 +153,7 @@ class StarNavigation:
         options, camera = self.options, self.camera
         depth = depth_for(len(points_px))
         wide = sky.field(camera, camera_from_inertial, margin_px=options.max_pixel_distance, count=depth)
-        expected = camera.contains(camera.model.project(camera_from_inertial.apply(wide.directions_inertial)))
+        expected = camera.contains(camera.model.project(rotate(camera_from_inertial, wide.directions_inertial)))
         offered = _DETECTIONS_PER_STAR * int(expected.sum()) + _SPARE_DETECTIONS
         points, covariance = points_px[:offered], covariance_px2[:offered]
         found = identify_apriori(wide.directions_inertial, points, camera, camera_from_inertial, options=options)

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.stars.attitude import AttitudeMethod
 
 _NEVER_LEFT_OUT = 20
@@ -111,8 +110,8 @@ class StarOptions:
         )
 
 
-def bright_enough(snr: Float, min_snr: float) -> NDArray[np.bool_]:
+def bright_enough(snr: Float, min_snr: float) -> Mask:
     """Which of some stars (k,) reach a signal-to-noise ratio, or are among the 20 brightest anyway."""
-    bright: NDArray[np.bool_] = snr >= min_snr
+    bright: Mask = snr >= min_snr
     bright[np.argsort(-snr, kind="stable")[:_NEVER_LEFT_OUT]] = True
     return bright

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.quads import describe_quads
 from giantlike.stars.star_index import Pattern, StarIndex, scattered, subsets
@@ -20,7 +21,7 @@ _NARROWEST = 0.1  # of the widest pattern: smaller ones say little
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scope:
+class Scope(Value):
     """What is asked of a search for patterns.
 
     Parameters
@@ -39,7 +40,7 @@ class Scope:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hypothesis:
+class Hypothesis(Value):
     """An attitude that several patterns of detections have in common.
 
     Parameters
@@ -63,7 +64,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class Candidates(Value):
     """Patterns of the image and of the index that look alike, and the attitudes that they suggest.
 
     ``detections`` and ``stars`` are (k, size); ``matrices`` (k, 3, 3) camera_from_inertial; ``scales`` (k,).
@@ -88,7 +89,7 @@ class Candidates:
         number = scattered(np.concatenate([both.detections, both.stars], axis=1))
         return both.select(np.sort(np.unique(number, return_index=True)[1]))
 
-    def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Candidates:
+    def select(self, chosen: Mask | NDArray[np.intp]) -> Candidates:
         """Those of a mask (k,) or of indices."""
         return Candidates(self.detections[chosen], self.stars[chosen], self.matrices[chosen], self.scales[chosen])
 

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
 
 _RATE = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AngularRates:
+class AngularRates(Value):
     """Rates of a camera with respect to inertial axes, linear in time between samples.
 
     Parameters
@@ -37,6 +38,7 @@ class AngularRates:
         object.__setattr__(self, "et", as_finite(self.et, (count,), "et"))
         object.__setattr__(self, "rates_rad_s", as_finite(self.rates_rad_s, (count, 3), "rates_rad_s"))
         require(bool((np.diff(self.et) > 0).all()), "times of angular rates must increase")
+        Value.__post_init__(self)
 
     def turn(self, from_et: float, to_et: float) -> Rotation | Failure:
         """Rotation ``camera(to_et) from camera(from_et)``: vectors in camera axes then to those in camera axes now.

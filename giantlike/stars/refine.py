@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.stars.attitude import AttitudeSolution, Scale, fit_attitude
 from giantlike.stars.field import StarField
 from giantlike.stars.matching import (
@@ -34,7 +35,7 @@ SMALLEST_GATE_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RefinedAttitude:
+class RefinedAttitude(Value):
     """An attitude, the stars that it rests on, and how likely chance would do as well.
 
     Parameters
@@ -151,7 +152,7 @@ def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale
 
 
 def _predicted_in_frame(field: StarField, camera: Camera, rotation: Rotation, margin_px: float) -> Float:
-    predicted = camera.model.project(rotation.apply(field.directions_inertial))
+    predicted = camera.model.project(rotate(rotation, field.directions_inertial))
     predicted[~camera.contains(predicted, margin_px=-margin_px)] = np.nan
     return predicted
 
@@ -189,7 +190,7 @@ def _judged(
     options: StarOptions,
 ) -> RefinedAttitude | Failure:
     """Ask the last question: how likely are so many matches, that close, by chance."""
-    used: NDArray[np.bool_] = solution.used
+    used: Mask = solution.used
     n_used = int(used.sum())
     residuals = points_px[matches.detection_indices[used]] - solution.predicted_px[used]
     gate = max(float(np.linalg.norm(residuals, axis=1).max()), SMALLEST_GATE_PX)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
+from giantlike.core.values import Value
 from giantlike.stars.index_store import cap_radius_rad
 from giantlike.stars.star_index import Pattern, caps
 
@@ -20,7 +21,7 @@ _CAPS_AT_ONCE, _CAPS_AT_MOST = 4, 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Search:
+class Search(Value):
     """Detections that make patterns, group by group, and the caps of the index to use.
 
     Groups hold indices of detections, brightest first.

@@ -17,6 +17,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
+from giantlike.core.values import Value
 from giantlike.stars.quads import describe_quads
 from giantlike.stars.triads import describe_triads
 
@@ -61,7 +63,7 @@ class Pattern(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarIndex:
+class StarIndex(Value):
     """Patterns of stars, to be asked for by shape.
 
     Parameters
@@ -195,7 +197,7 @@ def caps(spacing_rad: float, axis: ArrayLike = (0.0, 0.0, 1.0), reach_rad: float
     turn = np.pi * (3.0 - np.sqrt(5.0)) * number
     across = np.sqrt(1.0 - z**2)
     lattice = np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=-1)
-    return np.asarray(rotation_to(axis).apply(lattice))
+    return np.asarray(rotate(rotation_to(axis), lattice))
 
 
 def rotation_to(axis: ArrayLike) -> Rotation:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import tetra3rs
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.stars.field import Sky
 from giantlike.stars.options import StarOptions
 from giantlike.stars.pattern_database import MAX_FOV_DEG, MIN_FOV_DEG, pattern_database
@@ -87,7 +86,7 @@ def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: Sta
 class _Attempt:
     """Which detections form patterns, how many of them, and how far edge ratios may be off."""
 
-    chosen: NDArray[np.bool_]
+    chosen: Mask
     pattern_stars: int = 24
     edge_error: float | None = None  # None: that of the database, 0.001
 

@@ -19,6 +19,7 @@ from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
+from giantlike.core.values import Value
 from giantlike.stars.rates import AngularRates
 
 
@@ -67,7 +68,7 @@ class TransferOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarAttitude:
+class StarAttitude(Value):
     """A star solution and when it was made.
 
     Parameters
@@ -88,10 +89,11 @@ class StarAttitude:
     def __post_init__(self) -> None:
         require(math.isfinite(self.et), f"et must be finite, got {self.et}")
         object.__setattr__(self, "covariance_rad2", as_finite(self.covariance_rad2, (3, 3), "covariance_rad2"))
+        Value.__post_init__(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TransferredAttitude:
+class TransferredAttitude(Value):
     """An attitude that came from neighbors.
 
     Parameters

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 
 
-def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp], NDArray[np.bool_]]:
+def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp], Mask]:
     """Sides of triads of unit vectors, and their stars in an order that the sides alone decide.
 
     The three interstar angles are the invariants of three directions under rotation [1]_; here as chords,
@@ -40,5 +40,5 @@ def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, ND
     order = np.argsort(-opposite, axis=1, kind="stable")
     ordered = np.take_along_axis(triads, order, axis=1)
     a, b, c = (vectors[ordered[:, j]] for j in range(3))
-    right_handed: NDArray[np.bool_] = np.einsum("ij,ij->i", a, np.cross(b, c)) > 0.0
+    right_handed: Mask = np.einsum("ij,ij->i", a, np.cross(b, c)) > 0.0
     return np.take_along_axis(opposite, order, axis=1), ordered, right_handed

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.field import Sky, StarField
@@ -78,7 +79,7 @@ def _hopeless(
 ) -> Failure | None:
     """The failure of an attitude that could not be believed even if the matches came as close as they ever do."""
     area = float(camera.columns * camera.rows)
-    predicted = camera.model.project(rotation.apply(field.directions_inertial))
+    predicted = camera.model.project(rotate(rotation, field.directions_inertial))
     predicted[~camera.contains(predicted, margin_px=-radius_px)] = np.nan
     found = len(significant_matches(predicted, points_px, radius_px, area)) + _GAINED
     chance = float(np.pi * SMALLEST_GATE_PX**2 * min(found, len(field)) / area)

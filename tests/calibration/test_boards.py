@@ -21,6 +21,7 @@ from giantlike.camera_models.affine import AffineModel
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 
 COLUMNS, ROWS, ACROSS, DOWN = 480, 360, 7, 5
@@ -41,14 +42,14 @@ def pose_of(view: tuple[float, float, float], turn: float) -> tuple[Rotation, Fl
     facing = Rotation.from_euler("ZY", [azimuth, angle]) * Rotation.from_euler("Z", -azimuth)
     rotation = facing * Rotation.from_rotvec([0.3 * np.cos(turn), 0.3 * np.sin(turn), 0.3 + 0.2 * turn])
     middle = board_corners(across=ACROSS, down=DOWN).mean(axis=0)
-    return rotation, distance * direction - rotation.apply(middle)
+    return rotation, distance * direction - rotate(rotation, middle)
 
 
 def board_image(model: AffineModel, rotation: Rotation, position: Float, noise: np.random.Generator) -> Float:
     """Picture of a board with a white margin, every pixel the mean of rays through it."""
     steps = [(np.arange(n * SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5 for n in (COLUMNS, ROWS)]
-    rays = rotation.inv().apply(model.unproject(np.stack(np.meshgrid(*steps), axis=-1)).reshape(-1, 3))
-    origin = rotation.inv().apply(-position)
+    rays = rotate(rotation.inv(), model.unproject(np.stack(np.meshgrid(*steps), axis=-1)).reshape(-1, 3))
+    origin = rotate(rotation.inv(), -position)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = -origin[2] / rays[:, 2]
         at = origin[:2] + distance[:, None] * rays[:, :2]
@@ -68,7 +69,9 @@ def pictures() -> list[tuple[Float, Float]]:
     made = []
     for number, view in enumerate(VIEWS):
         rotation, position = pose_of(view, float(number))
-        made.append((board_image(TRUTH, rotation, position, noise), TRUTH.project(rotation.apply(corners) + position)))
+        made.append(
+            (board_image(TRUTH, rotation, position, noise), TRUTH.project(rotate(rotation, corners) + position))
+        )
     return made
 
 
@@ -97,7 +100,7 @@ def test_an_image_without_the_whole_board_is_a_failure(pictures: list[tuple[Floa
 def test_the_pose_of_a_board_is_exact_with_the_right_lens_also_behind_ninety_degrees(behind: bool) -> None:
     rotation, position = pose_of((1.5 if behind else 0.4, 2.0, 3.0), 1.0)
     corners = board_corners(across=ACROSS, down=DOWN)
-    pixels = TRUTH.project(rotation.apply(corners) + position)
+    pixels = TRUTH.project(rotate(rotation, corners) + position)
     assert (TRUTH.unproject(pixels)[:, 2].min() < 0) == behind
     found = board_pose(corners, pixels, TRUTH)
     assert not isinstance(found, Failure), found
@@ -109,7 +112,7 @@ def test_a_rough_lens_gives_a_rough_pose() -> None:
     rotation, position = pose_of((0.6, 2.0, 5.0), 1.0)
     corners = board_corners(across=ACROSS, down=DOWN)
     rough = EquidistantModel(fx_px=0.95 * 210.0, fy_px=0.95 * 211.0, cx_px=239.5, cy_px=179.5)
-    found = board_pose(corners, TRUTH.project(rotation.apply(corners) + position), rough)
+    found = board_pose(corners, TRUTH.project(rotate(rotation, corners) + position), rough)
     assert not isinstance(found, Failure), found
     assert (found[0] * rotation.inv()).magnitude() < START_RAD
     assert np.linalg.norm(found[1] - position) < START_SIZE * np.linalg.norm(position)

@@ -31,7 +31,7 @@ from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.errors import FrameMismatchError, InputError
-from giantlike.core.frames import FrameRotation
+from giantlike.core.frames import FrameRotation, rotate
 from giantlike.core.outcomes import Failure, Reason
 
 SIGMA_PX = 0.1
@@ -69,7 +69,7 @@ def star_images(
         observations.append(
             ImageObservations(
                 name=f"image {number}",
-                targets=attitude.inv().apply(model.at_temperature(temperature).unproject(pixels)),
+                targets=rotate(attitude.inv(), model.at_temperature(temperature).unproject(pixels)),
                 points_px=pixels + rng.normal(0.0, sigma_px, pixels.shape),
                 sigma_px=np.array(SIGMA_PX),
                 temperature_c=temperature,
@@ -142,7 +142,7 @@ def test_jacobians_agree_with_numerical_differences(pose: int) -> None:
         points = NAVCAM.unproject(rng.uniform((0, 0), (COLUMNS, ROWS), (6, 2))) * 3.0
         rotation = Rotation.from_rotvec(rng.normal(0, 0.5, 3))
         position = np.array([0.1, -0.2, 0.3]) if pose == 6 else np.zeros(3)
-        targets = rotation.inv().apply(points - position) if pose == 6 else rotation.inv().apply(points) / 3.0
+        targets = rotate(rotation.inv(), points - position) if pose == 6 else rotate(rotation.inv(), points) / 3.0
         rotations.append(rotation)
         images.append(
             ImageObservations(
@@ -388,7 +388,7 @@ def test_a_collimator_grid_calibrates_as_stars_do() -> None:
     stage = collimator_directions(azimuth.ravel(), elevation.ravel())
     assert len(stage) == 99
     camera_from_stage = Rotation.from_rotvec([0.002, -0.001, 0.004])
-    pixels = orion.project(camera_from_stage.apply(stage))
+    pixels = orion.project(rotate(camera_from_stage, stage))
     seen = np.all((pixels > 0) & (pixels < (COLUMNS, ROWS)), axis=1)
     grid = ImageObservations(
         name="grid",

@@ -38,7 +38,7 @@ from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_between
+from giantlike.core.frames import camera_from_inertial_of_pointing, rotate, rotation_between
 from giantlike.core.time import time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.ephemeris import SpiceEphemeris
@@ -188,7 +188,7 @@ def test_the_partials_of_an_observation_match_numerical_derivatives(finished: Ru
 
         def moved(state: Float, turn: Rotation = turn, at: Float = at) -> Float:
             """Pixel for the sum of position and offset (3,), and a small rotation (3,)."""
-            return CAMERA.model.project((Rotation.from_rotvec(state[3:]) * turn).apply(at + state[:3]))
+            return CAMERA.model.project(rotate(Rotation.from_rotvec(state[3:]) * turn, at + state[:3]))
 
         expected = numerical_jacobian(moved, np.zeros(6), 1e-5)
         for partial, part in (
@@ -656,7 +656,7 @@ def test_what_the_geometry_table_and_the_header_leave_out_comes_from_spice(tmp_p
     (row,) = table(result.folder, "attitudes")
     assert (row["status"], row["source"]) == ("ok", "a_priori")
     (record,) = result.observations
-    expected = Camera.load(tmp_path / "camera.toml").model.project(MOON_POINTING.apply(apparent))
+    expected = Camera.load(tmp_path / "camera.toml").model.project(rotate(MOON_POINTING, apparent))
     assert record.predicted_px is not None
     assert_allclose(record.predicted_px, expected, rtol=0, atol=SPICE_PX)
     assert record.center_px is not None
@@ -671,12 +671,12 @@ def test_the_geometry_table_overrides_spice_column_by_column(tmp_path: Path, ker
     with load_kernels(kernels, "."):
         et = spiceypy.str2et("2024-05-01T00:00:00")
         apparent, _ = spiceypy.spkpos("MOON", et, "J2000", "CN+S", "399")
-    shifted = np.array(apparent) + MOON_POINTING.inv().apply([300.0, 0.0, 0.0])
+    shifted = np.array(apparent) + rotate(MOON_POINTING.inv(), [300.0, 0.0, 0.0])
     turned = Rotation.from_rotvec([0.0, 0.0, 0.01]) * MOON_POINTING
     row = GeometryRow(file="moon.fits", camera_from_inertial=turned, target="MOON", target_position_inertial_km=shifted)
     result = run_campaign(Campaign.load(write_moon_campaign(tmp_path, kernels, [row])), workers=1)
     (record,) = result.observations
-    expected = Camera.load(tmp_path / "camera.toml").model.project(turned.apply(shifted))
+    expected = Camera.load(tmp_path / "camera.toml").model.project(rotate(turned, shifted))
     assert record.predicted_px is not None
     assert_allclose(record.predicted_px, expected, rtol=0, atol=SPICE_PX)
     assert record.status != "failed"  # orientation and Sun came from SPICE
@@ -761,7 +761,7 @@ def test_a_spacecraft_that_kernels_link_to_its_target_alone_still_has_a_geometry
     assert image.camera_from_inertial is not None
     to_bennu = state[:3] / np.linalg.norm(state[:3])
     aberration = -light_time_s * (state[3:] - (state[3:] @ to_bennu) * to_bennu)
-    apparent = image.camera_from_inertial.apply(state[:3] + aberration)
+    apparent = rotate(image.camera_from_inertial, state[:3] + aberration)
     assert_allclose(geometry.position_camera_km, apparent, rtol=0, atol=ORX_KM)
     assert np.linalg.norm(position) == pytest.approx(33.579, abs=1e-3)  # km, by an own look into the kernel
     turn = (image.camera_from_inertial.inv() * geometry.camera_from_body).as_matrix()

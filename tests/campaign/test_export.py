@@ -24,7 +24,7 @@ from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem, 
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, FrameMismatchError, InputError
-from giantlike.core.frames import FrameRotation, radec_from_direction
+from giantlike.core.frames import FrameRotation, radec_from_direction, rotate
 from giantlike.core.outcomes import Reason
 from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 from giantlike.io.ccsds_aem import AemNames, write_aem
@@ -256,7 +256,7 @@ def test_astropy_finds_stars_where_the_camera_sees_them(run: Path, tmp_path: Pat
     assert (header["IMAGEW"], header["IMAGEH"]) == (640, 480)
     wcs = WCS(header)
     points = np.random.default_rng(1).uniform([0, 0], [639, 479], (50, 2))
-    directions = _attitude(TIMES[0]).inv().apply(CAMERA.model.unproject(points))
+    directions = rotate(_attitude(TIMES[0]).inv(), CAMERA.model.unproject(points))
     ra, dec = radec_from_direction(directions)
     found = np.stack(wcs.all_world2pix(ra, dec, 0), axis=-1)
     assert np.abs(found - points).max() < WCS_PX
@@ -335,7 +335,7 @@ def test_world_coordinates_of_images_stored_from_the_bottom_are_for_their_stored
     run.write_provenance(content | {"run": content["run"] | {"bottom_up": True}})
     header = fits.getheader(export_run(folder, tmp_path / "wcs", ExportFormat.WCS).files[0])
     turned = np.random.default_rng(1).uniform([0, 0], [639, 479], (50, 2))
-    ra, dec = radec_from_direction(_attitude(TIMES[0]).inv().apply(CAMERA.model.unproject(turned)))
+    ra, dec = radec_from_direction(rotate(_attitude(TIMES[0]).inv(), CAMERA.model.unproject(turned)))
     found = np.stack(WCS(header).all_world2pix(ra, dec, 0), axis=-1)
     assert np.abs(found - (turned * [1.0, -1.0] + [0.0, 479.0])).max() < WCS_PX
     told = attitude_of_wcs(dict(header), CAMERA.model, columns=640, rows=480, bottom_up=True)

@@ -21,7 +21,7 @@ from giantlike.campaign.render.run import render_images
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError
-from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_between
+from giantlike.core.frames import camera_from_inertial_of_pointing, rotate, rotation_between
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.image import Image
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid, save_shape, sphere
@@ -36,7 +36,7 @@ RANGE_KM = 500.0
 
 def seen_at(x: float, y: float, z: float) -> list[float]:
     """A vector given in the axes of the camera, in inertial axes."""
-    vector: list[float] = ALONG.apply([x, y, z]).tolist()
+    vector: list[float] = rotate(ALONG, [x, y, z]).tolist()
     return vector
 
 
@@ -442,7 +442,7 @@ def test_what_the_scene_file_leaves_out_comes_from_spice(tmp_path: Path, data_di
         spiceypy.furnsh(kernel)
     try:
         et = et_from_time(time_from_utc("2024-05-01T00:00:00"))
-        seen = attitude.apply(spiceypy.spkpos("MOON", et, "J2000", "LT+S", "399")[0])
+        seen = rotate(attitude, spiceypy.spkpos("MOON", et, "J2000", "LT+S", "399")[0])
     finally:
         spiceypy.kclear()
     header = fits.getheader(tmp_path / "moon.fits")

@@ -18,7 +18,7 @@ from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, O
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec
+from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec, rotate
 from giantlike.io.camera_giant import read_giant_camera
 from giantlike.io.camera_ik import read_ik_camera
 from giantlike.io.camera_opencv import read_opencv_camera, write_opencv_camera
@@ -63,7 +63,7 @@ def test_a_model_with_negative_focal_lengths_keeps_its_pixels_and_its_frame(
     values |= {"k1": -0.2, "p1": 3e-3, "p2": -2e-3}
     camera = from_mission_frame(BrownModel, values, boresight=boresight)  # type: ignore[arg-type]
     directions = camera.model.unproject(pixels())
-    in_mission_frame = camera.camera_from_mission.inv().apply(directions)
+    in_mission_frame = rotate(camera.camera_from_mission.inv(), directions)
     assert not camera.rows_reversed
     assert_allclose(mission_pixels(values, in_mission_frame), pixels(), rtol=0, atol=EXACT_PX)
 
@@ -75,7 +75,7 @@ def test_a_mirrored_image_is_told_and_its_rows_counted_from_the_last() -> None:
         from_mission_frame(BrownModel, values, boresight="+z")
     camera = from_mission_frame(BrownModel, values, boresight="+z", rows=ROWS)
     assert camera.rows_reversed
-    in_mission_frame = camera.camera_from_mission.inv().apply(camera.model.unproject(pixels()))
+    in_mission_frame = rotate(camera.camera_from_mission.inv(), camera.model.unproject(pixels()))
     stored = pixels() * [1, -1] + [0, ROWS - 1]
     assert_allclose(mission_pixels(values, in_mission_frame), stored, rtol=0, atol=EXACT_PX)
 
@@ -187,7 +187,7 @@ def test_a_giant_owen_camera_in_millimeters_has_the_same_pixels(tmp_path: Path) 
     )  # fmt: skip
     camera = read_giant_camera(path, "navcam")
     directions = camera.model.unproject(pixels(2592, 1944))
-    x, y = (camera.camera_from_mission.inv().apply(directions) @ np.eye(3)[:, :2]).T * focal
+    x, y = (rotate(camera.camera_from_mission.inv(), directions) @ np.eye(3)[:, :2]).T * focal
     z = directions[:, 2]
     x, y = x / z, y / z
     r = np.hypot(x, y)
@@ -274,7 +274,7 @@ def sky_of(cards: dict[str, object], points_px: Float) -> Float:
 def test_sip_keywords_put_every_pixel_on_the_sky_where_the_camera_does() -> None:
     header = sip_header(POSED, order=5)
     assert header.max_px < 1e-3  # terms of r^7 are left out: 0.1 r^5 inverted, at r = 0.27
-    there = LENS.project(ATTITUDE.apply(sky_of(dict(header.cards), pixels())))
+    there = LENS.project(rotate(ATTITUDE, sky_of(dict(header.cards), pixels())))
     assert np.linalg.norm(there - pixels(), axis=1).max() < 1.2 * header.max_px  # between the nodes of the grid
     back = WCS(dict(header.cards)).sip.foc2pix(WCS(dict(header.cards)).sip.pix2foc(pixels(), 0), 0)
     assert np.linalg.norm(back - pixels(), axis=1).max() < 1.2 * header.inverse_max_px
@@ -296,7 +296,7 @@ def test_a_sip_header_brings_back_camera_and_attitude(mirrored: bool) -> None:
     assert found.camera.rows_reversed == mirrored
     assert found.conversion.max_px < 2e-3
     stored = pixels() * [1, -1] + [0, ROWS - 1] if mirrored else pixels()
-    there = found.camera.model.project(found.camera_from_inertial.apply(sky_of(cards, stored)))
+    there = found.camera.model.project(rotate(found.camera_from_inertial, sky_of(cards, stored)))
     assert_allclose(there, pixels(), rtol=0, atol=2e-3)
     # the camera's x axis is along the columns at the boresight, that of the header up to decentering of 1e-3 rad
     assert (found.camera_from_inertial * ATTITUDE.inv()).magnitude() < 3e-3

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.errors import DataError
-from giantlike.core.frames import rotation_between
+from giantlike.core.frames import rotate, rotation_between
 from giantlike.core.observer import ObserverState
 from giantlike.core.time import et_from_time, time_from_utc, utc_text
 from giantlike.io import read_ephemeris_table, read_geometry, write_bytes_atomic, write_geometry, write_text_atomic
@@ -64,8 +64,8 @@ def test_a_full_row_is_read_as_what_it_says(tmp_path: Path) -> None:
     assert_array_equal(row.target_position_inertial_km, [1.0, 2.0, 3.0])
     assert_array_equal(row.sun_direction_inertial, [0.0, 0.0, -1.0])
     # scalar last: 2 acos(0.8) about z takes x to (0.28, 0.96, 0); 120 degrees about (1, 1, 1) takes x to y
-    assert_allclose(row.camera_from_inertial.apply([1.0, 0.0, 0.0]), [0.28, 0.96, 0.0], rtol=0, atol=1e-15)
-    assert_allclose(row.body_from_inertial.apply([1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], rtol=0, atol=1e-15)
+    assert_allclose(rotate(row.camera_from_inertial, [1.0, 0.0, 0.0]), [0.28, 0.96, 0.0], rtol=0, atol=1e-15)
+    assert_allclose(rotate(row.body_from_inertial, [1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], rtol=0, atol=1e-15)
 
 
 def test_every_column_but_file_may_be_absent_or_empty(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_an_ephemeris_is_sorted_by_time_whatever_the_order_of_its_rows(tmp_path:
     assert_array_equal(samples.velocity_km_s, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     assert samples.inertial_from_body is not None
     # the table holds body_from_inertial, as geometry.csv does
-    assert_allclose(samples.inertial_from_body[0].apply([0.28, 0.96, 0.0]), [1.0, 0.0, 0.0], rtol=0, atol=1e-15)
+    assert_allclose(rotate(samples.inertial_from_body[0], [0.28, 0.96, 0.0]), [1.0, 0.0, 0.0], rtol=0, atol=1e-15)
 
 
 def test_an_ephemeris_may_have_positions_only_and_seconds_for_epochs(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import direction_from_radec, rotation_between
+from giantlike.core.frames import direction_from_radec, rotate, rotation_between
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.io.spice import (
     CoverageError,
@@ -274,7 +274,7 @@ def test_cassini_had_its_camera_on_the_satellite_that_it_was_to_observe(
     with load_kernels([f"kernels/cassini/{name}" for name in names] + ["kernels/naif0012.tls"], data_dir):
         position_km, velocity_km_s = spk_state(satellite, moment, observer="CASSINI")
         aberrated = position_km - velocity_km_s * np.linalg.norm(position_km) / 299792.458
-        line_of_sight = attitude("CASSINI_ISS_NAC", moment).apply(aberrated / np.linalg.norm(aberrated))
+        line_of_sight = rotate(attitude("CASSINI_ISS_NAC", moment), aberrated / np.linalg.norm(aberrated))
         with pytest.raises(CoverageError, match="CASSINI_ISS_NAC at 2005-11-28"):
             attitude("CASSINI_ISS_NAC", et("2005-11-28T12:00:00"))
     assert np.degrees(np.arccos(line_of_sight[2])) < NAC_HALF_FIELD_DEG

@@ -22,7 +22,7 @@ from giantlike.campaign.run.image_loading import open_image
 from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
 from giantlike.cli.app import app
 from giantlike.core.errors import InputError
-from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec
+from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec, rotate
 from giantlike.image import Image
 from giantlike.io.camera_sip import PosedModel
 from giantlike.io.wcs_header import attitude_of_wcs, write_wcs
@@ -145,8 +145,8 @@ def test_a_sky_stored_from_the_bottom_is_solved_and_drawn_by_the_command(tmp_pat
     model = BrownModel(fx_px=2900.0, fy_px=2900.0, cx_px=299.5, cy_px=299.5)
     camera = Camera(name="cam", columns=600, rows=600, model=model)
     attitude = camera_from_inertial_of_pointing(60.0, 25.0, 0.0)
-    stars = load_catalog("default").cone(attitude.inv().apply([0.0, 0.0, 1.0]), 0.16, max_magnitude=8.0)
-    points = camera.model.project(attitude.apply(apparent_directions(stars, et_of_julian_year(2016.0))))
+    stars = load_catalog("default").cone(rotate(attitude.inv(), [0.0, 0.0, 1.0]), 0.16, max_magnitude=8.0)
+    points = camera.model.project(rotate(attitude, apparent_directions(stars, et_of_julian_year(2016.0))))
     inside = camera.contains(points, margin_px=-8)
     y, x = np.mgrid[:600, :600]
     pixels = np.random.default_rng(2).normal(100.0, 4.0, (600, 600))

@@ -23,7 +23,7 @@ from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
-from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec
+from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec, rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
 from giantlike.processing.detection.centroid import cut_patches, fit_stars, pixel_shares
@@ -496,7 +496,7 @@ def test_the_brightest_clean_detections_of_real_frames_are_catalog_stars(
         sky = catalog.cone(direction_from_radec(ra, dec), np.radians(0.75 * fov), max_magnitude=9.5)
         # The reference solver measures roll to the other end of the column.
         attitude = camera_from_inertial_of_pointing(ra, dec, roll + 180.0)
-        los = attitude.apply(direction_from_radec(sky.ra_deg, sky.dec_deg))
+        los = rotate(attitude, direction_from_radec(sky.ra_deg, sky.dec_deg))
         rows_px, columns_px = pixels.shape
         focal_px = columns_px / 2.0 / np.tan(np.radians(fov) / 2.0)
         expected = focal_px * los[:, :2] / los[:, 2:] + [(columns_px - 1) / 2.0, (rows_px - 1) / 2.0]

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.geometry.p3p import poses_of_three_points
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
@@ -82,7 +83,7 @@ def test_every_pose_of_three_points_projects_them_where_they_were_seen_as_opencv
 def test_without_noise_the_pose_is_exact_through_a_lens_with_distortion() -> None:
     points, model = rocks(12, 3), camera(30.0)
     rotation, position = turned(4), np.array([0.5, -0.8, 30.0])
-    pixels = model.project(rotation.apply(points) + position)
+    pixels = model.project(rotate(rotation, points) + position)
     fix = solve_pnp(points, pixels, np.tile(1e-4 * np.eye(2), (12, 1, 1)), model, Rotation.identity())
     assert isinstance(fix, PnpFix)
     assert fix.inliers.all()
@@ -94,7 +95,7 @@ def test_the_noisy_pose_is_that_of_opencvs_iteration() -> None:
     points, range_km = rocks(20, 7), 8.0
     model = PinholeModel(fx_px=1200.0, fy_px=1200.0, cx_px=250.0, cy_px=250.0)
     rotation, position = turned(8), np.array([0.3, 0.2, range_km])
-    pixels = model.project(rotation.apply(points) + position) + np.random.default_rng(9).normal(0, NOISE_PX, (20, 2))
+    pixels = model.project(rotate(rotation, points) + position) + np.random.default_rng(9).normal(0, NOISE_PX, (20, 2))
     fix = solve_pnp(points, pixels, np.tile(NOISE_PX**2 * np.eye(2), (20, 1, 1)), model, Rotation.identity())
     assert isinstance(fix, PnpFix)
     matrix = np.array([[1200.0, 0.0, 250.0], [0.0, 1200.0, 250.0], [0.0, 0.0, 1.0]])
@@ -114,7 +115,7 @@ def test_the_covariance_holds_with_a_third_of_the_points_wrong(attitude_sigma_ra
     size, draws, squares = (3 if attitude_sigma_rad == 0.0 else 6), 40, []
     for seed in range(draws):
         random = np.random.default_rng(seed)
-        pixels = model.project(rotation.apply(points) + position) + random.normal(0, NOISE_PX, (24, 2))
+        pixels = model.project(rotate(rotation, points) + position) + random.normal(0, NOISE_PX, (24, 2))
         wrong = random.choice(24, 8, replace=False)
         pixels[wrong] += random.uniform(5.0, 40.0, (8, 2)) * random.choice([-1, 1], (8, 2))
         error = random.normal(0.0, attitude_sigma_rad, 3) if size == 6 and attitude_sigma_rad < 1.0 else np.zeros(3)
@@ -140,7 +141,7 @@ def test_what_errs_beyond_the_covariances_is_found_from_the_residuals() -> None:
     points, model = rocks(60, 13), camera(30.0)
     rotation, position = turned(14), np.array([0.5, -0.8, 30.0])
     random = np.random.default_rng(15)
-    pixels = model.project(rotation.apply(points) + position) + random.normal(0, 0.3, (60, 2))
+    pixels = model.project(rotate(rotation, points) + position) + random.normal(0, 0.3, (60, 2))
     fix = solve_pnp(points, pixels, np.tile(1e-4 * np.eye(2), (60, 1, 1)), model, rotation)
     assert isinstance(fix, PnpFix)
     assert 0.2 < fix.floor_px < 0.4  # 114 degrees of freedom: good to 7 percent

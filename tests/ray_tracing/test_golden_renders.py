@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import GaussianPsf
+from giantlike.core.frames import rotate
 from giantlike.ray_tracing import (
     Akimov,
     Body,
@@ -178,7 +179,7 @@ def test_renders_are_those_that_were_looked_at(name: str, tmp_path: Path) -> Non
     "change",
     [
         lambda case: replace(case, position_km=(8e-4, 0.0, 1000.0)),  # 0.02 px
-        lambda case: replace(case, sun=_three(Rotation.from_euler("y", 1.0, degrees=True).apply(case.sun))),
+        lambda case: replace(case, sun=_three(rotate(Rotation.from_euler("y", 1.0, degrees=True), case.sun))),
         lambda case: replace(case, law=McEwen(phase_scale_deg=66.0)),
         lambda case: replace(case, psf=GaussianPsf(sigma_px=0.82)),
         lambda case: replace(case, turn=Rotation.from_euler("z", 0.3, degrees=True) * case.turn),
@@ -214,16 +215,16 @@ def test_a_scene_that_is_moved_as_a_whole_and_described_in_other_axes_looks_the_
     expected = SCENE.frame()
     # In the world: camera, body and Sun turn together. In the body: other axes, another origin.
     camera_from_world, world_from_body = world.inv(), world * SCENE.turn
-    position_world_km, sun_world = (world.apply(vector) for vector in (SCENE.position_km, SCENE.sun))
+    position_world_km, sun_world = (rotate(world, vector) for vector in (SCENE.position_km, SCENE.sun))
     body_from_new = axes.inv()
-    mesh = TriangleMesh(axes.apply(PEANUT.vertices_km.copy()) + origin_km, PEANUT.faces)
+    mesh = TriangleMesh(rotate(axes, PEANUT.vertices_km.copy()) + origin_km, PEANUT.faces)
     turn = camera_from_world * world_from_body * body_from_new
     moved = replace(
         SCENE,
         shape=mesh,
         turn=turn,
-        position_km=_three(camera_from_world.apply(position_world_km) - turn.apply(origin_km)),
-        sun=_three(camera_from_world.apply(sun_world)),
+        position_km=_three(rotate(camera_from_world, position_world_km) - rotate(turn, origin_km)),
+        sun=_three(rotate(camera_from_world, sun_world)),
     )
     _assert_invariant(moved.frame(), expected)
 
@@ -234,8 +235,8 @@ def test_a_camera_turned_by_a_quarter_about_its_axis_sees_the_turned_image() -> 
     turned = replace(
         case,
         turn=quarter * case.turn,
-        position_km=_three(quarter.apply(case.position_km)),
-        sun=_three(quarter.apply(case.sun)),
+        position_km=_three(rotate(quarter, case.position_km)),
+        sun=_three(rotate(quarter, case.sun)),
     )
     _assert_invariant(turned.frame(), np.rot90(case.frame(), -1))  # x to y: clockwise as rows count down
 
@@ -263,7 +264,7 @@ def test_a_scene_of_another_size_looks_the_same(scale: float) -> None:
 def test_a_far_convex_body_gives_the_light_that_its_facets_add_up_to(law: Reflectance) -> None:
     case = replace(SCENE, shape=MESH, law=law)
     to_camera, to_sun = unit(-np.array(case.position_km)), unit(np.array(case.sun))
-    normals = case.turn.apply(MESH.normals.copy())
+    normals = rotate(case.turn, MESH.normals.copy())
     mu0, mu = normals @ to_sun, normals @ to_camera
     facets = law(mu0, mu, np.arccos(to_camera @ to_sun)) * np.maximum(mu, 0.0) * MESH.areas_km2
     expected = facets.sum() * (2.4e4 / 1000.0) ** 2

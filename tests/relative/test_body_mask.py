@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 from giantlike.processing import Detections, detect_sources
@@ -33,7 +34,7 @@ def distance_px(turn_rad: tuple[float, float] = (0.0, 0.0)) -> Float:
     camera = small_camera()
     x, y = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
     sight = camera.model.unproject(np.stack([x, y], axis=-1).astype(np.float64))
-    axis = Rotation.from_rotvec([*turn_rad, 0.0]).apply([0.0, 0.0, 1.0])
+    axis = rotate(Rotation.from_rotvec([*turn_rad, 0.0]), [0.0, 0.0, 1.0])
     return np.asarray((np.arccos(sight @ axis) - np.arcsin(RADIUS_KM / RANGE_KM)) * 1000.0)
 
 

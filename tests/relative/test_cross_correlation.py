@@ -21,6 +21,7 @@ from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import AttitudeSource, Image
@@ -303,9 +304,9 @@ class Case:
         back = ATTITUDE.inv()
         predicted = self.range_km * range_factor * self.camera.model.unproject(np.add(self.pixel, off_px))
         geometry = ApparentGeometry(
-            position_inertial_km=back.apply(predicted),
+            position_inertial_km=rotate(back, predicted),
             inertial_from_body=back * POSE,
-            sun_direction_inertial=back.apply(self.sun if sun is None else sun),
+            sun_direction_inertial=rotate(back, self.sun if sun is None else sun),
         )
         return Scene(targets=(Target(name="ROCK", shape=self.shape, ephemeris=geometry),))
 
@@ -526,7 +527,7 @@ def test_vesta_larger_than_the_frame_agrees_with_its_pose(data_dir: Path) -> Non
     geometry = ApparentGeometry(
         position_inertial_km=1.015 * float(np.linalg.norm(position)) * model.unproject(np.add(truth, [12.0, -9.0])),
         inertial_from_body=turn,
-        sun_direction_inertial=unit(turn.apply(np.array(pose["sun_body"]))),
+        sun_direction_inertial=unit(rotate(turn, np.array(pose["sun_body"]))),
     )
     shape = load_shape(data_dir / "shapes" / "vesta_5002.ply", units="km")
     assert isinstance(shape, TriangleMesh)

@@ -18,6 +18,7 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
@@ -447,7 +448,7 @@ def test_vesta_is_found_from_the_limb_in_two_corners(data_dir: Path, name: str) 
     geometry = ApparentGeometry(
         position_inertial_km=position + np.array([12.0, -9.0, 0.0]) * position[2] / numbers["fx_px"],
         inertial_from_body=camera_from_body,
-        sun_direction_inertial=camera_from_body.apply(unit(np.array(pose["sun_body"]))),
+        sun_direction_inertial=rotate(camera_from_body, unit(np.array(pose["sun_body"]))),
     )
     shape = load_shape(data_dir / "shapes" / "vesta_5002.ply")
     image = replace(Image.open(data_dir / "bodies" / "dawn_vesta" / name), camera_from_inertial=Rotation.identity())

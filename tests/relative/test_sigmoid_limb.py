@@ -18,6 +18,7 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
@@ -227,7 +228,7 @@ def test_a_ring_hides_and_shades_what_lies_behind_it() -> None:
     overhead = np.array([0.0, 0.0, -1.0])
     hidden = rings.hide(points, np.array([0.0, 0.0, 10.0]), tilted, sun_direction_camera=overhead)
     sight = [p + t * -p for p in points for t in np.linspace(0.0, 0.5, 5001)]
-    local = tilted.inv().apply(np.array(sight) - [0.0, 0.0, 10.0]).reshape(2, -1, 3)
+    local = rotate(tilted.inv(), np.array(sight) - [0.0, 0.0, 10.0]).reshape(2, -1, 3)
     radius = np.linalg.norm(local[..., :2], axis=-1)
     crossed = (np.diff(np.sign(local[..., 2]), axis=1) != 0) & (radius[:, 1:] > 2.0) & (radius[:, 1:] < 3.0)
     assert hidden.tolist() == crossed.any(axis=1).tolist()
@@ -389,7 +390,7 @@ def test_jupiter_on_approach_has_the_size_that_the_trajectory_says(
         detector=Detector(gain_e_per_dn=30.0 * 4095.0 / levels, read_noise_e=30.0 * 4095.0 / levels),
     )
     sight = unit(position)
-    pole = turn.apply([0.0, 0.0, 1.0])
+    pole = rotate(turn, [0.0, 0.0, 1.0])
     down = -unit(pole - (pole @ sight) * sight)
     upright = Rotation.from_matrix(np.stack([np.cross(down, sight), down, sight]))
     start = camera.model.unproject(np.add(center_px, (15.0, -12.0)))

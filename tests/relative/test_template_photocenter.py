@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, render
 from giantlike.relative.light.photocenter import ellipsoid_photocenter_km
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
@@ -63,10 +64,10 @@ def test_an_ellipsoid_agrees_with_a_sum_over_its_surface(seed: int) -> None:
     points = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=-1).reshape(-1, 3)
     radii = np.asarray(POTATO.ellipsoid.radii_km)
     to_axes = POTATO.body_from_axes.inv()
-    lit, seen = (np.maximum((points / radii) @ to_axes.apply(vector), 0.0) for vector in (sun, observer))
+    lit, seen = (np.maximum((points / radii) @ rotate(to_axes, vector), 0.0) for vector in (sun, observer))
     light = lit * seen / np.maximum(lit + seen, 1e-12)  # the area of a piece goes with the length of its normal
     mean = (points * radii * light[:, None]).sum(axis=0) / light.sum()
-    expected = POTATO.center_body_km + POTATO.body_from_axes.apply(mean)
+    expected = POTATO.center_body_km + rotate(POTATO.body_from_axes, mean)
     found = ellipsoid_photocenter_km(POTATO, sun_direction_body=sun, observer_direction_body=observer)
     assert_allclose(found, expected, rtol=0, atol=SUM)
 
@@ -89,10 +90,10 @@ def test_an_ellipsoid_agrees_with_its_render(phase_deg: float) -> None:
     centered = POTATO.ellipsoid.best_fit_ellipsoid
     found = ellipsoid_photocenter_km(
         centered,
-        sun_direction_body=turn.inv().apply(sun),
-        observer_direction_body=turn.inv().apply([0.0, 0.0, -1.0]),
+        sun_direction_body=rotate(turn.inv(), sun),
+        observer_direction_body=rotate(turn.inv(), [0.0, 0.0, -1.0]),
     )
-    shift_px = model.project_jacobian(position) @ turn.apply(found)
+    shift_px = model.project_jacobian(position) @ rotate(turn, found)
     radius_px = 40_000.0 * POTATO.ellipsoid.mean_radius_km / 3000.0
     assert_allclose(template.photocenter_px - template.center_px, shift_px, rtol=0, atol=RENDER * radius_px)
 

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.shapes import Ellipsoid, Limb, Point, TriangleMesh, irregular_body, limb, mesh_from_ellipsoid, sphere
 from giantlike.shapes.limbs import crossings, silhouette_edges
 from tests.numerical import numerical_jacobian
@@ -141,11 +142,11 @@ def test_limbs_do_not_depend_on_the_axes_or_the_unit_they_are_computed_in(
 ) -> None:
     rotation = Rotation.from_rotvec(turn)
     mesh = mesh_from_ellipsoid(ELLIPSOID, facets=320)
-    turned = TriangleMesh(scale * rotation.apply(mesh.vertices_km.copy()), mesh.faces)
+    turned = TriangleMesh(scale * rotate(rotation, mesh.vertices_km.copy()), mesh.faces)
     camera, directions = distance * VIEW, _directions(30)
     here = limb(mesh, camera, directions)
-    there = limb(turned, scale * rotation.apply(camera), rotation.apply(directions))
-    assert_allclose(_off_axis_rad(rotation.inv().apply(there.points_body_km.copy()) / scale, camera),
+    there = limb(turned, scale * rotate(rotation, camera), rotate(rotation, directions))
+    assert_allclose(_off_axis_rad(rotate(rotation.inv(), there.points_body_km.copy()) / scale, camera),
                     _off_axis_rad(here.points_body_km, camera), rtol=0, atol=1e-12)  # fmt: skip
     smooth = limb(ELLIPSOID, camera, directions)
     grown = limb(Ellipsoid(radii_km=scale * RADII), scale * camera, directions)

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.ray_tracing.tracer import Hits, tracer_for
 from giantlike.shapes import (
     AlbedoMap,
@@ -50,7 +51,7 @@ def _map(**changes: Any) -> LocalMap:
     x, y = np.meshgrid(places, places)
     height = np.zeros_like(x)
     for _ in range(60):
-        points = BODY_FROM_MAP.apply(np.stack([x, y, height], axis=-1).reshape(-1, 3)) + CENTER
+        points = rotate(BODY_FROM_MAP, np.stack([x, y, height], axis=-1).reshape(-1, 3)) + CENTER
         radius = np.linalg.norm(points, axis=1)
         height -= (radius - _hills(points / radius[:, None])).reshape(x.shape)
     fields = {"heights_km": height, "spacing_km": SPACING_KM, "name": "hills", **changes}
@@ -66,7 +67,7 @@ def _look(body: TriangleMesh, half_km: float, count: int = 300, origin: np.ndarr
     """Hits of a bundle of rays at the plane of the map, ``half_km`` to each side, and the rays."""
     random = np.random.default_rng(1)
     places = np.column_stack([random.uniform(-half_km, half_km, size=(count**2, 2)), np.zeros(count**2)])
-    rays = BODY_FROM_MAP.apply(places) + CENTER - origin
+    rays = rotate(BODY_FROM_MAP, places) + CENTER - origin
     return tracer_for(body).intersect(origin, rays), rays
 
 
@@ -102,11 +103,11 @@ def test_within_the_map_nothing_of_the_global_body_is_seen_and_the_surface_is_th
 
 
 def test_the_map_has_the_shadows_of_the_fine_body_and_no_others() -> None:
-    sun = BODY_FROM_MAP.apply([np.cos(0.12), 0.0, np.sin(0.12)])  # 7 deg over the horizon; slopes reach 11 deg
+    sun = rotate(BODY_FROM_MAP, [np.cos(0.12), 0.0, np.sin(0.12)])  # 7 deg over the horizon; slopes reach 11 deg
     dark = [tracer_for(body).shadowed(_look(body, 0.8 * HALF_KM)[0], sun) for body in (LAID, FINE)]
     assert 0.2 < np.mean(dark[1]) < 0.8
     assert np.mean(dark[0] != dark[1]) < 0.03  # along the edges of shadows, where facets differ
-    high = BODY_FROM_MAP.apply([np.cos(1.0), 0.0, np.sin(1.0)])
+    high = rotate(BODY_FROM_MAP, [np.cos(1.0), 0.0, np.sin(1.0)])
     assert not tracer_for(LAID).shadowed(_look(LAID, 0.97 * HALF_KM)[0], high).any()
 
 
@@ -114,7 +115,7 @@ def test_the_map_has_the_shadows_of_the_fine_body_and_no_others() -> None:
 @pytest.mark.parametrize("slant", [0.0, 1.0])
 def test_no_ray_gets_in_through_the_seam_even_where_the_map_lies_too_high_or_low(lift_km: float, slant: float) -> None:
     body = overlaid(COARSE, [_map(heights_km=MAP.heights_km + lift_km)])
-    origin = CENTER + BODY_FROM_MAP.apply([4.0 * slant, 1.5 * slant, 4.0])
+    origin = CENTER + rotate(BODY_FROM_MAP, [4.0 * slant, 1.5 * slant, 4.0])
     hits, rays = _look(body, 1.5 * HALF_KM, origin=origin)
     assert hits.hit.all()
     facing = -np.einsum("ij,ij->i", hits.normals, rays) / np.linalg.norm(rays, axis=1)

@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import rotate
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid, sphere
 from giantlike.shapes.load import UnitsWarning
 
@@ -237,7 +238,7 @@ def test_the_best_fit_ellipsoid_of_an_ellipsoid_mesh_is_that_ellipsoid() -> None
     radii, offset = np.array([2.0, 1.4, 1.2]), np.array([0.3, -0.1, 0.2])
     turn = Rotation.from_euler("zyx", [20.0, -35.0, 50.0], degrees=True)
     mesh = mesh_from_ellipsoid(Ellipsoid(radii_km=radii), facets=5000)
-    moved = TriangleMesh(turn.apply(mesh.vertices_km.copy()) + offset, mesh.faces)
+    moved = TriangleMesh(rotate(turn, mesh.vertices_km.copy()) + offset, mesh.faces)
     placed = moved.best_fit_ellipsoid
     assert_allclose(placed.ellipsoid.radii_km, radii, rtol=MESH_FINENESS)
     assert_allclose(placed.center_body_km, offset, rtol=0, atol=1e-12)
@@ -297,7 +298,7 @@ def test_a_generated_asteroid_depends_on_its_seed_alone() -> None:
     st.tuples(*[st.floats(-50.0, 50.0)] * 3),
 )
 def test_volume_and_area_do_not_depend_on_where_a_mesh_lies(turn: tuple[float, ...], offset: tuple[float, ...]) -> None:
-    moved = TriangleMesh(Rotation.from_rotvec(turn).apply(TETRAHEDRON) + offset, OUTWARD)
+    moved = TriangleMesh(rotate(Rotation.from_rotvec(turn), TETRAHEDRON) + offset, OUTWARD)
     assert_allclose(moved.volume_km3, VOLUME, rtol=1e-11)
     assert_allclose(moved.area_km2, 8.0 * np.sqrt(3.0), rtol=1e-11)
     assert_allclose(moved.center_of_figure_km, offset, rtol=0, atol=1e-8)

@@ -12,7 +12,7 @@ from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.catalogs import apparent_directions, load_catalog
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
-from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_between
+from giantlike.core.frames import camera_from_inertial_of_pointing, rotate, rotation_between
 from giantlike.core.outcomes import AttitudeFix, Failure
 from giantlike.core.time import time_from_et
 from giantlike.core.units import ARCSEC_PER_RAD
@@ -44,7 +44,7 @@ def _stars(rng: np.random.Generator, n: int, *, elongated: bool) -> tuple[Rotati
         roots = roots @ (np.eye(2) + 0.7 * rng.normal(size=(n, 2, 2)))
     covariance = roots @ np.swapaxes(roots, 1, 2) + 1e-4 * np.eye(2)  # the catalog's 0.01 px
     noise = (np.linalg.cholesky(covariance) @ rng.normal(size=(n, 2, 1)))[..., 0]
-    return attitude, attitude.inv().apply(CAMERA.unproject(places)), places + noise, covariance
+    return attitude, rotate(attitude.inv(), CAMERA.unproject(places)), places + noise, covariance
 
 
 def _solved(solution: AttitudeSolution | Failure) -> AttitudeSolution:
@@ -112,7 +112,7 @@ def test_wahba_is_solved_alike_by_every_method_for_any_turn(half_width: float, t
     for axis in (*np.eye(3), unit(rng.normal(size=3))):
         truth = Rotation.from_rotvec(turn_rad * axis)
         camera = unit(np.column_stack([rng.uniform(-half_width, half_width, (8, 2)), np.ones(8)]))
-        inertial = truth.inv().apply(camera)
+        inertial = rotate(truth.inv(), camera)
         measured = unit(camera + 1e-5 * rng.normal(size=camera.shape))
         solutions = {method: solve_wahba(inertial, measured, 1e-5, method=method) for method in WahbaMethod}
         reference = solutions[WahbaMethod.Q_METHOD]
@@ -145,9 +145,9 @@ def displaced() -> tuple[Image, Detections, Float]:
     rng = np.random.default_rng(25)
     attitude = camera_from_inertial_of_pointing(83.0, 0.0, 10.0)
     observer = ObserverState(position_km=np.array([1.5e8, 0.0, 0.0]), velocity_km_s=np.zeros(3))
-    stars = load_catalog("default").cone(attitude.inv().apply([0.0, 0.0, 1.0]), 0.12, max_magnitude=7.5)
+    stars = load_catalog("default").cone(rotate(attitude.inv(), [0.0, 0.0, 1.0]), 0.12, max_magnitude=7.5)
     directions = apparent_directions(stars, 7.6e8, observer_position_km=observer.position_km)
-    points = CAMERA_10_DEG.model.project(attitude.apply(directions))
+    points = CAMERA_10_DEG.model.project(rotate(attitude, directions))
     inside = CAMERA_10_DEG.contains(points, margin_px=-5)
     points = points[inside] + 0.05 * rng.normal(size=(int(inside.sum()), 2))
     moved = np.array([5, 9, 14])

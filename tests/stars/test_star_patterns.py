@@ -14,7 +14,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, EquidistantModel
 from giantlike.catalogs import MemoryCatalog, StarTable, load_catalog
 from giantlike.core.arrays import Float
-from giantlike.core.frames import rotation_between
+from giantlike.core.frames import rotate, rotation_between
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.stars import RefinedAttitude, Sky, StarOptions, identify_lost_in_space
 from giantlike.stars.index_store import cap_radius_rad, sky_index
@@ -47,7 +47,7 @@ def _points(
 ) -> tuple[Rotation, Float]:
     attitude = Rotation.random(rng=rng)
     field = sky.field(camera, attitude)
-    places = camera.model.project(attitude.apply(field.directions_inertial))
+    places = camera.model.project(rotate(attitude, field.directions_inertial))
     seen = places[camera.contains(places)][:n_stars]
     seen = seen[rng.random(len(seen)) >= missing] + 0.0
     seen += SIGMA_PX * rng.normal(size=seen.shape)
@@ -79,7 +79,7 @@ def _some_directions(n: int = 9) -> Float:
 def test_triads_keep_their_sides_order_and_sense_under_rotation_and_turn_over_in_a_mirror() -> None:
     stars, triads = _some_directions(), subsets(9, 3)
     sides, ordered, sense = describe_triads(stars, triads)
-    turned = describe_triads(Rotation.random(rng=np.random.default_rng(2)).apply(stars), triads[:, ::-1])
+    turned = describe_triads(rotate(Rotation.random(rng=np.random.default_rng(2)), stars), triads[:, ::-1])
     np.testing.assert_allclose(turned[0], sides, rtol=0, atol=ROUNDING)
     assert (turned[1] == ordered).all()
     assert (turned[2] == sense).all()
@@ -97,7 +97,7 @@ def test_quads_keep_their_code_when_turned_scaled_or_listed_otherwise() -> None:
     assert 0 < len(codes) < len(quads)
     assert (codes >= -ROUNDING).all()
     assert (codes <= 1.0 + ROUNDING).all()
-    turned = describe_quads(Rotation.random(rng=np.random.default_rng(3)).apply(stars), quads[:, ::-1])
+    turned = describe_quads(rotate(Rotation.random(rng=np.random.default_rng(3)), stars), quads[:, ::-1])
     assert (turned[2] == which).all()
     np.testing.assert_allclose(turned[0], codes, rtol=0, atol=ROUNDING)
     assert (turned[1] == ordered).all()
@@ -111,7 +111,7 @@ def test_caps_cover_the_part_of_the_sky_that_they_should() -> None:
     rng = np.random.default_rng(4)
     axis = np.array([0.6, 0.0, -0.8])
     centers = caps(0.1, axis, 0.5)
-    places = Rotation.random(2000, rng=rng).apply([0.0, 0.0, 1.0])
+    places = rotate(Rotation.random(2000, rng=rng), [0.0, 0.0, 1.0])
     distance, _ = cKDTree(centers).query(places[places @ axis > np.cos(0.45)])
     assert np.max(distance) < 0.1
     assert (centers @ axis).min() > np.cos(0.5) - 0.01
@@ -121,7 +121,7 @@ def test_caps_cover_the_part_of_the_sky_that_they_should() -> None:
 @pytest.mark.parametrize("pattern", list(Pattern))
 def test_an_index_finds_what_brute_force_finds(pattern: Pattern) -> None:
     rng = np.random.default_rng(5)
-    stars = Rotation.random(400, rng=rng).apply([0.0, 0.0, 1.0])
+    stars = rotate(Rotation.random(400, rng=rng), [0.0, 0.0, 1.0])
     index = build_index(pattern, np.arange(400) + 7, stars, 0.4)
     assert (index.cells[1:] >= index.cells[:-1]).all()
     describe = describe_quads if pattern is Pattern.QUAD else describe_triads
@@ -210,7 +210,7 @@ def test_an_attitude_wrong_by_3_degrees_is_enough_for_a_deep_catalog_of_a_small_
     camera = Camera.from_fov(0.5, 1024, 1024)
     truth = Rotation.align_vectors([[0.0, 0.0, 1.0]], [axis])[0]
     field = sky.field(camera, truth)
-    places = camera.model.project(truth.apply(field.directions_inertial))
+    places = camera.model.project(rotate(truth, field.directions_inertial))
     points = places[camera.contains(places)][:25][rng.random(25) > 0.1]
     points = np.concatenate([points, rng.uniform(0, 1023, (5, 2))])
     covariance = np.tile(SIGMA_PX**2 * np.eye(2), (len(points), 1, 1))

@@ -31,6 +31,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.stars import Sky, StarOptions
 
@@ -45,7 +46,7 @@ _FEWEST_FOR_DRIFT = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CampaignCalibration:
+class CampaignCalibration(Value):
     """What calibration made of a campaign.
 
     Parameters

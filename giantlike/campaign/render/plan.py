@@ -35,6 +35,7 @@ from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import AU_KM, RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
+from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import ObserverState
 from giantlike.io.geometry_table import ImageGeometry, read_geometry
@@ -58,7 +59,7 @@ FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Place:
+class Place(Value):
     """Where a target is in an image, as far as files say; inertial axes, apparent."""
 
     position_km: Float | None = None
@@ -75,7 +76,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Exposure:
+class Exposure(Value):
     """An image to be made, as far as files say; SPICE completes attitude, observer and places.
 
     Parameters
@@ -104,7 +105,7 @@ class Exposure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RenderPlan:
+class RenderPlan(Value):
     """A scene file whose keys, files and names have been checked.
 
     Parameters

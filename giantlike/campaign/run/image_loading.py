@@ -17,6 +17,7 @@ from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import Image, ObserverState
 from giantlike.io.geometry_table import GeometryRow
@@ -29,7 +30,7 @@ _SUN_COLUMNS = "sun_x, sun_y, sun_z"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PreparedImage:
+class PreparedImage(Value):
     """An image with its a priori knowledge, and notes on what was asked for and not to be had."""
 
     image: Image

@@ -43,6 +43,7 @@ from giantlike.core.errors import OpNavError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import CenterFix, Failure, Reason
 from giantlike.core.time import utc_text
+from giantlike.core.values import Value
 from giantlike.image import AttitudeSource, Image
 from giantlike.io.spice import CoverageError, SpiceKernels, load_kernels
 from giantlike.ray_tracing import trace_silhouette
@@ -60,7 +61,7 @@ _OUTLINE_MIN_RADIUS_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Workbench:
+class Workbench(Value):
     """What every image of a campaign needs: loaded once per process.
 
     Parameters

@@ -12,7 +12,7 @@ from giantlike.camera import Camera
 from giantlike.campaign.store.records import Attitude, Matrix, Status
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
-from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, skew
+from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.outcomes import CenterFix, PositionFix, Quality
 from giantlike.image import AttitudeSource
 from giantlike.scene import TargetGeometry
@@ -50,7 +50,7 @@ def attitude_fields(camera: Camera, attitude: Attitude) -> dict[str, Any]:
     try:
         ra, dec, roll = pointing_deg(rotation_of(attitude), center)
     except InputError:  # at a celestial pole there is no roll (nor right ascension, but the direction is known)
-        direction_ra, direction_dec = radec_from_direction(rotation_of(attitude).inv().apply(center))
+        direction_ra, direction_dec = radec_from_direction(rotate(rotation_of(attitude).inv(), center))
         return fields | {"ra_deg": float(direction_ra), "dec_deg": float(direction_dec), "roll_deg": None}
     return fields | {"ra_deg": ra, "dec_deg": dec, "roll_deg": roll}
 

@@ -13,10 +13,11 @@ from giantlike.campaign.calibration.solve import RESULT_FILE
 from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
 from giantlike.core.errors import DataError
+from giantlike.core.values import Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RunResult:
+class RunResult(Value):
     """A finished run.
 
     Parameters

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import erf
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 
 MIN_PSF_SIGMA_PX = 0.25
 """A narrower point spread function cannot be told from one pixel, and a fit of it has no gradient."""
@@ -42,7 +43,7 @@ _SECOND_ORDER = 3.0  # by Monte Carlo, sigma 0.5 to 2.5 px, background and shot 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Patches:
+class Patches(Value):
     """Square cut-outs of an image, one around each of n stars.
 
     Parameters
@@ -56,8 +57,8 @@ class Patches:
     """
 
     values_dn: Float
-    valid: NDArray[np.bool_]
-    saturated: NDArray[np.bool_]
+    valid: Mask
+    saturated: Mask
     corner_px: NDArray[np.int64]
 
     @property
@@ -114,7 +115,7 @@ class Patches:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarFits:
+class StarFits(Value):
     """Fitted Gaussians of n stars.
 
     Parameters
@@ -135,12 +136,12 @@ class StarFits:
     background_dn: Float
     width_px: Float
     reduced_chi2: Float
-    converged: NDArray[np.bool_]
+    converged: Mask
 
 
 def cut_patches(
     pixels: NDArray[np.generic],
-    bad: NDArray[np.bool_] | None,
+    bad: Mask | None,
     points_px: NDArray[np.integer],
     half_px: int,
     saturation_dn: float = math.inf,
@@ -276,7 +277,7 @@ class _Problem:
             self.patches.select(which), self.noise_dn[which], self.psf_sigma_px, self.gain_e_per_dn, self.width_prior
         )
 
-    def solve(self, start: Float) -> tuple[Float, NDArray[np.bool_]]:
+    def solve(self, start: Float) -> tuple[Float, Mask]:
         """Gauss-Newton from ``start`` (n, 5); returns parameters and which (n,) came to rest near the peak."""
         parameters = start.copy()
         active = np.arange(len(start))
@@ -353,7 +354,7 @@ class _Problem:
         result[:, 4] = np.maximum(wanted, math.log(0.6 * MIN_PSF_SIGMA_PX)) - parameters[:, 4]
         return result
 
-    def finish(self, parameters: Float, good: NDArray[np.bool_]) -> StarFits:
+    def finish(self, parameters: Float, good: Mask) -> StarFits:
         """Covariances and quality of the solution."""
         normal, _, chi2, count = self.linearize(parameters)
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)

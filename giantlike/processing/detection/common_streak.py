@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.processing.detection.centroid import MIN_PSF_SIGMA_PX, Patches, border_level, cut_patches
 from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.streak import LineFits, fit_lines
@@ -49,7 +49,7 @@ class CommonStreak:
 
 def find_common_streak(
     pixels: NDArray[np.generic],
-    bad: NDArray[np.bool_] | None,
+    bad: Mask | None,
     peaks_px: NDArray[np.int64],
     *,
     noise_dn: Float,
@@ -127,7 +127,7 @@ def unexplained_power(patches: Patches, fits: LineFits, shares: Float, noise_dn:
     return result
 
 
-def _mostly_long(pixels: NDArray[np.generic], bad: NDArray[np.bool_] | None, peaks_px: NDArray[np.int64]) -> bool:
+def _mostly_long(pixels: NDArray[np.generic], bad: Mask | None, peaks_px: NDArray[np.int64]) -> bool:
     """Whether sources are longer than points: a quick look, before lines are fitted."""
     patches = cut_patches(pixels, bad, peaks_px, _QUICK_HALF_PX)
     axis = patches.longest_axis(peaks_px.astype(np.float64), border_level(patches), 1.0)

@@ -21,9 +21,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.detection.centroid import (
     MIN_PSF_SIGMA_PX,
     Patches,
@@ -129,7 +130,7 @@ class DetectionOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Candidates:
+class _Candidates(Value):
     """Peaks of the filtered image, most significant first."""
 
     peaks_px: NDArray[np.int64]
@@ -137,14 +138,14 @@ class _Candidates:
     noise_dn: Float
     significance: Float
     area_px: NDArray[np.int64]
-    extended: NDArray[np.bool_]
-    alone: NDArray[np.bool_]
-    first: NDArray[np.bool_]
+    extended: Mask
+    alone: Mask
+    first: Mask
 
     def __len__(self) -> int:
         return len(self.flux_dn)
 
-    def select(self, which: NDArray[np.integer] | NDArray[np.bool_] | slice) -> _Candidates:
+    def select(self, which: NDArray[np.integer] | Mask | slice) -> _Candidates:
         return _Candidates(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
@@ -305,7 +306,7 @@ def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions
     return candidates.select(first | ~(extended | near_saturation))
 
 
-def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> Mask:
     """Whether each of the pixels (n, 2) tops its eight neighbors; of equal ones the first in reading order does."""
     rows, columns = response.shape
     x, y = points_px.T
@@ -453,7 +454,7 @@ def _flags(
     patches: Patches,
     fits: StarFits,
     points_px: Float,
-    core: NDArray[np.bool_],
+    core: Mask,
     psf_sigma_px: float,
 ) -> NDArray[np.uint16]:
     """Combine :class:`DetectionFlag` values (n,)."""
@@ -500,7 +501,7 @@ def _flags(
     return result
 
 
-def _usual_width_px(fits: StarFits, compact: NDArray[np.bool_], psf_sigma_px: float) -> float:
+def _usual_width_px(fits: StarFits, compact: Mask, psf_sigma_px: float) -> float:
     """Width that sources of this image have, at most that of the PSF.
 
     Sharper images than the camera was said to give must not make hot pixels of all stars.

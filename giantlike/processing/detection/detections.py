@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 
 
 class DetectionFlag(enum.IntFlag):
@@ -56,7 +57,7 @@ NOT_A_STAR = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Detections:
+class Detections(Value):
     """Point sources of one image, brightest first.
 
     Parameters
@@ -115,7 +116,7 @@ class Detections:
         return result
 
     @property
-    def clean(self) -> NDArray[np.bool_]:
+    def clean(self) -> Mask:
         """True (n,) for what looks like a star and was measured: none of the flags of ``NOT_A_STAR``.
 
         Saturated, blended, masked and cut stars stay: their covariance says what they are worth.
@@ -123,10 +124,10 @@ class Detections:
         >>> Detections.empty(psf_sigma_px=0.8, noise_dn=3.0).clean.tolist()
         []
         """
-        result: NDArray[np.bool_] = (self.flags & np.uint16(NOT_A_STAR)) == 0
+        result: Mask = (self.flags & np.uint16(NOT_A_STAR)) == 0
         return result
 
-    def select(self, which: NDArray[np.bool_] | NDArray[np.integer]) -> Detections:
+    def select(self, which: Mask | NDArray[np.integer]) -> Detections:
         """Return the detections of a mask (n,) or of indices, in that order."""
         return Detections(
             points_px=self.points_px[which],

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Mask, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.detection.matched_filter import Image32
 from giantlike.processing.detection.noise import NoiseSource, Region, predicted_noise_dn
 
@@ -20,7 +21,7 @@ _FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Frame:
+class Frame(Value):
     """An image as the steps of a detection need it.
 
     Parameters
@@ -36,7 +37,7 @@ class Frame:
     """
 
     pixels: NDArray[Any]
-    bad: NDArray[np.bool_] | None
+    bad: Mask | None
     flat: Image32
     saturation_dn: float
     gain_e_per_dn: float

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Scalar
+from giantlike.core.arrays import Float, Mask, Scalar
+from giantlike.core.values import Value
 
 NOISE_BOX_PX = 48
 _IQR_PER_SIGMA = 1.3489795  # interquartile range of a unit normal distribution
@@ -29,7 +30,7 @@ Image32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FilteredImage:
+class FilteredImage(Value):
     """What a zero-sum matched filter makes of an image.
 
     Parameters
@@ -62,7 +63,7 @@ def recorded_width_px(psf_sigma_px: float) -> float:
 
 def matched_filter(
     image: Image32,
-    bad: NDArray[np.bool_] | None,
+    bad: Mask | None,
     *,
     psf_sigma_px: float,
     noise_floor_dn: float,
@@ -117,7 +118,7 @@ def matched_filter(
 
 
 def noise_between(
-    filtered: FilteredImage, bad: NDArray[np.bool_] | None, sources_px: NDArray[np.integer], noise_floor_dn: float
+    filtered: FilteredImage, bad: Mask | None, sources_px: NDArray[np.integer], noise_floor_dn: float
 ) -> Image32:
     """Noise of a pixel again, (rows, columns), DN, without the pixels whose response has a source in it.
 
@@ -151,7 +152,7 @@ def _box_half_px(width_px: float) -> int:
     return math.ceil(_BOX_HALF_WIDTHS * width_px)
 
 
-def _filled(image: Image32, bad: NDArray[np.bool_], box: tuple[int, int]) -> Image32:
+def _filled(image: Image32, bad: Mask, box: tuple[int, int]) -> Image32:
     """Return ``image`` with bad pixels replaced by the mean of the good ones in the box, or of all good ones."""
     good = (~bad).astype(np.float32)
     total = cv2.blur(np.where(bad, np.float32(0.0), image), box)
@@ -194,7 +195,7 @@ class NoiseGrid:
     def robust_sigma(
         self,
         response: Image32,
-        bad: NDArray[np.bool_] | None,
+        bad: Mask | None,
         sources_px: NDArray[np.integer],
         reach_px: int,
     ) -> Image32:
@@ -213,9 +214,7 @@ class NoiseGrid:
             return np.asarray(cv2.medianBlur(sigma, 3), dtype=np.float32)
         return sigma
 
-    def _excluded(
-        self, bad: NDArray[np.bool_] | None, sources_px: NDArray[np.integer], reach_px: int
-    ) -> NDArray[np.bool_]:
+    def _excluded(self, bad: Mask | None, sources_px: NDArray[np.integer], reach_px: int) -> Mask:
         step = self.step
         taken = np.zeros((-(-self.shape[0] // step), -(-self.shape[1] // step)), dtype=np.uint8)
         taken[sources_px[:, 1] // step, sources_px[:, 0] // step] = 1

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Mask, require
 from giantlike.core.detector import Detector
 
 _LEVEL_BOX_PX = 31
@@ -42,7 +42,7 @@ class NoiseSource(StrEnum):
 
 def predicted_noise_dn(
     pixels: NDArray[Any],
-    bad: NDArray[np.bool_] | None,
+    bad: Mask | None,
     *,
     source: NoiseSource,
     detector: Detector,
@@ -89,7 +89,7 @@ def predicted_noise_dn(
     return np.sqrt(variance)
 
 
-def _level_dn(pixels: NDArray[Any], bad: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+def _level_dn(pixels: NDArray[Any], bad: Mask | None) -> NDArray[np.float32]:
     """Level around each pixel (rows, columns), DN: the box mean of a 5 x 5 median, which leaves out stars."""
     values = pixels.astype(np.float32)
     if bad is not None:

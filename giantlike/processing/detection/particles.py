@@ -24,7 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.processing.detection.centroid import Patches, pixel_shares
 from giantlike.processing.detection.matched_filter import recorded_width_px
 
@@ -40,7 +41,7 @@ _LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FewPixels:
+class FewPixels(Value):
     """Which of n sources are light in a few pixels.
 
     Parameters
@@ -51,11 +52,11 @@ class FewPixels:
         How many pixels the light is in.
     """
 
-    not_star: NDArray[np.bool_]
+    not_star: Mask
     n_pixels: NDArray[np.int64]
 
 
-def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> NDArray[np.bool_]:
+def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> Mask:
     """Pixels (n, w, w) of each patch within the core of a source at ``points_px`` (n, 2)."""
     dx, dy = patches.offsets_px(points_px)
     radius = CORE_WIDTHS * recorded_width_px(psf_sigma_px) + 0.5
@@ -128,7 +129,7 @@ def _smaller_moment_px2(patches: Patches, points_px: Float, light: Float) -> Flo
     return result
 
 
-def _star_light(light: Float, share: Float, used: NDArray[np.bool_], floor: Float, gain_e_per_dn: float) -> Float:
+def _star_light(light: Float, share: Float, used: Mask, floor: Float, gain_e_per_dn: float) -> Float:
     """Light (n, pixels) of the star that fits best, never negative: its flux is the only unknown."""
     flux = np.zeros((len(light), 1))
     for _ in range(2):  # the weights depend on the flux

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from giantlike.core.arrays import Float, frozen, require
+from giantlike.core.arrays import Float, Mask, frozen, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.detection.detect import DetectionOptions, detect_sources
 from giantlike.processing.detection.detections import DetectionFlag, Detections
 
@@ -40,7 +41,7 @@ _CHANCES = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FixedPattern:
+class FixedPattern(Value):
     """What is the same in all images of a sequence.
 
     Parameters
@@ -54,7 +55,7 @@ class FixedPattern:
     """
 
     level_dn: NDArray[np.float32]
-    hot: NDArray[np.bool_]
+    hot: Mask
     n_images: int
 
     def removed_from(self, pixels: ArrayLike, *, saturation_dn: float = np.inf) -> NDArray[np.float32]:

@@ -22,7 +22,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, frozen
+from giantlike.core.arrays import Float, Mask, frozen
+from giantlike.core.values import Value
 from giantlike.processing.detection.centroid import Patches, pixel_shares
 
 _MAX_STEPS = 40
@@ -34,7 +35,7 @@ _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LineFits:
+class LineFits(Value):
     """Fitted lines of n sources.
 
     Parameters
@@ -60,7 +61,7 @@ class LineFits:
     background_dn: Float
     chi2: Float
     n_pixels: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    converged: Mask
 
     @property
     def lengths_px(self) -> Float:
@@ -198,7 +199,7 @@ class _Problem:
         chi2 = np.sum(weight * residual**2 + np.where(weight > 0, np.log(variance.reshape(n, -1)), 0.0), axis=1)
         return normal, right, chi2, np.count_nonzero(used.reshape(n, -1), axis=1)
 
-    def solve(self, start: Float) -> tuple[Float, NDArray[np.bool_]]:
+    def solve(self, start: Float) -> tuple[Float, Mask]:
         """Levenberg-Marquardt from ``start`` (n, 6); returns parameters and which (n,) came to rest inside."""
         best = start.copy()
         damping = np.full(len(start), _DAMPING_START)
@@ -226,7 +227,7 @@ class _Problem:
         inside[active] = False
         return best, inside
 
-    def finish(self, parameters: Float, good: NDArray[np.bool_]) -> LineFits:
+    def finish(self, parameters: Float, good: Mask) -> LineFits:
         """Covariances and quality of the solution."""
         normal, _, _, count = self.linearize(parameters)
         shares, _ = line_shares(self.patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.arrays import Float, Mask, as_finite, require
+from giantlike.core.values import Value
 
 _MAX_STEPS = 50
 _SETTLED_PX = 1e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WindowedCentroid:
+class WindowedCentroid(Value):
     """Where a windowed centroid came to rest.
 
     Parameters
@@ -32,7 +33,7 @@ class WindowedCentroid:
 
 
 def windowed_centroid(
-    values: Float, variance: Float, usable: NDArray[np.bool_], start_px: ArrayLike, *, window_sigma_px: float
+    values: Float, variance: Float, usable: Mask, start_px: ArrayLike, *, window_sigma_px: float
 ) -> WindowedCentroid | None:
     """Centroid under a Gaussian window that follows the source.
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, as_floats, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 
 MIN_POINTS = 6
@@ -22,7 +23,7 @@ _STEP = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ConicFit:
+class ConicFit(Value):
     """An ellipse ``A x^2 + 2 B x y + C y^2 + 2 D x + 2 E y + F = 0``.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 
 _REAL = 1e-4  # imaginary part of a root over its size: two that meet come apart by rounding
 
@@ -88,7 +88,7 @@ def _padded(polynomial: Float, length: int) -> Float:
     return np.pad(polynomial, [(0, length - len(polynomial)), (0, 0)])
 
 
-def _roots(quartic: Float) -> tuple[Float, NDArray[np.bool_]]:
+def _roots(quartic: Float) -> tuple[Float, Mask]:
     """Real parts (m, 4) of the roots of quartics (5, m), lowest power first, and which of them are real."""
     with np.errstate(divide="ignore", invalid="ignore"):
         monic = quartic[:4] / quartic[4]

@@ -11,15 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.geometry.p3p import poses_of_three_points
-
-Mask = NDArray[np.bool_]
 
 _SETTLED = 1e-9  # of a standard deviation
 _CONDITION_LIMIT = 1e14
@@ -72,7 +72,7 @@ class PnpOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PnpFix:
+class PnpFix(Value):
     """A pose that points of a body agree with.
 
     Parameters
@@ -160,7 +160,7 @@ def solve_pnp(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
+class _Problem(Value):
     """What :func:`solve_pnp` was given, checked."""
 
     points: Float
@@ -304,7 +304,7 @@ def _gauss_newton(
 
 def _design(problem: _Problem, rotation: Rotation, position: Float) -> Float:
     """Derivatives (n, 2, k) of the pixels by position and, where it is not trusted, rotation about the camera axes."""
-    turned = rotation.apply(problem.points)
+    turned = rotate(rotation, problem.points)
     by_position = problem.model.project_jacobian(turned + position)
     if _free_parameters(problem) == 3:
         return by_position

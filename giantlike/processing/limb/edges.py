@@ -15,9 +15,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.arrays import Float, Mask, as_finite, require
+from giantlike.core.values import Value
 
-Mask = NDArray[np.bool_]
 Pixels = NDArray[np.int64]
 
 _MIN_RUN = 3  # lit samples in a row, so that a hot pixel is no edge
@@ -28,7 +28,7 @@ _MOVES = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EdgePoints:
+class EdgePoints(Value):
     """Edges measured to a fraction of a pixel.
 
     Parameters
@@ -138,7 +138,7 @@ def _lines(values: Float, along: Float) -> tuple[Float, Pixels]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WindowEdges:
+class WindowEdges(Value):
     """What a method finds in windows: one edge each, from the middle of its window.
 
     Parameters

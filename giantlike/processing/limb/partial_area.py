@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from giantlike.core.arrays import Float, require
-from giantlike.processing.limb.edges import EdgePoints, Mask, Pixels, WindowEdges, measured_edges
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.processing.limb.edges import EdgePoints, Pixels, WindowEdges, measured_edges
 
 _CLEAR_PX, _CLEAR_SIGMAS = 2.2, 2.3
 """Half height of the columns: an edge of slope 1 half a pixel off, the far corner of the outer column, and the blur."""

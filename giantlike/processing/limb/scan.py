@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
-from giantlike.core.arrays import Float, require
-
-Mask = NDArray[np.bool_]
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.statistics import MAD_TO_SIGMA
+from giantlike.core.values import Value
 
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
 """Variance of the cubic B-spline through which lines are sampled: it widens every edge by so much."""
@@ -30,13 +29,12 @@ _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axi
 _RIVAL_PX = 2.0
 _RIVAL_CORRELATION = 0.98
 _REFINEMENTS = 2
-_MAD_TO_SIGMA = 1.4826
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scans:
+class Scans(Value):
     """Image values along lines.
 
     Parameters
@@ -65,7 +63,7 @@ class Scans:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ProfileMatch:
+class ProfileMatch(Value):
     """How far along each line its profile lies from the expected one.
 
     Parameters
@@ -292,7 +290,7 @@ def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Fit:
+class _Fit(Value):
     """Fine shifts (n,), their noise, and what the fits leave."""
 
     gain_dn: Float
@@ -344,7 +342,7 @@ def _stiffness(columns: Float, weights: Float, free: Float) -> Float:
     normal, scale = _normal(columns, weights)
     variance = np.linalg.inv(normal)[:, 3, 3] / scale[:, 3, 0] ** 2
     noise = np.median(variance / np.where(free[:, 0] == 0.0, np.inf, free[:, 0]) ** 2)
-    excess = (_MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
+    excess = (MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
     spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
     result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
     return result

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
-
-Mask = NDArray[np.bool_]
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 
 _COARSE_BLUR_PX = 1.0
 _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # of the radius
@@ -22,7 +21,7 @@ _COARSE_NOISE_SIGMAS = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CoarseLimb:
+class CoarseLimb(Value):
     """Where an outline as a whole fits an image best.
 
     Parameters

@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.statistics import robust_sigma
+from giantlike.core.values import Value
 
-Mask = NDArray[np.bool_]
-
-_MAD_TO_SIGMA = 1.4826
 _CLIP_SIGMAS, _CLIP_ROUNDS = 3.0, 8
 _NOT_THE_BODY = 1e6  # cost of an assignment that must not be
 _RIVAL_COST = 1.0  # an assignment that costs so little more is as good
@@ -39,7 +38,7 @@ class Background:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Blobs:
+class Blobs(Value):
     """Connected patches of light, largest first.
 
     Parameters
@@ -160,7 +159,7 @@ def background_of(values: Float) -> Background:
     kept = values
     for _ in range(_CLIP_ROUNDS):
         level = float(np.median(kept))
-        sigma = _MAD_TO_SIGMA * float(np.median(np.abs(kept - level)))
+        sigma = robust_sigma(kept, level)
         inside = np.abs(kept - level) <= _CLIP_SIGMAS * sigma
         if sigma == 0.0 or inside.all():
             break

@@ -10,8 +10,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, frozen, require
-from giantlike.processing.limb.edges import EdgePoints, Mask, Pixels, WindowEdges, measured_edges
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.values import Value
+from giantlike.processing.limb.edges import EdgePoints, Pixels, WindowEdges, measured_edges
 
 SIZES = (5, 7)
 _SUBPIXELS = 101  # along a pixel, for the integrals of the kernels
@@ -98,7 +99,7 @@ def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Table:
+class _Table(Value):
     """Kernels, and what the ratio of the moments says: everything that depends on size and blur alone."""
 
     first: NDArray[np.complex128]
@@ -142,11 +143,11 @@ def _table(size: int, blur_sigma_px: float) -> _Table:
     a11, a20, b11, b20 = (part @ weights for part in (step_11, step_20, bent_11, bent_20))
     ratio = a20 / a11
     bare = _Table(
-        first=frozen(first),
-        second=frozen(second),
-        ratio=frozen(ratio),
-        per_curvature=frozen((b20 - ratio * b11) / a11),
-        height=frozen(a11),
+        first=first,
+        second=second,
+        ratio=ratio,
+        per_curvature=(b20 - ratio * b11) / a11,
+        height=a11,
         radius_px=radius,
         sampling_px=0.0,
     )

@@ -16,6 +16,7 @@ from scipy.ndimage import map_coordinates
 
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
+from giantlike.core.values import Value
 from giantlike.processing.detection.centroid import cut_patches
 from giantlike.processing.detection.detections import Detections
 from giantlike.processing.psf.estimate import UNUSABLE, PsfEstimate
@@ -26,7 +27,7 @@ _PRIOR_SAMPLES = 0.5  # so many that show the analytic shape itself are added to
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EmpiricalPsf:
+class EmpiricalPsf(Value):
     """Pixel-integrated point spread function on a grid.
 
     Parameters

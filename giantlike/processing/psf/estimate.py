@@ -19,6 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.statistics import robust_sigma
+from giantlike.core.values import Value
 from giantlike.processing.detection.centroid import Patches, cut_patches
 from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.processing.detection.matched_filter import recorded_width_px
@@ -52,7 +54,7 @@ UNUSABLE = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PsfEstimate:
+class PsfEstimate(Value):
     """Point spread function estimated from stars.
 
     Parameters
@@ -193,8 +195,8 @@ def estimate_psf(
         start[3, 0] = 0.2
     solution = problem.solve(local, start)
     quality = problem.star_chi2(solution.local, solution.shared)
-    spread = np.median(np.abs(quality - np.median(quality))) * 1.4826
-    kept = np.flatnonzero(quality <= np.median(quality) + _OUTLIER * max(float(spread), 0.1))
+    spread = robust_sigma(quality)
+    kept = np.flatnonzero(quality <= np.median(quality) + _OUTLIER * max(spread, 0.1))
     if len(kept) < len(stars) and len(kept) >= 3 * n_terms:
         problem = problem.select(kept)
         solution = problem.solve(solution.local[kept], solution.shared)

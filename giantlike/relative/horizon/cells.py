@@ -11,14 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
-
-Mask = NDArray[np.bool_]
 
 _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
 _FOOT_STEPS = 3
@@ -28,7 +26,7 @@ _MIN_FREEDOM = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LimbPixels:
+class LimbPixels(Value):
     """Pixels near a horizon, by cells of it; arrays (c, p) are padded where ``good`` is False.
 
     Parameters
@@ -59,7 +57,7 @@ class LimbPixels:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CellFits:
+class CellFits(Value):
     """What each cell says about three things, its brightness left free.
 
     They are the outward shift of the horizon, px; the variance that the blur has besides, px^2; and the coefficient

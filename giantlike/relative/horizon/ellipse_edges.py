@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.edges import EdgePoints, scan_edges
 from giantlike.processing.limb.segmentation import Background, background_of
@@ -19,8 +20,6 @@ from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
 from giantlike.relative.light.unresolved import sunlight_px
 from giantlike.shapes import PlacedEllipsoid
-
-Mask = NDArray[np.bool_]
 
 _LIGHT_SIGMAS, _LIGHT_SHARE = 5.0, 0.1  # of light: over the background, and of the brightness of the body
 _SKY_STEP = 4
@@ -79,7 +78,7 @@ class EllipseFitOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LimbEdges:
+class LimbEdges(Value):
     """Edges on the lit limb.
 
     Parameters
@@ -151,7 +150,7 @@ def figure_of(inputs: EstimatorInputs, placed: PlacedEllipsoid) -> tuple[Figure,
     """The ellipsoid in camera axes, and where its center is predicted (3,), km, camera axes."""
     turn = inputs.geometry.camera_from_body
     figure = Figure(radii_km=placed.ellipsoid.radii_km, camera_from_axes=turn * placed.body_from_axes)
-    return figure, inputs.geometry.position_camera_km + turn.apply(placed.center_body_km.copy())
+    return figure, inputs.geometry.position_camera_km + rotate(turn, placed.center_body_km)
 
 
 def _sky(

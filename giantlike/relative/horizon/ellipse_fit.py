@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
+from giantlike.core.statistics import robust_sigma
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.processing.correlated_fit import generalized_solution, robust_solution
 from giantlike.processing.geometry.conic_fit import ConicFit, conic_matrix, fit_ellipse
@@ -27,7 +29,6 @@ from giantlike.shapes import PlacedEllipsoid
 
 __all__ = ["EllipseFit", "EllipseFitOptions", "position_of_cone"]
 
-Mask = NDArray[np.bool_]
 
 _ROUNDS = 3
 _CORRELATION_PX = 2.0  # windows of neighboring edges share pixels
@@ -135,7 +136,7 @@ def position_of_cone(cone: Float, figure: Figure) -> Float | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Plane:
+class _Plane(Value):
     """The plane that touches the sphere of directions at one of them."""
 
     camera_from_plane: Float
@@ -218,7 +219,7 @@ def _agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask |
         if isinstance(fit, Failure):
             return fit
         away = _distances(points, fit)
-        scatter = 1.4826 * float(np.median(np.abs(away[keep])))
+        scatter = robust_sigma(away[keep], 0.0)
         keep = np.abs(away) <= options.outlier_mad * np.hypot(sigma, scatter)
     return keep
 

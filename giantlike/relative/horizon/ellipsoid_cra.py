@@ -10,6 +10,7 @@ import numpy as np
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
@@ -197,7 +198,7 @@ def relief_of(shape: Shape, placed: PlacedEllipsoid) -> float:
 def relief_sigma_km(shape: TriangleMesh, placed: PlacedEllipsoid) -> float:
     """Root mean square distance, km, of a mesh from an ellipsoid, along its normals and over its area."""
     corners = shape.vertices_km[shape.faces]
-    points = placed.body_from_axes.inv().apply(corners.mean(axis=1) - placed.center_body_km)
+    points = rotate(placed.body_from_axes.inv(), corners.mean(axis=1) - placed.center_body_km)
     radii = placed.ellipsoid.radii_km
     stretch = np.linalg.norm(points / radii, axis=1)
     distance = (stretch - 1.0) * stretch / np.linalg.norm(points / radii**2, axis=1)
@@ -243,7 +244,7 @@ def _ellipsoid_body(inputs: EstimatorInputs, placed: PlacedEllipsoid, altitude: 
 
 def _center_camera_km(inputs: EstimatorInputs, placed: PlacedEllipsoid) -> Float:
     """From the origin of the shape to the center of the ellipsoid (3,), km, camera axes."""
-    offset: Float = inputs.geometry.camera_from_body.apply(placed.center_body_km.copy())
+    offset: Float = rotate(inputs.geometry.camera_from_body, placed.center_body_km)
     return offset
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import PositionFix
+from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 from giantlike.relative.horizon.geometry import Altitude, Figure, altitude_design, horizon_residuals
 from giantlike.relative.horizon.scan import HorizonView
@@ -18,7 +19,7 @@ _EXPLAINED_SIGMAS = 2.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HorizonFit:
+class HorizonFit(Value):
     """A position from a horizon.
 
     Parameters

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 
 MIN_POINTS = 4
 _FOOT_STEPS, _NEAR_STEPS = 4, 2
@@ -34,7 +35,7 @@ class CraMethod(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Figure:
+class Figure(Value):
     """An ellipsoid as the camera sees it turned.
 
     Parameters
@@ -52,6 +53,7 @@ class Figure:
         radii = as_finite(self.radii_km, (3,), "radii_km")
         require(bool(np.all(radii > 0)), f"radii_km must be > 0, got {radii.tolist()}")
         object.__setattr__(self, "radii_km", radii)
+        Value.__post_init__(self)
 
     @property
     def to_sphere(self) -> Float:
@@ -109,7 +111,7 @@ class Altitude:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PixelRays:
+class PixelRays(Value):
     """Directions of pixels and how they turn with the pixel.
 
     Parameters

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
@@ -33,7 +35,7 @@ _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HorizonArc:
+class HorizonArc(Value):
     """Points of a horizon in even steps along its image, those that the camera model images.
 
     Parameters
@@ -73,7 +75,7 @@ class HorizonArc:
         """One cell of ``every`` so many."""
         return self.only((self.along_px / cell_px).astype(np.int64) % every == 0)
 
-    def only(self, chosen: NDArray[np.bool_]) -> HorizonArc:
+    def only(self, chosen: Mask) -> HorizonArc:
         """The points that are ``chosen`` (k,)."""
         return HorizonArc(
             points_px=self.points_px[chosen],
@@ -103,8 +105,8 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
         ``OUT_OF_FRAME`` when the model images none of it; ``DEGENERATE_GEOMETRY`` for a camera inside.
     """
     turn = figure.camera_from_axes
-    ellipse = limb_ellipse(Ellipsoid(radii_km=figure.radii_km), turn.inv().apply(-position_camera_km))
-    middle, first, second = (turn.apply(vector) for vector in ellipse)
+    ellipse = limb_ellipse(Ellipsoid(radii_km=figure.radii_km), rotate(turn.inv(), -position_camera_km))
+    middle, first, second = (rotate(turn, vector) for vector in ellipse)
     if not np.isfinite(middle).all():
         return Failure(Reason.DEGENERATE_GEOMETRY, "the camera lies inside the ellipsoid")
     angles = np.linspace(0.0, 2.0 * np.pi, _OVERVIEW + 1)
@@ -140,7 +142,7 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ProfileTable:
+class ProfileTable(Value):
     """Brightness across a horizon, by powers of the cosine of emission, tabulated on distances from it.
 
     Parameters

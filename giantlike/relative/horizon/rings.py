@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require
-
-Mask = NDArray[np.bool_]
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.frames import rotate
 
 _TURNS = 720
 _NEAREST = 1e-3  # of the distance to the body: rings nearer to the camera's plane than this are not drawn
@@ -43,9 +41,9 @@ class Rings:
     ) -> Mask:
         """Which points (n, 3), km, camera axes, of a body at ``center_km`` lie behind the rings or in their shadow."""
         to_axes = camera_from_axes.inv()
-        points = to_axes.apply(points_km - center_km)
-        toward_camera = to_axes.apply(-points_km)
-        toward_sun = to_axes.apply(sun_direction_camera.copy())
+        points = rotate(to_axes, points_km - center_km)
+        toward_camera = rotate(to_axes, -points_km)
+        toward_sun = rotate(to_axes, sun_direction_camera)
         return self._crossed(points, toward_camera) | self._crossed(points, np.broadcast_to(toward_sun, points.shape))
 
     def cover(self, camera: Camera, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
@@ -53,7 +51,7 @@ class Rings:
         turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
         circle = np.stack([np.cos(turns), np.sin(turns), np.zeros(_TURNS)], axis=-1)
         area = np.zeros((camera.rows, camera.columns), dtype=np.uint8)
-        edges = [center_km + camera_from_axes.apply(radius * circle) for radius in (self.inner_km, self.outer_km)]
+        edges = [center_km + rotate(camera_from_axes, radius * circle) for radius in (self.inner_km, self.outer_km)]
         inner, outer = (camera.model.project(np.where(e[:, 2:] > _NEAREST * center_km[2], e, np.nan)) for e in edges)
         for start in range(_TURNS):
             corners = np.stack([inner[start], outer[start], outer[start - 1], inner[start - 1]])

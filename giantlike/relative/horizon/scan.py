@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.search import search_limb
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
-from giantlike.relative.horizon.cells import CellFits, LimbPixels, Mask, fit_cells, limb_pixels
+from giantlike.relative.horizon.cells import CellFits, LimbPixels, fit_cells, limb_pixels
 from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
 from giantlike.relative.horizon.rings import Rings
@@ -98,7 +99,7 @@ class HorizonScan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HorizonView:
+class HorizonView(Value):
     """What cells along a horizon show.
 
     Parameters
@@ -249,7 +250,7 @@ def settled_limb(inputs: EstimatorInputs, view: HorizonView, scan: HorizonScan) 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _LitHorizon:
+class _LitHorizon(Value):
     """The part of a horizon that is lit and in the frame, and how bright it is inside."""
 
     arc: HorizonArc

@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
 from giantlike.processing.correlate import find_peak, normalized_correlation
 from giantlike.relative.landmarks.rendering import Patch
 from giantlike.relative.template.rendering import FitBox
-
-Mask = NDArray[np.bool_]
 
 _ROUNDS = 3
 _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12.0
@@ -26,7 +25,7 @@ _MAX_SHIFT_PX = 1.5  # beyond a pixel and a half the correlation peak and the fi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LandmarkMatch:
+class LandmarkMatch(Value):
     """A landmark found in the image.
 
     Parameters

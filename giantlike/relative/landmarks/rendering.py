@@ -9,18 +9,16 @@ from typing import Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, RenderOptions, Trace, trace_body
 from giantlike.relative.landmarks.visibility import SeenLandmarks
 from giantlike.relative.template.rendering import FitBox
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog
-
-Mask = NDArray[np.bool_]
 
 BORDER_PX = 3
 """Pixels of a patch around those that are matched: derivatives take them, and the point spread function."""
@@ -39,7 +37,7 @@ class Windowing(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Patch:
+class Patch(Value):
     """A landmark as it should look.
 
     Parameters

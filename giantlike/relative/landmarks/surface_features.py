@@ -17,6 +17,7 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.units import RAD_PER_DEG
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
 from giantlike.ray_tracing import Body
@@ -129,7 +130,7 @@ class LandmarkFix(PositionFix):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Found:
+class _Found(Value):
     """What one look at the image gave: landmarks matched, in the order of the catalog, and the pose they agree on."""
 
     matches: tuple[LandmarkMatch, ...]

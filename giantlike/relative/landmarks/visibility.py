@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, require, unit
+from giantlike.core.arrays import Float, Mask, require, unit
 from giantlike.core.units import RAD_PER_DEG
+from giantlike.core.values import Value
 from giantlike.ray_tracing import Body
 from giantlike.ray_tracing.body import sun_in_body
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import LevelsOfDetail, Shape, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog
 
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 _GRID = 5  # points along each side of a landmark whose sight and light are looked at
@@ -64,7 +64,7 @@ class VisibilityOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SeenLandmarks:
+class SeenLandmarks(Value):
     """Landmarks that can be used, and what became of the others.
 
     Parameters

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.processing.limb.segmentation import (
     Background,
@@ -28,8 +29,6 @@ from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Templa
 from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
 from giantlike.relative.light.unresolved import Correction, modeled_correction_px
 from giantlike.scene import Scene, TargetGeometry
-
-Mask = NDArray[np.bool_]
 
 _LIGHT_SIGMAS = 5.0  # over the background: what is light at all
 _MIN_AREA_PX = 4
@@ -183,7 +182,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Light:
+class _Light(Value):
     """The light of one body in the image.
 
     Parameters

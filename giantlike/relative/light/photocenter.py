@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, as_finite, require, unit
+from giantlike.core.frames import rotate
 from giantlike.shapes.base import PlacedEllipsoid
 
 _LEAST_SINE = 1e-6  # of the angle between Sun and observer, made round: below, the light is that of a full moon
@@ -55,7 +56,7 @@ def ellipsoid_photocenter_km(
         require(abs(float(vector @ vector) - 1.0) < 1e-6, f"{name} must be a unit vector, got {vector}")
     to_axes = placed.body_from_axes.inv()
     radii = np.asarray(placed.ellipsoid.radii_km)
-    rounded_sun, rounded_observer = to_axes.apply(sun) / radii, to_axes.apply(observer) / radii
+    rounded_sun, rounded_observer = rotate(to_axes, sun) / radii, rotate(to_axes, observer) / radii
     middle = unit(rounded_sun + rounded_observer) if float(sun @ observer) > -1.0 + 1e-12 else np.zeros(3)
     side = rounded_sun - float(rounded_sun @ middle) * middle
     length = float(np.linalg.norm(side))
@@ -66,7 +67,7 @@ def ellipsoid_photocenter_km(
         light, along, across = _lune(_angle(rounded_sun, middle, axis), _angle(rounded_observer, middle, axis))
         require(light > _LEAST_LIGHT, "the Sun stands behind the body: none of its light is seen")
         mean = (along * middle + across * axis) / light
-    return placed.center_body_km + placed.body_from_axes.apply(radii * mean)
+    return placed.center_body_km + rotate(placed.body_from_axes, radii * mean)
 
 
 def _angle(vector: Float, middle: Float, axis: Float) -> float:

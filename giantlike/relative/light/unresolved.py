@@ -8,11 +8,12 @@ from enum import StrEnum
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require, unit
+from giantlike.core.arrays import Float, Mask, require, unit
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
+from giantlike.core.statistics import robust_sigma
 from giantlike.image import Image
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.processing.detection.detections import DetectionFlag, Detections
@@ -34,7 +35,6 @@ _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the cent
 _WINDOW_REACH_SIGMAS = 5.0
 _RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival
 _CLIP_SIGMA, _CLIP_ROUNDS = 3.0, 5
-_MAD_TO_SIGMA = 1.4826
 _FIT_MARGIN_PX = 4
 _RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # finer is lost in noise
 _STRAIGHT = 1e-9  # of the sunlight across the line of sight: less than that has no direction but of rounding
@@ -274,10 +274,10 @@ def modeled_correction_px(inputs: EstimatorInputs, kind: Correction) -> Float:
     body_from_camera = geometry.camera_from_body.inv()
     light_body_km = ellipsoid_photocenter_km(
         shape.best_fit_ellipsoid,
-        sun_direction_body=body_from_camera.apply(geometry.sun_direction_camera),
-        observer_direction_body=-body_from_camera.apply(unit(geometry.position_camera_km)),
+        sun_direction_body=rotate(body_from_camera, geometry.sun_direction_camera),
+        observer_direction_body=-rotate(body_from_camera, unit(geometry.position_camera_km)),
     )
-    light_camera_km = geometry.camera_from_body.apply(light_body_km)
+    light_camera_km = rotate(geometry.camera_from_body, light_body_km)
     result: Float = -inputs.camera.model.project_jacobian(geometry.position_camera_km) @ light_camera_km
     return result
 
@@ -339,7 +339,7 @@ def _background(values: Float) -> tuple[float, float]:
     """Median and robust standard deviation of ring pixels, stars clipped."""
     for _ in range(_CLIP_ROUNDS):
         level = float(np.median(values))
-        noise = _MAD_TO_SIGMA * float(np.median(np.abs(values - level)))
+        noise = robust_sigma(values, level)
         kept = np.abs(values - level) <= _CLIP_SIGMA * max(noise, 1e-12)
         if kept.all():
             break
@@ -364,12 +364,12 @@ def _box_around(center_px: Float, half_px: float, inputs: EstimatorInputs) -> Fi
     return FitBox(x=int(low[0]), y=int(low[1]), width=int(high[0] - low[0]), height=int(high[1] - low[1]))
 
 
-def _disk(inputs: EstimatorInputs, center_px: Float, radius_px: float) -> NDArray[np.bool_]:
+def _disk(inputs: EstimatorInputs, center_px: Float, radius_px: float) -> Mask:
     rows, columns = np.ogrid[: inputs.camera.rows, : inputs.camera.columns]
     return np.asarray((columns - center_px[0]) ** 2 + (rows - center_px[1]) ** 2 <= radius_px**2)
 
 
-def _sharp(sources: Detections) -> NDArray[np.bool_]:
+def _sharp(sources: Detections) -> Mask:
     return np.asarray((sources.flags & np.uint16(DetectionFlag.SHARP)) != 0)
 
 

@@ -6,17 +6,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
+from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import generalized_solution, robust_solution
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
 from giantlike.relative.limb.observation import LimbObservation, LimbScanOptions, locate_limb, observe_limb
 from giantlike.relative.quality import QualityChecks
-
-Mask = NDArray[np.bool_]
 
 _FIRST_SEARCH_PX = 3.0
 _FIRST_LINES, _FIRST_RAYS = 100, 2  # the rough place needs no more
@@ -76,7 +74,7 @@ class LimbSearch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SettledLimb:
+class SettledLimb(Value):
     """A limb measured across a prediction that no longer moves.
 
     Parameters

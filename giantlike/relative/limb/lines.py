@@ -8,19 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
 from giantlike.relative.estimator import EstimatorInputs
-
-Mask = NDArray[np.bool_]
 
 _OVERVIEW_ANGLES = 360
 _MIN_BRIGHTNESS = 0.1  # over the brightest place along it: darker limb tells little beside the rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LimbLines:
+class LimbLines(Value):
     """Lines across an outline, by the directions from the body's center in which they meet it.
 
     Parameters
@@ -55,7 +54,7 @@ class LimbLines:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PredictedLimb:
+class PredictedLimb(Value):
     """Points of the limb that are lit and in the frame.
 
     Parameters
@@ -76,7 +75,7 @@ class PredictedLimb:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OutlineSurvey:
+class OutlineSurvey(Value):
     """The whole outline of a body where it is predicted.
 
     Parameters

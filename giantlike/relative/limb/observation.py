@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.statistics import robust_sigma
+from giantlike.core.values import Value
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
@@ -32,8 +33,6 @@ from giantlike.ray_tracing import Body, render_near
 from giantlike.relative.estimator import EstimatorInputs, position_of_center
 from giantlike.relative.limb.lines import LimbLines, lay_lines, plan_lines, survey_outline, trace_lines
 
-Mask = NDArray[np.bool_]
-
 _COARSE_LINES = 160
 _MIN_CORRELATION, _MIN_CORRELATION_LOOSE = 0.9, 0.8
 _MAX_UNEXPLAINED, _MAX_UNEXPLAINED_LOOSE = 0.15, 0.3
@@ -42,7 +41,7 @@ _MAX_NOISE_PX = 0.5
 _MIN_WIDTH_PX = 0.3
 _BRIGHTNESS_ERROR = 1.0
 """Error of the limb by a wrong reflectance law over the shift that freeing the slope of the brightness makes."""
-_MAD_TO_SIGMA, _MEDIAN_SIGMA = 1.4826, 1.2533  # of a normal distribution
+_MEDIAN_SIGMA = 1.2533  # standard deviation of the median of normal values over theirs, times sqrt(n): sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighbors that share pixels, and so their errors
 _FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12  # larger bodies need no more than the options say
 
@@ -116,7 +115,7 @@ class LimbScanOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LimbObservation:
+class LimbObservation(Value):
     """The lit limb, measured across a prediction.
 
     Parameters
@@ -167,7 +166,7 @@ class LimbObservation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LocatedLimb:
+class LocatedLimb(Value):
     """Where the outline as a whole was found.
 
     Parameters
@@ -323,7 +322,7 @@ def observe_limb(
 def _brightness_error_px(without_slope_px: Float) -> float:
     """How far a wrong law may move the whole limb, px, from what freed slopes do to lines (n,), less their scatter."""
     typical = float(np.median(without_slope_px))
-    scatter = _MAD_TO_SIGMA * float(np.median(np.abs(without_slope_px - typical)))
+    scatter = robust_sigma(without_slope_px, typical)
     chance = _MEDIAN_SIGMA * scatter / math.sqrt(max(without_slope_px.size / _LINES_ALIKE, 1.0))
     return _BRIGHTNESS_ERROR * math.sqrt(max(typical**2 - chance**2, 0.0))
 

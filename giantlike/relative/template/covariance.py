@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.statistics import robust_sigma
+from giantlike.core.values import Value
 
 _REWEIGHTINGS = 3
 _FIRST_ERROR = 0.03  # of a pixel, of the light
@@ -30,7 +31,7 @@ _LEVERAGE_LIMIT = 0.95  # a block that alone fixes a parameter counts as if a li
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
+class Prior(Value):
     """What is known of the parameters before the fit.
 
     Parameters
@@ -45,7 +46,7 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobustFit:
+class RobustFit(Value):
     """Parameters of a linear model, with what the residuals say of its errors.
 
     Parameters
@@ -64,7 +65,7 @@ class RobustFit:
     errors: Float
     noise: Float
     error: Float
-    kept: NDArray[np.bool_]
+    kept: Mask
 
 
 def robust_fit(
@@ -157,7 +158,7 @@ def _weighted(design: Float, values: Float, weights: Float, prior: Prior) -> Flo
 
 def _first_errors(residuals: Float, noise: Float, count: int) -> Float:
     """Rough variances (count,) of model errors: some of each kind."""
-    excess = (1.4826 * float(np.median(np.abs(residuals)))) ** 2 - float(np.median(noise))
+    excess = robust_sigma(residuals, 0.0) ** 2 - float(np.median(noise))
     return np.array([max(excess, 1e-3 * float(noise.mean())), *[_FIRST_ERROR**2] * (count - 1)])
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
@@ -29,8 +28,6 @@ from giantlike.relative.template.rendering import (
     TemplateRenderer,
 )
 from giantlike.scene import Scene
-
-Mask = NDArray[np.bool_]
 
 _ALIGN_RADIUS_PX = 12.0  # below, the peak of the correlation is close enough to start the fit from
 _BOX_MARGIN = 0.08  # of the radius of the body: room for an error of the range ...

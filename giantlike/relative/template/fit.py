@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
 from giantlike.relative.template.covariance import (
     Prior,
     RobustFit,
@@ -27,8 +27,6 @@ from giantlike.relative.template.covariance import (
     noise_covariance,
     robust_fit,
 )
-
-Mask = NDArray[np.bool_]
 
 FIT_BORDER_PX = 4
 """How far a fitted box should reach over the frame: derivatives take that many neighbors."""
@@ -96,7 +94,7 @@ class TemplateFitOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TemplateState:
+class TemplateState(Value):
     """What a template is rendered for.
 
     Parameters
@@ -114,7 +112,7 @@ class TemplateState:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TemplateImages:
+class TemplateImages(Value):
     """A body rendered into the box that is fitted.
 
     Parameters
@@ -140,7 +138,7 @@ Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TemplateFit:
+class TemplateFit(Value):
     """A template that fits.
 
     Parameters

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Scalar
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
 from giantlike.ray_tracing import (
     Body,
     Lambert,
@@ -97,7 +98,7 @@ class FitBox:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Changes:
+class _Changes(Value):
     """Changes (h, w) of the light by another law, beside a share of the light itself, and its derivatives (4, h, w)."""
 
     share: float
@@ -106,7 +107,7 @@ class _Changes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TemplateRenderer:
+class TemplateRenderer(Value):
     """Renders the target of an estimate.
 
     Parameters

@@ -1,0 +1,42 @@
+"""Old names that keep working, with a warning, for one minor version after something was renamed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+
+def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
+    """Return a module-level ``__getattr__`` that answers for renamed things.
+
+    Parameters
+    ----------
+    module : str
+        Name of the module that exported the old names.
+    names : mapping of str to str
+        New name by old name; both live in ``module``.
+    until : str
+        Version that no longer has the old names.
+
+    Returns
+    -------
+    callable
+        To be assigned to ``__getattr__`` in the module; warns with ``DeprecationWarning``.
+
+    Examples
+    --------
+    In ``giantlike/calibration/__init__.py``::
+
+        __getattr__ = renamed(__name__, {"CalibrationFix": "CalibrationResult"}, until="0.3")
+    """
+
+    def __getattr__(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        message = f"{module}.{name} is now {module}.{names[name]}; the old name goes in version {until}"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return getattr(import_module(module), names[name])
+
+    return __getattr__

@@ -1,0 +1,103 @@
+"""The base of every value that holds arrays: the arrays are read-only, and invariants are checked when it is made.
+
+Names carry the invariants as they carry units and frames: a field named ``covariance...`` is a covariance matrix (or
+many), a field named ``direction_FRAME``, ``directions_FRAME`` or ``..._direction_FRAME`` is a unit vector (or many).
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, Scalar, require
+
+UNIT_TOLERANCE = 1e-9
+"""Largest error of the length of a unit vector: rounding of float64 leaves 1e-15, a table with ten digits 1e-10."""
+ASYMMETRY_TOLERANCE = 1e-9
+"""Largest difference of two mirrored elements, over the product of their standard deviations."""
+EIGENVALUE_TOLERANCE = 1e-9
+"""How far below zero rounding may bring an eigenvalue of a correlation matrix."""
+
+
+class Value:
+    """Base of frozen dataclasses that hold arrays.
+
+    Every array field becomes a read-only view: assigning to an element raises ``ValueError``, while the array that
+    the caller handed in stays writable. A class with its own ``__post_init__`` calls ``Value.__post_init__(self)``
+    at its end (a dataclass with slots cannot use ``super()``).
+
+    Raises
+    ------
+    InputError
+        A covariance is not symmetric or not positive semi-definite, or a direction is no unit vector.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True, slots=True, eq=False)
+    ... class Point(Value):
+    ...     place_px: Float
+    >>> Point(np.zeros(2)).place_px[0] = 1.0
+    Traceback (most recent call last):
+    ValueError: assignment destination is read-only
+    """
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            name = field.name
+            value = getattr(self, name)
+            if isinstance(value, np.ndarray):
+                if name.startswith("covariance"):
+                    check_covariance(value, name)
+                elif "direction_" in name or "directions_" in name:
+                    check_directions(value, name)
+                object.__setattr__(self, name, read_only(value))
+
+
+def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return a view of an array that refuses assignment."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def check_covariance(covariance: Float, name: str) -> None:
+    """Raise :class:`InputError` unless matrices (..., n, n) are symmetric and positive semi-definite.
+
+    Elements are compared after division by the standard deviations, so that units and scales do not matter. Matrices
+    with infinities or NaN stand for what is not known and are not checked.
+    """
+    shape = covariance.shape
+    require(len(shape) >= 2 and shape[-1] == shape[-2], f"{name} must be square, got shape {shape}")
+    covariance = covariance[np.isfinite(covariance).all(axis=(-2, -1))]
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    require(bool((variance >= 0.0).all()), f"{name} must have no negative variance, got {variance.tolist()}")
+    sigma = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    correlation = covariance / (sigma[..., :, None] * sigma[..., None, :])
+    asymmetry = float(np.max(np.abs(correlation - np.swapaxes(correlation, -1, -2)), initial=0.0))
+    require(asymmetry <= ASYMMETRY_TOLERANCE, f"{name} must be symmetric, mirrored elements differ by {asymmetry:.2g}")
+    least = float(np.min(np.linalg.eigvalsh(correlation), initial=0.0))
+    require(
+        least >= -EIGENVALUE_TOLERANCE,
+        f"{name} must be positive semi-definite, its correlation matrix has the eigenvalue {least:.2g}",
+    )
+
+
+def check_directions(directions: Float, name: str) -> None:
+    """Raise :class:`InputError` unless vectors (..., k) have length one; vectors with NaN (unknown) are not checked."""
+    if not isinstance(directions, np.memmap):  # a catalog of millions of stars is not read for a check
+        worst = float(np.nanmax(np.abs(np.linalg.norm(directions, axis=-1) - 1.0), initial=0.0))
+        require(
+            worst <= UNIT_TOLERANCE,
+            f"{name} must be unit vectors to {UNIT_TOLERANCE:g}, a length is off by {worst:.2g}: divide by the norm",
+        )
+
+
+@cache
+def _field_names(kind: type[Value]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))  # type: ignore[arg-type]
