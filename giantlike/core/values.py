@@ -7,7 +7,6 @@ many), a field named ``direction_FRAME``, ``directions_FRAME`` or ``..._directio
 from __future__ import annotations
 
 from dataclasses import fields
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,8 +95,3 @@ def check_directions(directions: Float, name: str) -> None:
             worst <= UNIT_TOLERANCE,
             f"{name} must be unit vectors to {UNIT_TOLERANCE:g}, a length is off by {worst:.2g}: divide by the norm",
         )
-
-
-@cache
-def _field_names(kind: type[Value]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind))  # type: ignore[arg-type]
