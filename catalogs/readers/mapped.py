@@ -1,9 +1,9 @@
-"""Catalogs that are tables: which of their columns is what."""
+"""Readers of catalogs that are tables: Gaia archive, USNO GNC, and any table with a map of its columns."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -12,25 +12,79 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.catalogs.readers.fixed_width import rms
-from giantlike.catalogs.readers.rows import DEFAULTS, REQUIRED, ReadStars, stars_of
+from giantlike.catalogs.readers.rows import (
+    CLOSE_ARCSEC,
+    DEFAULTS,
+    GAIA_EPOCH,
+    REQUIRED,
+    ReadStars,
+    parsed,
+    rms,
+    stars_of,
+)
 from giantlike.catalogs.readers.tabular import Table, open_table
 from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.arrays import Float
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.errors import InputError
+from giantlike.core.reading import reads
 
 Term = str | float
 """``NAME`` or ``NAME*FACTOR`` of a column, or a number that all stars have in common."""
-CLOSE_ARCSEC = 5.0
-GAIA_EPOCH = 2016.0
+_SHOWN_COLUMNS = 30  # of the names of a table in an error message: enough to find the right one on a screen
+_ARCHIVE_DEFAULTS = MappingProxyType({**DEFAULTS, "epoch_jyear": GAIA_EPOCH})
 
 
-def read_gaia(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadStars, str]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Archive:
+    """Column names of a published table, by the names of a star table; pairs make one column of two."""
+
+    names: Mapping[str, str]
+    colors: tuple[str, str]
+    position_errors: tuple[str, str]
+    motion_errors: tuple[str, str]
+    companions: str
+
+
+_GAIA = _Archive(
+    names={
+        "ids": "source_id", "ra_deg": "ra", "dec_deg": "dec", "magnitude": "phot_g_mean_mag", "pm_ra_mas_yr": "pmra",
+        "pm_dec_mas_yr": "pmdec", "parallax_mas": "parallax", "radial_velocity_km_s": "radial_velocity",
+        "epoch_jyear": "ref_epoch", "color_bp_rp": "bp_rp",
+    },
+    colors=("phot_bp_mean_mag", "phot_rp_mean_mag"),
+    position_errors=("ra_error", "dec_error"),
+    motion_errors=("pmra_error", "pmdec_error"),
+    companions="non_single_star",
+)  # fmt: skip
+_USNO_GNC = _Archive(
+    names={
+        "ids": "gnc_id", "ra_deg": "ra_2016", "dec_deg": "de_2016", "magnitude": "gmag", "pm_ra_mas_yr": "pmra",
+        "pm_dec_mas_yr": "pmde", "parallax_mas": "plx",
+    },
+    colors=("bpmag", "rpmag"),
+    position_errors=("e_ra_2016", "e_de_2016"),
+    motion_errors=("e_pmra", "e_pmde"),
+    companions="neighbor_distance_arcsec",
+)  # fmt: skip
+
+
+@reads("an extract of the Gaia archive")
+def read_gaia(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read an extract of the Gaia archive: CSV, ECSV, FITS, Parquet or VOTable with the names of ``gaia_source``.
 
     Needed are ``source_id``, ``ra``, ``dec`` and ``phot_g_mean_mag``; used when there are ``ref_epoch`` (else J2016.0,
     that of DR3), ``pmra``, ``pmdec``, ``parallax``, ``radial_velocity``, ``bp_rp`` or ``phot_bp_mean_mag`` and
     ``phot_rp_mean_mag``, ``ra_error``, ``dec_error``, ``pmra_error``, ``pmdec_error`` and ``non_single_star``.
+
+    Parameters
+    ----------
+    path : Path
+    max_magnitude : float, optional
+        Fainter stars are left out.
+
+    Returns
+    -------
+    ReadStars
 
     Raises
     ------
@@ -41,26 +95,27 @@ def read_gaia(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadSt
     ----------
     .. [1] Names, units and conventions as in the archive's own files: angles in deg and mas, pmra with cos(dec).
     """
-    table = open_table(path)
-    names = {"ids": "source_id", "ra_deg": "ra", "dec_deg": "dec", "magnitude": "phot_g_mean_mag"}
-    names |= {"pm_ra_mas_yr": "pmra", "pm_dec_mas_yr": "pmdec", "parallax_mas": "parallax"}
-    names |= {"radial_velocity_km_s": "radial_velocity", "epoch_jyear": "ref_epoch", "color_bp_rp": "bp_rp"}
-    columns = _named(path, table, names)
-    _add_pairs(table, columns, ("phot_bp_mean_mag", "phot_rp_mean_mag"), ("ra_error", "dec_error"), "pm{}_error")
-    if "non_single_star" in table.names:
-        columns["is_double"] = table.numbers("non_single_star")
-    defaults = {**DEFAULTS, "epoch_jyear": GAIA_EPOCH}
-    stars = stars_of(path, columns, record=table.record, defaults=defaults, max_magnitude=max_magnitude)
-    return stars, "Gaia G"
+    return _read_archive(path, _GAIA, lambda flags: flags, max_magnitude)
 
 
-def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadStars, str]:
+@reads("the USNO GNC catalog")
+def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read the USNO GNC catalog (``gnc_v1_1_mar_2_2023.csv``), or an extract of it.
 
     A CSV file with positions in deg at J2016.0 (``ra_2016``, ``de_2016``) from Gaia DR3, Hipparcos and the USNO
     bright star catalog, proper motions in mas/yr (``pmra`` with cos(dec), ``pmde``), parallax in mas (``plx``), G, BP
     and RP (``gmag``, ``bpmag``, ``rpmag``), errors with ``e_`` before the name, and ``neighbor_distance_arcsec``.
     Identifiers are ``gnc_id``. Stars are double whose neighbor is within 5 arcsec. Empty cells are values not known.
+
+    Parameters
+    ----------
+    path : Path
+    max_magnitude : float, optional
+        Fainter stars are left out.
+
+    Returns
+    -------
+    ReadStars
 
     Raises
     ------
@@ -73,20 +128,36 @@ def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> tuple[Re
        not be opened here; the columns, units and epoch are those that three independent public readers agree on: NASA
        GIANT 2 (``giant/catalogs/usno_gnc.py``), SONIC (``USNOGNC.m``), and a Rust crate with a field description.
     """
+    return _read_archive(path, _USNO_GNC, lambda arcsec: (arcsec <= CLOSE_ARCSEC).astype(np.float64), max_magnitude)
+
+
+def _read_archive(
+    path: Path, archive: _Archive, is_double: Callable[[Float], Float], max_magnitude: float | None
+) -> ReadStars:
     table = open_table(path)
-    names = {"ids": "gnc_id", "ra_deg": "ra_2016", "dec_deg": "de_2016", "magnitude": "gmag", "parallax_mas": "plx"}
-    columns = _named(path, table, names | {"pm_ra_mas_yr": "pmra", "pm_dec_mas_yr": "pmde"})
-    _add_pairs(table, columns, ("bpmag", "rpmag"), ("e_ra_2016", "e_de_2016"), "e_pm{}")
-    if "neighbor_distance_arcsec" in table.names:
-        columns["is_double"] = (table.numbers("neighbor_distance_arcsec") <= CLOSE_ARCSEC).astype(np.float64)
-    defaults = {**DEFAULTS, "epoch_jyear": GAIA_EPOCH}
-    stars = stars_of(path, columns, record=table.record, defaults=defaults, max_magnitude=max_magnitude)
-    return stars, "Gaia G"
+    columns: dict[str, NDArray[Any]] = {}
+    for name, column in archive.names.items():
+        if name in ("ids", *REQUIRED):
+            _known(table, column)
+        if column in table.names:
+            columns[name] = table.integers(column) if name == "ids" else table.numbers(column)
+    for name, pair, combined in (
+        ("color_bp_rp", archive.colors, np.subtract),
+        ("sigma_mas", archive.position_errors, rms),
+        ("sigma_pm_mas_yr", archive.motion_errors, rms),
+    ):
+        if name not in columns and set(pair) <= set(table.names):
+            columns[name] = combined(table.numbers(pair[0]), table.numbers(pair[1]))
+    if archive.companions in table.names:
+        columns["is_double"] = is_double(table.numbers(archive.companions))
+    return stars_of(
+        columns, band="Gaia G", record=table.record, defaults=_ARCHIVE_DEFAULTS, max_magnitude=max_magnitude
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnMap:
-    """Which column of a table is which of a :class:`~giantlike.catalogs.StarTable`.
+    """Columns of a table by the names of the columns of a :class:`~giantlike.catalogs.StarTable`.
 
     Parameters
     ----------
@@ -123,6 +194,17 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
 
     The file has one ``name = "column"`` or ``name = number`` for each column, and may have ``band = "V"``.
 
+    Parameters
+    ----------
+    settings : sequence of str
+    file : Path, optional
+    band : str, optional
+        Photometric band of the magnitudes; that of the file, or ``user``, by default.
+
+    Returns
+    -------
+    ColumnMap
+
     Raises
     ------
     InputError
@@ -130,31 +212,40 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
     DataError
         The file cannot be read, or its settings are none.
     """
-    terms: dict[str, Any] = {}
-    if file is not None:
-        try:
-            terms = tomllib.loads(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise DataError(file, f"cannot be read as TOML: {error}") from error
-    said = terms.pop("band", "user")
-    if not isinstance(said, str):
-        raise DataError(file or Path(), f"band must be text such as 'V', got {said!r}")
+    known = ColumnMap(terms={}) if file is None else _read_column_map(file)
+    terms = dict(known.terms)
     for setting in settings:
         name, equals, term = setting.partition("=")
         if not equals or not term.strip():
             raise InputError(f"expected NAME=COLUMN such as ra_deg=RAJ2000, got {setting!r}")
-        number = _number(term)
+        number = parsed(term)
         terms[name.strip()] = term.strip() if number is None else number
-    try:
-        return ColumnMap(terms=terms, band=said if band is None else band)
-    except InputError as error:
-        if file is None:
-            raise
-        raise DataError(file, str(error)) from error
+    return ColumnMap(terms=terms, band=known.band if band is None else band)
 
 
-def read_mapped(path: Path, mapping: ColumnMap, *, max_magnitude: float | None = None) -> tuple[ReadStars, str]:
+@reads("a TOML file of columns")
+def _read_column_map(path: Path) -> ColumnMap:
+    terms = tomllib.loads(path.read_text(encoding="utf-8"))
+    band = terms.pop("band", "user")
+    if not isinstance(band, str):
+        raise ValueError(f"band must be text such as 'V', got {band!r}")
+    return ColumnMap(terms=terms, band=band)
+
+
+@reads("a table of stars")
+def read_mapped(path: Path, mapping: ColumnMap, *, max_magnitude: float | None = None) -> ReadStars:
     """Read any table with a column map.
+
+    Parameters
+    ----------
+    path : Path
+    mapping : ColumnMap
+    max_magnitude : float, optional
+        Fainter stars are left out.
+
+    Returns
+    -------
+    ReadStars
 
     Raises
     ------
@@ -166,69 +257,35 @@ def read_mapped(path: Path, mapping: ColumnMap, *, max_magnitude: float | None =
     terms |= mapping.terms
     for name in REQUIRED:
         if name not in terms:
-            raise DataError(path, f"has no column {name!r}: say which one it is, --column {name}=NAME; {_there(table)}")
-    columns: dict[str, NDArray[Any]] = {}
-    for name, term in terms.items():
-        if name != "ids":
-            columns[name] = _values(path, table, term)
-    count = max(len(values) for values in columns.values())
-    columns = {name: np.broadcast_to(values, (count,)) for name, values in columns.items()}
+            raise ValueError(f"it has no column {name!r}: say which one it is, --column {name}=NAME; {_listed(table)}")
+    values = {name: _values(table, term) for name, term in terms.items() if name != "ids"}
+    count = max(len(column) for column in values.values())
+    columns: dict[str, NDArray[Any]] = {name: np.broadcast_to(column, (count,)) for name, column in values.items()}
     if "ids" in terms:
-        columns["ids"] = table.integers(_known(path, table, str(terms["ids"])))
+        columns["ids"] = table.integers(_known(table, str(terms["ids"])))
     else:
         columns["ids"] = np.arange(1, count + 1)
-    return stars_of(path, columns, record=table.record, max_magnitude=max_magnitude), mapping.band
+    return stars_of(columns, band=mapping.band, record=table.record, max_magnitude=max_magnitude)
 
 
-def _named(path: Path, table: Table, names: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """The columns of a table that there are of some; those that every star needs must be there."""
-    columns: dict[str, NDArray[Any]] = {}
-    for name, column in names.items():
-        if name in ("ids", *REQUIRED):
-            _known(path, table, column)
-        if column in table.names:
-            columns[name] = table.integers(column) if name == "ids" else table.numbers(column)
-    return columns
-
-
-def _add_pairs(
-    table: Table, columns: dict[str, NDArray[Any]], colors: tuple[str, str], errors: tuple[str, str], motion: str
-) -> None:
-    """Add what comes of two columns: the color, the error of the place and that of the motion."""
-    second = "dec" if errors[1].startswith("dec") else "de"
-    motions = motion.format("ra"), motion.format(second)
-    if "color_bp_rp" not in columns and set(colors) <= set(table.names):
-        columns["color_bp_rp"] = table.numbers(colors[0]) - table.numbers(colors[1])
-    for name, pair in (("sigma_mas", errors), ("sigma_pm_mas_yr", motions)):
-        if set(pair) <= set(table.names):
-            columns[name] = rms(table.numbers(pair[0]), table.numbers(pair[1]))
-
-
-def _values(path: Path, table: Table, term: Term) -> Float:
+def _values(table: Table, term: Term) -> Float:
+    """Values (n,) of a term, or (1,) for a number."""
     if not isinstance(term, str):
         return np.array([float(term)])
-    if term in table.names:
-        return table.numbers(term)
     name, _, factor = term.rpartition("*")
-    scale = _number(factor) if name else None
+    scale = parsed(factor) if name and term not in table.names else None
     if scale is None:
-        return table.numbers(_known(path, table, term))
-    return scale * table.numbers(_known(path, table, name.strip()))
+        return table.numbers(_known(table, term))
+    return scale * table.numbers(_known(table, name.strip()))
 
 
-def _known(path: Path, table: Table, name: str) -> str:
+def _known(table: Table, name: str) -> str:
+    """The name of a column, which the table must have."""
     if name not in table.names:
-        raise DataError(path, f"has no column {name!r}; {_there(table)}")
+        raise ValueError(f"it has no column {name!r}; {_listed(table)}")
     return name
 
 
-def _there(table: Table) -> str:
-    shown = ", ".join(list(table.names)[:30])
-    return f"it has {shown}" + (" and more" if len(table.names) > 30 else "")
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
+def _listed(table: Table) -> str:
+    shown = ", ".join(list(table.names)[:_SHOWN_COLUMNS])
+    return f"it has {shown}" + (" and more" if len(table.names) > _SHOWN_COLUMNS else "")

@@ -1,10 +1,9 @@
-"""From columns of numbers to stars: defaults, limits, and errors that name the record."""
+"""Star tables from the columns of numbers of a file: defaults, limits, and errors that name the record."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -12,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.catalogs.table import COLUMN_TYPES, StarTable
-from giantlike.core.arrays import Mask
-from giantlike.core.errors import DataError
+from giantlike.core.arrays import Float
 
+HIPPARCOS_EPOCH, GAIA_EPOCH = 1991.25, 2016.0
+"""Julian years of the positions of Hipparcos (CDS ReadMe of I/239) and of Gaia DR3 (its column ``ref_epoch``)."""
+CLOSE_ARCSEC = 5.0
+"""A star with a neighbor this close is called double."""
 SIGMA_PM_UNKNOWN_MAS_YR = 15.0
-"""Per axis, of stars without a proper motion: they are none of the fast ones, which every catalog has found."""
+"""Per axis, of stars without a proper motion. They are none of the fast ones, which Hipparcos was given."""
 REQUIRED = ("ra_deg", "dec_deg", "magnitude")
 DEFAULTS: Mapping[str, float] = MappingProxyType(
     {
@@ -31,7 +33,7 @@ DEFAULTS: Mapping[str, float] = MappingProxyType(
         "is_double": 0.0,
     }
 )
-"""What a value is that a catalog does not give."""
+"""Values of the columns that a catalog does not give."""
 LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "ra_deg": (-360.0, 720.0),
@@ -48,50 +50,57 @@ LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "sigma_pm_mas_yr": (0.0, 1e6),
     }
 )
-"""Between which values must be: outside, the column is another one or has another unit."""
+"""Range of each column: a value outside belongs to another column or has another unit."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReadStars:
     """Stars of one file.
 
     Parameters
     ----------
     stars : StarTable
+    band : str
+        Photometric band of the magnitudes.
     left_out : int
-        Entries without a place or a magnitude.
+        Number of entries without a position or a magnitude.
     """
 
     stars: StarTable
+    band: str
     left_out: int
 
 
 def stars_of(
-    path: Path,
     columns: Mapping[str, NDArray[Any]],
     *,
+    band: str,
     record: Callable[[int], str],
     defaults: Mapping[str, float] = DEFAULTS,
     max_magnitude: float | None = None,
 ) -> ReadStars:
-    """Make a table of columns (n,) in which NaN means that a value is not given.
+    """Make a star table of columns in which NaN stands for values that are not given.
 
     Parameters
     ----------
-    path : Path
-        The file that errors name.
-    columns : mapping of name to (n,)
-        Names of :class:`StarTable`; at least ``ids``, ``ra_deg``, ``dec_deg`` and ``magnitude``.
+    columns : mapping of str to (n,) array
+        By the names of :class:`StarTable`; at least ``ids``, ``ra_deg``, ``dec_deg`` and ``magnitude``.
+    band : str
+        Photometric band of the magnitudes.
     record : callable
-        How an error calls row k, such as ``line 12``.
-    defaults : mapping
-        Of the values not given.
+        Name of row k in error messages, such as ``line 12``.
+    defaults : mapping of str to float
+        Values of what is not given.
     max_magnitude : float, optional
-        Fainter stars are dropped.
+        Fainter stars are left out.
+
+    Returns
+    -------
+    ReadStars
 
     Raises
     ------
-    DataError
+    ValueError
         A value is out of its limits.
     """
     given = {name: np.asarray(values) for name, values in columns.items()}
@@ -100,30 +109,33 @@ def stars_of(
             wrong = ~np.isnan(given[name]) & ~((given[name] >= low) & (given[name] <= high))
             if wrong.any():
                 row = int(np.argmax(wrong))
-                raise DataError(
-                    path,
+                raise ValueError(
                     f"{record(row)}: {name} must be in [{low:g}, {high:g}], got {given[name][row]:g}; "
-                    "check the format and the units of the columns",
+                    "check the format and the units of the columns"
                 )
     complete = np.logical_and.reduce([~np.isnan(given[name]) for name in REQUIRED])
-    keep = complete
-    if max_magnitude is not None:
-        keep = complete & (given["magnitude"] <= max_magnitude)
-    count = int(keep.sum())
-    table: dict[str, Any] = {}
+    keep = complete if max_magnitude is None else complete & (given["magnitude"] <= max_magnitude)
+    table: dict[str, NDArray[Any]] = {}
     for name in COLUMN_TYPES:
-        values = given[name][keep] if name in given else np.full(count, np.nan)
-        if name == "sigma_pm_mas_yr":
-            still = (_value(given, "pm_ra_mas_yr", keep) == 0.0) & (_value(given, "pm_dec_mas_yr", keep) == 0.0)
-            values = np.where(np.isnan(values), np.where(still, SIGMA_PM_UNKNOWN_MAS_YR, 0.0), values)
-        elif name in defaults:
-            values = np.where(np.isnan(values), defaults[name], values)
-        table[name] = values
+        values = given[name][keep] if name in given else np.full(int(keep.sum()), np.nan)
+        table[name] = np.where(np.isnan(values), defaults[name], values) if name in defaults else values
+    still = (table["pm_ra_mas_yr"] == 0.0) & (table["pm_dec_mas_yr"] == 0.0)
+    unknown = np.where(still, SIGMA_PM_UNKNOWN_MAS_YR, 0.0)
+    table["sigma_pm_mas_yr"] = np.where(np.isnan(table["sigma_pm_mas_yr"]), unknown, table["sigma_pm_mas_yr"])
     table["parallax_mas"] = np.maximum(table["parallax_mas"], 0.0)
     table["is_double"] = table["is_double"] != 0.0
-    return ReadStars(stars=StarTable(**table), left_out=int((~complete).sum()))
+    return ReadStars(stars=StarTable(**table), band=band, left_out=int((~complete).sum()))
 
 
-def _value(given: Mapping[str, NDArray[Any]], name: str, keep: Mask) -> NDArray[Any]:
-    """Values with 0 for those that are not given."""
-    return np.nan_to_num(given[name][keep]) if name in given else np.zeros(int(keep.sum()))
+def rms(a: Float, b: Float) -> Float:
+    """Root mean square (n,) of two columns: the error per axis of a star."""
+    result: Float = np.hypot(a, b) / np.sqrt(2.0)
+    return result
+
+
+def parsed(word: str | bytes, of_text: Callable[[str | bytes], float] = float) -> float | None:
+    """Number that a word stands for; None for one that is no number."""
+    try:
+        return of_text(word)
+    except ValueError:
+        return None

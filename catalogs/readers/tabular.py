@@ -1,12 +1,10 @@
-"""Columns of numbers out of tables in CSV, ECSV, FITS, Parquet and VOTable files."""
+"""Columns of numbers from tables in CSV, ECSV, FITS, Parquet and VOTable files."""
 
 from __future__ import annotations
 
-import gzip
 import io
 import re
 import warnings
-import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,45 +14,58 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.catalogs.readers.rows import parsed
+from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
+from giantlike.core.reading import unzipped
 from giantlike.core.values import Value
 
 MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")
-"""Text that stands for a missing value, in small letters."""
+"""Words that stand for a missing value, in lower case."""
 
 
 class Table(Protocol):
-    """A table whose columns are read one by one."""
+    """A table whose columns are read one by one; a column that is not as it should be is a ``ValueError``."""
 
     @property
     def names(self) -> Sequence[str]:
-        """Names of its columns."""
+        """Names of the columns."""
         ...
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """The values (n,) of a column, NaN where missing."""
+        """Values (n,) of a column, NaN where missing."""
         ...
 
     def integers(self, name: str) -> NDArray[np.int64]:
-        """The values (n,) of a column of identifiers."""
+        """Values (n,) of a column of identifiers."""
         ...
 
     def record(self, row: int) -> str:
-        """How errors call a row."""
+        """Name of a row in error messages."""
         ...
 
 
 def open_table(path: Path) -> Table:
-    """Open a table by the end of its name; ``.gz`` may follow for CSV, ECSV, FITS and VOTable.
+    """Open a table of the kind that its file name extension says; ``.gz`` may follow for CSV, ECSV, FITS and VOTable.
 
     CSV has a header line of names; lines that begin with ``#`` before it are left out, and separators are commas
-    unless the header line has tabs or semicolons. ECSV [1]_ says its separator in its header. Of FITS files the first
+    unless the header line has tabs or semicolons. ECSV [1]_ states its separator in its header. Of FITS files the first
     binary or ASCII table is read, of VOTables the first table.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Table
 
     Raises
     ------
     DataError
-        The file is missing, of none of these kinds, or damaged.
+        The extension is of none of these kinds.
+    OSError, ValueError, exceptions of the libraries
+        The file is missing or damaged; see :func:`giantlike.core.reading.reads`.
 
     References
     ----------
@@ -63,25 +74,22 @@ def open_table(path: Path) -> Table:
     ends = [end.lower() for end in path.suffixes[-2:]]
     kind = ends[0] if len(ends) == 2 and ends[1] == ".gz" else (ends or [""])[-1]
     readers: Mapping[str, Callable[[Path], Table]] = {
-        ".csv": _text_table, ".ecsv": _text_table, ".txt": _text_table, ".tsv": _text_table,
+        ".csv": _csv_table, ".ecsv": _csv_table, ".txt": _csv_table, ".tsv": _csv_table,
         ".fits": _fits_table, ".fit": _fits_table, ".parquet": _parquet_table,
         ".vot": _votable, ".votable": _votable, ".xml": _votable,
     }  # fmt: skip
     if kind not in readers:
         raise DataError(path, f"is no table that can be read: its name must end in one of {', '.join(readers)}")
-    try:
-        return readers[kind](path)
-    except (OSError, EOFError, zlib.error) as error:
-        raise DataError(path, f"cannot be read: {error}") from error
+    return readers[kind](path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TextTable(Value):
-    """Columns of text; ``first_line`` is that of the first row."""
+    """Columns of text, the line of the first row, and the lines of the file that are blank."""
 
-    path: Path
     columns: Mapping[str, Any]
     first_line: int
+    blank_lines: Sequence[int]
 
     @property
     def names(self) -> Sequence[str]:
@@ -94,9 +102,12 @@ class _TextTable(Value):
         return np.asarray(self._converted(name, "int64", int), dtype=np.int64)
 
     def record(self, row: int) -> str:
-        return f"line {row + self.first_line}"
+        line = row + self.first_line
+        for blank in self.blank_lines:
+            line += blank <= line
+        return f"line {line}"
 
-    def _converted(self, name: str, kind: str, of_text: Callable[[str], float]) -> NDArray[Any]:
+    def _converted(self, name: str, kind: str, of_text: Callable[[str | bytes], float]) -> NDArray[Any]:
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -106,24 +117,48 @@ class _TextTable(Value):
         try:
             values = pc.cast(present, kind)
         except pa.ArrowInvalid:
-            for row, word in enumerate(present.to_pylist()):
-                if word is not None and not _converts(word, of_text):
-                    raise DataError(
-                        self.path, f"{self.record(row)}: column {name!r} must be a number, got {word!r}; mend the file"
-                    ) from None
-            values = pa.array([None if word is None else of_text(word) for word in present.to_pylist()], kind)
-        if kind == "int64" and values.null_count:
-            row = int(np.argmax(values.is_null().to_numpy(zero_copy_only=False)))
-            raise DataError(self.path, f"{self.record(row)}: column {name!r} holds identifiers, and this one is empty")
+            numbers = [None if word is None else parsed(word, of_text) for word in present.to_pylist()]
+            for row, (word, number) in enumerate(zip(present.to_pylist(), numbers, strict=True)):
+                if number is None and word is not None:
+                    raise ValueError(f"{self.record(row)}: column {name!r} must be a number, got {word!r}") from None
+            values = pa.array(numbers, kind)
+        if kind == "int64":
+            _require_identifiers(self, name, values.is_null().to_numpy(zero_copy_only=False))
         result: NDArray[Any] = values.to_numpy(zero_copy_only=False)
         return result
 
 
-def _text_table(path: Path) -> Table:
+def _require_identifiers(table: Table, name: str, missing: Mask) -> None:
+    if missing.any():
+        row = table.record(int(np.argmax(missing)))
+        raise ValueError(f"{row}: column {name!r} holds identifiers, and this one is empty")
+
+
+def _csv_table(path: Path) -> Table:
+    return text_table(path.read_bytes())
+
+
+def text_table(content: bytes) -> Table:
+    """Open a table in CSV or ECSV.
+
+    Parameters
+    ----------
+    content : bytes
+        The file, gzipped or not.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    ValueError
+        There is no header or no row, two columns have one name, or a row has another number of values.
+    """
     import pyarrow as pa
     import pyarrow.csv
 
-    content = _unzipped(path)
+    content = unzipped(content)
     comments, start = [], 0
     while content[start : start + 1] == b"#":
         end = content.find(b"\n", start)
@@ -133,13 +168,22 @@ def _text_table(path: Path) -> Table:
     header_end = content.find(b"\n", start)
     header = content[start : header_end if header_end >= 0 else None].decode("utf-8-sig", errors="replace").strip()
     if not header:
-        raise DataError(path, "holds no table: expected a header line with the names of the columns")
+        raise ValueError("the table is empty: expected a header line with the names of the columns")
     delimiter = _delimiter(b"".join(comments).decode(errors="replace"), header)
     names = [name.strip().strip('"') for name in header.split(delimiter)]
-    first_line = len(comments) + 2
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"column {name!r} appears twice")
+    first_line, body = len(comments) + 2, content[header_end + 1 :] if header_end >= 0 else b""
+    if not body.strip():
+        raise ValueError("the table holds a header but no rows")
+    blank = []
+    if re.search(rb"(?:^|\n) *\r?\n", body):  # the parser leaves empty lines out, and stumbles over blanks in them
+        blank = [number for number, line in enumerate(body.split(b"\n"), start=first_line) if not line.strip(b" \r")]
+        body = re.sub(rb"(?m)^ +(\r?)$", rb"\1", body)
     try:
         table = pyarrow.csv.read_csv(
-            io.BytesIO(content[header_end + 1 :] if header_end >= 0 else b""),
+            io.BytesIO(body),
             read_options=pyarrow.csv.ReadOptions(column_names=names),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter, newlines_in_values=False),
             convert_options=pyarrow.csv.ConvertOptions(
@@ -147,31 +191,24 @@ def _text_table(path: Path) -> Table:
             ),
         )
     except pa.ArrowInvalid as error:
-        if "Empty CSV" in str(error):
-            raise DataError(path, "holds a header but no rows") from error
-        raise DataError(path, f"cannot be read as CSV, rows counted from line {first_line}: {error}") from error
-    return _TextTable(path, {name: table.column(name).combine_chunks() for name in names}, first_line)
+        raise ValueError(f"{error} (rows counted from line {first_line})") from error
+    return _TextTable({name: table.column(name).combine_chunks() for name in names}, first_line, blank)
 
 
 def _delimiter(comments: str, header: str) -> str:
-    said = re.search(r"^#\s*(?:-\s*)?\{?\s*delimiter:\s*['\"]?([,; |\t])", comments, re.MULTILINE)
-    if said:
-        return said[1]
+    """Separator that an ECSV header states, else the first of the usual ones in the line of names."""
+    stated = re.search(r"^#\s*(?:-\s*)?\{?\s*delimiter:\s*['\"]?([,; |\t])", comments, re.MULTILINE)
+    if stated:
+        return stated[1]
     if comments.startswith("# %ECSV"):
         return " "
     return next((mark for mark in (",", "\t", ";", "|") if mark in header), ",")
-
-
-def _unzipped(path: Path) -> bytes:
-    content = path.read_bytes()
-    return gzip.decompress(content) if content[:2] == b"\x1f\x8b" else content
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ArrayTable(Value):
     """Columns that are arrays already, masked where values are missing."""
 
-    path: Path
     columns: Mapping[str, Callable[[], Any]]
 
     @property
@@ -183,20 +220,16 @@ class _ArrayTable(Value):
         try:
             numbers = values.astype(np.float64)
         except (TypeError, ValueError) as error:
-            raise DataError(self.path, f"column {name!r} must hold numbers: {error}") from error
+            raise ValueError(f"column {name!r} must hold numbers: {error}") from error
         if numbers.ndim != 1:
-            raise DataError(self.path, f"column {name!r} must hold one number per row, got shape {numbers.shape}")
+            raise ValueError(f"column {name!r} must hold one number per row, got shape {numbers.shape}")
         return np.asarray(np.ma.filled(numbers, np.nan), dtype=np.float64)
 
     def integers(self, name: str) -> NDArray[np.int64]:
         values = np.ma.asanyarray(self.columns[name]())
         if values.dtype.kind not in "iu":
-            raise DataError(
-                self.path, f"column {name!r} must hold integers to serve as identifiers, got {values.dtype}"
-            )
-        if np.ma.is_masked(values):
-            row = int(np.argmax(np.ma.getmaskarray(values)))
-            raise DataError(self.path, f"{self.record(row)}: column {name!r} holds identifiers, and this one is empty")
+            raise ValueError(f"column {name!r} must hold integers to serve as identifiers, got {values.dtype}")
+        _require_identifiers(self, name, np.ma.getmaskarray(values))
         return np.asarray(values, dtype=np.int64)
 
     def record(self, row: int) -> str:
@@ -209,9 +242,9 @@ def _fits_table(path: Path) -> Table:
     with fits.open(path) as file:
         found = next((hdu for hdu in file if isinstance(hdu, fits.BinTableHDU | fits.TableHDU)), None)
         if found is None:
-            raise DataError(path, "holds no FITS table extension")
+            raise ValueError("it holds no FITS table extension")
         data = {name: (np.array(found.data[name]), found.columns[name].null) for name in found.columns.names}
-    return _array_table(path, ((name, _masked(values, null)) for name, (values, null) in data.items()))
+    return _array_table((name, _masked(values, null)) for name, (values, null) in data.items())
 
 
 def _masked(values: NDArray[Any], null: int | None) -> NDArray[Any]:
@@ -223,24 +256,17 @@ def _masked(values: NDArray[Any], null: int | None) -> NDArray[Any]:
 def _votable(path: Path) -> Table:
     from astropy.io import votable
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # astropy warns of every deviation from the standard
-            table = votable.parse_single_table(path)
-    except (votable.exceptions.VOTableSpecError, ValueError, IndexError) as error:
-        raise DataError(path, f"cannot be read as a VOTable: {error}") from error
-    return _array_table(path, ((field.name, table.array[field.ID]) for field in table.fields))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # astropy warns of every deviation from the standard
+        table = votable.parse_single_table(path)
+    return _array_table((field.name, table.array[field.ID]) for field in table.fields)
 
 
 def _parquet_table(path: Path) -> Table:
     import pyarrow as pa
     import pyarrow.parquet
 
-    try:
-        file = pyarrow.parquet.ParquetFile(path)
-        names = file.schema_arrow.names
-    except pa.ArrowInvalid as error:
-        raise DataError(path, f"cannot be read as Parquet: {error}") from error
+    file = pyarrow.parquet.ParquetFile(path)
 
     def read(name: str) -> Any:
         column = file.read(columns=[name]).column(name).combine_chunks()
@@ -248,16 +274,8 @@ def _parquet_table(path: Path) -> Table:
         array = values.to_numpy(zero_copy_only=False)
         return np.ma.array(array, mask=column.is_null().to_numpy(zero_copy_only=False)) if column.null_count else array
 
-    return _ArrayTable(path, {name: partial(read, name) for name in names})
+    return _ArrayTable({name: partial(read, name) for name in file.schema_arrow.names})
 
 
-def _array_table(path: Path, columns: Iterable[tuple[str, Any]]) -> Table:
-    return _ArrayTable(path, {name: partial(np.asanyarray, values) for name, values in columns})
-
-
-def _converts(word: str, of_text: Callable[[str], float]) -> bool:
-    try:
-        of_text(word)
-    except ValueError:
-        return False
-    return True
+def _array_table(columns: Iterable[tuple[str, Any]]) -> Table:
+    return _ArrayTable({name: partial(np.asanyarray, values) for name, values in columns})

@@ -1,4 +1,4 @@
-"""UCAC4: binary zone files."""
+"""Reader of UCAC4: binary zone files."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.catalogs.readers.fixed_width import rms
-from giantlike.catalogs.readers.rows import ReadStars, stars_of
+from giantlike.catalogs.readers.rows import ReadStars, rms, stars_of
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
+from giantlike.core.reading import reads
 
 RECORD = np.dtype(
     [
@@ -23,23 +23,34 @@ RECORD = np.dtype(
         ("zn2", "<u2"), ("rn2", "<u4"),
     ]
 )  # fmt: skip
-"""One star: 78 bytes."""
-NO_MAGNITUDE = 20000
-FAST = 32767
-"""Stands in the proper motion of stars whose real one is in ``u4hpm.dat``."""
+"""Record of one star, 78 bytes: readme of UCAC4 (CDS I/322A)."""
+NO_MAGNITUDE, FAST = 20000, 32767
+"""Values that stand for no magnitude, and for a proper motion that is in ``u4hpm.dat`` (same readme)."""
 _LARGE_ERRORS = np.concatenate([np.arange(251), [275, 325, 375, 425, 500]]).astype(np.float64)
+"""Errors of proper motion, 0.1 mas/yr, by the stored number plus 128 (``ucac4.c`` [2]_ of ``read_ucac4``)."""
 
 
-def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadStars, str]:
+@reads("a UCAC4 zone file")
+def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read one zone file, ``z001`` to ``z900``; magnitudes are about Johnson V.
 
     A zone file is nothing but records of 78 bytes, little endian: right ascension and south pole distance in mas
     (ICRS, epoch J2000), magnitudes in mmag with 20000 for none, proper motions in 0.1 mas/yr, standard errors offset
     by 128. The magnitude is V from APASS where there is one, else the model or aperture magnitude of UCAC4, whose
     band is between V and R: red stars are then some tenths too bright. Errors of position, given at the mean epochs,
-    are carried to J2000. Proper motions of the some 30 fastest stars are in ``u4hpm.dat``, looked for beside the zone
-    file and in a folder ``u4i`` beside its folder. Identifiers are ``zone * 1,000,000 + record``, as in the name
+    are propagated to J2000. Proper motions of the some 30 fastest stars are in ``u4hpm.dat``, looked for beside the
+    zone file and in a folder ``u4i`` beside its folder. Identifiers are ``zone * 1,000,000 + record``, as in the name
     UCAC4-zzz-rrrrrr. Stars with a double star flag are double.
+
+    Parameters
+    ----------
+    path : Path
+    max_magnitude : float, optional
+        Fainter stars are left out.
+
+    Returns
+    -------
+    ReadStars
 
     Raises
     ------
@@ -54,14 +65,11 @@ def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadS
     """
     match = re.fullmatch(r"z(\d{3})", path.name.lower().removesuffix(".dat"))
     if match is None or not 1 <= int(match[1]) <= 900:
-        raise DataError(path, "is no UCAC4 zone file: its name must be z001 to z900, which tells its zone")
-    try:
-        size = path.stat().st_size
-        if size == 0 or size % RECORD.itemsize:
-            raise DataError(path, f"expected records of {RECORD.itemsize} bytes, got {size} bytes: the file is cut off")
-        records = np.fromfile(path, dtype=RECORD)
-    except OSError as error:
-        raise DataError(path, f"cannot be read as a UCAC4 zone file: {error}") from error
+        raise DataError(path, "is no UCAC4 zone file: the name must be z001 to z900, the number of the zone")
+    size = path.stat().st_size
+    if size == 0 or size % RECORD.itemsize:
+        raise ValueError(f"expected records of {RECORD.itemsize} bytes, got {size} bytes")
+    records = np.fromfile(path, dtype=RECORD)
     pm = _proper_motions(path, records)
     sigma_pm = [0.1 * _LARGE_ERRORS[records[name].astype(np.int64) + 128] for name in ("sigpmr", "sigpmd")]
     years = [2000.0 - (1900.0 + 0.01 * records[name]) for name in ("cepra", "cepdc")]
@@ -81,17 +89,29 @@ def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> tuple[ReadS
         "sigma_pm_mas_yr": rms(sigma_pm[0], sigma_pm[1]),
         "is_double": (records["cdf"] != 0).astype(np.float64),
     }
-    return stars_of(path, columns, record=lambda row: f"record {row + 1}", max_magnitude=max_magnitude), "V"
+    return stars_of(columns, band="V", record=lambda row: f"record {row + 1}", max_magnitude=max_magnitude)
 
 
 def zone_files(path: Path) -> list[Path]:
-    """The zone files of a folder, in order, or the file itself."""
+    """Zone files of a folder.
+
+    Parameters
+    ----------
+    path : Path
+        A folder, or a zone file.
+
+    Returns
+    -------
+    list of Path
+        In the order of the zones; the file itself if it is none.
+    """
     if not path.is_dir():
         return [path]
     return sorted(file for file in path.iterdir() if re.fullmatch(r"z\d{3}", file.name.lower()))
 
 
 def _magnitude(millimagnitudes: NDArray[np.uint16]) -> Float:
+    """Magnitudes (n,), NaN where there is none."""
     return np.where(millimagnitudes >= NO_MAGNITUDE, np.nan, millimagnitudes / 1000.0)
 
 
@@ -118,10 +138,9 @@ def _fast_stars(path: Path) -> dict[int, tuple[float, float]]:
     known = {}
     for number, line in enumerate(file.read_text(errors="replace").splitlines(), start=1):
         words = line.split()
-        if not words:
-            continue
         try:
-            known[int(words[0])] = (float(words[3]), float(words[4]))
+            if words:
+                known[int(words[0])] = (float(words[3]), float(words[4]))
         except (ValueError, IndexError) as error:
             raise DataError(file, f"line {number}: expected numbers rnm zn rnz pmrc pmd ..., got {line!r}") from error
     return known

@@ -1,9 +1,9 @@
 """The border of every file reader: what a damaged file makes a parser raise becomes a DataError with the path.
 
-A reader raises ``ValueError`` for content that is not as it should be, and lets through what the libraries under it
-raise; the decorator :func:`reads` adds the path and what to do. Mistakes in the code of this package stay what they
-are: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in one of its own frames is not
-caught, the same exception raised inside a parser library is.
+A reader raises ``ValueError`` with a full sentence for content that is not as it should be, and lets through what the
+libraries under it raise; the decorator :func:`reads` adds the path, and for libraries what to do. Mistakes in the code
+of this package stay what they are: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in
+one of its own frames is not caught, the same exception raised inside a parser library is.
 """
 
 from __future__ import annotations
@@ -34,15 +34,13 @@ class _Decorator(Protocol):
     def __call__(self, read: Callable[Arguments, Answer], /) -> Callable[Arguments, Answer]: ...
 
 
-def reads(what: str, remedy: str = "the file is damaged or of another kind") -> _Decorator:
+def reads(what: str) -> _Decorator:
     """Decorator for functions that read a file, whose path is their first argument.
 
     Parameters
     ----------
     what : str
         What the file should be, with its article: ``"a plate table"``.
-    remedy : str
-        End of the message: what may be wrong with the file, or what to do about it.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def reads(what: str, remedy: str = "the file is damaged or of another kind") -> 
                 if not _is_of_content(error):
                     raise
                 path = cast(Path, args[0] if args else kwargs["path"])
-                raise DataError(path, _problem(error, what, remedy)) from error
+                raise DataError(path, _problem(error, what)) from error
 
         return guarded
 
@@ -96,16 +94,19 @@ def library_message(error: BaseException) -> str:
 
 def _is_of_content(error: Exception) -> bool:
     """True unless a mistake in this package's own code raised the exception."""
-    if isinstance(error, _OF_CONTENT) or type(error).__module__ != "builtins":
-        return True
+    return isinstance(error, _OF_CONTENT) or type(error).__module__ != "builtins" or not _raised_here(error)
+
+
+def _raised_here(error: Exception) -> bool:
+    """True if the innermost frame of the exception is one of this package."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    return trace is not None and not str(trace.tb_frame.f_globals.get("__name__")).startswith("giantlike.")
+    return trace is None or str(trace.tb_frame.f_globals.get("__name__")).startswith("giantlike.")
 
 
-def _problem(error: Exception, what: str, remedy: str) -> str:
-    """Sentence for a user on what was needed, what came and what to do."""
+def _problem(error: Exception, what: str) -> str:
+    """Sentence for a user on what was needed, what came and, where the reader itself does not say it, what to do."""
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, OSError) and error.strerror:
@@ -113,4 +114,5 @@ def _problem(error: Exception, what: str, remedy: str) -> str:
     text = library_message(error) or type(error).__name__
     if isinstance(error, KeyError):
         text = f"{text} is missing"
-    return f"cannot be read as {what}: {text}; {remedy}"
+    advice = "" if isinstance(error, ValueError) and _raised_here(error) else "; the file is damaged or of another kind"
+    return f"cannot be read as {what}: {text}{advice}"

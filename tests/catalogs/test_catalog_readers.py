@@ -230,7 +230,7 @@ def test_damaged_ucac4_files_are_refused(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(DataError, match=message):
             build_catalog([tmp_path / name], "ucac4", name="u")
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(DataError, match="no such file"):
         build_catalog([tmp_path / "z003"], "ucac4", name="u")
 
 
@@ -362,14 +362,14 @@ def test_gaia_extracts_of_every_kind_give_the_same_stars(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no table: expected a header line"),
+        ("", "the table is empty: expected a header line"),
         ("source_id,ra,dec,phot_g_mean_mag\n", "holds a header but no rows"),
         ("source_id,ra,dec\n1,2,3\n", "has no column 'phot_g_mean_mag'; it has source_id, ra, dec"),
         ("source_id,ra,dec,phot_g_mean_mag\n1,2,3,4\n5,6,x,8\n", "line 3: column 'dec' must be a number, got 'x'"),
         ("source_id,ra,dec,phot_g_mean_mag\n1,2,3,4\n5,6,97,8\n", r"line 3: dec_deg must be in \[-90, 90\], got 97"),
         ("source_id,ra,dec,phot_g_mean_mag\n1.5,2,3,4\n", "line 2: column 'source_id' must be a number, got '1.5'"),
         ("source_id,ra,dec,phot_g_mean_mag\n,2,3,4\n", "line 2: column 'source_id' holds identifiers"),
-        ("source_id,ra,dec,phot_g_mean_mag\n1,2,3\n", "cannot be read as CSV"),
+        ("source_id,ra,dec,phot_g_mean_mag\n1,2,3\n", "Expected 4 columns, got 3"),
         ("# comment\n# another\nsource_id,ra,dec,phot_g_mean_mag\n1,2,bad,4\n", "line 4: column 'dec'"),
         ("source_id,ra,dec,phot_g_mean_mag\n1,2,3,\n", "no stars in 1 file"),
     ],

@@ -25,6 +25,7 @@ from giantlike.catalogs import (
     load_catalog,
 )
 from giantlike.catalogs.nearby import NEARBY
+from giantlike.catalogs.readers.rows import SIGMA_PM_UNKNOWN_MAS_YR
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import direction_from_radec, radec_from_direction
@@ -239,7 +240,7 @@ def test_most_hipparcos_stars_are_found_in_gaia_and_bring_parallax_and_motion(ca
     assert with_parallax.sum() > 105_000
     assert np.median(stars.sigma_pm_mas_yr[with_parallax]) < 0.05  # 1 mas over 24.75 years
     unknown = gaia & (stars.pm_ra_mas_yr == 0) & (stars.pm_dec_mas_yr == 0)
-    assert (stars.sigma_pm_mas_yr[unknown] == default.SIGMA_PM_UNKNOWN_MAS_YR).all()
+    assert (stars.sigma_pm_mas_yr[unknown] == SIGMA_PM_UNKNOWN_MAS_YR).all()
     assert (~gaia & (stars.magnitude < 9.5)).sum() < 200
 
 
@@ -423,15 +424,16 @@ def test_a_user_catalog_is_read_with_defaults_for_what_is_absent(tmp_path: Path)
     ("text", "message"),
     [
         ("", "is empty"),
-        ("ra_deg,dec_deg,magnitude\n", "no stars"),
+        ("ra_deg,dec_deg,magnitude\n", "no rows"),
         ("ra_deg,dec_deg\n1,2\n", "'magnitude' is missing"),
         ("ra_deg,dec_deg,mag\n1,2,3\n", "unknown column 'mag'"),
         ("ra_deg,ra_deg,dec_deg,magnitude\n1,1,2,3\n", "twice"),
-        ("ra_deg,dec_deg,magnitude\n1,2,3\n1,91,3\n", "line 3: dec_deg must be a number in"),
-        ("ra_deg,dec_deg,magnitude\n1,2,bright\n", "line 2: magnitude"),
-        ("ra_deg,dec_deg,magnitude\n1,2,nan\n", "line 2: magnitude"),
-        ("ra_deg,dec_deg,magnitude\n1,2\n", "line 2: expected 3 values"),
-        ("ids,ra_deg,dec_deg,magnitude\n1.5,1,2,3\n", "line 2: ids"),
+        ("ra_deg,dec_deg,magnitude\n1,2,3\n1,91,3\n", "line 3: dec_deg must be in"),
+        ("ra_deg,dec_deg,magnitude\n\n1,2,3\n \r\n1,91,3\n", "line 5: dec_deg must be in"),
+        ("ra_deg,dec_deg,magnitude\n1,2,bright\n", "line 2: column 'magnitude' must be a number, got 'bright'"),
+        ("ra_deg,dec_deg,magnitude\n1,2,nan\n", "line 2: column 'magnitude' must be a number, it is empty"),
+        ("ra_deg,dec_deg,magnitude\n1,2\n", "Expected 3 columns, got 2"),
+        ("ids,ra_deg,dec_deg,magnitude\n1.5,1,2,3\n", "line 2: column 'ids' must be a number"),
         ("ids,ra_deg,dec_deg,magnitude\n1,1,2,3\n1,2,2,3\n", "unique"),
     ],
 )

@@ -30,7 +30,7 @@ def raised_by(error: Exception) -> DataError:
     [
         (FileNotFoundError(2, "No such file or directory"), "there is no such file"),
         (PermissionError(13, "Permission denied"), "cannot be read as a table: Permission denied"),
-        (ValueError("needed 3\nnumbers"), "cannot be read as a table: needed 3 numbers; the file is damaged"),
+        (ValueError("needed 3\nnumbers"), "cannot be read as a table: needed 3 numbers"),
         (KeyError("version"), "'version' is missing"),
         (struct.error("unpack requires 4 bytes"), "unpack requires 4 bytes"),
         (MemoryError(), "MemoryError"),
