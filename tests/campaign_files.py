@@ -24,7 +24,7 @@ from giantlike.io import navigation_header, write_fits, write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
-from giantlike.simulation import Shot, SimulationOptions, simulate_image
+from giantlike.simulation import Shot, SimulationOptions, Sources, simulate_image
 
 CAMERA = Camera(
     name="test camera",
@@ -123,9 +123,8 @@ def _write_image(path: Path, visit: int, et: float, seconds: float, exposure_s: 
     taken = simulate_image(
         shot,
         CAMERA,
-        scene,
+        Sources(scene=scene, catalog=sky()),
         seed=(visit, int(1e3 * exposure_s), int(seconds + 100)),
-        catalog=sky(),
         options=SimulationOptions(rays_per_pixel_side=3, max_magnitude=7.5),
     )
     header = navigation_header(

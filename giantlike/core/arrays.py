@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -81,6 +82,33 @@ def frozen(array: NDArray[Scalar]) -> NDArray[Scalar]:
     """
     array.flags.writeable = False
     return array
+
+
+def require_number(
+    value: float, name: str, *, least: float = -math.inf, above: float = -math.inf, most: float = math.inf
+) -> None:
+    """Raise unless a number is finite and in its range.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    name : str
+        Name of the number in the message.
+    least, most : float
+        Bounds that the number may reach.
+    above : float
+        Lower bound that the number must exceed.
+
+    Raises
+    ------
+    InputError
+        The number is NaN, infinite or out of range.
+    """
+    if not (math.isfinite(value) and least <= value <= most and value > above):
+        signs = ((">=", least), (">", above), ("<=", most))
+        needs = [f"{sign} {bound:g}" for sign, bound in signs if math.isfinite(bound)]
+        raise InputError(f"{name} must be {' and '.join([*needs, 'finite'])}, got {value}")
 
 
 def require(condition: bool, message: str) -> None:

@@ -1,9 +1,9 @@
-"""Images with truth: bodies and stars through a real camera with noise, and a whole made-up approach."""
+"""Simulated images with their truth, and a whole simulated approach to a small body."""
 
 from giantlike.simulation.approach import Approach, ApproachOptions, Frame, Visit, demo_camera, plan_approach
 from giantlike.simulation.detector import DetectorModel, HotPixels, expose
 from giantlike.simulation.images import SimulatedImage, simulate_image
-from giantlike.simulation.incident import SimulationOptions
+from giantlike.simulation.incident import SimulationOptions, Sources
 from giantlike.simulation.shot import Photometry, Shot
 from giantlike.simulation.stars import StarField, point_sources, star_field
 from giantlike.simulation.write import write_approach
@@ -18,6 +18,7 @@ __all__ = [
     "Shot",
     "SimulatedImage",
     "SimulationOptions",
+    "Sources",
     "StarField",
     "Visit",
     "demo_camera",

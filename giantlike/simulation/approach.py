@@ -29,7 +29,7 @@ from giantlike.scene import Scene, Target, light_path
 from giantlike.shapes import Ellipsoid, Shape, irregular_body
 from giantlike.simulation.detector import DetectorModel, HotPixels
 from giantlike.simulation.images import SimulatedImage, simulate_image
-from giantlike.simulation.incident import SimulationOptions, visible_peak
+from giantlike.simulation.incident import SimulationOptions, Sources, visible_peak
 from giantlike.simulation.orbits import CircularOrbit, Rendezvous
 from giantlike.simulation.shot import Photometry, Shot, unexposed
 
@@ -192,10 +192,8 @@ class Approach(Value):
         return simulate_image(
             frame.shot,
             self.camera,
-            frame.scene,
+            Sources(scene=frame.scene, catalog=catalog, photometry=self.photometry),
             seed=frame.seed,
-            catalog=catalog,
-            photometry=self.photometry,
             detector=self.detector,
             options=SimulationOptions(rays_per_pixel_side=_STAR_IMAGE_RAYS if frame.star_image else _RAYS),
         )

@@ -1,4 +1,4 @@
-"""Charged particles through the detector: straight tracks that leave charge behind."""
+"""Tracks of charged particles through a detector."""
 
 from __future__ import annotations
 
@@ -7,34 +7,39 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, require_number
 from giantlike.core.values import Value
 
 _UM_PER_CM = 1e4
-_STEPS_PER_PX = 16  # a track is laid down in pieces of this length
-_FLATTEST_COSINE = 0.02  # flatter tracks, one in 2,500, are cut off there
+_STEPS_PER_PX = 16  # pieces per pixel of track length, each of which leaves its charge in one pixel
+_FLATTEST_COSINE = 0.02  # cosine of incidence at which flatter tracks, one in 2,500 (its square), are cut off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CosmicRays:
-    """How many particles hit the detector, and how much charge they leave.
+    """Rate of the particles that hit a detector and the charge that they leave.
 
-    Particles come from everywhere alike, so that the square of the sine of their incidence is uniform.
+    The flux is isotropic, so that the squared sine of the angle of incidence is uniform.
 
     Parameters
     ----------
     rate_s_cm2 : float, 1/s/cm^2
-        Through the area of the detector.
+        Rate through the area of the detector.
     hits_per_image : float
-        Mean number in an image whatever its exposure, on top of the rate.
+        Mean number of hits in an image whatever its exposure, added to the rate.
     pixel_um : float, um
-        Pitch of the pixels.
+        Pixel pitch.
     thickness_um : float, um
-        Depth in which charge is gathered: with the incidence it gives the length of a track.
+        Depth in which charge is collected: with the incidence it gives the length of a track.
     charge_e_um : float, electron/um
-        Median charge per length of path.
+        Median charge per path length. The default, 80, is about that of a minimum ionizing particle in silicon.
     charge_spread : float
         Standard deviation of the natural logarithm of that charge, from particle to particle.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
     """
 
     rate_s_cm2: float = 0.0
@@ -46,14 +51,12 @@ class CosmicRays:
 
     def __post_init__(self) -> None:
         for name in ("rate_s_cm2", "hits_per_image", "charge_spread"):
-            value = getattr(self, name)
-            require(math.isfinite(value) and value >= 0, f"cosmic ray {name} must be >= 0, got {value}")
+            require_number(getattr(self, name), f"cosmic ray {name}", least=0.0)
         for name in ("pixel_um", "thickness_um", "charge_e_um"):
-            value = getattr(self, name)
-            require(math.isfinite(value) and value > 0, f"cosmic ray {name} must be > 0, got {value}")
+            require_number(getattr(self, name), f"cosmic ray {name}", above=0.0)
 
     def mean_hits(self, columns: int, rows: int, exposure_s: float) -> float:
-        """Expected number of hits on a detector."""
+        """Expected number of hits on a detector of (rows, columns) pixels during an exposure, s."""
         area_cm2 = columns * rows * (self.pixel_um / _UM_PER_CM) ** 2
         return self.hits_per_image + self.rate_s_cm2 * area_cm2 * exposure_s
 
@@ -65,9 +68,9 @@ class Tracks(Value):
     Parameters
     ----------
     start_px, end_px : (n, 2) float64, px
-        Where each enters and leaves the layer that gathers charge.
+        Points at which each enters and leaves the layer that collects charge.
     charge_e : (n,) float64, electron
-        Left along the whole track, evenly.
+        Charge of the whole track, spread evenly over its length.
     """
 
     start_px: Float
@@ -75,7 +78,7 @@ class Tracks(Value):
     charge_e: Float
 
     def deposited_e(self, columns: int, rows: int) -> Float:
-        """Charge (rows, columns), electron, that they leave in the pixels; what lies outside is left out."""
+        """Charge (rows, columns), electron, in the pixels; the parts of tracks outside the detector are left out."""
         along = self.end_px - self.start_px
         pieces = np.ceil(np.linalg.norm(along, axis=1) * _STEPS_PER_PX).astype(np.int64) + 1
         track = np.repeat(np.arange(pieces.size), pieces)
@@ -94,14 +97,18 @@ def draw_tracks(options: CosmicRays, columns: int, rows: int, exposure_s: float,
     Parameters
     ----------
     options : CosmicRays
-    columns, rows : int, px
+        Rates and charges.
+    columns, rows : int
+        Size of the detector.
     exposure_s : float, s
+        Exposure time.
     random : numpy Generator
+        Source of random numbers.
 
     Returns
     -------
     Tracks
-        Entry points anywhere on the detector; tracks may leave it.
+        Entry points are uniform over the detector; tracks may leave it.
     """
     count = int(random.poisson(options.mean_hits(columns, rows, exposure_s)))
     start = random.uniform(-0.5, [columns - 0.5, rows - 0.5], (count, 2))

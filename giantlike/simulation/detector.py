@@ -1,35 +1,35 @@
-"""From light to numbers: a chain of steps through the detector, each of which can be left out.
+"""Conversion of light to digital numbers: a chain of detector effects, each of which can be left out.
 
 Light on the pixels, stray light, flat field, smear of the frame transfer, dark current, shot noise, cosmic rays,
-full well, read noise, gain and rounding, in this order: what is light goes through the flat field and what is charge
-does not. Every random effect draws from a stream of its own: switching on another leaves its numbers as they were.
+full well, read noise, gain and rounding, in this order: light goes through the flat field, charge does not. Every
+random effect draws from a stream of its own, so that switching another effect on does not change its numbers.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Mask, as_floats, require
+from giantlike.core.arrays import Float, Mask, as_floats, require, require_number
 from giantlike.core.detector import Detector
 from giantlike.core.values import Value
 from giantlike.simulation.cosmic_rays import CosmicRays, draw_tracks
 from giantlike.simulation.effects import DarkCurrent, FlatField, FrameTransfer, FullWell, StrayLight
 
-_BRIGHTEST_E = 1e15  # Poisson numbers are 64 bit integers
+_BRIGHTEST_E = 1e15  # electrons; Poisson numbers are 64 bit integers, which end at 9e18
+_DECADES = 1.0  # range of hot pixel rates about their median, powers of ten: a factor of ten in all
 
 Seed = int | tuple[int, ...]
 """One or several whole numbers >= 0: equal seeds give equal images."""
 
 
 class Stream(IntEnum):
-    """Which random numbers: each effect has its own, independent of all others.
+    """Streams of random numbers, one for each effect, independent of one another.
 
-    Shot noise is drawn about the mean charge: what changes that mean draws other numbers, of the same law.
+    Shot noise is drawn about the mean charge, so an effect that changes the mean changes the shot noise too.
     """
 
     RAYS = 0
@@ -41,7 +41,7 @@ class Stream(IntEnum):
     DEAD_PIXELS = 6
 
     def random(self, seed: Seed) -> np.random.Generator:
-        """Return the generator of this effect for a seed."""
+        """Random generator of this effect for a seed; ``InputError`` for a negative or empty seed."""
         words = seed if isinstance(seed, tuple) else (seed,)
         require(len(words) > 0 and min(words) >= 0, f"a seed needs whole numbers >= 0, got {seed}")
         return np.random.default_rng([int(self), *words])
@@ -49,13 +49,19 @@ class Stream(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HotPixels(Value):
-    """Single pixels that fill up without light.
+    """Pixels with a high dark current.
 
     Parameters
     ----------
     points_px : (n, 2) int64, px
-        (x, y) of each; those outside a frame are left out.
+        Column and row of each; those outside a frame are left out.
     rate_e_s : (n,) float64, electron/s
+        Dark current of each.
+
+    Raises
+    ------
+    InputError
+        Shapes disagree.
     """
 
     points_px: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
@@ -72,12 +78,28 @@ class HotPixels(Value):
     def scattered(
         cls, count: int, columns: int, rows: int, rng: np.random.Generator, *, median_e_s: float
     ) -> HotPixels:
-        """Draw hot pixels anywhere on a detector, with rates spread over a factor of ten about their median."""
+        """Draw hot pixels uniformly over a detector, with log-uniform rates over a factor of ten about their median.
+
+        Parameters
+        ----------
+        count : int
+            Number of hot pixels.
+        columns, rows : int
+            Size of the detector.
+        rng : numpy Generator
+            Source of random numbers.
+        median_e_s : float, electron/s
+            Median rate.
+
+        Returns
+        -------
+        HotPixels
+        """
         points = scattered_pixels(count, columns, rows, rng)
-        return cls(points_px=points, rate_e_s=median_e_s * 10.0 ** rng.uniform(-0.5, 0.5, count))
+        return cls(points_px=points, rate_e_s=median_e_s * 10.0 ** rng.uniform(-_DECADES / 2, _DECADES / 2, count))
 
     def signal_e(self, columns: int, rows: int, exposure_s: float) -> Float:
-        """Electrons (rows, columns) that they add in an exposure."""
+        """Charge (rows, columns), electron, that the hot pixels add in an exposure, s."""
         frame = np.zeros((rows, columns))
         x, y, inside = _inside(self.points_px, columns, rows)
         np.add.at(frame, (y, x), self.rate_e_s[inside] * exposure_s)
@@ -85,30 +107,43 @@ class HotPixels(Value):
 
 
 def scattered_pixels(count: int, columns: int, rows: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draw pixels (count, 2), (x, y), anywhere on a detector; two may coincide."""
+    """Draw pixels (count, 2), column and row, uniformly over a detector; two may coincide."""
     return np.stack([rng.integers(0, columns, count), rng.integers(0, rows, count)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DetectorModel(Value):
-    """What a detector does beyond the gain, bias, read noise and saturation of a camera file.
+    """Detector effects beyond the gain, bias, read noise and saturation of a camera file.
 
     By default only shot noise is on.
 
     Parameters
     ----------
     stray : StrayLight
+        Stray light.
     flat : FlatField
+        Response of the pixels.
     transfer : FrameTransfer
+        Smear of the frame transfer.
     dark : DarkCurrent
+        Dark current.
     hot_pixels : HotPixels
+        Pixels with a high dark current.
     dead_px : (n, 2) int64, px
-        (x, y) of pixels that hold no charge; those outside a frame are left out.
+        Column and row of pixels that hold no charge; those outside a frame are left out.
     shot_noise : bool
+        True to draw shot noise.
     cosmic_rays : CosmicRays
+        Tracks of charged particles.
     well : FullWell
+        Full-well capacity and blooming.
     bits : int
-        Of the converter, at most 16: numbers end at ``2^bits - 1``.
+        Bits of the converter, at most 16: numbers end at ``2^bits - 1``.
+
+    Raises
+    ------
+    InputError
+        ``dead_px`` has another shape, or ``bits`` is out of range.
     """
 
     stray: StrayLight = field(default_factory=StrayLight)
@@ -131,7 +166,7 @@ class DetectorModel(Value):
         Value.__post_init__(self)
 
     def expected_e(self, light_e: Float, exposure_s: float) -> Float:
-        """Mean number of electrons (rows, columns) before any noise, of light (rows, columns) on the pixels."""
+        """Mean charge (rows, columns), electron, before noise, of photoelectrons ``light_e`` (rows, columns)."""
         rows, columns = light_e.shape
         light = (light_e + self.stray.rate_e_s(columns, rows) * exposure_s) * self.flat.factor(columns, rows)
         charge = light + self.transfer.smear_e(light, exposure_s)
@@ -139,7 +174,7 @@ class DetectorModel(Value):
         return self.without_dead(charge)
 
     def without_dead(self, charge_e: Float) -> Float:
-        """Return charge (rows, columns) with none in the dead pixels."""
+        """Copy of charge (rows, columns) with none in the dead pixels."""
         rows, columns = charge_e.shape
         x, y, _ = _inside(self.dead_px, columns, rows)
         result = charge_e.copy()
@@ -149,7 +184,7 @@ class DetectorModel(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Readout(Value):
-    """Numbers that came out of a detector, and what is true of them.
+    """Digital numbers of an image, and the mean charge and cosmic-ray charge behind them.
 
     Parameters
     ----------
@@ -173,25 +208,25 @@ def expose(
     seed: Seed,
     model: DetectorModel | None = None,
 ) -> Readout:
-    """Read out a detector on which light has fallen.
+    """Convert the light on a detector to the digital numbers of an image.
 
     Parameters
     ----------
     light_e : (rows, columns) float64, electron
-        Mean number of electrons that the light of the scene sets free in each pixel during the exposure.
+        Mean number of photoelectrons of each pixel during the exposure.
     exposure_s : float, s
-        For what depends on time: dark current, stray light, cosmic rays, smear.
+        Exposure time, for dark current, stray light, cosmic rays and smear.
     detector : Detector
         Gain, read noise, bias and the number at which pixels saturate.
     seed : int or tuple of int
-        Of all noise.
+        Seed of all noise.
     model : DetectorModel, optional
         All other effects; by default there is only shot noise.
 
     Returns
     -------
     Readout
-        Numbers are rounded, and cut off at 0 and at ``detector.saturation_dn`` or the last number of the converter.
+        Numbers are rounded and clipped to 0 and to ``detector.saturation_dn`` or the largest number of the converter.
 
     Raises
     ------
@@ -200,9 +235,10 @@ def expose(
     """
     light = as_floats(light_e, (), "light_e")
     require(light.ndim == 2, f"light_e must have shape (rows, columns), got {light.shape}")
-    require(math.isfinite(exposure_s) and exposure_s >= 0, f"exposure_s must be >= 0, got {exposure_s}")
+    require_number(exposure_s, "exposure_s", least=0.0)
     lowest, highest = float(light.min(initial=0.0)), float(light.max(initial=0.0))
-    require(lowest >= 0.0 and highest <= _BRIGHTEST_E, f"light_e must be in [0, 1e15], got {lowest} to {highest}")
+    within = lowest >= 0.0 and highest <= _BRIGHTEST_E
+    require(within, f"light_e must be in [0, {_BRIGHTEST_E:g}], got {lowest} to {highest}")
     model = DetectorModel() if model is None else model
     rows, columns = light.shape
     expected_e = model.expected_e(light, exposure_s)
@@ -215,7 +251,7 @@ def expose(
 
 
 def shot_noise(expected_e: Float, random: np.random.Generator) -> Float:
-    """Draw whole electrons (rows, columns) by Poisson's law about their mean."""
+    """Draw numbers of electrons (rows, columns) from Poisson distributions of the given means."""
     drawn = np.zeros(expected_e.shape)
     bright = expected_e > 0.0
     drawn[bright] = random.poisson(expected_e[bright])
@@ -223,13 +259,13 @@ def shot_noise(expected_e: Float, random: np.random.Generator) -> Float:
 
 
 def converted(charge_e: Float, detector: Detector, *, bits: int = 16) -> NDArray[np.uint16]:
-    """Numbers (rows, columns), DN, of charge: gain, bias, rounding, and both ends of the scale."""
+    """Digital numbers (rows, columns), DN, of charge, electron: gain, bias, rounding and clipping."""
     numbers = np.rint(charge_e / detector.gain_e_per_dn + detector.bias_dn)
     return np.clip(numbers, 0.0, int(min(detector.saturation_dn, 2**bits - 1))).astype(np.uint16)
 
 
 def _inside(points_px: NDArray[np.int64], columns: int, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-    """Columns and rows of the pixels on a detector, and which of all they are."""
+    """Columns and rows of the pixels on a detector, and the mask (n,) of them."""
     x, y = points_px[:, 0], points_px[:, 1]
     inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
     return x[inside], y[inside], inside

@@ -1,4 +1,4 @@
-"""What a detector does to light and charge: stray light, flat field, transfer smear, dark current, full well.
+"""Detector effects on light and charge: stray light, flat field, transfer smear, dark current, full well.
 
 Each effect is a value with one pure method from arrays to arrays; the default of each changes nothing.
 """
@@ -11,24 +11,31 @@ from enum import StrEnum
 
 import numpy as np
 
-from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.arrays import Float, as_floats, require, require_number
 from giantlike.core.values import Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StrayLight:
-    """Light that comes from nothing in the image: a plane and a round glow.
+    """Stray light: a plane and a round glow.
 
     Parameters
     ----------
     level_e_s : float, electron/s
-        In the middle of the detector.
+        Level of the plane at the center of the detector.
     gradient_e_s_px : (float, float), electron/s/px
-        Growth along x and y.
+        Gradient of the plane along x and y.
     glow_e_s : float, electron/s
         Peak of a Gaussian glow.
     glow_center_px : (float, float), px
+        Center of the glow.
     glow_sigma_px : float, px
+        Standard deviation of the glow.
+
+    Raises
+    ------
+    InputError
+        A value is not finite or out of range.
     """
 
     level_e_s: float = 0.0
@@ -38,14 +45,14 @@ class StrayLight:
     glow_sigma_px: float = 100.0
 
     def __post_init__(self) -> None:
-        numbers = (self.level_e_s, *self.gradient_e_s_px, self.glow_e_s, *self.glow_center_px)
-        require(all(map(math.isfinite, numbers)), f"stray light needs finite numbers, got {numbers}")
-        require(self.level_e_s >= 0, f"stray level_e_s must be >= 0, got {self.level_e_s}")
-        require(self.glow_e_s >= 0, f"stray glow_e_s must be >= 0, got {self.glow_e_s}")
-        require(self.glow_sigma_px > 0, f"stray glow_sigma_px must be > 0, got {self.glow_sigma_px}")
+        for number in (*self.gradient_e_s_px, *self.glow_center_px):
+            require_number(number, "stray gradient_e_s_px and glow_center_px")
+        require_number(self.level_e_s, "stray level_e_s", least=0.0)
+        require_number(self.glow_e_s, "stray glow_e_s", least=0.0)
+        require_number(self.glow_sigma_px, "stray glow_sigma_px", above=0.0)
 
     def rate_e_s(self, columns: int, rows: int) -> Float:
-        """Electrons per second (rows, columns); nowhere negative."""
+        """Stray light (rows, columns), electron/s; nowhere negative."""
         x, y = np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64)[:, None]
         along_x, along_y = self.gradient_e_s_px
         plane = self.level_e_s + along_x * (x - (columns - 1) / 2) + along_y * (y - (rows - 1) / 2)
@@ -59,22 +66,27 @@ class StrayLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlatField(Value):
-    """How much of the light each pixel answers to.
+    """Relative response of the pixels: pixel-to-pixel differences and vignetting.
 
     Parameters
     ----------
     response : (rows, columns) float64, optional
         Relative response of single pixels, 1 on average; :func:`pixel_response` draws one.
     vignetting : float
-        Part of the light lost in the corners of the image; the loss grows with the square of the distance from
-        its center.
+        Fraction of the light lost in the corners of the image; the loss grows with the square of the distance from
+        the center.
+
+    Raises
+    ------
+    InputError
+        A value is out of range, or the response is not a two-dimensional array of finite numbers >= 0.
     """
 
     response: Float | None = None
     vignetting: float = 0.0
 
     def __post_init__(self) -> None:
-        require(0.0 <= self.vignetting <= 1.0, f"vignetting must be in [0, 1], got {self.vignetting}")
+        require_number(self.vignetting, "vignetting", least=0.0, most=1.0)
         if self.response is not None:
             response = as_floats(self.response, (), "flat field response")
             lowest = float(response.min(initial=math.inf))
@@ -86,6 +98,15 @@ class FlatField(Value):
 
     def factor(self, columns: int, rows: int) -> Float:
         """Factor (rows, columns) on the light; 1 where nothing is lost.
+
+        Parameters
+        ----------
+        columns, rows : int
+            Size of the image.
+
+        Returns
+        -------
+        (rows, columns) float64
 
         Raises
         ------
@@ -104,13 +125,13 @@ class FlatField(Value):
 
 
 def pixel_response(columns: int, rows: int, *, rms: float, random: np.random.Generator) -> Float:
-    """Draw the relative response (rows, columns) of pixels: normal about 1 with standard deviation ``rms``."""
-    require(0.0 <= rms < 0.3, f"pixel response rms must be in [0, 0.3), got {rms}")
+    """Draw relative responses (rows, columns): normal about 1 with standard deviation ``rms``, in [0, 0.3]."""
+    require_number(rms, "pixel response rms", least=0.0, most=0.3)
     return np.maximum(1.0 + rms * random.standard_normal((rows, columns)), 0.0)
 
 
 class StorageSide(StrEnum):
-    """Which edge of the image borders the storage region that a frame is transferred to."""
+    """Edge of the image next to the storage region of a frame-transfer detector."""
 
     FIRST_ROW = "first_row"
     LAST_ROW = "last_row"
@@ -118,17 +139,22 @@ class StorageSide(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameTransfer:
-    """Smear of a detector without shutter, whose rows move under the light.
+    """Smear of a frame-transfer detector without shutter, whose rows move under the light.
 
     Parameters
     ----------
     row_time_s : float, s
-        For which a row stays under the light of each other row that it passes; 0 switches the smear off.
+        Time that a row spends under the light of each other row that it passes; 0 switches the smear off.
     storage : StorageSide
-        Where the rows move to after the exposure.
+        Edge towards which the rows move after the exposure.
     swept_before : bool
-        Whether the rows also move in that way right before the exposure (to clear the detector): then every row
-        has passed all others, and the smear of a column is nearly constant; else only those on its way out.
+        True if the rows move in the same way right before the exposure, to clear the detector: then every row has
+        passed all others, and the smear of a column is nearly constant. Else a row passes only those on its way out.
+
+    Raises
+    ------
+    InputError
+        The row time is negative.
     """
 
     row_time_s: float = 0.0
@@ -136,20 +162,21 @@ class FrameTransfer:
     swept_before: bool = True
 
     def __post_init__(self) -> None:
-        require(
-            math.isfinite(self.row_time_s) and self.row_time_s >= 0,
-            f"frame transfer row_time_s must be >= 0, got {self.row_time_s}",
-        )
+        require_number(self.row_time_s, "frame transfer row_time_s", least=0.0)
 
     def smear_e(self, light_e: Float, exposure_s: float) -> Float:
-        """Electrons (rows, columns) that the moving rows gather.
+        """Charge that the moving rows collect.
 
         Parameters
         ----------
         light_e : (rows, columns) float64, electron
-            Gathered in the exposure.
+            Charge collected in the exposure.
         exposure_s : float, s
-            The rate of light is taken as constant: ``light_e / exposure_s``.
+            Exposure time; the rate of light, ``light_e / exposure_s``, is constant.
+
+        Returns
+        -------
+        (rows, columns) float64, electron
         """
         if self.row_time_s == 0.0 or exposure_s <= 0.0:
             return np.zeros_like(light_e)
@@ -165,17 +192,23 @@ class FrameTransfer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DarkCurrent:
-    """Charge that heat sets free, the same in every pixel (hot pixels come on top).
+    """Dark current, the same in every pixel; hot pixels are added to it.
 
     Parameters
     ----------
     rate_e_s : float, electron/s
-        Per pixel, at the reference temperature.
+        Rate per pixel at the reference temperature.
     temperature_k : float, K, optional
-        Of the detector; without one the rate holds as it is.
+        Temperature of the detector; without one the rate is not scaled.
     reference_temperature_k : float, K
+        Temperature of the rate; 20 degrees Celsius by default.
     doubling_k : float, K
-        Rise of temperature that doubles the rate.
+        Rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the detector is known.
+
+    Raises
+    ------
+    InputError
+        The rate is negative, or a temperature is not in (0, 1000).
     """
 
     rate_e_s: float = 0.0
@@ -184,17 +217,14 @@ class DarkCurrent:
     doubling_k: float = 6.5
 
     def __post_init__(self) -> None:
-        require(
-            math.isfinite(self.rate_e_s) and self.rate_e_s >= 0,
-            f"dark rate_e_s must be >= 0, got {self.rate_e_s}",
-        )
+        require_number(self.rate_e_s, "dark rate_e_s", least=0.0)
         for name in ("temperature_k", "reference_temperature_k", "doubling_k"):
-            value = getattr(self, name)
-            require(value is None or 0 < value < 1000, f"dark {name} must be in (0, 1000), got {value}")
+            if getattr(self, name) is not None:
+                require_number(getattr(self, name), f"dark {name}", above=0.0, most=1000.0)
 
     @property
     def actual_rate_e_s(self) -> float:
-        """Electrons per second and pixel at the temperature of the detector."""
+        """Rate per pixel at the temperature of the detector, electron/s."""
         if self.temperature_k is None:
             return self.rate_e_s
         return self.rate_e_s * math.pow(2.0, (self.temperature_k - self.reference_temperature_k) / self.doubling_k)
@@ -202,15 +232,20 @@ class DarkCurrent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FullWell:
-    """How much charge a pixel holds, and what becomes of the rest.
+    """Full-well capacity of the pixels and blooming.
 
     Parameters
     ----------
     capacity_e : float, electron
-        Infinite: the pixels hold everything, and only the numbers are cut off.
+        Charge that a pixel holds; infinite by default, so that only the converter saturates.
     blooming : bool
-        The rest spills along the column, half of it either way, into the nearest pixels that have room; what
-        reaches an edge of the detector drains off. Without blooming it is lost at once.
+        True if excess charge spills along the column, half of it either way, into the nearest pixels that have room;
+        charge that reaches an edge of the detector drains off. Without blooming the excess is lost at once.
+
+    Raises
+    ------
+    InputError
+        The capacity is not positive.
     """
 
     capacity_e: float = math.inf
@@ -220,7 +255,7 @@ class FullWell:
         require(self.capacity_e > 0, f"full well capacity_e must be > 0, got {self.capacity_e}")
 
     def held_e(self, charge_e: Float) -> Float:
-        """Charge (rows, columns) after the overfull pixels have spilled; none holds more than the capacity."""
+        """Charge (rows, columns), electron, after blooming of ``charge_e``; no pixel holds more than the capacity."""
         held = np.minimum(charge_e, self.capacity_e)
         if not self.blooming:
             return held
@@ -231,7 +266,7 @@ class FullWell:
         return held
 
     def _spilled(self, held_e: Float, excess_e: Float) -> Float:
-        """Columns (rows, n) after the excess of each pixel has run towards the last row."""
+        """Charge of columns (rows, n) after the excess of each pixel has run towards the last row."""
         result = held_e.copy()
         running = np.zeros(held_e.shape[1])
         for row, excess in zip(result, excess_e, strict=True):

@@ -1,11 +1,11 @@
-"""The light that falls on the detector: bodies and stars, with the motion of the camera during the exposure."""
+"""Light of bodies and stars on the pixels, with the motion of the camera during the exposure."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.time import et_from_time
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.ray_tracing import RenderOptions, SceneRender, Template, render_scene
@@ -23,24 +22,44 @@ from giantlike.scene import Scene, TargetGeometry
 from giantlike.simulation.shot import Photometry, Shot, instants, unexposed
 from giantlike.simulation.stars import StarField, point_sources, star_field
 
-_SMEAR_STEPS = np.linspace(-0.5, 0.5, 5)  # of the exposure
-_HIDES = 0.5  # covered part of a pixel from which on a star in it is behind the body
+_SMEAR_STEPS = np.linspace(-0.5, 0.5, 5)  # fractions of the exposure at which the motion of the image is sampled
+_HIDES = 0.5  # fraction of a pixel that bodies cover, above which they hide a star in it: the nearer answer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sources:
+    """Sources of light in front of a camera: the bodies of a scene and the stars of a catalog.
+
+    Parameters
+    ----------
+    scene : Scene, optional
+        True geometry: light time and stellar aberration are applied as the scene says. None: no bodies.
+    catalog : StarCatalog, optional
+        None: no stars.
+    photometry : Photometry
+        Brightness of both.
+    """
+
+    scene: Scene | None = None
+    catalog: StarCatalog | None = None
+    photometry: Photometry = field(default_factory=Photometry)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationOptions:
-    """How an image is made.
+    """Sampling of simulated images.
 
     Parameters
     ----------
     rays_per_pixel_side : int
-        Each ray goes through a random place of its cell, so that no estimator's template shares the sampling.
+        Rays along each side of a pixel. Each goes through a random place of its cell, so that no estimator's template
+        shares the sampling.
     max_magnitude : float, optional
-        Faintest star; as deep as the catalog goes by default.
+        Faintest star; by default all stars of the catalog.
     sun_radius_rad : float, rad
         Angular radius of the Sun at the bodies, for penumbrae; 0 is a point.
     min_rays_across : int
-        Rays across the narrow side of a body, at least.
+        Least number of rays across the narrow side of a body.
     """
 
     rays_per_pixel_side: int = 5
@@ -49,7 +68,17 @@ class SimulationOptions:
     min_rays_across: int = 256
 
     def shared_among(self, moments: int) -> SimulationOptions:
-        """Options that spend the rays of one image on several moments: each has places of its own for its rays."""
+        """Return options that spend the rays of one image on several moments, each with its own random rays.
+
+        Parameters
+        ----------
+        moments : int
+            Number of moments.
+
+        Returns
+        -------
+        SimulationOptions
+        """
         fewer = 1.0 / math.sqrt(moments)
         return dataclasses.replace(
             self,
@@ -60,20 +89,20 @@ class SimulationOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class IncidentLight(Value):
-    """Light on the pixels, and where it comes from.
+    """Light on the pixels and its sources.
 
     Parameters
     ----------
     electrons : (rows, columns) float64, electron
-        Mean number that the light sets free during the exposure.
+        Mean number of photoelectrons of the exposure.
     bodies : mapping of str to TargetGeometry
-        True apparent geometry at mid-exposure of every target that is seen in the frame, by name.
+        True apparent geometry at mid-exposure of every target seen in the frame, by name.
     templates : mapping of str to Template
         Those bodies as rendered at mid-exposure.
     stars : StarField
-        Stars of which light falls on the frame, true places at mid-exposure.
+        Stars whose light falls on the frame, with true positions at mid-exposure.
     star_electrons : (n,) float64, electron
-        Light of each, without what bodies hide.
+        Light of each star, without the part that bodies hide.
     """
 
     electrons: Float
@@ -85,7 +114,7 @@ class IncidentLight(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _SeenBodies(Value):
-    """Bodies at one moment: their light, electron/s (rows, columns), what they cover, and each of them."""
+    """Bodies at one moment: light, electron/s (rows, columns), covered pixels (rows, columns), geometry, renders."""
 
     rate_e_s: Float
     covered: Mask
@@ -96,28 +125,25 @@ class _SeenBodies(Value):
 def incident_light(
     shot: Shot,
     camera: Camera,
-    scene: Scene | None,
+    sources: Sources,
     random: np.random.Generator,
     *,
-    catalog: StarCatalog | None = None,
-    photometry: Photometry,
-    options: SimulationOptions,
+    options: SimulationOptions = SimulationOptions(),
 ) -> IncidentLight:
-    """Gather the light of a scene on the pixels of a camera.
+    """Gather the light of bodies and stars on the pixels of a camera.
 
     Parameters
     ----------
     shot : Shot
+        The exposure.
     camera : Camera
         With its PSF; stars and bodies go through the distorted model.
-    scene : Scene or None
-        True geometry: light time and stellar aberration are applied as the scene says. None: no bodies.
+    sources : Sources
+        Bodies and stars.
     random : numpy Generator
         Places the rays inside their cells.
-    catalog : StarCatalog, optional
-        The sky; without it there are no stars.
-    photometry : Photometry
     options : SimulationOptions
+        Sampling.
 
     Returns
     -------
@@ -130,21 +156,21 @@ def incident_light(
 
     Notes
     -----
-    Where the image moves, bodies and stars are taken at several moments of the exposure together, so that a star
-    that a body hides for half of the exposure gives half of its light.
+    Where the image moves, bodies and stars are drawn together at several moments of the exposure, so that a star that
+    a body hides for half of the exposure gives half of its light.
     """
     if camera.psf is None:
-        raise InputError(f"camera {camera.name!r} needs a psf to simulate images")
+        raise InputError(f"camera {camera.name!r} has no psf; simulated images need one: add [psf] to its file")
     columns, rows, sigma_px = camera.columns, camera.rows, camera.psf.sigma_px
-    smear_px = _smear_px(shot, camera, scene)
-    stars = _stars(shot, camera, catalog, options, smear_px)
-    star_e = photometry.star_rate_e_s(stars.magnitudes) * shot.exposure_s
+    smear_px = _smear_px(shot, camera, sources.scene)
+    stars = star_field(sources.catalog, camera, shot, max_magnitude=options.max_magnitude, smear_px=smear_px)
+    star_e = sources.photometry.star_rate_e_s(stars.magnitudes) * shot.exposure_s
     electrons, free = np.zeros((rows, columns)), np.zeros(len(star_e))
     moments = instants(shot.exposure_s, smear_px, sigma_px)
     coarse = options.shared_among(len(moments))
     for instant in moments:
         now = shot.at(instant.since_middle_s)
-        seen = _seen_bodies(now, camera, scene, photometry, coarse, random)
+        seen = _seen_bodies(now, camera, sources, coarse, random)
         electrons += instant.share * shot.exposure_s * seen.rate_e_s
         points = camera.model.project(rotate(now.camera_from_inertial, stars.directions_inertial))
         shown = np.isfinite(points).all(axis=1) & ~_hidden(points, seen.covered, camera)
@@ -152,7 +178,7 @@ def incident_light(
         electrons += point_sources(
             points[shown], instant.share * star_e[shown], sigma_px=sigma_px, columns=columns, rows=rows
         )
-    middle = seen if len(moments) == 1 else _seen_bodies(shot, camera, scene, photometry, options, random)
+    middle = seen if len(moments) == 1 else _seen_bodies(shot, camera, sources, options, random)
     return IncidentLight(
         electrons=electrons,
         bodies=middle.geometry,
@@ -163,7 +189,7 @@ def incident_light(
 
 
 def _smear_px(shot: Shot, camera: Camera, scene: Scene | None) -> float:
-    """How far anything in the image moves during the exposure, px: its corners, its middle and the bodies."""
+    """Longest path of the corners, the center and the bodies over the image during the exposure, px."""
     right, bottom = camera.columns - 0.5, camera.rows - 0.5
     corners = [[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]]
     fixed = camera.model.unproject(np.vstack([corners, camera.center_px]))
@@ -181,24 +207,8 @@ def _smear_px(shot: Shot, camera: Camera, scene: Scene | None) -> float:
     return float(np.nanmax(np.append(steps.sum(axis=0), 0.0)))
 
 
-def _stars(
-    shot: Shot, camera: Camera, catalog: StarCatalog | None, options: SimulationOptions, smear_px: float
-) -> StarField:
-    if catalog is None:
-        return StarField.empty()
-    return star_field(
-        catalog,
-        camera,
-        shot.camera_from_inertial,
-        et_from_time(shot.epoch),
-        observer=shot.observer,
-        max_magnitude=options.max_magnitude,
-        smear_px=smear_px,
-    )
-
-
 def _hidden(points_px: Float, covered: Mask, camera: Camera) -> Mask:
-    """Which points (n, 2) of the image lie in pixels that a body covers."""
+    """Mask (n,) of the points (n, 2) that lie in pixels covered by a body."""
     on_detector = camera.contains(points_px)
     x, y = np.rint(points_px[on_detector]).astype(np.int64).T
     hidden = np.zeros(len(points_px), dtype=bool)
@@ -207,7 +217,25 @@ def _hidden(points_px: Float, covered: Mask, camera: Camera) -> Mask:
 
 
 def true_geometry(scene: Scene, frame: Image, target: str) -> TargetGeometry:
-    """Apparent geometry of a target; ``InputError`` where the scene cannot tell it."""
+    """Return the apparent geometry of a target, or raise.
+
+    Parameters
+    ----------
+    scene : Scene
+    frame : Image
+        Gives attitude, epoch and observer.
+    target : str
+        Name of the body.
+
+    Returns
+    -------
+    TargetGeometry
+
+    Raises
+    ------
+    InputError
+        The scene does not determine the position of the target or the direction of the Sun.
+    """
     geometry = scene.geometry(frame, target)
     if isinstance(geometry, Failure):
         raise InputError(geometry.detail)
@@ -217,12 +245,12 @@ def true_geometry(scene: Scene, frame: Image, target: str) -> TargetGeometry:
 def _seen_bodies(
     shot: Shot,
     camera: Camera,
-    scene: Scene | None,
-    photometry: Photometry,
+    sources: Sources,
     options: SimulationOptions,
     random: np.random.Generator,
 ) -> _SeenBodies:
-    """Every target that is seen in the frame, as the scene stands at mid-exposure of a shot."""
+    """Every target that is seen in the frame at mid-exposure of a shot."""
+    scene = sources.scene
     if scene is None:
         dark = np.zeros((camera.rows, camera.columns))
         return _SeenBodies(rate_e_s=dark, covered=dark > _HIDES, geometry={}, templates={})
@@ -237,12 +265,26 @@ def _seen_bodies(
         if isinstance(template, Template):
             found[geometry.target.name], templates[geometry.target.name] = geometry, template
             covered += image.coverage(number)
-    rates = [photometry.surface_rate_e_s(camera, geometry.target.name) for geometry in geometries]
+    rates = [sources.photometry.surface_rate_e_s(camera, geometry.target.name) for geometry in geometries]
     return _SeenBodies(rate_e_s=image.weighted(rates), covered=covered > _HIDES, geometry=found, templates=templates)
 
 
 def visible_peak(shot: Shot, camera: Camera, scene: Scene, target: str) -> float:
-    """Brightest pixel of a target in a shot, relative to a surface lit and seen along its normal; 0 if not seen."""
+    """Brightness of the brightest pixel of a target, relative to a surface lit and seen along its normal.
+
+    Parameters
+    ----------
+    shot : Shot
+    camera : Camera
+    scene : Scene
+    target : str
+        Name of the body.
+
+    Returns
+    -------
+    float
+        0 where the body is not seen.
+    """
     geometry = scene.geometry(unexposed(shot, camera), target)
     if isinstance(geometry, Failure):
         return 0.0
@@ -253,7 +295,7 @@ def visible_peak(shot: Shot, camera: Camera, scene: Scene, target: str) -> float
 def _rendered(
     geometries: Sequence[TargetGeometry], camera: Camera, options: SimulationOptions, *, seed: int
 ) -> SceneRender:
-    """The bodies through the camera."""
+    """Render of the bodies through the camera."""
     return render_scene(
         [geometry.body() for geometry in geometries],
         camera.model,

@@ -1,4 +1,4 @@
-"""Paths that no kernel is needed for: a spinning body on a circle about the Sun, a spacecraft near it."""
+"""Ephemerides without kernels: a spinning body on a circular orbit about the Sun, and a spacecraft near it."""
 
 from __future__ import annotations
 
@@ -10,29 +10,31 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_finite, require, unit
+from giantlike.core.arrays import Float, as_finite, require, require_number, unit
 from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import AU_KM
 from giantlike.ephemeris import BARYCENTER
 
 _SUN_GM_KM3_S2 = 1.32712440041e11
-"""IAU nominal gravity of the Sun to the digits that matter here."""
+"""km^3/s^2, gravitational parameter of the Sun, TDB-compatible: IAU 2009 system of astronomical constants."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircularOrbit:
-    """A body on a circle about the Sun, which rests at the barycenter, spinning evenly about its z axis.
+    """A body on a circular orbit about the Sun at the solar system barycenter, spinning about its z axis.
 
     Parameters
     ----------
     radius_au : float, au
+        Radius of the orbit.
     longitude_rad : float, rad
         Angle along the orbit at ``et = epoch_et``, from the node on the equator of the ICRF.
     inclination_rad : float, rad
-        To that equator.
+        Inclination of the orbit to that equator; the default, 0.41 rad, puts it near the ecliptic.
     pole_ra_deg, pole_dec_deg : float, deg
-        Spin axis.
+        Spin axis; the defaults, with 1.1 au and the period, are close to those of Bennu.
     spin_period_s : float, s
+        Sidereal rotation period.
     epoch_et : float, s
         TDB seconds past J2000 at which the prime meridian is at the node of the body's equator.
     """
@@ -47,11 +49,11 @@ class CircularOrbit:
     origin: str = field(default=BARYCENTER, init=False)
 
     def __post_init__(self) -> None:
-        require(self.radius_au > 0, f"radius_au must be > 0, got {self.radius_au}")
+        require_number(self.radius_au, "radius_au", above=0.0)
         require(self.spin_period_s != 0, "spin_period_s must not be 0")
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position (3,), km, and velocity (3,), km/s."""
+        """Position (3,), km, and velocity (3,), km/s, at ``et``, ICRF axes."""
         radius = self.radius_au * AU_KM
         rate = math.sqrt(_SUN_GM_KM3_S2 / radius**3)
         angle = self.longitude_rad + rate * (et - self.epoch_et)
@@ -62,7 +64,7 @@ class CircularOrbit:
         return position, velocity
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation of the body axes."""
+        """Orientation of the body axes at ``et``."""
         pole = direction_from_radec(self.pole_ra_deg, self.pole_dec_deg)
         node = unit(np.cross([0.0, 0.0, 1.0], pole))
         at_epoch = Rotation.from_matrix(np.stack([node, np.cross(pole, node), pole], axis=-1))
@@ -70,13 +72,13 @@ class CircularOrbit:
 
 
 class Rendezvous:
-    """A spacecraft on a smooth path through places relative to a body.
+    """A spacecraft on a cubic spline through positions relative to a body.
 
     Parameters
     ----------
     body : CircularOrbit
     et : (n,), s
-        TDB seconds past J2000 of the places, increasing; n >= 2.
+        TDB seconds past J2000 of the positions, increasing; n >= 2.
     relative_km : (n, 3), km, ICRF axes
         From the body to the spacecraft.
     """
@@ -91,11 +93,11 @@ class Rendezvous:
         self._rate = self._path.derivative()
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position (3,), km, and velocity (3,), km/s."""
+        """Position (3,), km, and velocity (3,), km/s, at ``et``, ICRF axes."""
         position, velocity = self._body.state(et)
         since = et - self._start_et
         return position + np.asarray(self._path(since)), velocity + np.asarray(self._rate(since))
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """The spacecraft itself has no orientation here: the axes are those of the ICRF."""
+        """Identity: the axes of the spacecraft are not modeled."""
         return Rotation.identity()

@@ -1,4 +1,4 @@
-"""A picture of an image for people to look at."""
+"""Preview pictures of images."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 
-_GAMMA = 0.4  # shows a star beside a body that is a thousand times brighter
+_GAMMA = 0.4  # exponent of the display: a star a thousand times fainter than the body is shown at 6 % of white
 
 
 def preview_png(pixels_dn: Float) -> bytes:
-    """Gray picture of 8 bit as a PNG file: a power of what is above the background, up to the brightest pixel.
+    """Encode an image as an 8 bit gray PNG: a power of the signal above the median, scaled to the brightest pixel.
 
     Parameters
     ----------
     pixels_dn : (rows, columns), DN
-        The first row is on top.
+        Image; the first row is on top.
+
+    Returns
+    -------
+    bytes
+        Content of the PNG file.
     """
     values = np.asarray(pixels_dn, dtype=np.float64)
     above = np.maximum(values - float(np.median(values)), 0.0)

@@ -1,4 +1,4 @@
-"""An exposure as it really happens: when, from where, how the camera turns, and how bright things are."""
+"""True state of an exposure (epoch, observer, attitude, rate) and the photometry of stars and surfaces."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.camera_models import ifov_rad
-from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.arrays import Float, as_finite, require_number
 from giantlike.core.time import et_from_time, time_from_et
 from giantlike.core.values import Value
 from giantlike.image import AttitudeSource, Image, ObserverState
@@ -23,26 +23,32 @@ if TYPE_CHECKING:
     from astropy.time import Time
 
 SUN_MAGNITUDE_G = -26.90
-"""Apparent magnitude of the Sun at 1 au in Gaia G."""
-_STILL_PX = 0.05  # a shorter smear widens a star by less than 2e-4 px^2
-_NODES_PER_SIGMA = 1.5  # Gauss-Legendre on a Gaussian: then right to 1e-7
-_SHARPEST_PX = 0.4  # no image is sharper than its pixels
+"""Apparent magnitude of the Sun at 1 au in the Gaia G band."""
+_STILL_PX = 0.05  # px of motion; less adds under 2e-4 px^2 (a uniform motion L adds L^2 / 12) to the variance of a star
+_NODES_PER_SIGMA = 1.5  # Gauss-Legendre nodes per PSF sigma of motion: the mean of a Gaussian is then right to 1e-7
+_SHARPEST_PX = 0.4  # px, least width of an image: integration over a pixel adds 1/12 px^2, a sigma of 0.29 px
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photometry:
-    """What ties the light of bodies to that of stars.
+    """Photometric calibration of a camera that stars and surfaces share.
 
     Parameters
     ----------
     zero_point_e_s : float, electron/s
-        Signal of a star of magnitude 0, in the band of the catalog.
+        Signal of a star of magnitude 0, in the band of the catalog. The default suits the demonstration: a star of
+        magnitude 8.5 gives 400 electrons in 5 s.
     albedo : float
-        Radiance factor of the surfaces seen and lit along their normal.
+        Radiance factor of surfaces seen and lit along their normal; 0.045 by default, a dark asteroid such as Bennu.
     sun_distance_au : float, au
-        Of the bodies.
+        Distance of the bodies from the Sun.
     albedos : mapping of str to float
         Radiance factor of targets that differ from ``albedo``, by name.
+
+    Raises
+    ------
+    InputError
+        A value is not positive.
     """
 
     zero_point_e_s: float = 2.0e5
@@ -52,17 +58,38 @@ class Photometry:
 
     def __post_init__(self) -> None:
         for name in ("zero_point_e_s", "albedo", "sun_distance_au"):
-            require(getattr(self, name) > 0, f"photometry {name} must be > 0, got {getattr(self, name)}")
+            require_number(getattr(self, name), f"photometry {name}", above=0.0)
         for name, albedo in self.albedos.items():
-            require(albedo > 0, f"photometry albedo of {name} must be > 0, got {albedo}")
+            require_number(albedo, f"photometry albedo of {name}", above=0.0)
 
     def star_rate_e_s(self, magnitudes: Float) -> Float:
-        """Electrons per second (n,) of stars of magnitudes (n,)."""
+        """Signal of stars.
+
+        Parameters
+        ----------
+        magnitudes : (n,) float64
+
+        Returns
+        -------
+        (n,) float64, electron/s
+        """
         rate: Float = self.zero_point_e_s * 10.0 ** (-0.4 * magnitudes)
         return rate
 
     def surface_rate_e_s(self, camera: Camera, target: str | None = None) -> float:
-        """Electrons per second in a pixel that sees a surface of brightness 1 (lit and seen along its normal)."""
+        """Signal of a pixel that sees a surface lit and seen along its normal.
+
+        Parameters
+        ----------
+        camera : Camera
+            Gives the solid angle of the pixel at the image center.
+        target : str, optional
+            Name of the body, for its albedo.
+
+        Returns
+        -------
+        float, electron/s
+        """
         sun_e_s = self.zero_point_e_s * math.pow(10.0, -0.4 * SUN_MAGNITUDE_G) / self.sun_distance_au**2
         pixel_sr = float(ifov_rad(camera.model, camera.center_px)) ** 2
         albedo = self.albedo if target is None else self.albedos.get(target, self.albedo)
@@ -71,20 +98,27 @@ class Photometry:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot(Value):
-    """An exposure as it really happens.
+    """True state of an exposure.
 
     Parameters
     ----------
     name : str
+        Name of the image.
     epoch : astropy Time
         Mid-exposure.
     exposure_s : float, s
+        Exposure time.
     camera_from_inertial : Rotation
-        The true attitude at mid-exposure.
+        True attitude at mid-exposure.
     observer : ObserverState, optional
         True state of the spacecraft; without one stars have neither parallax nor aberration.
     angular_rate_camera_rad_s : (3,) float64, rad/s, camera axes
-        Turn of the camera, steady during the exposure: a star moves the other way.
+        Angular velocity of the camera, constant during the exposure: stars move the other way.
+
+    Raises
+    ------
+    InputError
+        The exposure time is negative, or the rate is not three finite numbers.
     """
 
     name: str
@@ -97,14 +131,21 @@ class Shot(Value):
     def __post_init__(self) -> None:
         rate = as_finite(self.angular_rate_camera_rad_s, (3,), "angular_rate_camera_rad_s")
         object.__setattr__(self, "angular_rate_camera_rad_s", rate)
-        require(
-            math.isfinite(self.exposure_s) and self.exposure_s >= 0,
-            f"{self.name}: exposure_s must be >= 0, got {self.exposure_s}",
-        )
+        require_number(self.exposure_s, f"{self.name}: exposure_s", least=0.0)
         Value.__post_init__(self)
 
     def at(self, since_middle_s: float) -> Shot:
-        """The same exposure as it stands some seconds after its middle: epoch, attitude and place of the camera."""
+        """Return the exposure with the epoch, attitude and observer of another moment of it.
+
+        Parameters
+        ----------
+        since_middle_s : float, s
+            Time of that moment after mid-exposure.
+
+        Returns
+        -------
+        Shot
+        """
         if since_middle_s == 0.0:
             return self
         turn = Rotation.from_rotvec(-since_middle_s * self.angular_rate_camera_rad_s)
@@ -121,7 +162,18 @@ class Shot(Value):
 
 
 def unexposed(shot: Shot, camera: Camera) -> Image:
-    """The image of a shot before any light fell on it: what is true of it, and black pixels."""
+    """Return the image of a shot with black pixels and the true epoch, attitude and observer.
+
+    Parameters
+    ----------
+    shot : Shot
+    camera : Camera
+        Gives the size of the image.
+
+    Returns
+    -------
+    Image
+    """
     return Image(
         pixels=np.zeros((camera.rows, camera.columns), np.uint16),
         epoch=shot.epoch,
@@ -130,32 +182,34 @@ def unexposed(shot: Shot, camera: Camera) -> Image:
         attitude_source=AttitudeSource.A_PRIORI,
         observer=shot.observer,
         name=shot.name,
+        camera_name=camera.frame_name,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """A moment of an exposure, seconds after its middle, and its share of the light."""
+    """A moment of an exposure, s after its middle, and its weight in the mean over the exposure."""
 
     since_middle_s: float
     share: float
 
 
 def instants(exposure_s: float, smear_px: float, sigma_px: float) -> tuple[Instant, ...]:
-    """Moments at which to look at a moving scene so that the mean over them is the mean over the exposure.
+    """Nodes and weights that average a moving scene over its exposure.
 
     Parameters
     ----------
     exposure_s : float, s
+        Exposure time.
     smear_px : float, px
-        How far the image moves during the exposure.
+        Motion of the image during the exposure.
     sigma_px : float, px
-        Width of the PSF.
+        Standard deviation of the PSF.
 
     Returns
     -------
     tuple of Instant
-        Nodes and weights of Gauss and Legendre; the middle alone where hardly anything moves.
+        Gauss-Legendre nodes and weights; the middle alone where the image moves less than 0.05 px.
     """
     if smear_px < _STILL_PX:
         return (Instant(0.0, 1.0),)

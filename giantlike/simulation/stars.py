@@ -1,4 +1,4 @@
-"""The starry sky through a camera: catalog stars as point sources on the detector."""
+"""Catalog stars as point sources on a detector."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
 from giantlike.camera import Camera
-from giantlike.camera_models import ifov_rad
 from giantlike.catalogs import StarCatalog, apparent_directions
-from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.arrays import Float, as_floats, require, require_number
 from giantlike.core.frames import rotate
+from giantlike.core.time import et_from_time
 from giantlike.core.values import Value
-from giantlike.image import ObserverState
+from giantlike.simulation.shot import Shot
 
-_REACH_SIGMA = 7.0  # what lies beyond is below 1e-11 of a star
-_SHARPEST_PX = 1e-6  # a PSF of no width still needs one to divide by
-_CONE_MARGIN_RAD = 1e-3
+_REACH_SIGMA = 7.0  # half width of the drawn PSF, sigmas: the light outside is below 1e-11 of a star
+_SHARPEST_PX = 1e-6  # px, stands in for a PSF of zero width, which would divide by zero
+_CONE_MARGIN_RAD = 1e-3  # rad, added to the cone of stars: aberration (v/c, 1e-4) and parallax move stars by less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarField(Value):
-    """Stars on a detector, brightest first.
+    """Stars on a detector, in the order of the catalog: brightest first.
 
     Parameters
     ----------
     ids : (n,) int64
         Catalog identifiers.
     points_px : (n, 2) float64, px
-        True places in the distorted image.
+        True positions in the distorted image.
     magnitudes : (n,) float64
+        Catalog magnitudes.
     directions_inertial : (n, 3) float64, unitless, inertial
         Apparent unit vectors to them.
     """
@@ -43,18 +43,18 @@ class StarField(Value):
     magnitudes: Float
     directions_inertial: Float
 
-    @classmethod
-    def empty(cls) -> StarField:
-        """No star at all."""
-        return cls(
-            ids=np.zeros(0, np.int64),
-            points_px=np.zeros((0, 2)),
-            magnitudes=np.zeros(0),
-            directions_inertial=np.zeros((0, 3)),
-        )
-
     def select(self, index: ArrayLike) -> StarField:
-        """The stars of a mask (n,) or of integer indices (k,)."""
+        """Return some of the stars.
+
+        Parameters
+        ----------
+        index : (n,) bool or (k,) int
+            Mask or indices of the stars.
+
+        Returns
+        -------
+        StarField
+        """
         chosen = np.asarray(index)
         return StarField(
             ids=self.ids[chosen],
@@ -65,68 +65,68 @@ class StarField(Value):
 
 
 def star_field(
-    catalog: StarCatalog,
+    catalog: StarCatalog | None,
     camera: Camera,
-    camera_from_inertial: Rotation,
-    et: float,
+    shot: Shot,
     *,
-    observer: ObserverState | None = None,
     max_magnitude: float | None = None,
     smear_px: float = 0.0,
 ) -> StarField:
-    """Catalog stars where a camera sees them.
+    """Project the stars of a catalog into an image.
 
     Parameters
     ----------
-    catalog : StarCatalog
+    catalog : StarCatalog or None
+        Without a catalog there are no stars.
     camera : Camera
-    camera_from_inertial : Rotation
-    et : float, s
-        TDB seconds past J2000: stars are moved there from their catalog epochs.
-    observer : ObserverState, optional
-        Gives parallax and aberration; without it neither.
+    shot : Shot
+        Gives the epoch that stars are moved to, the attitude, and the observer for parallax and aberration.
     max_magnitude : float, optional
         Faintest star.
     smear_px : float, px
-        How far the image moves during the exposure: stars from that far outside come in.
+        Motion of the image during the exposure: stars up to that far outside the frame are kept.
 
     Returns
     -------
     StarField
-        Those whose light reaches the detector, some a few pixels outside it.
+        Stars whose light reaches the detector, some a few pixels outside it.
     """
-    axis = rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px))
+    if catalog is None:
+        empty = np.zeros((0, 3))
+        return StarField(
+            ids=np.zeros(0, np.int64), points_px=empty[:, :2], magnitudes=empty[:, 0], directions_inertial=empty
+        )
+    axis = rotate(shot.camera_from_inertial.inv(), camera.model.unproject(camera.center_px))
     sigma_px = 0.0 if camera.psf is None else camera.psf.sigma_px
     margin_px = _REACH_SIGMA * sigma_px + smear_px
-    margin_rad = _CONE_MARGIN_RAD + margin_px * float(ifov_rad(camera.model, camera.center_px))
+    margin_rad = _CONE_MARGIN_RAD + margin_px * float(camera.ifov_rad())
     stars = catalog.cone(axis, camera.half_diagonal_rad + margin_rad, max_magnitude=max_magnitude)
+    observer = shot.observer
     directions = apparent_directions(
         stars,
-        et,
+        et_from_time(shot.epoch),
         observer_position_km=None if observer is None else observer.position_km,
         observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
     )
-    points = camera.model.project(rotate(camera_from_inertial, directions))
-    seen = camera.contains(points, margin_px=-margin_px)
+    points = camera.model.project(rotate(shot.camera_from_inertial, directions))
     return StarField(
-        ids=stars.ids[seen],
-        points_px=points[seen],
-        magnitudes=stars.magnitude[seen],
-        directions_inertial=directions[seen],
-    )
+        ids=stars.ids, points_px=points, magnitudes=stars.magnitude, directions_inertial=directions
+    ).select(camera.contains(points, margin_px=-margin_px))
 
 
 def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, columns: int, rows: int) -> Float:
-    """Image of point sources: a round Gaussian PSF, integrated exactly over each pixel.
+    """Draw point sources with a round Gaussian PSF, integrated exactly over each pixel.
 
     Parameters
     ----------
-    points_px : (n, 2), px
-    flux : (n,)
-        Total of each source, in any unit.
+    points_px : (n, 2) array_like, px
+        Positions.
+    flux : (n,) array_like
+        Total flux of each source, in any unit.
     sigma_px : float, px
         Standard deviation of the PSF; 0 puts all light into one pixel.
-    columns, rows : int, px
+    columns, rows : int
+        Size of the image.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, col
         points.ndim == 2 and light.shape == points.shape[:1],
         f"needed points_px (n, 2) and flux (n,), got {points.shape} and {light.shape}",
     )
-    require(math.isfinite(sigma_px) and sigma_px >= 0, f"sigma_px must be >= 0, got {sigma_px}")
+    require_number(sigma_px, "sigma_px", least=0.0)
     reach = math.ceil(_REACH_SIGMA * sigma_px) + 1
     offsets = np.arange(-reach, reach + 1)
     nearest = np.rint(points).astype(np.int64)
@@ -159,7 +159,7 @@ def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, col
 
 
 def _pixel_shares(offset_px: Float, sigma_px: float) -> Float:
-    """Share of a unit Gaussian at 0 that falls between ``offset - 1/2`` and ``offset + 1/2``."""
+    """Fraction of a unit Gaussian at 0 between ``offset - 1/2`` and ``offset + 1/2``."""
     width = max(sigma_px, _SHARPEST_PX)
     share: Float = ndtr((offset_px + 0.5) / width) - ndtr((offset_px - 0.5) / width)
     return share

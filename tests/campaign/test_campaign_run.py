@@ -61,7 +61,7 @@ from giantlike.plotting import (
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import sphere
-from giantlike.simulation import Shot, simulate_image
+from giantlike.simulation import Shot, Sources, simulate_image
 from tests.campaign_files import CAMERA, Truth, campaign_table, write_campaign
 from tests.numerical import numerical_jacobian
 
@@ -614,7 +614,7 @@ def write_moon_campaign(folder: Path, kernels: list[str], geometry: list[Geometr
     earth = ObserverState(position_km=np.zeros(3), velocity_km_s=np.zeros(3))
     shot = Shot(name="moon", epoch=epoch, exposure_s=2e-3, camera_from_inertial=MOON_POINTING, observer=earth)
     with load_kernels(kernels, "."):
-        taken = simulate_image(shot, camera, scene, seed=1)
+        taken = simulate_image(shot, camera, Sources(scene=scene), seed=1)
     write_fits(folder / "moon.fits", taken.image.pixels, header=navigation_header(epoch=epoch, exposure_s=2e-3))
     camera.save(folder / "camera.toml")
     content: dict[str, Any] = {

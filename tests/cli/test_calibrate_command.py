@@ -22,7 +22,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import camera_from_inertial_of_pointing
 from giantlike.core.time import time_from_utc
 from giantlike.io import navigation_header, write_fits
-from giantlike.simulation import Shot, SimulationOptions, simulate_image
+from giantlike.simulation import Shot, SimulationOptions, Sources, simulate_image
 from tests.campaign_files import OBSERVER, sky
 
 FALSE_ALARM = 1e-5
@@ -71,7 +71,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
             observer=OBSERVER,
         )
         taken = simulate_image(
-            shot, TRUTH, None, seed=number, catalog=sky(), options=SimulationOptions(max_magnitude=8.0)
+            shot, TRUTH, Sources(catalog=sky()), seed=number, options=SimulationOptions(max_magnitude=8.0)
         )
         header = navigation_header(
             epoch=shot.epoch,

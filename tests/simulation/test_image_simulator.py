@@ -19,7 +19,7 @@ from giantlike.ephemeris import DistantLight, FixedEphemeris
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.scene import Scene, Target
 from giantlike.shapes import sphere
-from giantlike.simulation import DetectorModel, HotPixels, Shot, expose, simulate_image
+from giantlike.simulation import DetectorModel, HotPixels, Shot, Sources, expose, simulate_image
 from giantlike.simulation.cosmic_rays import CosmicRays, Tracks, draw_tracks
 from giantlike.simulation.detector import Stream, converted, scattered_pixels
 from giantlike.simulation.effects import (
@@ -292,11 +292,8 @@ def sky_light(camera: Camera, shot: Shot, count: int = 1, spread_deg: float = 0.
     return incident_light(
         shot,
         camera,
-        None,
+        Sources(catalog=small_catalog(count, 0.0, 90.0, spread_deg), photometry=Photometry(zero_point_e_s=1e6)),
         np.random.default_rng(1),
-        catalog=small_catalog(count, 0.0, 90.0, spread_deg),
-        photometry=Photometry(zero_point_e_s=1e6),
-        options=SimulationOptions(),
     )
 
 
@@ -359,8 +356,8 @@ def test_moments_of_an_exposure_integrate_a_gaussian_over_its_path() -> None:
 def test_a_body_is_smeared_like_the_stars_about_it() -> None:
     camera = small_camera()
     shot = dataclasses.replace(shot_of(1e-3), angular_rate_camera_rad_s=np.array([0.0, 5.0, 0.0]))
-    still = simulate_image(shot_of(1e-3), camera, sphere_scene(1500.0, 30.0), seed=1).readout.expected_e
-    moved = simulate_image(shot, camera, sphere_scene(1500.0, 30.0), seed=1).readout.expected_e
+    still = simulate_image(shot_of(1e-3), camera, Sources(scene=sphere_scene(1500.0, 30.0)), seed=1).readout.expected_e
+    moved = simulate_image(shot, camera, Sources(scene=sphere_scene(1500.0, 30.0)), seed=1).readout.expected_e
     assert_allclose(moved.sum(), still.sum(), rtol=1e-3)  # sampling of a sphere of 40 px
     at_rest, width = moments(still)
     centroid, variance = moments(moved)
@@ -380,10 +377,8 @@ def test_a_star_behind_a_body_for_part_of_the_exposure_gives_part_of_its_light()
     light = incident_light(
         shot_of(exposure_s),
         camera,
-        scene,
+        Sources(scene=scene, catalog=catalog_at(camera, camera.center_px + offsets)),
         np.random.default_rng(1),
-        catalog=catalog_at(camera, camera.center_px + offsets),
-        photometry=Photometry(),
         options=SimulationOptions(rays_per_pixel_side=1, min_rays_across=32),
     )
     share = light.star_electrons / (Photometry().star_rate_e_s(light.stars.magnitudes) * exposure_s)
@@ -409,10 +404,8 @@ def test_centroids_of_simulated_stars_are_unbiased() -> None:
     taken = simulate_image(
         shot,
         camera,
-        None,
+        Sources(catalog=catalog_at(camera, places), photometry=Photometry(zero_point_e_s=zero_point_e_s)),
         seed=5,
-        catalog=catalog_at(camera, places),
-        photometry=Photometry(zero_point_e_s=zero_point_e_s),
     )
     found = detect_sources(taken.image.pixels, detector=camera.detector, psf_sigma_px=0.8)
     assert not isinstance(found, Failure)

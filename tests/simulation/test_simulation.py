@@ -31,6 +31,7 @@ from giantlike.simulation import (
     HotPixels,
     Photometry,
     SimulatedImage,
+    Sources,
     Visit,
     demo_camera,
     expose,
@@ -131,7 +132,7 @@ def test_the_star_field_holds_every_catalog_star_on_the_detector_and_no_other() 
     axis = rotate(attitude.inv(), [0.0, 0.0, 1.0])
     ra, dec = np.degrees(np.arctan2(axis[1], axis[0])), np.degrees(np.arcsin(axis[2]))
     catalog = small_catalog(4000, float(ra), float(dec), 15.0)
-    field = star_field(catalog, camera, attitude, ET, observer=OBSERVER)
+    field = star_field(catalog, camera, shot_of(attitude=attitude))
     directions = apparent_directions(
         catalog.stars,
         ET,
@@ -151,7 +152,10 @@ def test_a_star_of_given_magnitude_gives_the_electrons_of_the_zero_point() -> No
     attitude = Rotation.from_rotvec([0.0, 0.0, 0.3])
     photometry = Photometry(zero_point_e_s=1e6)
     taken = simulate_image(
-        shot_of(3.0, attitude), camera, _dark_scene(), seed=2, catalog=catalog, photometry=photometry
+        shot_of(3.0, attitude),
+        camera,
+        Sources(scene=_dark_scene(), catalog=catalog, photometry=photometry),
+        seed=2,
     )
     expected = 3e6 * 10.0 ** (-0.4 * catalog.stars.magnitude[0])
     x, y = np.rint(taken.stars.points_px[0]).astype(int)
@@ -181,9 +185,8 @@ def test_a_lambert_sphere_has_the_light_and_the_photocenter_of_the_closed_form(p
     taken = simulate_image(
         shot_of(exposure_s),
         camera,
-        sphere_scene(range_km, phase_deg, radius_km),
+        Sources(scene=sphere_scene(range_km, phase_deg, radius_km), photometry=photometry),
         seed=4,
-        photometry=photometry,
     )
     image = electrons(taken, camera)
     phase = phase_deg * RAD_PER_DEG
@@ -209,7 +212,7 @@ def test_a_body_smaller_than_a_pixel_keeps_its_light_and_its_place() -> None:
     scene = sphere_scene(100_000.0, 60.0)  # 0.6 px across
     exposure_s = 2e6 / photometry.surface_rate_e_s(camera)
     attitude = Rotation.from_rotvec([0.0004, 0.0003, 0.0])
-    taken = simulate_image(shot_of(exposure_s, attitude), camera, scene, seed=1, photometry=photometry)
+    taken = simulate_image(shot_of(exposure_s, attitude), camera, Sources(scene=scene, photometry=photometry), seed=1)
     center = taken.templates["BALL"].center_px
     image = electrons(taken, camera)
     rows, columns = np.indices(image.shape)
@@ -226,9 +229,9 @@ def test_a_body_hides_the_stars_behind_it_also_with_its_dark_side() -> None:
     camera = small_camera()
     catalog = small_catalog(3000, 0.0, 90.0, 3.0)
     scene = sphere_scene(1000.0, 150.0)
-    taken = simulate_image(shot_of(), camera, scene, seed=1, catalog=catalog)
+    taken = simulate_image(shot_of(), camera, Sources(scene=scene, catalog=catalog), seed=1)
     distance = np.linalg.norm(taken.stars.points_px - camera.center_px, axis=1)
-    free = star_field(catalog, camera, Rotation.identity(), ET, observer=OBSERVER)
+    free = star_field(catalog, camera, shot_of())
     behind = np.linalg.norm(free.points_px - camera.center_px, axis=1) < 28.0
     assert behind.sum() > 10
     assert distance.min() > 29.0
@@ -237,7 +240,7 @@ def test_a_body_hides_the_stars_behind_it_also_with_its_dark_side() -> None:
 
 def test_equal_generators_give_equal_images_and_others_do_not() -> None:
     camera, scene = small_camera(), sphere_scene(1000.0, 60.0)
-    first, second, third = (simulate_image(shot_of(1e-3), camera, scene, seed=s) for s in (1, 1, 2))
+    first, second, third = (simulate_image(shot_of(1e-3), camera, Sources(scene=scene), seed=s) for s in (1, 1, 2))
     assert np.array_equal(first.image.pixels, second.image.pixels)
     assert not np.array_equal(first.image.pixels, third.image.pixels)
 
@@ -245,13 +248,13 @@ def test_equal_generators_give_equal_images_and_others_do_not() -> None:
 def test_a_camera_without_a_psf_takes_no_images() -> None:
     camera = dataclasses.replace(small_camera(), psf=None)
     with pytest.raises(InputError, match="psf"):
-        simulate_image(shot_of(), camera, sphere_scene(1000.0, 60.0), seed=1)
+        simulate_image(shot_of(), camera, Sources(scene=sphere_scene(1000.0, 60.0)), seed=1)
 
 
 def test_a_scene_without_a_sun_is_refused() -> None:
     scene = dataclasses.replace(sphere_scene(1000.0, 60.0), light=None)
     with pytest.raises(InputError, match="Sun"):
-        simulate_image(shot_of(), small_camera(), scene, seed=1)
+        simulate_image(shot_of(), small_camera(), Sources(scene=scene), seed=1)
 
 
 # paths ----------------------------------------------------------------------------------------------------

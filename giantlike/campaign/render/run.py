@@ -18,7 +18,7 @@ from giantlike.core.errors import DataError, InputError
 from giantlike.io import write_bytes_atomic, write_geometry, write_text_atomic
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.relative import ESTIMATORS
-from giantlike.simulation import SimulatedImage, simulate_image
+from giantlike.simulation import SimulatedImage, Sources, simulate_image
 from giantlike.simulation.preview import preview_png
 from giantlike.simulation.truth import geometry_rows, write_simulated
 
@@ -92,10 +92,8 @@ def render_images(
             taken = simulate_image(
                 shot,
                 plan.camera,
-                scene,
+                Sources(scene=scene, catalog=catalog, photometry=plan.photometry),
                 seed=(plan.content.render.seed, number),
-                catalog=catalog,
-                photometry=plan.photometry,
                 detector=plan.detector,
                 options=plan.options,
             )
