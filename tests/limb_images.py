@@ -18,6 +18,7 @@ from giantlike.image import Image
 from giantlike.ray_tracing import Body, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
+from tests.tolerances import RARE
 
 FOCAL_PX = 2500.0
 CAMERA = Camera(
@@ -29,7 +30,6 @@ CAMERA = Camera(
     detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0, saturation_dn=4095.0, bias_dn=100.0),
 )
 PEAK_DN = 3000.0
-RARE = 1e-6  # chance of a false alarm of one comparison
 INDEPENDENT = 30  # residuals along a limb that do not err together, about: covariances are estimated from those
 NEES_LIMIT = 3.0 * float(f.ppf(1.0 - RARE, 3, INDEPENDENT))
 

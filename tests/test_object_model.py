@@ -26,6 +26,7 @@ from giantlike.image import AttitudeSource, Image, ObserverState
 from giantlike.io.spice import load_kernels
 from giantlike.scene import Scene, Target, TargetGeometry, light_path
 from giantlike.shapes import Ellipsoid
+from tests.tolerances import FLOAT64, FLOAT64_SUM
 
 LIGHT_TIME_RELATIVE = 1e-9  # converged light time: 0.4 m at the Moon
 ABERRATION_RAD = 1e-3 * RAD_PER_ARCSEC  # SPICE turns by asin(v/c), the boost differs at second order: 0.5 mas
@@ -88,7 +89,7 @@ def test_a_camera_survives_its_file(tmp_path: Path) -> None:
     rough = Camera.from_fov(11.4, 1024, 768)
     rough.save(tmp_path / "rough.toml")
     assert Camera.load(tmp_path / "rough.toml") == rough
-    assert_allclose(rough.fov_deg, 11.4, rtol=0, atol=1e-12)
+    assert_allclose(rough.fov_deg, 11.4, rtol=0, atol=FLOAT64)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +195,7 @@ def test_apparent_geometry_agrees_with_spice_light_time_and_aberration() -> None
         )
         found, expected = geometry.position_camera_km / geometry.range_km, np.asarray(seen) / np.linalg.norm(seen)
         assert_allclose(found, expected, rtol=0, atol=ABERRATION_RAD)
-        assert_allclose(geometry.sun_direction_camera, np.asarray(sun) / np.linalg.norm(sun), rtol=0, atol=1e-9)
+        assert_allclose(geometry.sun_direction_camera, np.asarray(sun) / np.linalg.norm(sun), rtol=0, atol=FLOAT64_SUM)
 
 
 class _Unoriented(SpiceEphemeris):
@@ -215,9 +216,9 @@ def test_light_time_and_aberration_can_be_left_out() -> None:
     assert isinstance(moved, TargetGeometry)
     assert isinstance(still, TargetGeometry)
     assert_allclose(still.position_camera_km, [1e6, 0.0, 0.0], rtol=0, atol=0)
-    assert_allclose(moved.position_camera_km, aberrate([1e6, 0.0, 0.0], velocity), rtol=0, atol=1e-9)
+    assert_allclose(moved.position_camera_km, aberrate([1e6, 0.0, 0.0], velocity), rtol=0, atol=FLOAT64_SUM)
     assert_allclose(moved.position_camera_km[1], 1e6 * 30.0 / SPEED_OF_LIGHT_KM_S, rtol=0, atol=1e-2)
-    assert_allclose(np.degrees(still.phase_angle_rad), 90.0, rtol=0, atol=1e-9)
+    assert_allclose(np.degrees(still.phase_angle_rad), 90.0, rtol=0, atol=FLOAT64_SUM)
 
 
 def test_geometry_that_is_already_apparent_is_only_turned_into_camera_axes() -> None:
@@ -232,8 +233,8 @@ def test_geometry_that_is_already_apparent_is_only_turned_into_camera_axes() -> 
         image_at(camera_from_inertial=turn)
     )
     assert isinstance(geometry, TargetGeometry)
-    assert_allclose(geometry.position_camera_km, [0.0, 100.0, 0.0], rtol=0, atol=1e-12)
-    assert_allclose((geometry.camera_from_body * (turn * body).inv()).magnitude(), 0.0, rtol=0, atol=1e-12)
+    assert_allclose(geometry.position_camera_km, [0.0, 100.0, 0.0], rtol=0, atol=FLOAT64)
+    assert_allclose((geometry.camera_from_body * (turn * body).inv()).magnitude(), 0.0, rtol=0, atol=FLOAT64)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from tests.tolerances import FLOAT64_SUM, SETTLED
 
 COLUMNS, ROWS, ACROSS, DOWN = 480, 360, 7, 5
 SUPERSAMPLING = 3
@@ -105,7 +106,7 @@ def test_the_pose_of_a_board_is_exact_with_the_right_lens_also_behind_ninety_deg
     found = board_pose(corners, pixels, TRUTH)
     assert not isinstance(found, Failure), found
     assert (found[0] * rotation.inv()).magnitude() < 1e-9  # rounding
-    assert_allclose(found[1], position, rtol=0, atol=1e-9)
+    assert_allclose(found[1], position, rtol=0, atol=FLOAT64_SUM)
 
 
 def test_a_rough_lens_gives_a_rough_pose() -> None:
@@ -173,6 +174,6 @@ def test_a_rough_camera_of_any_type_sees_its_field() -> None:
     ):
         model = Camera.from_fov(fov, 100, 80, type_name=kind.type_name).model
         edge = model.unproject([99.5, 39.5])
-        assert np.degrees(np.arctan2(edge[0], edge[2])) == pytest.approx(fov / 2, abs=1e-6)
+        assert np.degrees(np.arctan2(edge[0], edge[2])) == pytest.approx(fov / 2, abs=SETTLED)
     with pytest.raises(InputError, match="fov_deg must be between 0 and 170"):
         Camera.from_fov(180.0, 100, 80)

@@ -33,9 +33,9 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import FrameMismatchError, InputError
 from giantlike.core.frames import FrameRotation, rotate
 from giantlike.core.outcomes import Failure, Reason
+from tests.tolerances import FALSE_ALARM, FLOAT64_ROOT, SETTLED
 
 SIGMA_PX = 0.1
-FALSE_ALARM = 1e-5  # of a statistical gate, for any seed
 MAP_PX = 0.03  # rms over the field: 20 images of 50 stars give 0.011 px, and 0.02 px happens once in hundreds of trials
 EXACT_PX = 1e-5  # noise-free: where the iteration stops, 1e-4 of a sigma of 0.1 px
 JACOBIAN_RELATIVE = 1e-6  # central differences
@@ -194,9 +194,9 @@ def test_the_step_with_poses_eliminated_is_that_of_the_whole_matrix() -> None:
     assert step is not None
     # In units of sigma, of steps that are thousands of them
     found = np.concatenate([step.camera, step.poses.ravel()])
-    assert_allclose(found / units, expected / units, rtol=0, atol=1e-7 * np.abs(expected / units).max())
+    assert_allclose(found / units, expected / units, rtol=0, atol=FLOAT64_ROOT * np.abs(expected / units).max())
     inverse = np.linalg.inv(whole * np.outer(units, units)) * np.outer(units, units)
-    assert_allclose(np.linalg.inv(normal.information()), inverse[:5, :5], rtol=1e-6)
+    assert_allclose(np.linalg.inv(normal.information()), inverse[:5, :5], rtol=SETTLED)
     pose = normal.pose_covariance(np.asarray(np.linalg.inv(normal.information()), dtype=np.float64))
     assert_allclose(pose[1], inverse[8:11, 8:11], rtol=1e-5)
 
@@ -358,8 +358,8 @@ def test_a_robust_loss_lives_with_many_bad_stars_without_rejecting() -> None:
     for loss in Loss:
         step = 1e-6
         slope = (loss.cost(squares + step) - loss.cost(squares - step)) / (2 * step)
-        assert_allclose(loss.weight(squares), slope, rtol=0, atol=1e-8)
-        assert_allclose(loss.cost(np.array([1e-9])), 1e-9, rtol=1e-6)
+        assert_allclose(loss.weight(squares), slope, rtol=0, atol=FLOAT64_ROOT)
+        assert_allclose(loss.cost(np.array([1e-9])), 1e-9, rtol=SETTLED)
     fix = calibrated(star_images(NAVCAM, 18), options=CalibrationOptions(loss=Loss.CAUCHY))
     assert map_difference(NAVCAM, fix.model, columns=COLUMNS, rows=ROWS).rms_px < MAP_PX
 

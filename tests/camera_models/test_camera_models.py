@@ -40,9 +40,8 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FLOAT64, FLOAT64_CHAIN, FLOAT64_DIGIT, FLOAT64_SUM, ROUND_TRIP_PX, SETTLED
 
-ROUND_TRIP_PX = 1e-9  # float64 rounding at 3,000 px, with room for Newton's last step
-OPENCV_PX = 1e-9  # the same formula in the same precision
 JACOBIAN_RELATIVE = 1e-7  # central differences with a step of the cube root of float64 rounding
 COLUMNS, ROWS = 2592, 1944
 
@@ -97,7 +96,7 @@ def test_every_model_of_the_registry_is_examined_here() -> None:
 def test_projecting_an_unprojected_pixel_gives_the_pixel_back(model: CameraModel) -> None:
     pixels = pixels_of(model)
     directions = model.unproject(pixels)
-    assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=0, atol=1e-15)
+    assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=0, atol=FLOAT64_DIGIT)
     assert_allclose(model.project(directions * 123.0), pixels, rtol=0, atol=ROUND_TRIP_PX)
 
 
@@ -106,7 +105,7 @@ def test_many_points_at_once_give_what_each_gives_alone(model: CameraModel) -> N
     pixels = np.tile(pixels_of(model, 50), (500, 1)).reshape(5, -1, 2)
     directions = model.unproject(pixels)
     few = model.unproject(pixels[0, :10])
-    assert_allclose(directions[0, :10], few, rtol=0, atol=1e-15)
+    assert_allclose(directions[0, :10], few, rtol=0, atol=FLOAT64_DIGIT)
     assert_allclose(model.project(directions)[0, :10], model.project(few), rtol=0, atol=ROUND_TRIP_PX)
 
 
@@ -123,7 +122,7 @@ def opencv_pixels(model: BrownModel | OpenCVModel, points: Float) -> Float:
 @pytest.mark.parametrize("model", [NAVCAM, RATIONAL], ids=lambda m: m.type_name)
 def test_the_model_projects_where_opencv_does(model: BrownModel | OpenCVModel) -> None:
     points = model.unproject(pixels_of(model)) * 7.0
-    assert_allclose(model.project(points), opencv_pixels(model, points), rtol=0, atol=OPENCV_PX)
+    assert_allclose(model.project(points), opencv_pixels(model, points), rtol=0, atol=ROUND_TRIP_PX)
 
 
 def test_the_equidistant_fisheye_projects_where_opencv_does() -> None:
@@ -134,7 +133,7 @@ def test_the_equidistant_fisheye_projects_where_opencv_does() -> None:
     expected, _ = cv2.fisheye.projectPoints(
         points[:, None], np.zeros(3), np.zeros(3), matrix, coefficients, alpha=FISHEYE.skew_px / FISHEYE.fx_px
     )  # fmt: skip
-    assert_allclose(FISHEYE.project(points), expected[:, 0], rtol=0, atol=OPENCV_PX)
+    assert_allclose(FISHEYE.project(points), expected[:, 0], rtol=0, atol=ROUND_TRIP_PX)
 
 
 def test_owen_terms_move_a_point_as_the_printed_formula_says() -> None:
@@ -151,7 +150,7 @@ def test_an_ideal_equisolid_lens_gives_equal_areas_to_equal_solid_angles() -> No
     angles = np.radians([10.0, 60.0, 120.0, 179.0])
     radii = np.linalg.norm(lens.project(directions_at(angles, np.full(4, 0.7))), axis=1)
     caps = 2 * np.pi * (1 - np.cos(angles))
-    assert_allclose(np.pi * radii**2 / caps, 100.0**2, rtol=1e-13, atol=0)
+    assert_allclose(np.pi * radii**2 / caps, 100.0**2, rtol=FLOAT64, atol=0)
 
 
 def test_scaramuzza_agrees_with_the_published_polynomial() -> None:
@@ -169,7 +168,7 @@ def test_a_fisheye_images_what_lies_beside_and_behind_it(model: CameraModel) -> 
     directions = directions_at(np.radians([0.0, 89.9, 90.0, 90.1, 98.0]), np.array([0.0, 1.0, 2.0, 3.0, 4.0]))
     pixels = model.project(directions)
     assert np.isfinite(pixels).all()
-    assert_allclose(model.unproject(pixels), directions, rtol=0, atol=1e-12)
+    assert_allclose(model.unproject(pixels), directions, rtol=0, atol=FLOAT64)
 
 
 @EACH
@@ -267,7 +266,7 @@ def test_the_fold_is_where_the_radial_map_stops_growing() -> None:
     r = np.linspace(0, radial.max_radius, 1000)
     growth = 1 + 3 * radial.k1 * r**2 + 5 * radial.k2 * r**4 + 7 * radial.k3 * r**6
     assert (growth[:-1] > 0).all()
-    assert_allclose(growth[-1], 0.0, rtol=0, atol=1e-12)
+    assert_allclose(growth[-1], 0.0, rtol=0, atol=FLOAT64)
     assert BrownModel(fx_px=1, fy_px=1, cx_px=0, cy_px=0, k1=0.1).max_radius == np.inf
 
 
@@ -301,7 +300,7 @@ def check_no_folded_solution(model: OpenCVModel | OwenModel) -> None:
     generator = np.random.default_rng(5)
     radius, azimuth = 0.98 * limit * np.sqrt(generator.uniform(0, 1, 200)), generator.uniform(0, 2 * np.pi, 200)
     directions = directions_at(np.arctan(radius), azimuth)
-    assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=1e-10)
+    assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=FLOAT64_CHAIN)
     pixels = generator.uniform(-3000, 3000, (200, 2))
     there = model.unproject(pixels)
     seen = np.isfinite(there).all(axis=1)
@@ -322,7 +321,7 @@ def test_inside_its_largest_angle_a_fisheye_recovers_every_direction(
     generator = np.random.default_rng(6)
     angle = 0.98 * min(model.max_angle_rad, 3.1) * generator.uniform(0, 1, 200)
     directions = directions_at(angle, generator.uniform(0, 2 * np.pi, 200))
-    assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=1e-10)
+    assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=FLOAT64_CHAIN)
 
 
 @settings(max_examples=60, deadline=None)
@@ -332,7 +331,7 @@ def test_inside_its_largest_angle_scaramuzza_recovers_every_direction(**coeffici
     generator = np.random.default_rng(7)
     angle = 0.97 * model.max_angle_rad * generator.uniform(0, 1, 200)
     directions = directions_at(angle, generator.uniform(0, 2 * np.pi, 200))
-    assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=1e-9)
+    assert_allclose(model.unproject(model.project(directions)), directions, rtol=0, atol=FLOAT64_SUM)
 
 
 def waves(amplitude_px: float) -> GridCorrectedModel:
@@ -356,7 +355,7 @@ def test_a_grid_correction_is_inverted_and_differentiated_exactly() -> None:
     assert_allclose(model.unproject_jacobian(pixels) * model.focal_length_px, by_pixel, rtol=0, atol=JACOBIAN_RELATIVE)
     step = np.array([1e-3 if name == "fx_px" else 0.0 for name in model.parameter_names])
     moved = [model.with_parameters(model.parameters + sign * step).project(points) for sign in (1, -1)]
-    assert_allclose(model.parameter_jacobian(points)[..., 0], (moved[0] - moved[1]) / 2e-3, rtol=0, atol=1e-6)
+    assert_allclose(model.parameter_jacobian(points)[..., 0], (moved[0] - moved[1]) / 2e-3, rtol=0, atol=SETTLED)
 
 
 def test_a_grid_correction_of_equal_controls_shifts_every_pixel_alike() -> None:
@@ -365,7 +364,7 @@ def test_a_grid_correction_of_equal_controls_shifts_every_pixel_alike() -> None:
         dx_px=np.full((7, 9), 1.25), dy_px=np.full((7, 9), -0.5),
     )  # fmt: skip
     points = NAVCAM.unproject(pixels_of(NAVCAM, 50))
-    assert_allclose(model.project(points) - NAVCAM.project(points), [[1.25, -0.5]] * 50, rtol=0, atol=1e-11)
+    assert_allclose(model.project(points) - NAVCAM.project(points), [[1.25, -0.5]] * 50, rtol=0, atol=FLOAT64_CHAIN)
 
 
 def test_a_grid_correction_survives_binning_windows_temperature_and_its_file() -> None:
@@ -411,7 +410,7 @@ def test_a_conversion_states_what_it_loses() -> None:
     directions = TILTED.unproject(conversion.points_px)
     lost = conversion.model.project(directions) - conversion.points_px
     assert_allclose(conversion.residuals_px, lost, rtol=0, atol=ROUND_TRIP_PX)
-    assert_allclose(conversion.max_px, np.linalg.norm(lost, axis=-1).max(), rtol=1e-12, atol=0)
+    assert_allclose(conversion.max_px, np.linalg.norm(lost, axis=-1).max(), rtol=FLOAT64, atol=0)
     # a pinwheel cannot be had from decentering: the field of the two differs by 1e-3 r (-y, x), some px at the corner
     assert 0.1 < conversion.rms_px < conversion.max_px < 10.0
     pinhole = convert(TILTED, "pinhole", columns=COLUMNS, rows=ROWS)
@@ -471,7 +470,7 @@ def test_the_misalignment_jacobian_is_the_motion_of_pixels_under_a_small_turn(mo
 
 def test_ifov_of_an_undistorted_camera_is_the_inverse_focal_length_at_the_center() -> None:
     model = PinholeModel(fx_px=1000.0, fy_px=1000.0, cx_px=10.0, cy_px=20.0)
-    assert_allclose(ifov_rad(model, [10.0, 20.0]), 1e-3, rtol=0, atol=1e-15)
+    assert_allclose(ifov_rad(model, [10.0, 20.0]), 1e-3, rtol=0, atol=FLOAT64_DIGIT)
 
 
 @EACH

@@ -64,6 +64,7 @@ from giantlike.shapes import sphere
 from giantlike.simulation import Shot, Sources, simulate_image
 from tests.campaign_files import CAMERA, Truth, campaign_table, write_campaign
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM
 
 CHI2_3_LIMIT = 21.1  # chi-square of 3 degrees of freedom exceeds it once in 10,000 times
 CHI2_2_LIMIT = 18.4  # likewise, 2 degrees of freedom
@@ -178,7 +179,7 @@ def test_parquet_holds_the_same_and_full_covariances(finished: Run) -> None:
     (row, *_) = parquet.read_table(folder / "attitudes.parquet").to_pylist()
     sigmas = ARCSEC_PER_RAD * np.sqrt([row["covariance_rad2"][k] for k in (0, 3, 5)])
     expected = [row[f"sigma_{axis}_arcsec"] for axis in "xyz"]
-    assert_allclose(sigmas, expected, rtol=0, atol=1e-12)
+    assert_allclose(sigmas, expected, rtol=0, atol=FLOAT64)
 
 
 def test_the_partials_of_an_observation_match_numerical_derivatives(finished: Run) -> None:
@@ -204,7 +205,7 @@ def test_combined_covariances_hold_the_attitude_as_well(finished: Run) -> None:
         partial = np.array(record.partial_attitude_px_rad)
         added = partial @ np.array(record.attitude.covariance_rad2) @ partial.T
         combined = np.array(record.covariance_with_attitude_px2)
-        assert_allclose(combined, np.array(record.covariance_px2) + added, rtol=0, atol=1e-12)
+        assert_allclose(combined, np.array(record.covariance_px2) + added, rtol=0, atol=FLOAT64)
         assert np.linalg.eigvalsh(added).min() > 0
 
 
@@ -355,7 +356,7 @@ def test_an_attitude_at_a_celestial_pole_has_a_direction_but_no_roll(tmp_path: P
     run_campaign(Campaign.load(path), workers=1)
     (row,) = table(tmp_path / "run", "attitudes")
     assert (row["status"], row["roll_deg"]) == ("ok", "")
-    assert_allclose(float(row["dec_deg"]), 90.0, rtol=0, atol=1e-9)
+    assert_allclose(float(row["dec_deg"]), 90.0, rtol=0, atol=FLOAT64_SUM)
 
 
 # --- interruption ----------------------------------------------------------------------------------------------------
@@ -765,7 +766,7 @@ def test_a_spacecraft_that_kernels_link_to_its_target_alone_still_has_a_geometry
     assert_allclose(geometry.position_camera_km, apparent, rtol=0, atol=ORX_KM)
     assert np.linalg.norm(position) == pytest.approx(33.579, abs=1e-3)  # km, by an own look into the kernel
     turn = (image.camera_from_inertial.inv() * geometry.camera_from_body).as_matrix()
-    assert_allclose(turn, expected, rtol=0, atol=1e-7)  # Bennu turns by 4e-8 rad during the light time
+    assert_allclose(turn, expected, rtol=0, atol=FLOAT64_ROOT)  # Bennu turns by 4e-8 rad during the light time
     (record,) = run_campaign(campaign, workers=1).observations
     assert record.predicted_px is not None, record.problem
     assert_allclose(record.predicted_px, [99.5, 99.5], rtol=0, atol=SPICE_PX)

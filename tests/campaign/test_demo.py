@@ -23,8 +23,7 @@ from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.simulation import ApproachOptions, Visit
 from giantlike.simulation.compare import Comparison, ObservationError, compare_run, score_attitudes, score_observations
 from giantlike.simulation.write import TRUTH_COLUMNS
-
-EXACT = 1e-9  # arithmetic on numbers written with all their digits
+from tests.tolerances import FLOAT64_SUM, SETTLED
 
 ATTITUDE_COLUMNS = ("file", "status", "reason", "source", "qx", "qy", "qz", "qw", "sigma_x_arcsec", "sigma_y_arcsec",
                     "sigma_z_arcsec")  # fmt: skip
@@ -80,7 +79,7 @@ def test_a_turn_about_x_and_y_moves_the_image_by_focal_length_times_angle(
     assert only.error_px is not None
     assert only.normalized is not None
     assert_allclose(only.error_px, [0.5, 0.2], rtol=0, atol=1e-5)  # 1e-5: the frame is 1e-3 rad wide
-    assert_allclose(only.normalized, [2.0, -5.0, 0.0], rtol=0, atol=1e-6)
+    assert_allclose(only.normalized, [2.0, -5.0, 0.0], rtol=0, atol=SETTLED)
     score = score_attitudes([only])
     assert score.dof == 3
     assert_allclose(score.chi2, 29.0, rtol=0, atol=1e-5)
@@ -96,16 +95,18 @@ def test_center_and_range_errors_are_found_minus_true(tmp_path: Path, truth: Pat
     write_table(tmp_path / "observations.csv", OBSERVATION_COLUMNS, [fix, center_only])
     first, second = compare_run(tmp_path, truth, camera).observations
     assert first.error_px is not None
-    assert_allclose(first.error_px, [0.3, -0.4], rtol=0, atol=EXACT)
-    assert first.nees == pytest.approx(9.0 + 4.0, abs=EXACT)
-    assert first.range_error == pytest.approx(0.005, abs=EXACT)
-    assert first.range_sigma == pytest.approx(0.0025, abs=EXACT)
-    assert second.nees == pytest.approx(1.0 / (1.0 - 0.25), abs=EXACT)  # correlation makes a lone error less likely
+    assert_allclose(first.error_px, [0.3, -0.4], rtol=0, atol=FLOAT64_SUM)
+    assert first.nees == pytest.approx(9.0 + 4.0, abs=FLOAT64_SUM)
+    assert first.range_error == pytest.approx(0.005, abs=FLOAT64_SUM)
+    assert first.range_sigma == pytest.approx(0.0025, abs=FLOAT64_SUM)
+    assert second.nees == pytest.approx(
+        1.0 / (1.0 - 0.25), abs=FLOAT64_SUM
+    )  # correlation makes a lone error less likely
     assert second.range_error is None
     score = score_observations([first, second])
     assert (score.n_fixes, score.dof, score.n_ranges) == (2, 4, 1)
-    assert_allclose(score.rms_px, np.sqrt([0.09 / 2, 0.17 / 2]), rtol=0, atol=EXACT)
-    assert score.range_chi2 == pytest.approx(4.0, abs=EXACT)
+    assert_allclose(score.rms_px, np.sqrt([0.09 / 2, 0.17 / 2]), rtol=0, atol=FLOAT64_SUM)
+    assert score.range_chi2 == pytest.approx(4.0, abs=FLOAT64_SUM)
 
 
 def test_failed_and_suspect_rows_are_counted_and_do_not_enter_the_errors(

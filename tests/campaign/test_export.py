@@ -30,8 +30,8 @@ from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import attitude_of_wcs
+from tests.tolerances import FLOAT64, FLOAT64_DIGIT
 
-ROTATION_RAD = 1e-12  # float64 through a quaternion
 WCS_PX = 0.01  # order 5 polynomials of a lens with 8 px of distortion in the corner
 START_ET = 600_000_000.0
 TIMES = START_ET + np.array([0.0, 30.0, 60.0, 5000.0, 5030.0])
@@ -156,7 +156,9 @@ def test_an_aem_holds_the_quaternion_as_the_book_defines_it(tmp_path: Path) -> N
     )
     write_aem(tmp_path / "one.aem", series, AemNames())
     metadata, data = _aem(tmp_path / "one.aem")
-    np.testing.assert_allclose([float(text) for text in data[0][0][1:]], [0, 0, 0.5**0.5, 0.5**0.5], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        [float(text) for text in data[0][0][1:]], [0, 0, 0.5**0.5, 0.5**0.5], rtol=0, atol=FLOAT64_DIGIT
+    )
     assert metadata[0]["REF_FRAME_A"] == "ICRF"
     assert "INTERPOLATION_METHOD" not in metadata[0]
 
@@ -171,7 +173,7 @@ def test_an_aem_starts_a_new_segment_after_a_gap(tmp_path: Path) -> None:
     for lines, times in zip(data, (TIMES[:3], TIMES[3:]), strict=True):
         for line, et in zip(lines, times, strict=True):
             read = Rotation.from_quat([float(text) for text in line[1:]]).inv()
-            assert _angle(read, _attitude(et)) < ROTATION_RAD
+            assert _angle(read, _attitude(et)) < FLOAT64
 
 
 def test_epochs_that_repeat_are_refused_with_the_names_of_the_images(tmp_path: Path) -> None:
@@ -243,7 +245,7 @@ def test_the_table_keeps_every_digit(run: Path, tmp_path: Path) -> None:
     assert [row["name"] for row in rows] == ["image_0.fits", "image_1.fits", "image_4.fits"]
     assert [float(row["et"]) for row in rows] == TIMES[[0, 1, 4]].tolist()
     for row, et in zip(rows, TIMES[[0, 1, 4]], strict=True):
-        assert _angle(Rotation.from_quat([float(row[f"q{axis}"]) for axis in "xyzw"]), _attitude(et)) < ROTATION_RAD
+        assert _angle(Rotation.from_quat([float(row[f"q{axis}"]) for axis in "xyzw"]), _attitude(et)) < FLOAT64
         assert float(row["cov_zz_rad2"]) == 3e-11
         assert float(row["cov_xy_rad2"]) == 0.0
 

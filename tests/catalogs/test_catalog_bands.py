@@ -13,6 +13,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from tests.catalogs.test_catalog_store import sky
+from tests.tolerances import FLOAT64, FLOAT64_SUM
 
 ET = et_of_julian_year(2025.0)
 
@@ -45,7 +46,7 @@ def test_v_and_back_gives_the_magnitudes_that_there_were() -> None:
     catalog = _catalog(stars)
     again = catalog.in_band("V").in_band("G")
     assert again.band == "Gaia G"
-    np.testing.assert_allclose(again.stars.magnitude, catalog.stars.magnitude, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.stars.magnitude, catalog.stars.magnitude, rtol=0, atol=FLOAT64)
 
 
 def test_a_cameras_band_is_a_polynomial_in_a_color_on_top_of_another_band() -> None:
@@ -105,10 +106,12 @@ def test_two_stars_within_the_radius_become_one_at_their_center_of_light() -> No
     assert len(merged) == 1
     assert merged.is_double.all()
     assert merged.ids.tolist() == [1]
-    np.testing.assert_allclose(merged.magnitude, -2.5 * np.log10(flux.sum()), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(merged.magnitude, -2.5 * np.log10(flux.sum()), rtol=0, atol=FLOAT64)
     center = unit((flux[:, None] * apparent_directions(stars, ET)).sum(axis=0))
     assert np.linalg.norm(apparent_directions(merged, ET)[0] - center) < 1e-3 * RAD_PER_MAS
-    np.testing.assert_allclose(merged.pm_ra_mas_yr, (flux * [100.0, -50.0]).sum() / flux.sum(), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        merged.pm_ra_mas_yr, (flux * [100.0, -50.0]).sum() / flux.sum(), rtol=0, atol=FLOAT64_SUM
+    )
 
 
 def test_the_center_of_light_of_a_blend_moves_as_that_of_its_members() -> None:

@@ -17,6 +17,7 @@ from giantlike.catalogs import StarTable
 from giantlike.catalogs.readers import ColumnMap, build_catalog, column_map
 from giantlike.catalogs.readers.ucac4 import RECORD
 from giantlike.core.errors import DataError, InputError
+from tests.tolerances import FLOAT64, FLOAT64_SUM
 
 MAS = 1.0 / 3.6e6
 
@@ -181,7 +182,7 @@ def test_a_ucac4_record_is_78_bytes_of_this_layout(tmp_path: Path) -> None:
     star = _star(built.catalog.stars, 1_000_001)
     assert abs(star["ra_deg"] - 451313731 * MAS) < 1e-12
     assert abs(star["dec_deg"] - (544918 * MAS - 90.0)) < 1e-12
-    assert (star["pm_ra_mas_yr"], star["pm_dec_mas_yr"]) == pytest.approx((-4.7, 12.1), rel=0, abs=1e-12)
+    assert (star["pm_ra_mas_yr"], star["pm_dec_mas_yr"]) == pytest.approx((-4.7, 12.1), rel=0, abs=FLOAT64)
     assert (star["magnitude"], star["epoch_jyear"]) == (16.176, 2000.0)
     at_2000 = np.hypot([58.0, 76.0], np.array([13.9, 14.0]) * [2000 - 1997.62, 2000 - 1997.09])
     assert abs(star["sigma_mas"] - np.sqrt(np.mean(at_2000**2))) < 1e-9
@@ -210,7 +211,7 @@ def test_fast_ucac4_stars_get_their_motion_from_the_extra_file(tmp_path: Path) -
     extra.parent.mkdir()
     extra.write_bytes(b"          1 644 101666   41087   31413 1140226325  463469832 20000\r\n\r\n")
     star = build_catalog([path], "ucac4", name="u").catalog.stars
-    assert (star.pm_ra_mas_yr[0], star.pm_dec_mas_yr[0]) == pytest.approx((4108.7, 3141.3), rel=0, abs=1e-9)
+    assert (star.pm_ra_mas_yr[0], star.pm_dec_mas_yr[0]) == pytest.approx((4108.7, 3141.3), rel=0, abs=FLOAT64_SUM)
     path.write_bytes(_ucac4(pmrac=32767, rnm=7))
     with pytest.raises(DataError, match="record 1: star 7 is fast"):
         build_catalog([path], "ucac4", name="u")

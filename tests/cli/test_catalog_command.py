@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from giantlike.cli.catalog_app import catalog_app
+from tests.tolerances import FLOAT32, FLOAT64_ROOT, FLOAT64_SUM
 
 TABLE = "HD,RA,DE,Vmag,pm\n11,10.0,20.0,4.5,3600\n12,10.2,20.0,6.5,0\n13,190.0,-20.0,5.5,0\n"
 COLUMNS = ["ids=HD", "ra_deg=RA", "dec_deg=DE", "magnitude=Vmag", "pm_dec_mas_yr=pm"]
@@ -44,9 +45,9 @@ def test_stars_are_moved_to_the_epoch_asked_for(tmp_path: Path) -> None:
     _build(tmp_path)
     made = tmp_path / "made.stars"
     asked = ("query", made, "--ra", 10, "--dec", 20, "--radius", 0.05, "--json")
-    assert json.loads(_run(*asked))[0]["dec_deg"] == pytest.approx(20.0, abs=1e-9)
+    assert json.loads(_run(*asked))[0]["dec_deg"] == pytest.approx(20.0, abs=FLOAT64_SUM)
     later = json.loads(_run(*asked, "--epoch", 2040))
-    assert later[0]["dec_deg"] == pytest.approx(20.04, abs=1e-7)  # 3.6 arcsec a year for 40 years
+    assert later[0]["dec_deg"] == pytest.approx(20.04, abs=FLOAT64_ROOT)  # 3.6 arcsec a year for 40 years
     assert later[0]["epoch_jyear"] == 2040.0
     assert json.loads(_run(*asked, "--epoch", 2060)) == []
 
@@ -59,7 +60,7 @@ def test_a_users_stars_take_the_place_of_those_of_the_first_catalog(tmp_path: Pa
     told = json.loads(_run("join", tmp_path / "made.stars", mine, both, "--json"))
     assert (told["stars"], told["replaced"], told["band"]) == (4, 1, "V")
     near = json.loads(_run("query", both, "--ra", 10, "--dec", 20, "--radius", 1, "--json"))
-    assert [(row["id"], row["magnitude"]) for row in near] == [(77, pytest.approx(4.4, abs=1e-6)), (12, 6.5)]
+    assert [(row["id"], row["magnitude"]) for row in near] == [(77, pytest.approx(4.4, abs=FLOAT32)), (12, 6.5)]
     other = json.loads(_run("query", both, "--ra", 50, "--dec", 50, "--radius", 1, "--json"))
     assert [row["id"] for row in other] == [-1]  # 13 is another star already
     assert json.loads(_run("info", both, "--json"))["sources"][1]["name"] == "mine.csv"

@@ -26,9 +26,8 @@ from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.image import Image
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid, save_shape, sphere
 from giantlike.simulation.preview import preview_png
+from tests.tolerances import EPOCH_S, FLOAT64, FLOAT64_SUM, PLACE_PX
 
-ATTITUDE_RAD = 1e-12  # quaternions are written with all their digits
-EPOCH_S = 1e-6  # and epochs to the microsecond
 POINTING_DEG = (80.0, 30.0, 10.0)
 ALONG = camera_from_inertial_of_pointing(*POINTING_DEG).inv()
 RANGE_KM = 500.0
@@ -99,7 +98,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert result.exit_code == 0, result.stderr
     (image,) = json.loads(result.stdout)
     assert image["stars"] == 0
-    assert_allclose(image["targets"]["BIG"], [69.5 + 16.0, 59.5], rtol=0, atol=1e-9)
+    assert_allclose(image["targets"]["BIG"], [69.5 + 16.0, 59.5], rtol=0, atol=FLOAT64_SUM)
     return folder / "out"
 
 
@@ -114,7 +113,7 @@ def test_an_image_carries_epoch_exposure_and_attitude_for_whoever_opens_it(rende
     assert_allclose(et_from_time(image.epoch), true_et, rtol=0, atol=EPOCH_S)
     assert image.exposure_s == 0.001
     error = rotation_between(image.camera_from_inertial, camera_from_inertial_of_pointing(*POINTING_DEG))
-    assert np.linalg.norm(error) < ATTITUDE_RAD
+    assert np.linalg.norm(error) < FLOAT64
 
 
 def test_the_truth_of_every_target_is_in_the_header(rendered: Path) -> None:
@@ -122,12 +121,12 @@ def test_the_truth_of_every_target_is_in_the_header(rendered: Path) -> None:
     assert (header["GT_NTGT"], header["T1_NAME"], header["T2_NAME"]) == (2, "BIG", "SMALL")
     assert header["GT_SEED"] == "3 0"
     assert header["T1_SHAPE"] == Ellipsoid(radii_km=np.array([7.0, 6.0, 6.5])).sha256[:16]
-    assert_allclose([header[f"T1_{axis}"] for axis in "XYZ"], seen_at(4.0, 0.0, RANGE_KM), rtol=0, atol=1e-9)
+    assert_allclose([header[f"T1_{axis}"] for axis in "XYZ"], seen_at(4.0, 0.0, RANGE_KM), rtol=0, atol=FLOAT64_SUM)
     body_from_inertial = Rotation.from_quat([header[f"T1_Q{axis}"] for axis in "XYZW"])
-    assert np.linalg.norm(rotation_between(body_from_inertial, Rotation.from_quat([0.0, 0.6, 0.0, 0.8]))) < ATTITUDE_RAD
+    assert np.linalg.norm(rotation_between(body_from_inertial, Rotation.from_quat([0.0, 0.6, 0.0, 0.8]))) < FLOAT64
     sun = [header[f"T2_SUN{axis}"] for axis in "XYZ"]
-    assert_allclose(sun, unit(np.array(seen_at(-0.6, 0.1, -0.8))), rtol=0, atol=1e-12)
-    assert_allclose([header["T1_PX"], header["T1_PY"]], [85.5, 59.5], rtol=0, atol=1e-9)
+    assert_allclose(sun, unit(np.array(seen_at(-0.6, 0.1, -0.8))), rtol=0, atol=FLOAT64)
+    assert_allclose([header["T1_PX"], header["T1_PY"]], [85.5, 59.5], rtol=0, atol=FLOAT64_SUM)
 
 
 def test_the_noise_free_electrons_explain_the_pixels(rendered: Path) -> None:
@@ -216,8 +215,8 @@ def test_stars_come_from_the_catalog_and_their_table_tells_where(tmp_path: Path)
     (image,) = render_images(RenderPlan.load(write_scene(tmp_path, table)), tmp_path / "one.fits")
     assert image.stars == 1
     seen = fits.getdata(tmp_path / "one.fits", extname="STARS")
-    assert_allclose([seen["x_px"][0], seen["y_px"][0]], [69.5, 59.5], rtol=0, atol=1e-6)
-    assert_allclose(seen["electrons"][0], 2.0e5 * 2.0 * 10.0**-2.0, rtol=1e-9)
+    assert_allclose([seen["x_px"][0], seen["y_px"][0]], [69.5, 59.5], rtol=0, atol=PLACE_PX)
+    assert_allclose(seen["electrons"][0], 2.0e5 * 2.0 * 10.0**-2.0, rtol=FLOAT64_SUM)
     assert_allclose(expected_electrons(tmp_path / "one.fits").sum(), 4000.0, rtol=1e-5)
 
 

@@ -21,6 +21,7 @@ from giantlike.shapes import (
     save_shape,
     sphere,
 )
+from tests.tolerances import FLOAT64, FLOAT64_DIGIT, FLOAT64_SUM
 
 RADII_KM = np.array([2.0, 1.5, 1.0])
 FINENESS = 5e-3  # relative: volume that 1,280 flat facets miss of an ellipsoid
@@ -103,9 +104,9 @@ def test_the_numbers_of_info_are_those_of_an_ellipsoid(egg: Path) -> None:
     assert entry["watertight"] is True
     assert_allclose(entry["volume_km3"], volume, rtol=3 * FINENESS)
     assert_allclose(entry["area_km2"], 27.88, rtol=FINENESS)  # by the incomplete elliptic integrals, 27.8810
-    assert_allclose(entry["center_of_figure_km"], 0.0, rtol=0, atol=1e-12)
+    assert_allclose(entry["center_of_figure_km"], 0.0, rtol=0, atol=FLOAT64)
     assert_allclose(entry["extents_km"], 2.0 * RADII_KM, rtol=FINENESS)
-    assert_allclose(np.abs(entry["principal_axes"]), np.eye(3), rtol=0, atol=1e-9)
+    assert_allclose(np.abs(entry["principal_axes"]), np.eye(3), rtol=0, atol=FLOAT64_SUM)
     assert_allclose(entry["principal_moments"], volume / 5.0 * (squares.sum() - squares), rtol=5 * FINENESS)
     assert_allclose(entry["best_fit_radii_km"], RADII_KM, rtol=FINENESS)
     text = shape("info", egg).stdout
@@ -132,7 +133,7 @@ def test_convert_writes_another_format_exactly_and_nothing_over_another_file(tmp
     np.testing.assert_array_equal(load_shape(target).vertices_km, load_shape(egg).vertices_km)
     assert "--overwrite" in refusal(shape("convert", egg, target))
     assert shape("convert", egg, target, "--overwrite", "--units", "m", "--json").exit_code == 0
-    assert_allclose(load_shape(target).vertices_km, 1e-3 * load_shape(egg).vertices_km, rtol=1e-15)
+    assert_allclose(load_shape(target).vertices_km, 1e-3 * load_shape(egg).vertices_km, rtol=FLOAT64_DIGIT)
 
 
 def test_convert_and_decimate_say_that_albedo_is_left_out(tmp_path: Path, egg: Path) -> None:
@@ -173,7 +174,9 @@ def test_convert_repairs_on_request_and_says_what_it_did(tmp_path: Path, torn: P
     assert result.exit_code == 0, result.stderr
     assert "found: 1 duplicate facets, 6 boundary edges, 2 holes, 3 inconsistent edges" in result.stdout
     assert "turned 1 facets, closed 2 holes by 2 facets\nleft: no defects" in result.stdout
-    assert_allclose(load_shape(target).volume_km3, mesh_from_ellipsoid(sphere(1.0), facets=320).volume_km3, rtol=1e-12)
+    assert_allclose(
+        load_shape(target).volume_km3, mesh_from_ellipsoid(sphere(1.0), facets=320).volume_km3, rtol=FLOAT64
+    )
 
 
 def test_decimate_keeps_so_many_facets_and_says_what_it_cost(tmp_path: Path, egg: Path) -> None:
@@ -183,7 +186,7 @@ def test_decimate_keeps_so_many_facets_and_says_what_it_cost(tmp_path: Path, egg
     coarse = load_shape(tmp_path / "coarse.obj")
     assert len(coarse.faces) == values["facets"]
     assert 290 <= values["facets"] <= 300
-    assert_allclose(values["volume_change"], coarse.volume_km3 / load_shape(egg).volume_km3 - 1.0, rtol=1e-9)
+    assert_allclose(values["volume_change"], coarse.volume_km3 / load_shape(egg).volume_km3 - 1.0, rtol=FLOAT64_SUM)
     assert 0.0 < values["rms_km"] < values["max_km"] < 0.2
     assert "facets must be in" in refusal(shape("decimate", egg, tmp_path / "finer.obj", "--facets", "5000"))
 

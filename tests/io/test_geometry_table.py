@@ -15,9 +15,7 @@ from giantlike.core.observer import ObserverState
 from giantlike.core.time import et_from_time, time_from_utc, utc_text
 from giantlike.io import read_ephemeris_table, read_geometry, write_bytes_atomic, write_geometry, write_text_atomic
 from giantlike.io.geometry_table import COLUMNS, GeometryRow
-
-ROTATION_RAD = 1e-15  # a normalization in float64
-EPOCH_S = 1e-6  # tables hold microseconds
+from tests.tolerances import EPOCH_S, FLOAT64_DIGIT
 
 CONTRACT = (
     "file,epoch_utc,exposure_s,qx,qy,qz,qw,target,target_x_km,target_y_km,target_z_km,"
@@ -64,8 +62,8 @@ def test_a_full_row_is_read_as_what_it_says(tmp_path: Path) -> None:
     assert_array_equal(row.target_position_inertial_km, [1.0, 2.0, 3.0])
     assert_array_equal(row.sun_direction_inertial, [0.0, 0.0, -1.0])
     # scalar last: 2 acos(0.8) about z takes x to (0.28, 0.96, 0); 120 degrees about (1, 1, 1) takes x to y
-    assert_allclose(rotate(row.camera_from_inertial, [1.0, 0.0, 0.0]), [0.28, 0.96, 0.0], rtol=0, atol=1e-15)
-    assert_allclose(rotate(row.body_from_inertial, [1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], rtol=0, atol=1e-15)
+    assert_allclose(rotate(row.camera_from_inertial, [1.0, 0.0, 0.0]), [0.28, 0.96, 0.0], rtol=0, atol=FLOAT64_DIGIT)
+    assert_allclose(rotate(row.body_from_inertial, [1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], rtol=0, atol=FLOAT64_DIGIT)
 
 
 def test_every_column_but_file_may_be_absent_or_empty(tmp_path: Path) -> None:
@@ -185,9 +183,9 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         assert_array_equal(new.target_position_inertial_km, old.target_position_inertial_km)
         assert new.sun_direction_inertial is not None
         assert old.sun_direction_inertial is not None
-        assert_allclose(new.sun_direction_inertial, old.sun_direction_inertial, rtol=0, atol=ROTATION_RAD)
+        assert_allclose(new.sun_direction_inertial, old.sun_direction_inertial, rtol=0, atol=FLOAT64_DIGIT)
         for name in ("camera_from_inertial", "body_from_inertial"):
-            assert np.linalg.norm(rotation_between(getattr(new, name), getattr(old, name))) < ROTATION_RAD
+            assert np.linalg.norm(rotation_between(getattr(new, name), getattr(old, name))) < FLOAT64_DIGIT
 
 
 def test_the_observer_of_an_image_is_told_once_and_whole(tmp_path: Path) -> None:
@@ -262,7 +260,9 @@ def test_an_ephemeris_is_sorted_by_time_whatever_the_order_of_its_rows(tmp_path:
     assert_array_equal(samples.velocity_km_s, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     assert samples.inertial_from_body is not None
     # the table holds body_from_inertial, as geometry.csv does
-    assert_allclose(rotate(samples.inertial_from_body[0], [0.28, 0.96, 0.0]), [1.0, 0.0, 0.0], rtol=0, atol=1e-15)
+    assert_allclose(
+        rotate(samples.inertial_from_body[0], [0.28, 0.96, 0.0]), [1.0, 0.0, 0.0], rtol=0, atol=FLOAT64_DIGIT
+    )
 
 
 def test_an_ephemeris_may_have_positions_only_and_seconds_for_epochs(tmp_path: Path) -> None:

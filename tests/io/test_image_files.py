@@ -24,10 +24,9 @@ from giantlike.core.frames import rotation_between
 from giantlike.io import ImageFile, load_kernels, navigation_header, read_image_file, write_fits
 from giantlike.io.raw_image import vax_floats
 from giantlike.io.spice import spk_state
+from tests.tolerances import EPOCH_S, FLOAT64, FLOAT64_DIGIT
 
-EPOCH_S = 1e-6  # headers hold microseconds
 HEADER_DATE_S = 0.5e-3  # dates written to a millisecond
-ATTITUDE_RAD = 1e-12  # float64 through at least 14 digits in a FITS card
 OBSERVER_KM = 1e-5  # 16 digits of 1e9 km
 LORRI_EARTH_KM = 500.0  # the header's light times are good to some milliseconds, the Earth moves 30 km/s
 LUMA_DN = 1.0  # JPEG's own gray and the luminance of its colors differ by rounding to 8 bits
@@ -256,10 +255,10 @@ def test_navigation_keywords_come_back_as_they_were_written(tmp_path: Path) -> N
         assert seconds_between(image.epoch, "2018-12-01T10:07:11.123456") < EPOCH_S
         assert image.exposure_s == 0.0123
         assert image.camera_from_inertial is not None
-        assert np.linalg.norm(rotation_between(image.camera_from_inertial, attitude)) < ATTITUDE_RAD
+        assert np.linalg.norm(rotation_between(image.camera_from_inertial, attitude)) < FLOAT64
         assert image.observer is not None
         assert_allclose(image.observer.position_km, position, rtol=0, atol=OBSERVER_KM)
-        assert_allclose(image.observer.velocity_km_s, velocity, rtol=0, atol=1e-12)
+        assert_allclose(image.observer.velocity_km_s, velocity, rtol=0, atol=FLOAT64)
         assert image.header["OBJECT"] == "BENNU"
         assert all(type(value) in (str, int, float, bool) for value in image.header.values())
 
@@ -482,7 +481,7 @@ def test_vax_floating_numbers_are_understood() -> None:
     assert f_floating("4941db0f") == pytest.approx(np.float32(np.pi), abs=0)  # the bytes that VAX manuals give for pi
     assert np.isnan(f_floating("00800000"))  # reserved operand
     assert f_floating("80400000" + "00000000") == 1.0  # D floating: the same with more fraction
-    assert f_floating("4941da0f21a2c268") == pytest.approx(np.pi, abs=1e-15)
+    assert f_floating("4941da0f21a2c268") == pytest.approx(np.pi, abs=FLOAT64_DIGIT)
 
 
 def test_vicar_label_items_keep_their_names_and_say_their_group_where_that_is_needed(tmp_path: Path) -> None:

@@ -11,9 +11,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.geometry.conic_fit import ConicFit, conic_matrix, ellipse_of, fit_ellipse
+from tests.tolerances import FLOAT64_ROOT, RARE, SETTLED
 
-ROUNDING = 1e-7  # relative; squares of coordinates lose half of the digits
-RARE = 1e-6
 ELLIPSE = np.array([512.0, 380.0, 150.0, 120.0, 0.6])
 
 
@@ -37,9 +36,9 @@ def fitted(points: Float, sigma: float = 1.0) -> ConicFit:
 def test_points_on_an_ellipse_give_that_ellipse(arc: float, place: tuple[float, float]) -> None:
     ellipse = np.array([*place, 150.0, 120.0, 2.2])
     fit = fitted(on_ellipse(ellipse, np.linspace(0.3, 0.3 + arc, 40)))
-    assert_allclose(fit.ellipse[:4], ellipse[:4], rtol=0, atol=150.0 * ROUNDING / min(arc, 1.0) ** 4)
-    assert_allclose(fit.ellipse[4], 2.2, rtol=0, atol=1e-6 / min(arc, 1.0) ** 4)
-    assert np.abs(fit.residuals).max() < 150.0 * ROUNDING
+    assert_allclose(fit.ellipse[:4], ellipse[:4], rtol=0, atol=150.0 * FLOAT64_ROOT / min(arc, 1.0) ** 4)
+    assert_allclose(fit.ellipse[4], 2.2, rtol=0, atol=SETTLED / min(arc, 1.0) ** 4)
+    assert np.abs(fit.residuals).max() < 150.0 * FLOAT64_ROOT
     inside = np.array([*ellipse[:2], 1.0])
     assert inside @ conic_matrix(fit.coefficients) @ inside > 0
 

@@ -22,11 +22,10 @@ from giantlike.processing.correlate import (
     locate_template,
     normalized_correlation,
 )
+from tests.tolerances import FLOAT64_SUM, RARE
 
 SINGLE_PRECISION = 1e-5  # OpenCV sums in float32
-DOUBLE_PRECISION = 1e-9  # FFT in float64
 PARABOLOID_PX = 1e-9  # a paraboloid is fitted exactly
-RARE = 1e-6  # chance of a false alarm of one gate
 SMOOTH_PEAK_PX = 0.05  # a paraboloid through a smooth but not parabolic peak
 
 
@@ -68,7 +67,7 @@ def test_masked_correlation_agrees_with_sums_written_out() -> None:
     random = np.random.default_rng(5)
     image_ok, template_ok = random.uniform(size=image.shape) > 0.3, random.uniform(size=template.shape) > 0.2
     surface = normalized_correlation(image, template, image_usable=image_ok, template_usable=template_ok)
-    assert_allclose(surface, brute_force(image, template, image_ok, template_ok), rtol=0, atol=DOUBLE_PRECISION)
+    assert_allclose(surface, brute_force(image, template, image_ok, template_ok), rtol=0, atol=FLOAT64_SUM)
 
 
 def test_both_ways_agree_where_nothing_is_masked() -> None:

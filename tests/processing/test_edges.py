@@ -19,11 +19,11 @@ from giantlike.core.errors import InputError
 from giantlike.processing.limb.edges import EdgePoints, Pixels, scan_edges
 from giantlike.processing.limb.partial_area import partial_area_edges
 from giantlike.processing.limb.zernike import zernike_edges, zernike_kernels
+from tests.tolerances import RARE
 
 GOAL_PX = 0.03  # of the requirement, root mean square without noise
 NORMAL_RAD = 0.04  # rms; of a parabola through three columns on a disk of 8 px
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
-RARE = 1e-6
 DIRECTIONS = np.radians(np.arange(5.0, 365.0, 40.0))
 METHODS = ("partial_area", "zernike_5", "zernike_7")
 

@@ -23,9 +23,9 @@ from giantlike.processing.limb.scan import (
     step_profile,
 )
 from giantlike.processing.limb.search import search_limb
+from tests.tolerances import FLOAT64_SUM
 
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
-ROUNDING = 1e-9
 NOISELESS_PX = 0.005  # the shift is fitted linearly about the nearest half pixel
 SIGMA_RATIO = 0.15  # of 600 lines: five times the standard error of a standard deviation, 2.9 %
 MOST_CAUTION = 0.25  # waves longer than the arc cannot be excluded by the residuals: sigmas up to twice too large
@@ -63,7 +63,7 @@ def test_lines_over_a_plane_hold_exactly_its_values() -> None:
     points, normals = np.array([[20.3, 31.7], [25.0, 30.0]]), np.array([[0.6, 0.8], [-1.0, 0.0]])
     scans = scans_of(2.0 * x - 3.0 * y + 5.0, points, normals, reach_px=6.0)
     places = points[:, None] + scans.offsets_px[:, None] * normals[:, None]
-    assert_allclose(scans.values_dn, 2.0 * places[..., 0] - 3.0 * places[..., 1] + 5.0, rtol=0, atol=ROUNDING)
+    assert_allclose(scans.values_dn, 2.0 * places[..., 0] - 3.0 * places[..., 1] + 5.0, rtol=0, atol=FLOAT64_SUM)
     assert scans.usable.all()
 
 
@@ -254,6 +254,6 @@ def test_the_covariance_holds_for_residuals_that_err_together(correlated: float,
 def test_residuals_that_are_exactly_zero_give_a_finite_covariance() -> None:
     points, design = arc(40)
     fit = correlated_solution(np.zeros(40), design, np.full(40, 0.02), points)
-    assert_allclose(fit.solution, 0.0, rtol=0, atol=ROUNDING)
+    assert_allclose(fit.solution, 0.0, rtol=0, atol=FLOAT64_SUM)
     assert np.isfinite(fit.covariance).all()
     assert np.isfinite(fit.residual_covariance(np.full(40, 0.02), points)).all()

@@ -18,11 +18,10 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.geometry.p3p import poses_of_three_points
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
+from tests.tolerances import FLOAT64_SUM, RARE, SETTLED
 
-ROUNDING = 1e-9  # of a pose in units of the body: float64 through a quartic
 DISTANT_ROUNDING = 1e-6  # seen from 10,000 radii
 NOISE_PX = 0.1
-RARE = 1e-6
 
 
 def rocks(count: int, seed: int) -> Float:
@@ -54,10 +53,10 @@ def test_one_of_the_poses_of_three_exact_points_is_the_true_one_at_any_distance(
     rays = seen / np.linalg.norm(seen, axis=-1, keepdims=True)
     rotations, positions = poses_of_three_points(points, rays)
     error = np.abs(rotations - rotation.as_matrix()).max(axis=(1, 2))
-    good = error < (ROUNDING if range_km < 1e3 else DISTANT_ROUNDING)
+    good = error < (FLOAT64_SUM if range_km < 1e3 else DISTANT_ROUNDING)
     assert np.count_nonzero(good) >= 295  # a triple that lies nearly along a line loses digits
-    assert_allclose(np.median(positions[good], axis=0), position, rtol=0, atol=1e-6 * range_km)
-    assert_allclose(np.linalg.det(rotations), 1.0, rtol=0, atol=1e-9)
+    assert_allclose(np.median(positions[good], axis=0), position, rtol=0, atol=SETTLED * range_km)
+    assert_allclose(np.linalg.det(rotations), 1.0, rtol=0, atol=FLOAT64_SUM)
 
 
 def test_every_pose_of_three_points_projects_them_where_they_were_seen_as_opencv_has_it() -> None:
@@ -70,7 +69,7 @@ def test_every_pose_of_three_points_projects_them_where_they_were_seen_as_opencv
         rotations, positions = poses_of_three_points(points, rays[None])
         again = points[0] @ np.swapaxes(rotations, -1, -2) + positions[:, None]
         assert_allclose(again[..., :2] / again[..., 2:], np.broadcast_to(
-            rays[:, :2] / rays[:, 2:], (len(again), 3, 2)), rtol=0, atol=1e-6)  # fmt: skip
+            rays[:, :2] / rays[:, 2:], (len(again), 3, 2)), rtol=0, atol=SETTLED)  # fmt: skip
         _, turns, moves = cv2.solveP3P(points[0], rays[:, :2] / rays[:, 2:], np.eye(3), None, flags=cv2.SOLVEPNP_AP3P)
         for turn, move in zip(turns, moves, strict=True):
             oracle = np.column_stack([cv2.Rodrigues(turn)[0], move])
@@ -87,7 +86,7 @@ def test_without_noise_the_pose_is_exact_through_a_lens_with_distortion() -> Non
     fix = solve_pnp(points, pixels, np.tile(1e-4 * np.eye(2), (12, 1, 1)), model, Rotation.identity())
     assert isinstance(fix, PnpFix)
     assert fix.inliers.all()
-    assert_allclose(fix.position_camera_km, position, rtol=0, atol=1e-6)
+    assert_allclose(fix.position_camera_km, position, rtol=0, atol=SETTLED)
     assert (rotation * fix.camera_from_body.inv()).magnitude() < 1e-7
 
 

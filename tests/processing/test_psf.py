@@ -29,12 +29,12 @@ from tests.processing.test_detection import (
     spread_points,
     star_image,
 )
+from tests.tolerances import FALSE_ALARM
 
 SHAPE = (500, 500)
 SIGMA_PX = 0.9
 SHARE = 1e-5
 ERROR_SIGMAS = 5.0
-CHANCE = 1e-5
 OVERSAMPLED = 9  # midpoints a pixel: the truth is a plain sum, the estimator's is Gauss-Legendre
 
 
@@ -92,7 +92,7 @@ def test_the_width_of_round_stars_is_found_with_its_standard_error() -> None:
         assert psf.n_used >= 0.9 * len(points)
         assert psf.reduced_chi2 == pytest.approx(1.0, abs=0.1)
         assert psf.residual_power < 0.01
-    assert sum(squares) < chi2.ppf(1 - CHANCE, 4)
+    assert sum(squares) < chi2.ppf(1 - FALSE_ALARM, 4)
 
 
 def test_elongated_stars_give_their_ellipse() -> None:
@@ -109,7 +109,7 @@ def test_elongated_stars_give_their_ellipse() -> None:
     psf = estimated(image, detected(image, psf_sigma_px=SIGMA_PX), kind=PsfKind.ELONGATED)
     truth = np.array([np.log(0.9), 0.3, 0.2])
     error = psf.coefficients[:, 0] - truth
-    assert error @ np.linalg.inv(psf.covariance) @ error < chi2.ppf(1 - CHANCE, 3)
+    assert error @ np.linalg.inv(psf.covariance) @ error < chi2.ppf(1 - FALSE_ALARM, 3)
     round_one = estimated(image, detected(image, psf_sigma_px=SIGMA_PX))
     assert round_one.reduced_chi2 > 2.0 * psf.reduced_chi2
 
@@ -132,7 +132,7 @@ def test_wings_are_found_and_centroids_with_them_have_honest_covariances() -> No
     assert distance.max() < 1.0
     error = again.points_px[index] - points
     squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(again.covariance_px2[index]), error)
-    low, high = nees_band(len(points), 1.0 - CHANCE)
+    low, high = nees_band(len(points), 1.0 - FALSE_ALARM)
     assert low < squares.mean() < high
 
 

@@ -23,6 +23,7 @@ from giantlike.processing.limb.segmentation import (
     identify_blobs,
     otsu_threshold,
 )
+from tests.tolerances import FLOAT32, FLOAT64_SUM, PLACE_PX
 
 
 def disks(*spots: tuple[float, float, float, float], size: int = 200) -> Float:
@@ -50,7 +51,7 @@ def test_otsu_parts_whole_numbers_as_well_as_any_cut(values: list[int]) -> None:
         return low.size * high.size * (high.mean() - low.mean()) ** 2 if low.size and high.size else 0.0
 
     best = max(between(cut) for cut in np.unique(data)[:-1])
-    assert_allclose(between(otsu_threshold(data, bins=int(np.ptp(data)) * 4)), best, rtol=1e-9)
+    assert_allclose(between(otsu_threshold(data, bins=int(np.ptp(data)) * 4)), best, rtol=FLOAT64_SUM)
 
 
 def test_otsu_agrees_with_opencv() -> None:
@@ -82,8 +83,8 @@ def test_blobs_agree_with_sep() -> None:
     theirs = sep.extract(np.ascontiguousarray(image), 5.0, minarea=1, filter_kernel=None, deblend_cont=1.0)
     order = np.argsort(-theirs["npix"])
     assert_array_equal(ours.areas_px, theirs["npix"][order])
-    assert_allclose(ours.flux_dn, theirs["flux"][order], rtol=1e-6)
-    assert_allclose(ours.centroids_px, np.stack([theirs["x"], theirs["y"]], axis=-1)[order], rtol=0, atol=1e-6)
+    assert_allclose(ours.flux_dn, theirs["flux"][order], rtol=FLOAT32)
+    assert_allclose(ours.centroids_px, np.stack([theirs["x"], theirs["y"]], axis=-1)[order], rtol=0, atol=PLACE_PX)
     low = np.stack([theirs["xmin"], theirs["ymin"]], axis=-1)[order]
     assert_array_equal(ours.boxes_px[:, :2], low)
     assert not ours.touch_frame.any()

@@ -28,13 +28,13 @@ from tests.processing.test_detection import (
     spread_points,
     star_image,
 )
+from tests.tolerances import FALSE_ALARM
 
 SIGMA_PX = 0.8
 SUB_EXPOSURES = 60  # 0.2 px apart on the longest streak: four to the width of the PSF
 DERIVATIVE = 1e-6
 SHARE = 1e-5  # of the flux, against a sum of many points
 LENGTH_PX = 0.5
-CHANCE = 1e-5
 
 
 def streaked_image(points_px: Float, flux_dn: Float, half_px: Float, shape: tuple[int, int]) -> Float:
@@ -88,16 +88,16 @@ def test_middle_and_ends_of_streaks_have_honest_covariances() -> None:
         gain_e_per_dn=GAIN,
     )
     assert fits.converged.all()
-    low, high = nees_band(n, 1.0 - CHANCE)
+    low, high = nees_band(n, 1.0 - FALSE_ALARM)
     error = fits.centers_px - points
     squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(fits.covariance_px2[:, :2, :2]), error)
     assert low < squares.mean() < high
     truth = np.stack([points - half, points + half], axis=1)
     off = (fits.ends_px - truth).reshape(n, 4)
     both = np.einsum("ni,nij,nj->n", off, np.linalg.inv(fits.end_covariance_px2), off)
-    assert chi2.ppf(CHANCE / 2, 4 * n) < both.sum() < chi2.ppf(1 - CHANCE / 2, 4 * n)
+    assert chi2.ppf(FALSE_ALARM / 2, 4 * n) < both.sum() < chi2.ppf(1 - FALSE_ALARM / 2, 4 * n)
     length = (fits.lengths_px - 2.0 * np.hypot(*half)) / fits.length_sigma_px
-    assert chi2.ppf(CHANCE / 2, n) < np.sum(length**2) < chi2.ppf(1 - CHANCE / 2, n)
+    assert chi2.ppf(FALSE_ALARM / 2, n) < np.sum(length**2) < chi2.ppf(1 - FALSE_ALARM / 2, n)
 
 
 @pytest.mark.parametrize("half", [(5.0, 3.0), (0.0, 6.0), (-2.2, 1.0)])
@@ -115,7 +115,7 @@ def test_streaks_common_to_an_image_are_recognized_and_their_middle_is_reported(
     assert all(DetectionFlag.STREAK in DetectionFlag(int(flags)) for flags in stars.flags)
     error = stars.points_px[index] - points
     squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(stars.covariance_px2[index]), error)
-    low, high = nees_band(len(points), 1.0 - CHANCE)
+    low, high = nees_band(len(points), 1.0 - FALSE_ALARM)
     assert low < squares.mean() < high
     assert stars.halves_px is not None
     assert stars.half_sigma_px is not None

@@ -11,6 +11,7 @@ from giantlike.camera_models import BrownModel
 from giantlike.core.errors import InputError
 from giantlike.ray_tracing import Body, trace_backplanes
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, Shape, irregular_body, mesh_from_ellipsoid, sphere
+from tests.tolerances import FLOAT64, FLOAT64_CHAIN
 
 PIXEL = 1e-6  # px: rays are interpolated to 1e-11 rad, 1e-8 px of this camera
 POINT = 1e-9  # relative to the range
@@ -44,7 +45,7 @@ def test_every_point_projects_into_the_center_of_its_pixel(shape: Shape, scale: 
     radius = np.linalg.norm(planes.point_body_km[seen], axis=1)
     longitude, latitude = planes.longitude_rad[seen], planes.latitude_rad[seen]
     east = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], -1)
-    assert_allclose(radius[:, None] * east, planes.point_body_km[seen], rtol=0, atol=1e-12)
+    assert_allclose(radius[:, None] * east, planes.point_body_km[seen], rtol=0, atol=FLOAT64)
     assert longitude.min() >= 0.0
     assert longitude.max() < 2.0 * np.pi
 
@@ -59,9 +60,9 @@ def test_angles_on_an_ellipsoid_are_those_of_its_normals() -> None:
     sun = body.to_body(SUN)
     toward = body.camera_body_km - points
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    assert_allclose(np.cos(planes.incidence_rad[seen]), normals @ sun, rtol=0, atol=1e-10)
-    assert_allclose(np.cos(planes.emission_rad[seen]), np.sum(normals * toward, axis=1), rtol=0, atol=1e-10)
-    assert_allclose(np.cos(planes.phase_rad[seen]), toward @ sun, rtol=0, atol=1e-10)
+    assert_allclose(np.cos(planes.incidence_rad[seen]), normals @ sun, rtol=0, atol=FLOAT64_CHAIN)
+    assert_allclose(np.cos(planes.emission_rad[seen]), np.sum(normals * toward, axis=1), rtol=0, atol=FLOAT64_CHAIN)
+    assert_allclose(np.cos(planes.phase_rad[seen]), toward @ sun, rtol=0, atol=FLOAT64_CHAIN)
     assert np.array_equal(planes.shadowed[seen], planes.incidence_rad[seen] >= 0.5 * np.pi)
     assert planes.emission_rad[seen].max() <= 0.5 * np.pi
 

@@ -16,6 +16,7 @@ from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, irregular_body, mesh_from_ellipsoid
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FLOAT64_SUM
 
 OUTLINE_PX = 2e-6  # float64 at 1e6 radii from a camera of 1e9 px focal length; the requirement is 1e-4 px
 HIT = 1e-12  # of the range: float64; the requirement is 1e-9
@@ -149,7 +150,7 @@ def test_an_outline_that_the_camera_images_in_part_is_that_of_a_camera_without_i
     part, whole = (_outline(body, model, center_px=[500.0, 500.0]) for model in (folding, straight))
     assert 20 < part.valid.sum() < 175
     assert whole.valid.all()
-    assert_allclose(part.points_camera_km[part.valid], whole.points_camera_km[part.valid], rtol=0, atol=1e-9)
+    assert_allclose(part.points_camera_km[part.valid], whole.points_camera_km[part.valid], rtol=0, atol=FLOAT64_SUM)
     beyond = np.linalg.norm(whole.points_px[~part.valid] - 500.0, axis=1) / 1000.0
     folds_at = np.sqrt(1.0 / 1.2)
     longest = 2.0 * np.sqrt(4 * np.pi / 2000)  # edges, over a range of some 1 km: what is imaged in part is left out

@@ -33,6 +33,7 @@ from giantlike.ray_tracing import (
 from giantlike.ray_tracing.sampling import Cells, RayGrid, Tile
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid, sphere
+from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_CHAIN, FLOAT64_SUM
 
 SILHOUETTE_PX = 1e-4  # float32 rays from the bounding sphere: 6e-8 of the radius, and a bisection to 5e-7 px
 EXACT_PX = 2e-6  # bisection of half a pixel, 20 times
@@ -108,7 +109,7 @@ def test_ellipsoid_and_its_fine_mesh_are_hit_at_the_same_places() -> None:
     directions = _unit(random.uniform(-0.5, 0.5, size=(2000, 3)) - [0.0, 0.0, 50.0])
     smooth, flat = (tracer_for(shape).intersect([0.0, 0.0, 50.0], directions) for shape in (ELLIPSOID, mesh))
     assert np.all(smooth.hit & flat.hit)
-    assert_allclose(np.sum((smooth.points_km / ELLIPSOID.radii_km) ** 2, axis=1), 1.0, rtol=0, atol=1e-12)
+    assert_allclose(np.sum((smooth.points_km / ELLIPSOID.radii_km) ** 2, axis=1), 1.0, rtol=0, atol=FLOAT64)
     assert_allclose(flat.points_km, smooth.points_km, rtol=0, atol=2 * sagitta_km)
     assert_allclose(flat.normals, smooth.normals, rtol=0, atol=0.03)
 
@@ -328,7 +329,7 @@ def test_a_template_through_a_distorted_camera_matches_a_dense_render_without_ou
     assert_allclose(template.coverage, covered, rtol=0, atol=1.5 / 81)  # one ray of a pixel's 81 may go either way
     lit = np.count_nonzero(light) / np.count_nonzero(met)
     assert template.lit_fraction == pytest.approx(lit, abs=1e-4)
-    assert_allclose(template.center_px, BROWN.project(position), rtol=0, atol=1e-12)
+    assert_allclose(template.center_px, BROWN.project(position), rtol=0, atol=FLOAT64)
 
 
 @pytest.mark.parametrize("seed", [None, 7])
@@ -367,7 +368,7 @@ def test_a_template_cut_by_the_frame_shows_the_same_pixels_as_the_whole() -> Non
     for margin, cut in cuts.items():
         assert isinstance(cut, Template)
         assert np.all(cut.corner_px + cut.brightness.shape[::-1] == [320 + margin, 200 + margin])
-        assert_allclose(cut.placed(320, 200), whole[:200, :320], rtol=0, atol=1e-6)  # the PSF is cut at 5 sigma
+        assert_allclose(cut.placed(320, 200), whole[:200, :320], rtol=0, atol=FLOAT32)  # the PSF is cut at 5 sigma
 
 
 def test_a_body_moved_by_whole_pixels_gives_the_same_template_elsewhere() -> None:
@@ -437,7 +438,7 @@ def test_ray_directions_are_those_of_the_camera_model_also_where_it_ends(k1: flo
     assert np.isfinite(exact).any()
     grid = RayGrid(model, x, y, TILTED.as_matrix().T)
     directions = grid.directions(Tile(10, 60, 5, x.count)).reshape(x.count - 5, 50, 4)  # column after column
-    assert_allclose(np.swapaxes(directions[..., :3], 0, 1), exact[10:60, 5:], rtol=0, atol=2e-11)
+    assert_allclose(np.swapaxes(directions[..., :3], 0, 1), exact[10:60, 5:], rtol=0, atol=FLOAT64_CHAIN)
     assert np.all(directions[..., 3] == 0.0)
 
 
@@ -481,7 +482,7 @@ def test_the_silhouette_of_an_ellipsoid_lies_on_its_limb_in_a_distorted_image() 
     aside = offsets[:, 0] * np.sin(CIRCLE) - offsets[:, 1] * np.cos(CIRCLE)
     assert_allclose(aside, 0.0, rtol=0, atol=EXACT_PX)
     assert np.all(offsets[:, 0] * np.cos(CIRCLE) + offsets[:, 1] * np.sin(CIRCLE) > 0)
-    assert_allclose(BROWN.project(limb.points_camera_km), limb.points_px, rtol=0, atol=1e-9)
+    assert_allclose(BROWN.project(limb.points_camera_km), limb.points_px, rtol=0, atol=FLOAT64_SUM)
     tangent = np.roll(limb.points_px, -1, axis=0) - np.roll(limb.points_px, 1, axis=0)
     assert np.abs(np.einsum("ij,ij->i", _unit(tangent), limb.normals_px)).max() < 0.01  # chords over 4 deg
     assert np.all(np.einsum("ij,ij->i", offsets, limb.normals_px) > 0)

@@ -39,8 +39,8 @@ from giantlike.ray_tracing import (
     render,
 )
 from giantlike.shapes import sphere
+from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SETTLED
 
-ROUNDING = 1e-12  # relative, a dozen float64 operations
 QUADRATURE = 1e-9  # relative, as disk_integrated promises; 1e-6 for Oren-Nayar
 RENDERED_FLUX = 5e-3  # relative: 256 rays across the disk, crescents of 120 degrees have a quarter of them
 RENDERED_PHOTOCENTER_RADII = 2e-3  # same reason
@@ -91,7 +91,7 @@ def _geometries(count: int, seed: int) -> tuple[Float, Float, Float, Float]:
 
 @every_law
 def test_every_law_is_one_at_normal_incidence_and_dark_below_either_horizon(law: Reflectance) -> None:
-    assert law(1.0, 1.0, 0.0) == pytest.approx(1.0, rel=ROUNDING)
+    assert law(1.0, 1.0, 0.0) == pytest.approx(1.0, rel=FLOAT64)
     assert law([-0.1, 0.5, 0.0, np.nan, 1e-3], [0.5, -0.1, 0.0, 0.5, -1e-9], 1.0).tolist() == [0.0] * 5
 
 
@@ -114,7 +114,7 @@ def test_every_law_takes_arrays_and_numbers_and_leaves_them_as_they_are(law: Ref
     whole = law(*arrays)
     assert whole.shape == (2, 3)
     one_by_one = [float(law(*values)) for values in zip(mu0, mu, phase, strict=True)]
-    assert_allclose(whole.ravel(), one_by_one, rtol=ROUNDING, atol=0)
+    assert_allclose(whole.ravel(), one_by_one, rtol=FLOAT64, atol=0)
     assert law(0.5, 0.6, phase).shape == law(mu0, 0.6, 0.7).shape == law(-0.5, 0.6, phase).shape == (6,)
     whole += 1.0
     assert all(np.array_equal(array, copy) for array, copy in zip(arrays, kept, strict=True))
@@ -126,7 +126,7 @@ def test_every_law_takes_arrays_and_numbers_and_leaves_them_as_they_are(law: Ref
 def test_sun_and_camera_can_change_places(law: Reflectance, mu0: float, mu: float, azimuth_rad: float) -> None:
     phase = _phase(np.asarray(mu0), np.asarray(mu), np.asarray(azimuth_rad))
     there, back = mu * law(mu0, mu, phase), mu0 * law(mu, mu0, phase)
-    assert_allclose(there, back, rtol=1e-9, atol=1e-13)  # Akimov's cosine at the terminator loses five digits
+    assert_allclose(there, back, rtol=FLOAT64_SUM, atol=FLOAT64)  # Akimov's cosine at the terminator loses five digits
 
 
 # --- law by law -----------------------------------------------------------------------------------------------------
@@ -137,7 +137,7 @@ def test_mcewen_follows_the_formula_of_the_campaign_contract_to_the_last_bit() -
     share = np.exp(phase * (-1.0 / math.radians(60.0)))
     assert np.array_equal(McEwen()(mu0, mu, phase), mu0 * (1.0 + share * (2.0 / (mu0 + mu) - 1.0)))
     share = np.exp(-np.degrees(phase) / 60.0)
-    assert_allclose(McEwen()(mu0, mu, phase), share * 2 * mu0 / (mu0 + mu) + (1 - share) * mu0, rtol=ROUNDING, atol=0)
+    assert_allclose(McEwen()(mu0, mu, phase), share * 2 * mu0 / (mu0 + mu) + (1 - share) * mu0, rtol=FLOAT64, atol=0)
     assert np.array_equal(LommelSeeliger()(mu0, mu, phase), 2.0 * mu0 / (mu0 + mu))
     assert np.array_equal(Lambert()(mu0, mu, phase), mu0)
 
@@ -146,32 +146,32 @@ def test_lunar_lambert_mixes_by_its_polynomial_between_zero_and_one() -> None:
     mu0, mu, _, _ = _geometries(50, seed=5)
     for phase_deg, share in ((0.0, 1.0), (30.0, 0.60838), (60.0, 0.41584), (104.0, 0.0), (150.0, 0.0)):
         mixed = share * 2.0 * mu0 / (mu0 + mu) + (1.0 - share) * mu0
-        assert_allclose(LunarLambert()(mu0, mu, math.radians(phase_deg)), mixed, rtol=ROUNDING, atol=0)
+        assert_allclose(LunarLambert()(mu0, mu, math.radians(phase_deg)), mixed, rtol=FLOAT64, atol=0)
     half = 0.5 * (LommelSeeliger()(mu0, mu, 1.0) + Lambert()(mu0, mu, 1.0))
-    assert_allclose(LunarLambert(weight=(0.5,))(mu0, mu, 1.0), half, rtol=ROUNDING, atol=0)
+    assert_allclose(LunarLambert(weight=(0.5,))(mu0, mu, 1.0), half, rtol=FLOAT64, atol=0)
 
 
 def test_minnaert_is_lambert_at_one_and_flat_at_full_phase_at_a_half() -> None:
     mu0, mu, _, phase = _geometries(50, seed=6)
-    assert_allclose(Minnaert(k=1.0)(mu0, mu, phase), mu0, rtol=ROUNDING, atol=0)
-    assert_allclose(Minnaert(k=0.5)(mu0, mu0, 0.0), 1.0, rtol=ROUNDING, atol=0)
+    assert_allclose(Minnaert(k=1.0)(mu0, mu, phase), mu0, rtol=FLOAT64, atol=0)
+    assert_allclose(Minnaert(k=0.5)(mu0, mu0, 0.0), 1.0, rtol=FLOAT64, atol=0)
     growing = Minnaert(k=0.5, k_per_deg=0.005)(mu0, mu, math.radians(60.0))
-    assert_allclose(growing, mu0**0.8 * mu**-0.2, rtol=ROUNDING, atol=0)
+    assert_allclose(growing, mu0**0.8 * mu**-0.2, rtol=FLOAT64, atol=0)
     for k in (0.3, 0.5, 0.8, 1.5):
-        assert disk_integrated(Minnaert(k=k), 0.0) == pytest.approx(2.0 / (2.0 * k + 1.0), rel=1e-6)
+        assert disk_integrated(Minnaert(k=k), 0.0) == pytest.approx(2.0 / (2.0 * k + 1.0), rel=SETTLED)
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.4, 1.0])
 def test_akimov_is_flat_at_full_phase_and_dark_at_the_terminator(eta: float) -> None:
     law = Akimov(eta=eta)
     mu = np.linspace(0.01, 1.0, 40)
-    assert_allclose(law(mu, mu, 0.0), 1.0, rtol=1e-9, atol=0)
+    assert_allclose(law(mu, mu, 0.0), 1.0, rtol=FLOAT64_SUM, atol=0)
     phase = math.radians(70.0)
     longitude = np.linspace(phase - 0.5 * np.pi, 0.5 * np.pi, 42)[1:-1]
     equator = law(np.cos(longitude - phase), np.cos(longitude), phase)
     stretch = np.pi / (np.pi - phase)
     expected = np.cos(0.5 * phase) * np.cos(stretch * (longitude - 0.5 * phase)) / np.cos(longitude)
-    assert_allclose(equator, expected, rtol=1e-9, atol=0)
+    assert_allclose(equator, expected, rtol=FLOAT64_SUM, atol=0)
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.4, 1.0])
@@ -187,13 +187,13 @@ def test_the_disk_of_akimov_has_the_brightness_of_its_closed_form(phase_deg: flo
 
 def test_oren_nayar_equals_its_form_in_angles_and_without_roughness_lambert() -> None:
     mu0, mu, azimuth, phase = _geometries(500, seed=7)
-    assert_allclose(OrenNayar(sigma_deg=0.0)(mu0, mu, phase), mu0, rtol=ROUNDING, atol=0)
+    assert_allclose(OrenNayar(sigma_deg=0.0)(mu0, mu, phase), mu0, rtol=FLOAT64, atol=0)
     variance = math.radians(30.0) ** 2
     level, groove = 1.0 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
     angles = np.arccos(mu0), np.arccos(mu)
     slope = np.sin(np.maximum(*angles)) * np.tan(np.minimum(*angles))
     expected = mu0 * (level + groove * np.maximum(np.cos(azimuth), 0.0) * slope) / level
-    assert_allclose(OrenNayar(sigma_deg=30.0)(mu0, mu, phase), expected, rtol=1e-9, atol=1e-12)
+    assert_allclose(OrenNayar(sigma_deg=30.0)(mu0, mu, phase), expected, rtol=FLOAT64_SUM, atol=FLOAT64)
 
 
 def _chandrasekhar(w: float, at: Float) -> Float:
@@ -220,7 +220,7 @@ def test_smooth_isotropic_hapke_is_lommel_seeliger_times_the_h_functions(w: floa
         )
     )
     found = Hapke(w=w)(mu0, mu, phase)
-    assert_allclose(found, expected * approximate[0] * approximate[1] / approximate[2] ** 2, rtol=1e-12, atol=0)
+    assert_allclose(found, expected * approximate[0] * approximate[1] / approximate[2] ** 2, rtol=FLOAT64, atol=0)
     for cosine, rough, true in zip(("mu0", "mu", "1"), approximate, exact, strict=True):
         assert_allclose(rough, true, rtol=tolerance, atol=0, err_msg=cosine)
 
@@ -229,7 +229,7 @@ def test_the_surge_of_hapke_halves_where_the_tangent_of_half_the_phase_is_its_wi
     dark = {b0: Hapke(w=1e-9, b0=b0, h=0.05) for b0 in (0.0, 1.0)}  # single scattering only
     phases = 2.0 * np.arctan([0.0, 0.05, 0.15])
     surge = 2.0 * dark[1.0](1.0, 0.5, phases) / dark[0.0](1.0, 0.5, phases) - 1.0
-    assert_allclose(surge, [1.0, 0.5, 0.25], rtol=1e-6, atol=0)
+    assert_allclose(surge, [1.0, 0.5, 0.25], rtol=SETTLED, atol=0)
 
 
 def test_the_lobes_of_hapke_follow_henyey_and_greenstein() -> None:
@@ -237,7 +237,7 @@ def test_the_lobes_of_hapke_follow_henyey_and_greenstein() -> None:
     phase = np.linspace(0.0, 3.0, 7)
     lobes = [(1.0 - 0.16) / (1.0 + sign * 0.8 * np.cos(phase) + 0.16) ** 1.5 for sign in (-1.0, 1.0)]
     expected = 0.75 * lobes[0] + 0.25 * lobes[1]
-    assert_allclose(dark(0.7, 0.7, phase) / dark(0.7, 0.7, 0.0), expected / expected[0], rtol=1e-6, atol=0)
+    assert_allclose(dark(0.7, 0.7, phase) / dark(0.7, 0.7, 0.0), expected / expected[0], rtol=SETTLED, atol=0)
 
 
 def _hapke_in_angles(law: Hapke, incidence: float, emission: float, azimuth: float) -> float:
@@ -280,7 +280,9 @@ def test_rough_hapke_equals_its_form_in_angles() -> None:
     mu0, mu, azimuth, phase = _geometries(300, seed=9)
     angles = zip(np.arccos(mu0), np.arccos(mu), azimuth, strict=True)
     expected = np.array([_hapke_in_angles(BRIGHT, *(float(angle) for angle in three)) for three in angles])
-    assert_allclose(BRIGHT(mu0, mu, phase), expected / _hapke_in_angles(BRIGHT, 0.0, 0.0, 0.0), rtol=1e-9, atol=0)
+    assert_allclose(
+        BRIGHT(mu0, mu, phase), expected / _hapke_in_angles(BRIGHT, 0.0, 0.0, 0.0), rtol=FLOAT64_SUM, atol=0
+    )
 
 
 @pytest.mark.parametrize(
@@ -304,7 +306,7 @@ def test_hapke_becomes_smooth_as_its_slopes_vanish_and_darker_at_large_phase_as_
     mu0, mu, _, phase = _geometries(300, seed=10)
     smooth = Hapke(w=0.3, b0=1.0, h=0.05, hg1=-0.3)
     nearly = Hapke(w=0.3, b0=1.0, h=0.05, hg1=-0.3, theta_bar_deg=0.01)
-    assert_allclose(nearly(mu0, mu, phase), smooth(mu0, mu, phase), rtol=1e-6, atol=0)
+    assert_allclose(nearly(mu0, mu, phase), smooth(mu0, mu, phase), rtol=SETTLED, atol=0)
     disks = [
         disk_integrated(Hapke(w=0.3, theta_bar_deg=slope), math.radians(100.0)) for slope in (0.0, 10.0, 20.0, 30.0)
     ]
@@ -318,9 +320,11 @@ def test_hapke_becomes_smooth_as_its_slopes_vanish_and_darker_at_large_phase_as_
 def test_the_disks_of_lambert_and_lommel_seeliger_follow_their_closed_forms(phase_deg: float) -> None:
     a = math.radians(phase_deg)
     lambert = 2.0 / 3.0 * (math.sin(a) + (math.pi - a) * math.cos(a)) / math.pi
-    assert disk_integrated(Lambert(), a) == pytest.approx(lambert, rel=1e-8)  # the form itself cancels at 179 degrees
+    assert disk_integrated(Lambert(), a) == pytest.approx(
+        lambert, rel=FLOAT64_ROOT
+    )  # the form itself cancels at 179 degrees
     offset = math.pi / 8.0 * math.sin(a) * (1.0 + math.cos(a)) / (math.pi * lambert)
-    assert disk_photocenter(Lambert(), a) == pytest.approx(offset, rel=1e-8, abs=ROUNDING)
+    assert disk_photocenter(Lambert(), a) == pytest.approx(offset, rel=FLOAT64_ROOT, abs=FLOAT64)
     seeliger = 1.0 - (math.sin(a / 2) * math.tan(a / 2) * math.log(1.0 / math.tan(a / 4)) if a > 0 else 0.0)
     assert disk_integrated(LommelSeeliger(), a) == pytest.approx(seeliger, rel=QUADRATURE)
 
@@ -435,9 +439,9 @@ def test_a_wrong_table_is_refused_by_name_and_value(table: dict[str, object], ne
 
 def test_a_tabulated_law_is_its_table_at_the_entries_linear_between_and_level_beyond() -> None:
     at = np.cos(np.radians([0.0, 45.0, 22.5]))
-    assert_allclose(TABLE(at, 0.5, 0.0), [1.0, 0.7, 0.85], rtol=ROUNDING, atol=0)
+    assert_allclose(TABLE(at, 0.5, 0.0), [1.0, 0.7, 0.85], rtol=FLOAT64, atol=0)
     phases = np.radians([0.0, 30.0, 60.0, 120.0, 180.0])
-    assert_allclose(TABLE(1.0, 0.3, phases), np.array([3.0, 2.5, 2.0, 1.0, 1.0]) / 3.0, rtol=ROUNDING, atol=0)
+    assert_allclose(TABLE(1.0, 0.3, phases), np.array([3.0, 2.5, 2.0, 1.0, 1.0]) / 3.0, rtol=FLOAT64, atol=0)
     other = replace(TABLE, phase_deg=(0.0, 60.0, 121.0))
     assert repr(TABLE).startswith("TabulatedReflectance(3 x 2 x 3, sha256=")
     assert repr(TABLE) == repr(replace(TABLE)) != repr(other)
@@ -457,7 +461,7 @@ def test_a_fine_table_of_a_law_renders_like_the_law() -> None:
 
 
 def test_a_law_of_the_user_is_scaled_and_checked() -> None:
-    assert_allclose(USER([0.5, 0.5], [1.0, -1.0], 1.0), [0.25 * math.exp(-1.0), 0.0], rtol=ROUNDING, atol=0)
+    assert_allclose(USER([0.5, 0.5], [1.0, -1.0], 1.0), [0.25 * math.exp(-1.0), 0.0], rtol=FLOAT64, atol=0)
     assert repr(USER) == "UserReflectance(name='mine')"
     laws: list[tuple[Callable[[Float, Float, Float], Float], str]] = [
         (lambda mu0, mu, phase_rad: 0.0 * mu0, "> 0 at cosines 1"),

@@ -30,9 +30,9 @@ from giantlike.ray_tracing import (
 )
 from giantlike.ray_tracing.sun import disk_directions
 from giantlike.shapes import Ellipsoid, FacetAlbedo, Shape, irregular_body, mesh_from_ellipsoid, sphere
+from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, PLACE_PX
 
 AREA = 5e-3  # relative: 2 rays along each pixel side, edges of 100 px
-ROUNDING = 1e-12
 
 TILTED = Rotation.from_euler("xyz", [80.0, 20.0, 30.0], degrees=True)
 BEHIND_CAMERA = np.array([0.0, 0.0, -1.0])
@@ -62,7 +62,7 @@ def test_a_scene_of_one_body_is_its_template() -> None:
     template = render(body, BROWN, sun_direction_camera=SIDEWAYS, psf=psf, columns=256, rows=240)
     assert isinstance(template, Template)
     assert np.array_equal(scene.brightness, template.placed(256, 240))
-    assert scene.coverage(0).sum() == pytest.approx(template.coverage.sum(), rel=ROUNDING)
+    assert scene.coverage(0).sum() == pytest.approx(template.coverage.sum(), rel=FLOAT64)
 
 
 @pytest.mark.parametrize("near", SHAPES, ids=["ellipsoid", "mesh"])
@@ -75,13 +75,13 @@ def test_a_near_sphere_cuts_its_disk_out_of_a_far_one(near: Shape, far: Shape) -
     lens = _lens_area(radii[0], radii[1], apart)
     hidden = alone[0].coverage(0) - scene.coverage(0)
     assert hidden.sum() == pytest.approx(lens, rel=AREA)
-    assert hidden.min() > -ROUNDING
+    assert hidden.min() > -FLOAT64
     assert np.array_equal(scene.coverage(1), alone[1].coverage(0))
-    assert (scene.coverage(0) + scene.coverage(1)).max() < 1.0 + ROUNDING
+    assert (scene.coverage(0) + scene.coverage(1)).max() < 1.0 + FLOAT64
     free = alone[1].coverage(0) == 0.0
-    assert_allclose(scene.coverage(0)[free], alone[0].coverage(0)[free], rtol=0, atol=ROUNDING)
+    assert_allclose(scene.coverage(0)[free], alone[0].coverage(0)[free], rtol=0, atol=FLOAT64)
     swapped = _scene(bodies[::-1], BEHIND_CAMERA, RenderOptions(shadows=False))
-    assert_allclose(swapped.brightness, scene.brightness, rtol=0, atol=ROUNDING)
+    assert_allclose(swapped.brightness, scene.brightness, rtol=0, atol=FLOAT64)
 
 
 def _lens_area(a: float, b: float, d: float) -> float:
@@ -145,7 +145,7 @@ def test_points_of_the_solar_disk_fill_it_evenly() -> None:
     rays = np.stack(disk_directions(np.append(SIDEWAYS, 0.0), 0.3, 8, first, turn))
     assert np.all(rays[..., 3] == 0.0)
     rays = rays[..., :3]
-    assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=0, atol=ROUNDING)
+    assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=0, atol=FLOAT64)
     share = (1.0 - rays @ SIDEWAYS) / (1.0 - math.cos(0.3))  # uniform in [0, 1) over a cap
     ring = np.arange(8)[:, None]
     assert np.all((share * 8 > ring - 1e-9) & (share * 8 < ring + 1 + 1e-9))
@@ -162,8 +162,8 @@ def test_each_body_keeps_its_law_its_albedo_and_its_sun() -> None:
     scene = _scene([_body(gray, apart[0]), _body(mesh, apart[1], LommelSeeliger())], suns)
     first = _scene([_body(mesh, apart[0])], BEHIND_CAMERA)
     second = _scene([_body(mesh, apart[1], LommelSeeliger())], SIDEWAYS)
-    assert_allclose(scene.brightness, 0.25 * first.brightness + second.brightness, rtol=0, atol=1e-9)
-    assert_allclose(scene.weighted([4.0, 0.0]), first.brightness, rtol=0, atol=1e-9)
+    assert_allclose(scene.brightness, 0.25 * first.brightness + second.brightness, rtol=0, atol=FLOAT64_SUM)
+    assert_allclose(scene.weighted([4.0, 0.0]), first.brightness, rtol=0, atol=FLOAT64_SUM)
 
 
 def test_what_is_not_seen_is_a_failure_of_that_body_alone() -> None:
@@ -258,10 +258,10 @@ def test_a_body_outside_the_field_is_rendered_as_if_the_camera_had_turned_to_it(
     template = _near(body, sun, psf, recenter=True)
     assert isinstance(template, Template)
     turn = template.rendered_from_camera
-    assert_allclose(template.center_px, [127.5, 119.5], rtol=0, atol=1e-6)
-    assert_allclose(rotate(turn, away), BROWN.unproject([127.5, 119.5]), rtol=0, atol=1e-9)
+    assert_allclose(template.center_px, [127.5, 119.5], rtol=0, atol=PLACE_PX)
+    assert_allclose(rotate(turn, away), BROWN.unproject([127.5, 119.5]), rtol=0, atol=FLOAT64_SUM)
     assert _same(template, _near(body.turned(turn), rotate(turn, sun), psf))
-    assert turn.magnitude() == pytest.approx(np.arccos(away @ BROWN.unproject([127.5, 119.5])), abs=1e-7)
+    assert turn.magnitude() == pytest.approx(np.arccos(away @ BROWN.unproject([127.5, 119.5])), abs=FLOAT64_ROOT)
     inside = _body(irregular_body(2, facets=2000), [0.2, 0.1, 6.0])
     kept = _near(inside, recenter=True)
     assert isinstance(kept, Template)

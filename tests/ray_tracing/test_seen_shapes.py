@@ -18,6 +18,7 @@ from giantlike.ray_tracing import Body, Template, render, trace_silhouette
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, Point, Shape, mesh_from_ellipsoid
+from tests.tolerances import PLACE_PX
 
 MODEL = PinholeModel(fx_px=5000.0, fy_px=5000.0, cx_px=256.0, cy_px=256.0)
 ELLIPSOID = Ellipsoid(radii_km=np.array([1.0, 0.7, 0.6]))
@@ -68,7 +69,7 @@ def test_the_image_of_a_point_is_the_psf_over_its_pixels(range_km: float) -> Non
         assert_allclose(
             profile, np.diff(ndtr((edges - place) / 0.8)), rtol=0, atol=2e-4
         )  # light off the center, 3e-4 px
-    assert_allclose(template.center_px, center, rtol=0, atol=1e-6)
+    assert_allclose(template.center_px, center, rtol=0, atol=PLACE_PX)
     assert_allclose(template.photocenter_px, center, rtol=0, atol=5e-4)
 
 

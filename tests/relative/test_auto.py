@@ -22,6 +22,7 @@ from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.generate import irregular_body
 from tests.limb_images import NEES_LIMIT, body_image
+from tests.tolerances import FLOAT64_SUM
 
 MOON = Ellipsoid(radii_km=np.array([1.1, 1.0, 0.95]))
 
@@ -179,7 +180,7 @@ def test_a_fix_to_which_its_own_checks_object_gives_way_to_the_next(rock: Triang
 
 def test_agreement_is_the_chance_of_a_larger_difference() -> None:
     # Two axes of sigma sqrt(0.02): a difference of 3 of them on one axis is as likely as exp(-9 / 2).
-    assert agreement_of(_fix((0, 0)), _fix((3 * 0.02**0.5, 0))) == pytest.approx(np.exp(-4.5), rel=1e-9)
+    assert agreement_of(_fix((0, 0)), _fix((3 * 0.02**0.5, 0))) == pytest.approx(np.exp(-4.5), rel=FLOAT64_SUM)
 
 
 @pytest.mark.parametrize(

@@ -38,13 +38,13 @@ from giantlike.relative.template.fit import (
 )
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, TriangleMesh, irregular_body, load_shape, sphere
+from tests.tolerances import FLOAT64_SUM, RARE
 
 # --- the fit, on images that are known exactly ------------------------------------------------------------------
 
 EXACT_PX = 2e-3  # a last step below 0.05 px is not followed by another render
 EXACT_LOG_RANGE = 2e-4  # the same error, at the 17 px that the light reaches
 MISSED_FOR_NOISE = 1.6  # the widening by the jackknife is one-sided: with nothing to find, variances come out larger
-RARE = 1e-6  # chance of a false alarm of one gate
 ALIGNED_PX = 0.3  # where a new render takes over
 NOISE = Detector(gain_e_per_dn=1.0, read_noise_e=5.0).variance_dn2
 SHAPE = (64, 70)
@@ -435,8 +435,8 @@ def test_position_and_center_say_the_same() -> None:
     case = Case(diameter_px=60.0, phase_deg=50.0)
     fix = positioned(case, case.image(), case.scene())
     center, covariance = center_of_position(CAMERA.model, fix.position_camera_km, fix.covariance_camera_km2)
-    assert_allclose(center, fix.center_px, rtol=0, atol=1e-9)
-    assert_allclose(covariance, fix.covariance_px2, rtol=0, atol=1e-9)
+    assert_allclose(center, fix.center_px, rtol=0, atol=FLOAT64_SUM)
+    assert_allclose(covariance, fix.covariance_px2, rtol=0, atol=FLOAT64_SUM)
     distance = np.linalg.norm(fix.limb_px - fix.center_px, axis=1)
     assert float(distance.min()) / 30.0 > 0.5
     assert float(distance.max()) / 30.0 < 2.5

@@ -19,8 +19,8 @@ from giantlike.relative.horizon.ellipse_fit import position_of_cone
 from giantlike.relative.horizon.geometry import Figure
 from giantlike.shapes import Ellipsoid, Point, irregular_body
 from tests.limb_images import BodyImage, body_image, mean_nees_band
+from tests.tolerances import SETTLED
 
-ROUNDING = 1e-9
 SIGMA_PX, SIGMA_RANGE = 1.0, 0.01  # what an ellipse of 160 px must say of itself at worst
 BODY = Ellipsoid(radii_km=np.array([0.3, 0.26, 0.22]))
 LAWS = (McEwen(), LommelSeeliger(), Lambert())
@@ -54,7 +54,7 @@ def test_the_cone_around_an_ellipsoid_gives_its_position(axes: tuple[float, floa
         cone = np.outer(pull, pull) - (place @ pull - 1.0) * figure.shape_matrix
         position = position_of_cone(float(rng.uniform(0.1, 9)) * cone, figure)
         assert position is not None
-        assert_allclose(position, place, rtol=0, atol=1e-6 * place[2])
+        assert_allclose(position, place, rtol=0, atol=SETTLED * place[2])
     assert position_of_cone(np.diag([1.0, -1.0, 1.0]), figure) is None
 
 

@@ -32,6 +32,7 @@ from giantlike.relative.limb.observation import EdgeModel
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid
 from tests.limb_images import BodyImage, assert_sound, body_image, mean_nees_band
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SETTLED
 
 RELATIVE = 1e-9  # of the range, noise-free: float64 rounding, magnified by range over radius
 TRIALS = 1500
@@ -97,7 +98,7 @@ def test_the_jacobian_of_the_horizon_is_that_of_its_residuals(model: CameraModel
     numerical = numerical_jacobian(
         lambda position: -horizon_residuals(points, model, TRIAXIAL, position)[0], POSITION_KM, step_km
     )
-    assert_allclose(jacobian * step_km, numerical * step_km, rtol=0, atol=1e-7)
+    assert_allclose(jacobian * step_km, numerical * step_km, rtol=0, atol=FLOAT64_ROOT)
 
 
 def test_the_covariance_is_that_of_the_paper_for_a_pinhole_camera() -> None:
@@ -113,7 +114,7 @@ def test_the_covariance_is_that_of_the_paper_for_a_pinhole_camera() -> None:
         h = 2.0 * s @ ((x @ a @ x) * a - a @ np.outer(x, x) @ a)  # eq. 18
         information += np.outer(h, h) / variance  # eq. 20
     stated = horizon_covariance(points, ORION, TRIAXIAL, POSITION_KM, sigma_px=sigma)
-    assert_allclose(stated @ information, np.eye(3), rtol=0, atol=1e-6)
+    assert_allclose(stated @ information, np.eye(3), rtol=0, atol=SETTLED)
 
 
 @pytest.mark.parametrize("method", list(CraMethod))
@@ -243,9 +244,9 @@ def test_a_fix_is_complete_and_its_parts_agree() -> None:
     fix = fixed(case)
     model = case.camera.model
     assert fix.estimator == "ellipsoid_cra"
-    assert_allclose(fix.center_px, model.project(fix.position_camera_km), rtol=0, atol=1e-9)
+    assert_allclose(fix.center_px, model.project(fix.position_camera_km), rtol=0, atol=FLOAT64_SUM)
     jacobian = model.project_jacobian(fix.position_camera_km)
-    assert_allclose(fix.covariance_px2, jacobian @ fix.covariance_camera_km2 @ jacobian.T, rtol=0, atol=1e-12)
+    assert_allclose(fix.covariance_px2, jacobian @ fix.covariance_camera_km2 @ jacobian.T, rtol=0, atol=FLOAT64)
     assert fix.residuals.shape == (fix.n_used,)
     assert fix.limb_px.shape == (fix.n_used, 2)
     assert "total_least_squares" not in fix.provenance["options"]

@@ -28,8 +28,8 @@ from giantlike.shapes import (
 )
 from giantlike.shapes.files.maplet import read_maplet
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog, landmark_of, load_landmarks, save_landmarks
+from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_ROOT
 
-SINGLE = 1e-6  # of a km at a radius of 1 km: single precision
 BODY = irregular_body(3, facets=5000)
 
 
@@ -79,7 +79,7 @@ def test_a_maplet_has_its_heights_where_spc_means_them(tmp_path: Path) -> None:
     assert_allclose(points[seen, 2], scale_km * expected, rtol=0, atol=step_km)
     body = local.to_body(points[seen])
     direct = center + points[seen, :1] * axes[0] + points[seen, 1:2] * axes[1] + points[seen, 2:] * axes[2]
-    assert_allclose(body, direct, rtol=0, atol=SINGLE)
+    assert_allclose(body, direct, rtol=0, atol=FLOAT32)
     assert local.albedo is not None
     assert_allclose(local.albedo.ravel()[seen], 1.0 + 0.05 * along_y, rtol=0, atol=0.0051)  # hundredths
     assert local.mesh().normals @ axes[2] == pytest.approx(1.0, abs=0.2)
@@ -116,7 +116,7 @@ def test_a_folder_of_maplets_is_a_catalog(tmp_path: Path) -> None:
     catalog = load_landmarks(tmp_path)
     assert [landmark.name for landmark in catalog.landmarks] == ["AA0000", "AA0001", "AA0002"]
     assert catalog.shape_sha256 == ""
-    assert catalog.landmarks[0].size_km == pytest.approx(0.08, rel=1e-6)
+    assert catalog.landmarks[0].size_km == pytest.approx(0.08, rel=FLOAT32)
     assert len(load_landmarks(tmp_path / "AA0001.MAP")) == 1
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match="no maplet"):
@@ -145,12 +145,12 @@ def test_a_catalog_is_the_same_after_a_file(tmp_path: Path) -> None:
     assert (again.body_name, again.shape_sha256) == (catalog.body_name, catalog.shape_sha256)
     for one, other in zip(catalog.landmarks, again.landmarks, strict=True):
         assert (one.name, one.texture, one.map.spacing_km) == (other.name, other.texture, other.map.spacing_km)
-        assert_allclose(other.map.heights_km, one.map.heights_km, rtol=0, atol=1e-8)  # float32 of 0.1 km
-        assert_allclose(other.point_body_km, one.point_body_km, rtol=0, atol=1e-8)
-        assert_allclose(other.normal_body, one.normal_body, rtol=0, atol=1e-12)
+        assert_allclose(other.map.heights_km, one.map.heights_km, rtol=0, atol=FLOAT64_ROOT)  # float32 of 0.1 km
+        assert_allclose(other.point_body_km, one.point_body_km, rtol=0, atol=FLOAT64_ROOT)
+        assert_allclose(other.normal_body, one.normal_body, rtol=0, atol=FLOAT64)
         assert (one.map.albedo is None) == (other.map.albedo is None)
         if one.map.albedo is not None and other.map.albedo is not None:
-            assert_allclose(other.map.albedo, one.map.albedo, rtol=0, atol=1e-6)
+            assert_allclose(other.map.albedo, one.map.albedo, rtol=0, atol=FLOAT32)
     with pytest.raises(InputError, match="overwrite"):
         save_landmarks(catalog, path)
     assert np.load(path, allow_pickle=False)["names"].dtype.kind == "U"
@@ -190,7 +190,7 @@ def test_landmarks_of_a_shape_lie_on_it_apart_and_all_around() -> None:
         ground = landmark.grid_body_km(5)
         up = landmark.normal_body
         found = tracer_for(BODY).intersect(ground + 0.01 * up, np.broadcast_to(-up, ground.shape)).points_km
-        assert_allclose(found, ground, rtol=0, atol=1e-7)  # float32 picks the facet, float64 the point
+        assert_allclose(found, ground, rtol=0, atol=FLOAT64_ROOT)  # float32 picks the facet, float64 the point
     gaps = np.linalg.norm(places[:, None] - places, axis=-1) + np.eye(60)
     assert gaps.min() > 0.4 * np.sqrt(BODY.area_km2 / 60)
     assert np.linalg.norm((places / np.linalg.norm(places, axis=1, keepdims=True)).mean(axis=0)) < 0.4

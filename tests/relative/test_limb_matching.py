@@ -35,6 +35,7 @@ from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, sphere
 from tests.limb_images import CAMERA, NEES_LIMIT, BodyImage, assert_sound, body_image, mean_nees_band
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FLOAT64, FLOAT64_SUM
 
 SIGMA_PX, SIGMA_RANGE = 0.1, 1e-3  # three times what is usual at a radius of 80 px and up to 100 degrees of phase
 CRESCENT_PX, CRESCENT_RANGE = 0.15, 1.8e-3  # the same at 120 degrees: less limb, and less light on it
@@ -121,12 +122,12 @@ def test_a_fix_is_complete_and_its_parts_agree() -> None:
     model = case.camera.model
     assert fix.estimator == "limb_matching"
     assert fix.target == "BODY"
-    assert_allclose(fix.center_px, model.project(fix.position_camera_km), rtol=0, atol=1e-9)
+    assert_allclose(fix.center_px, model.project(fix.position_camera_km), rtol=0, atol=FLOAT64_SUM)
     jacobian = model.project_jacobian(fix.position_camera_km)
-    assert_allclose(fix.covariance_px2, jacobian @ fix.covariance_camera_km2 @ jacobian.T, rtol=0, atol=1e-12)
+    assert_allclose(fix.covariance_px2, jacobian @ fix.covariance_camera_km2 @ jacobian.T, rtol=0, atol=FLOAT64)
     assert fix.residuals.shape == (fix.n_used,)
     assert fix.limb_px.shape == (fix.n_used, 2)
-    assert_allclose(fix.score, np.sqrt(np.mean(fix.residuals**2)), rtol=0, atol=1e-12)
+    assert_allclose(fix.score, np.sqrt(np.mean(fix.residuals**2)), rtol=0, atol=FLOAT64)
     assert fix.score < 0.15
     assert fix.flags is Quality.APRIORI_ATTITUDE
     assert {"giantlike", "shape_sha256", "options", "reflectance"} <= set(fix.provenance)

@@ -24,9 +24,9 @@ from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, irregular_body, sphere
 from tests.limb_images import BodyImage, body_image
+from tests.tolerances import RARE
 
 REQUIRED = 0.03  # of the radius
-RARE = 1e-6
 ROCK = irregular_body(4, facets=4_000)
 LAWS = (McEwen(), LommelSeeliger(), Lambert())
 

@@ -33,7 +33,8 @@ from giantlike.relative.horizon.scan import HorizonScan
 from giantlike.relative.limb.observation import EdgeModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid
-from tests.limb_images import CAMERA, RARE, BodyImage, assert_sound, body_image, mean_nees_band
+from tests.limb_images import CAMERA, BodyImage, assert_sound, body_image, mean_nees_band
+from tests.tolerances import FLOAT64_SUM
 
 LIGHT = 0.01  # of the brightest place, profile against rendered: 12 x 12 rays a pixel leave 0.5 %
 SLOPE, CURVE = 5e-3, 0.06  # of the largest: cubics through the table, straight lines for the second derivative
@@ -143,7 +144,7 @@ def test_an_ellipsoid_is_found_at_all_phase_angles() -> None:
     for case, fix in zip(cases(), fixes, strict=True):
         assert_sound(case, fix, sigma_px=SIGMA_PX, sigma_range=SIGMA_RANGE)
         assert fix.flags is Quality.APRIORI_ATTITUDE
-        assert_allclose(fix.center_px, case.camera.model.project(fix.position_camera_km), rtol=0, atol=1e-9)
+        assert_allclose(fix.center_px, case.camera.model.project(fix.position_camera_km), rtol=0, atol=FLOAT64_SUM)
     nees = [case.nees(fix) for case, fix in zip(cases(), fixes, strict=True)]
     low, high = mean_nees_band(len(nees))
     assert low < np.mean(nees) < high, nees
@@ -273,7 +274,7 @@ def test_what_is_not_known_of_the_altitude_is_in_the_covariance_of_the_range_and
     assert isinstance(known, PositionFix), known
     assert_allclose(free.sigma_range_km / free.range_km, 0.003 / 0.3, rtol=0, atol=2e-3)
     assert_allclose(free.covariance_px2, known.covariance_px2, rtol=0, atol=0.1 * SIGMA_PX**2)
-    assert case.nees(free) < chi2.ppf(1.0 - RARE, 3)
+    assert case.nees(free) < chi2.ppf(1.0 - 3)
     assert math.isclose(float(free.provenance["limb_altitude_km"]), 0.004, abs_tol=0.003)
     assert float(free.provenance["altitude_sigma_km"]) > 0.0029
     assert "limb_altitude_km" in known.provenance
@@ -286,7 +287,7 @@ def test_oblateness_tells_some_of_the_altitude() -> None:
     options = SigmoidLimbOptions(limb_altitude_km=0.004, altitude_sigma_km=0.003)
     fix = fixed(case, options)
     assert float(fix.provenance["altitude_sigma_km"]) < 0.0025
-    assert case.nees(fix) < chi2.ppf(1.0 - RARE, 3)
+    assert case.nees(fix) < chi2.ppf(1.0 - 3)
 
 
 # --- no position ------------------------------------------------------------------------------------------------

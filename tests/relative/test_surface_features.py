@@ -35,8 +35,8 @@ from giantlike.scene import Scene, Target
 from giantlike.shapes import TriangleMesh, irregular_body, load_shape, save_shape
 from giantlike.shapes.landmarks import LandmarkCatalog, save_landmarks
 from tests.limb_images import CAMERA, BodyImage, body_image
+from tests.tolerances import FLOAT64, RARE
 
-RARE = 1e-6
 INDEPENDENT = 10  # few landmarks: covariances come from the scatter of about so many residuals
 NOISE_PX, NOISE_RANGE = 0.06, 6e-4  # four times what 20 landmarks usually state
 
@@ -97,7 +97,7 @@ def test_the_position_is_found_from_a_prediction_ten_pixels_and_a_percent_off(se
     assert fix.score > 0.8
     assert fix.provenance["landmarks_sha256"] == landmarks_of(rock()).sha256
     assert not fix.pose_covariance[3:].any()
-    assert fix.attitude_change_rad == pytest.approx(0.0, abs=1e-12)
+    assert fix.attitude_change_rad == pytest.approx(0.0, abs=FLOAT64)
 
 
 def test_a_law_that_is_told_wrong_costs_little_and_the_covariance_knows() -> None:

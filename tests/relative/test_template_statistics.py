@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
 from giantlike.relative.template.covariance import Prior, error_covariance, larger
+from tests.tolerances import FLOAT64
 
 SHAPE = (40, 44)
 DRAWS = 600
@@ -44,4 +45,4 @@ def test_the_larger_of_two_covariances_is_below_neither() -> None:
         both = larger(first, second)
         for one in (first, second):
             assert np.linalg.eigvalsh(both - one).min() > -1e-9 * np.trace(both)
-    assert_allclose(larger(first, 0.5 * first), first, rtol=0, atol=1e-12 * np.trace(first))
+    assert_allclose(larger(first, 0.5 * first), first, rtol=0, atol=FLOAT64 * np.trace(first))

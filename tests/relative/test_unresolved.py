@@ -29,12 +29,12 @@ from giantlike.relative.template.rendering import FitBox, TemplateRenderer
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, irregular_body, sphere
 from tests.limb_images import body_image
+from tests.tolerances import FLOAT64, RARE
 
 NOISELESS_PX = 0.01  # truth and template share nothing but the body: their rays differ
 SCALE_PX = 0.002  # the scale of the distorted image differs by half a percent from the predicted to the true place
 OTHER_LAW_SIGMAS = 3.0  # the stated systematic is one sigma
 SEVERAL_PIXELS_PX = 0.05  # a sixth of the requirement
-RARE = 1e-6  # chance of a false alarm of one gate
 DERIVATIVE = 0.1  # of what brightness does not explain: the rays of renders at other ranges meet other places
 ONE_SIDED = 1.5  # errors of the model are looked for in the residuals, and some are always found
 CAMERA = Camera(
@@ -298,7 +298,7 @@ def test_the_published_correction_changes_its_slope_at_eighty_degrees() -> None:
     along = np.array([0.0, 1.0])
     for phase, factor in ((79.9, 0.0062), (80.1, 0.0065)):
         found = kaasalainen_tanga(along, radius_px=2.0, phase_angle_rad=math.radians(phase))
-        assert_allclose(found, [0.0, factor * 2.0 * phase], rtol=0, atol=1e-12)
+        assert_allclose(found, [0.0, factor * 2.0 * phase], rtol=0, atol=FLOAT64)
 
 
 def test_a_rival_source_makes_the_fix_suspect() -> None:

@@ -19,8 +19,8 @@ from giantlike.shapes import (
     mesh_from_ellipsoid,
     sphere,
 )
+from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_CHAIN, FLOAT64_ROOT
 
-ROUNDING = 1e-12  # float64 on numbers near 1
 FACETS = np.zeros(1, dtype=np.int64)
 
 
@@ -45,7 +45,7 @@ def _points_on(mesh: TriangleMesh, count: int) -> tuple[np.ndarray, np.ndarray, 
 def test_barycentric_weights_rebuild_the_points_they_were_made_from() -> None:
     mesh = mesh_from_ellipsoid(Ellipsoid(radii_km=np.array([3.0, 2.0, 1.0])), facets=320)
     points, facets, weights = _points_on(mesh, 200)
-    assert_allclose(mesh.barycentric(points, facets), weights, rtol=0, atol=1e-11)
+    assert_allclose(mesh.barycentric(points, facets), weights, rtol=0, atol=FLOAT64_CHAIN)
 
 
 def test_albedo_by_vertex_is_exact_for_a_linear_pattern() -> None:
@@ -55,7 +55,7 @@ def test_albedo_by_vertex_is_exact_for_a_linear_pattern() -> None:
     points, facets, _ = _points_on(painted, 200)
     assert isinstance(painted.albedo, Albedo)
     found = painted.albedo.at(points, facets, painted.barycentric(points, facets))
-    assert_allclose(found, 1.0 + points @ slope, rtol=0, atol=1e-11)
+    assert_allclose(found, 1.0 + points @ slope, rtol=0, atol=FLOAT64_CHAIN)
     with pytest.raises(InputError, match="barycentric"):
         painted.albedo.at(points, facets, None)
     with pytest.raises(InputError, match="with_albedo"):
@@ -100,10 +100,10 @@ def test_a_map_gives_its_pixels_at_their_centers_and_is_linear_between_them() ->
     found = AlbedoMap(values=values)  # columns 90 deg wide from 0 deg east, rows 60 deg from the north pole
     for row, latitude in enumerate((60.0, 0.0, -60.0)):
         for column, longitude in enumerate((45.0, 135.0, 225.0, 315.0)):
-            assert _on(found, longitude, latitude) == pytest.approx(values[row, column], abs=1e-11)
-    assert _on(found, 90.0, 0.0) == pytest.approx(4.5, abs=1e-11)
-    assert _on(found, 45.0, 30.0) == pytest.approx(2.0, abs=1e-11)
-    assert _on(found, 45.0, 30.0, radius_km=1e-3) == pytest.approx(2.0, abs=1e-11)
+            assert _on(found, longitude, latitude) == pytest.approx(values[row, column], abs=FLOAT64_CHAIN)
+    assert _on(found, 90.0, 0.0) == pytest.approx(4.5, abs=FLOAT64_CHAIN)
+    assert _on(found, 45.0, 30.0) == pytest.approx(2.0, abs=FLOAT64_CHAIN)
+    assert _on(found, 45.0, 30.0, radius_km=1e-3) == pytest.approx(2.0, abs=FLOAT64_CHAIN)
 
 
 @pytest.mark.parametrize("west_deg", [0.0, -180.0, 123.0])
@@ -113,7 +113,7 @@ def test_a_global_map_has_no_seam_where_it_wraps_around(west_deg: float, latitud
     west = np.radians(west_deg)
     found = AlbedoMap(values=random.uniform(size=(5, 8)), longitude_edges_rad=(west, west + 2 * np.pi))
     sides = [_on(found, west_deg + side, latitude_deg) for side in (-1e-7, 0.0, 1e-7)]
-    assert_allclose(sides, sides[1], rtol=0, atol=1e-7)
+    assert_allclose(sides, sides[1], rtol=0, atol=FLOAT64_ROOT)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -122,7 +122,7 @@ def test_the_pole_has_one_value_from_all_sides_the_mean_of_its_row(sign: float) 
     values = random.uniform(size=(5, 8))
     found = AlbedoMap(values=values)
     near = [_on(found, longitude, sign * (90.0 - 1e-6)) for longitude in np.arange(0.0, 360.0, 30.0)]
-    assert_allclose(near, values[0 if sign > 0 else -1].mean(), rtol=0, atol=1e-6)
+    assert_allclose(near, values[0 if sign > 0 else -1].mean(), rtol=0, atol=FLOAT32)
 
 
 def test_a_map_that_counts_west_from_south_to_north_is_the_same_map() -> None:
@@ -133,7 +133,7 @@ def test_a_map_that_counts_west_from_south_to_north_is_the_same_map() -> None:
     )
     points = np.random.default_rng(5).normal(size=(500, 3))
     facets = np.zeros(500, dtype=np.int64)
-    assert_allclose(turned.at(points, facets, None), usual.at(points, facets, None), rtol=0, atol=1e-11)
+    assert_allclose(turned.at(points, facets, None), usual.at(points, facets, None), rtol=0, atol=FLOAT64_CHAIN)
 
 
 def test_a_map_of_a_part_ends_at_its_edges_and_crosses_the_zero_meridian() -> None:
@@ -160,7 +160,7 @@ def test_a_map_moves_with_the_mesh_it_lies_on() -> None:
         moved.albedo.at(points + offset, facets, None),
         mesh.albedo.at(points, facets, None),
         rtol=0,
-        atol=ROUNDING * 100,
+        atol=FLOAT64 * 100,
     )
 
 

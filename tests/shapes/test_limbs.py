@@ -14,6 +14,7 @@ from giantlike.core.frames import rotate
 from giantlike.shapes import Ellipsoid, Limb, Point, TriangleMesh, irregular_body, limb, mesh_from_ellipsoid, sphere
 from giantlike.shapes.limbs import crossings, silhouette_edges
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FLOAT64, FLOAT64_CHAIN
 
 EQUATION = 1e-12  # float64 on numbers near 1
 ANGLE = 1e-14  # rad, of ray and normal: rounding of unit vectors
@@ -147,11 +148,11 @@ def test_limbs_do_not_depend_on_the_axes_or_the_unit_they_are_computed_in(
     here = limb(mesh, camera, directions)
     there = limb(turned, scale * rotate(rotation, camera), rotate(rotation, directions))
     assert_allclose(_off_axis_rad(rotate(rotation.inv(), there.points_body_km.copy()) / scale, camera),
-                    _off_axis_rad(here.points_body_km, camera), rtol=0, atol=1e-12)  # fmt: skip
+                    _off_axis_rad(here.points_body_km, camera), rtol=0, atol=FLOAT64)  # fmt: skip
     smooth = limb(ELLIPSOID, camera, directions)
     grown = limb(Ellipsoid(radii_km=scale * RADII), scale * camera, directions)
     assert_allclose(grown.points_body_km, scale * smooth.points_body_km, rtol=0, atol=EQUATION * scale)
-    assert_allclose(grown.points_by_camera, smooth.points_by_camera, rtol=0, atol=1e-11)
+    assert_allclose(grown.points_by_camera, smooth.points_by_camera, rtol=0, atol=FLOAT64_CHAIN)
 
 
 def test_the_limb_of_an_open_sheet_is_its_border() -> None:

@@ -23,6 +23,7 @@ from giantlike.shapes import (
     overlaid,
     sphere,
 )
+from tests.tolerances import FLOAT64_DIGIT, FLOAT64_SUM
 
 CENTER = np.array([0.36, 0.48, 0.80])  # a unit vector
 BODY_FROM_MAP = Rotation.from_matrix(np.column_stack([[0.8, -0.6, 0.0], np.cross(CENTER, [0.8, -0.6, 0.0]), CENTER]))
@@ -77,7 +78,9 @@ def test_a_map_alone_has_its_heights_at_its_places_and_faces_up() -> None:
     assert local.half_extent_km == (0.5, 0.25)
     mesh = local.mesh()
     corners = local.to_map(mesh.vertices_km)
-    assert_allclose(corners[[0, 2, 3]], [[-0.5, -0.25, 0.0], [0.5, -0.25, 0.2], [-0.5, 0.25, 0.3]], rtol=0, atol=1e-15)
+    assert_allclose(
+        corners[[0, 2, 3]], [[-0.5, -0.25, 0.0], [0.5, -0.25, 0.2], [-0.5, 0.25, 0.3]], rtol=0, atol=FLOAT64_DIGIT
+    )
     assert 4 not in mesh.faces
     whole = MAP.mesh()
     assert len(whole.faces) == MAP_FACETS
@@ -135,7 +138,9 @@ def test_outside_the_map_the_body_is_what_it_was() -> None:
     assert LAID.name == COARSE.name
     assert LAID.volume_km3 == pytest.approx(COARSE.volume_km3, rel=0.02)
     far_side = tracer_for(LAID).intersect(-3.0 * CENTER, [CENTER])
-    assert_allclose(far_side.points_km, tracer_for(COARSE).intersect(-3.0 * CENTER, [CENTER]).points_km, atol=1e-9)
+    assert_allclose(
+        far_side.points_km, tracer_for(COARSE).intersect(-3.0 * CENTER, [CENTER]).points_km, atol=FLOAT64_SUM
+    )
 
 
 def test_of_maps_that_overlap_the_last_one_is_seen() -> None:
@@ -166,7 +171,7 @@ def test_albedo_of_body_and_map_stays_in_its_place() -> None:
         outside = np.abs(places[:, :2]).max(axis=1) > 1.02 * HALF_KM
         expected = np.interp(places[inside, 0], np.arange(-30, 31) * SPACING_KM, pattern[0])
         assert_allclose(found[inside], expected, rtol=0, atol=1e-4, err_msg=kind)  # float32 choice of the facet
-        assert_allclose(found[outside], 0.5, rtol=0, atol=1e-9, err_msg=kind)
+        assert_allclose(found[outside], 0.5, rtol=0, atol=FLOAT64_SUM, err_msg=kind)
     assert LAID.albedo is None
     assert painted.mesh().albedo is not None
 

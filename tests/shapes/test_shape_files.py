@@ -32,10 +32,10 @@ from giantlike.shapes.load import mesh_of, read_surface
 from giantlike.shapes.measure import measured
 from giantlike.shapes.repair import repaired
 from giantlike.shapes.surface import Surface
+from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_CHAIN, FLOAT64_SUM, SETTLED
 
-ROUNDING = 1e-12  # relative: float64 sums over some 1e4 facets
 AGREEMENT = 1e-9  # relative: what the issue asks of the numbers of trimesh
-FLOAT32 = 1.2e-7  # relative: coordinates in single precision
+STORED = 1.2e-7  # relative: coordinates written in single precision
 PHOBOS = DskIdentity(center=401, frame="IAU_PHOBOS", surface=7)
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -86,7 +86,7 @@ def test_an_stl_file_keeps_single_precision_and_its_shared_vertices(tmp_path: Pa
     back = load_shape(tmp_path / "rock.stl")
     assert len(back.vertices_km) == len(rock.vertices_km)
     assert_allclose(
-        back.vertices_km[back.faces], rock.vertices_km[rock.faces], rtol=0, atol=FLOAT32 * rock.circumscribing_radius_km
+        back.vertices_km[back.faces], rock.vertices_km[rock.faces], rtol=0, atol=STORED * rock.circumscribing_radius_km
     )
 
 
@@ -96,7 +96,7 @@ def test_other_programs_read_what_is_written(tmp_path: Path, rock: TriangleMesh,
     save_shape(rock, path)
     other = trimesh.load(path, force="mesh")
     assert other.is_watertight
-    assert_allclose(other.volume, rock.volume_km3, rtol=1e-6)  # STL coordinates have 24 bits
+    assert_allclose(other.volume, rock.volume_km3, rtol=FLOAT32)  # STL coordinates have 24 bits
 
 
 def test_albedo_by_facet_and_by_vertex_is_kept_in_npz(tmp_path: Path, rock: TriangleMesh) -> None:
@@ -136,12 +136,12 @@ def test_spice_finds_its_own_plates_and_identity_in_a_written_dsk(tmp_path: Path
     assert (descriptor.center, descriptor.surfce, descriptor.dtype) == (401, 7, 2)
     assert spiceypy.frmnam(descriptor.frmcde) == "IAU_PHOBOS"
     assert descriptor.dclass == 1  # irregular_body is single-valued
-    assert_allclose(descriptor.co3max, rock.circumscribing_radius_km, rtol=ROUNDING)
+    assert_allclose(descriptor.co3max, rock.circumscribing_radius_km, rtol=FLOAT64)
     places, _, _ = trimesh.Trimesh(rock.vertices_km, rock.faces, process=False).ray.intersects_location(
         [start], [direction], multiple_hits=False
     )
     assert found
-    assert_allclose(point, places[0], rtol=0, atol=1e-6)  # km: trimesh may trace in single precision
+    assert_allclose(point, places[0], rtol=0, atol=FLOAT32)  # km: trimesh may trace in single precision
 
 
 def test_a_dsk_of_a_body_that_rays_meet_twice_is_of_the_general_class(tmp_path: Path, rock: TriangleMesh) -> None:
@@ -198,7 +198,7 @@ def test_quadrilaterals_of_a_table_are_split_and_keep_their_order(tmp_path: Path
     path.write_text("\r\n".join(rows))
     mesh = load_shape(path)
     assert len(mesh.faces) == 12
-    assert_allclose(mesh.volume_km3, 8.0, rtol=ROUNDING)
+    assert_allclose(mesh.volume_km3, 8.0, rtol=FLOAT64)
     assert_array_equal(mesh.faces[4:6][:, [0, 1, 2]], load_shape(path).faces[4:6])
     assert set(mesh.faces[4:6].ravel()) == {0, 1, 4, 5}
 
@@ -215,8 +215,8 @@ def test_quadrilaterals_of_exchange_formats_are_split(tmp_path: Path, suffix: st
     path.write_text("\n".join(rows) + "\n")
     mesh = load_shape(path)
     assert len(mesh.faces) == 12
-    assert_allclose(mesh.volume_km3, 8.0, rtol=ROUNDING)
-    assert_allclose(mesh.area_km2, 24.0, rtol=ROUNDING)
+    assert_allclose(mesh.volume_km3, 8.0, rtol=FLOAT64)
+    assert_allclose(mesh.area_km2, 24.0, rtol=FLOAT64)
 
 
 def test_an_obj_may_have_comments_in_any_encoding(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_binary_ply_of_either_byte_order_and_with_more_columns_is_read(
     mesh = load_shape(path)
     assert_array_equal(mesh.vertices_km, CUBE)
     assert len(mesh.faces) == 12
-    assert_allclose(mesh.volume_km3, 8.0, rtol=ROUNDING)
+    assert_allclose(mesh.volume_km3, 8.0, rtol=FLOAT64)
     path.write_bytes(path.read_bytes()[:-3])
     with pytest.raises(DataError, match="damaged PLY"):
         load_shape(path)
@@ -265,7 +265,7 @@ def test_a_dsk_of_many_segments_is_read_and_one_cut_short_never_reaches_spice(tm
     spiceypy.dskcls(handle, False)
     mesh = load_shape(path)
     assert len(mesh.faces) == 140 * 12
-    assert_allclose(mesh.volume_km3, 140 * 8.0, rtol=1e-9)
+    assert_allclose(mesh.volume_km3, 140 * 8.0, rtol=FLOAT64_SUM)
     whole = path.read_bytes()
     path.write_bytes(whole[: 3 * len(whole) // 4])
     with pytest.raises(DataError, match="is it cut short"):
@@ -319,7 +319,7 @@ def test_an_icq_model_of_a_cube_is_a_closed_cube(tmp_path: Path, q: int, suffix:
     mesh, surface = load_shape(path), read_surface(path)
     assert (len(mesh.faces), len(mesh.vertices_km)) == (12 * q * q, 6 * q * q + 2)
     assert not defects_of(surface)
-    assert_allclose([mesh.volume_km3, mesh.area_km2], [8.0, 24.0], rtol=ROUNDING)
+    assert_allclose([mesh.volume_km3, mesh.area_km2], [8.0, 24.0], rtol=FLOAT64)
 
 
 def test_an_icq_model_comes_back_to_the_last_bit_with_its_albedo(tmp_path: Path) -> None:
@@ -402,7 +402,7 @@ def test_what_is_broken_is_mended_without_moving_the_surface(rock: TriangleMesh,
     result = repaired(broken(rock, kind)[0])
     assert not result.after, result.after.text()
     mesh = TriangleMesh(result.surface.vertices, result.surface.faces)
-    assert_allclose(mesh.volume_km3, rock.volume_km3, rtol=ROUNDING)
+    assert_allclose(mesh.volume_km3, rock.volume_km3, rtol=FLOAT64)
     assert (result.facets_turned, result.holes_filled, result.facets_added) == {
         "wrong winding": (1, 0, 0), "holes": (0, 2, 2)
     }.get(kind, (0, 0, 0))  # fmt: skip
@@ -425,7 +425,7 @@ def test_any_mix_of_windings_is_made_outward_piece_by_piece(rock: TriangleMesh) 
     assert not result.after
     assert result.facets_turned == turned.sum()
     mesh = TriangleMesh(result.surface.vertices, result.surface.faces)
-    assert_allclose(mesh.volume_km3, 2.0 * rock.volume_km3, rtol=1e-11)  # the second body lies five radii off
+    assert_allclose(mesh.volume_km3, 2.0 * rock.volume_km3, rtol=FLOAT64_CHAIN)  # the second body lies five radii off
 
 
 def test_a_small_hole_is_closed_by_a_fan_and_missing_surface_is_not_made_up(rock: TriangleMesh) -> None:
@@ -472,7 +472,7 @@ def assert_measures(found: object, other: trimesh.Trimesh) -> None:
     ):
         assert_allclose(getattr(found, name), value, rtol=0, atol=AGREEMENT * abs(scale), err_msg=name)
     axes = np.abs(getattr(found, "principal_axes") @ np.asarray(other.principal_inertia_vectors).T)  # noqa: B009
-    assert_allclose(axes, np.eye(3), rtol=0, atol=1e-6)  # eigenvectors: rounding over the gap of the moments
+    assert_allclose(axes, np.eye(3), rtol=0, atol=SETTLED)  # eigenvectors: rounding over the gap of the moments
 
 
 def test_the_moments_of_an_ellipsoid_mesh_are_those_of_the_ellipsoid() -> None:
@@ -526,8 +526,8 @@ def test_the_deviation_of_concentric_spheres_is_the_difference_of_their_radii() 
     inner, outer = (mesh_from_ellipsoid(sphere(radius), facets=5120) for radius in (1.0, 1.01))
     change = deviation(inner, outer)
     assert_allclose([change.rms_km, change.max_km], 0.01, rtol=0, atol=1e-3)  # sagitta of facets of 2.2 degrees
-    assert_allclose(change.volume_change, 1.01**3 - 1.0, rtol=ROUNDING * 1e3)
-    assert deviation(inner, inner).max_km < ROUNDING
+    assert_allclose(change.volume_change, 1.01**3 - 1.0, rtol=FLOAT64 * 1e3)
+    assert deviation(inner, inner).max_km < FLOAT64
 
 
 def test_distances_from_a_surface_are_those_that_an_exhaustive_search_finds(rock: TriangleMesh) -> None:
@@ -539,8 +539,8 @@ def test_distances_from_a_surface_are_those_that_an_exhaustive_search_finds(rock
         for point in points
     ]
     found, nearest = surface_distances(rock, points), np.min(exhaustive, axis=1)
-    assert np.all(found >= nearest - ROUNDING)
-    assert_allclose(found, nearest, rtol=0, atol=1e-9)
+    assert np.all(found >= nearest - FLOAT64)
+    assert_allclose(found, nearest, rtol=0, atol=FLOAT64_SUM)
 
 
 def test_vertices_of_a_pole_computed_many_times_are_one_after_repair() -> None:

@@ -18,10 +18,9 @@ from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotate
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid, sphere
 from giantlike.shapes.load import UnitsWarning
+from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_CHAIN, FLOAT64_ROOT, FLOAT64_SUM, SETTLED
 
-ROUNDING = 1e-12  # relative: float64 sums over some 1e4 facets
 MESH_FINENESS = 2e-3  # relative: 5,000 facets under a smooth surface, sagitta of 2.4 deg / 8
-FLOAT32 = 1e-6  # relative: coordinates that went through single precision
 
 TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
 OUTWARD = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
@@ -52,10 +51,12 @@ def test_real_meshes_have_the_volume_area_and_extent_that_trimesh_finds(data_dir
     mesh = load_shape(path)
     other = trimesh.load(path, force="mesh", process=False, skip_materials=True)
     assert len(mesh.faces) == len(other.faces)
-    assert_allclose(mesh.volume_km3, abs(other.volume), rtol=ROUNDING * 10)
-    assert_allclose(mesh.area_km2, other.area, rtol=ROUNDING)
-    assert_allclose(np.ptp(mesh.vertices_km, axis=0), other.extents, rtol=ROUNDING)
-    assert_allclose(mesh.center_of_figure_km, other.center_mass, atol=1e-9 * mesh.circumscribing_radius_km, rtol=0)
+    assert_allclose(mesh.volume_km3, abs(other.volume), rtol=FLOAT64 * 10)
+    assert_allclose(mesh.area_km2, other.area, rtol=FLOAT64)
+    assert_allclose(np.ptp(mesh.vertices_km, axis=0), other.extents, rtol=FLOAT64)
+    assert_allclose(
+        mesh.center_of_figure_km, other.center_mass, atol=FLOAT64_SUM * mesh.circumscribing_radius_km, rtol=0
+    )
     assert mesh.openness < 1e-12
     assert mesh.name == path.stem
     assert len(mesh.sha256) == 64
@@ -70,8 +71,8 @@ def test_the_eros_table_counts_its_vertices_from_zero(data_dir: Path) -> None:
     mesh, other = load_shape(path), trimesh.Trimesh(vertices, faces, process=False)
     assert (faces.min(), len(mesh.faces)) == (0, 7790)
     assert other.is_watertight
-    assert_allclose(mesh.volume_km3, other.volume, rtol=ROUNDING * 10)
-    assert_allclose(mesh.area_km2, other.area, rtol=ROUNDING)
+    assert_allclose(mesh.volume_km3, other.volume, rtol=FLOAT64 * 10)
+    assert_allclose(mesh.area_km2, other.area, rtol=FLOAT64)
 
 
 @pytest.mark.real_data
@@ -89,8 +90,8 @@ def test_a_dsk_has_the_radii_and_the_surface_points_that_spice_finds(data_dir: P
         _, point, _ = spiceypy.dskx02(handle, segment, 100.0 * ray, -ray)
     finally:
         spiceypy.dascls(handle)
-    assert_allclose(mesh.circumscribing_radius_km, bounds.co3max, rtol=ROUNDING)
-    assert_allclose(mesh.normals, plate_normals, rtol=0, atol=1e-12)
+    assert_allclose(mesh.circumscribing_radius_km, bounds.co3max, rtol=FLOAT64)
+    assert_allclose(mesh.normals, plate_normals, rtol=0, atol=FLOAT64)
     distances = np.einsum("ij,ij->i", mesh.normals, point - mesh.vertices_km[mesh.faces[:, 0]])
     assert np.abs(distances).min() < 1e-10 * mesh.circumscribing_radius_km
 
@@ -111,7 +112,7 @@ def test_plate_tables_are_read_in_every_layout_and_count(tmp_path: Path, layout:
     path = tmp_path / "plates.tab"
     path.write_text("\n".join(rows))
     mesh = load_shape(path)
-    assert_allclose(mesh.volume_km3, VOLUME, rtol=ROUNDING)
+    assert_allclose(mesh.volume_km3, VOLUME, rtol=FLOAT64)
     assert_allclose(mesh.vertices_km, TETRAHEDRON, rtol=0, atol=0)
 
 
@@ -187,7 +188,7 @@ def test_units_scale_the_file_and_auto_refuses_to_guess_between_bennu_and_vesta(
         with pytest.warns(UnitsWarning, match=r"ball\.obj: took") if units == "auto" else nullcontext():
             radii[size, units] = load_shape(path, units=units).circumscribing_radius_km
     expected = {(17.0, "km"): 17.0, (17.0, "m"): 0.017, (17.0, "auto"): 17.0, (17_000.0, "auto"): 17.0}
-    assert radii == pytest.approx(expected, rel=1e-12)
+    assert radii == pytest.approx(expected, rel=FLOAT64)
     path.write_text(_obj(ball.vertices_km * 290.0, ball.faces))
     with pytest.raises(DataError, match="state units"):
         load_shape(path, units="auto")
@@ -241,9 +242,9 @@ def test_the_best_fit_ellipsoid_of_an_ellipsoid_mesh_is_that_ellipsoid() -> None
     moved = TriangleMesh(rotate(turn, mesh.vertices_km.copy()) + offset, mesh.faces)
     placed = moved.best_fit_ellipsoid
     assert_allclose(placed.ellipsoid.radii_km, radii, rtol=MESH_FINENESS)
-    assert_allclose(placed.center_body_km, offset, rtol=0, atol=1e-12)
+    assert_allclose(placed.center_body_km, offset, rtol=0, atol=FLOAT64)
     misalignment = placed.body_from_axes.as_matrix().T @ turn.as_matrix()
-    assert_allclose(np.abs(misalignment), np.eye(3), rtol=0, atol=1e-6)
+    assert_allclose(np.abs(misalignment), np.eye(3), rtol=0, atol=SETTLED)
     assert np.linalg.det(placed.body_from_axes.as_matrix()) == pytest.approx(1.0)
 
 
@@ -263,7 +264,7 @@ def test_a_geodesic_mesh_is_closed_and_approaches_its_ellipsoid_from_within(face
     mesh = mesh_from_ellipsoid(ellipsoid, facets=facets)
     assert len(mesh.faces) == facets
     assert len(mesh.vertices_km) == facets / 2 + 2  # Euler's formula for a closed surface without handles
-    assert_allclose(np.sum((mesh.vertices_km / ellipsoid.radii_km) ** 2, axis=1), 1.0, rtol=0, atol=1e-12)
+    assert_allclose(np.sum((mesh.vertices_km / ellipsoid.radii_km) ** 2, axis=1), 1.0, rtol=0, atol=FLOAT64)
     missing = 1.0 - mesh.volume_km3 / ellipsoid.volume_km3
     assert 0.0 < missing < 12.0 / facets
 
@@ -275,7 +276,7 @@ def test_a_generated_asteroid_is_star_shaped_closed_centerd_and_elongated(seed: 
     outward = np.linalg.det(corners)
     assert np.all(outward > 0)  # every ray from the origin meets one facet, from within
     assert trimesh.Trimesh(body.vertices_km, body.faces, process=False).is_watertight
-    assert_allclose(body.center_of_figure_km, 0.0, rtol=0, atol=1e-12)
+    assert_allclose(body.center_of_figure_km, 0.0, rtol=0, atol=FLOAT64)
     radii = body.best_fit_ellipsoid.ellipsoid.radii_km
     assert 1.2 < radii[0] / radii[1] < 1.9
     roundness = body.area_km2 / (4 * np.pi * body.mean_radius_km**2)
@@ -299,6 +300,6 @@ def test_a_generated_asteroid_depends_on_its_seed_alone() -> None:
 )
 def test_volume_and_area_do_not_depend_on_where_a_mesh_lies(turn: tuple[float, ...], offset: tuple[float, ...]) -> None:
     moved = TriangleMesh(rotate(Rotation.from_rotvec(turn), TETRAHEDRON) + offset, OUTWARD)
-    assert_allclose(moved.volume_km3, VOLUME, rtol=1e-11)
-    assert_allclose(moved.area_km2, 8.0 * np.sqrt(3.0), rtol=1e-11)
-    assert_allclose(moved.center_of_figure_km, offset, rtol=0, atol=1e-8)
+    assert_allclose(moved.volume_km3, VOLUME, rtol=FLOAT64_CHAIN)
+    assert_allclose(moved.area_km2, 8.0 * np.sqrt(3.0), rtol=FLOAT64_CHAIN)
+    assert_allclose(moved.center_of_figure_km, offset, rtol=0, atol=FLOAT64_ROOT)

@@ -34,9 +34,9 @@ from giantlike.simulation.effects import (
 from giantlike.simulation.incident import IncidentLight, SimulationOptions, incident_light
 from giantlike.simulation.shot import Photometry, instants
 from tests.simulated import OBSERVER, catalog_at, shot_of, small_camera, small_catalog, sphere_scene
+from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SETTLED
 
 SIGMAS = 4.5  # a normal error exceeds it once in 150,000 times
-ROUNDING = 1e-9  # relative: float64 sums over a frame
 WIDE = Detector(gain_e_per_dn=2.5, read_noise_e=8.0, bias_dn=200.0)
 SIDE = 256
 
@@ -127,8 +127,8 @@ def test_dark_current_grows_with_time_and_doubles_with_each_step_of_temperature(
         for t in (259.0, 287.0)
     )
     dark = np.zeros((4, 5))
-    assert_allclose(cold.expected_e(dark, 10.0), 6.0 * 10.0 / 8.0, rtol=ROUNDING)
-    assert_allclose(warm.expected_e(dark, 2.0), 6.0 * 2.0 * 2.0, rtol=ROUNDING)
+    assert_allclose(cold.expected_e(dark, 10.0), 6.0 * 10.0 / 8.0, rtol=FLOAT64_SUM)
+    assert_allclose(warm.expected_e(dark, 2.0), 6.0 * 2.0 * 2.0, rtol=FLOAT64_SUM)
     assert DarkCurrent(rate_e_s=3.0).actual_rate_e_s == 3.0
 
 
@@ -137,8 +137,8 @@ def test_dark_current_does_not_go_through_the_flat_field_but_stray_light_does() 
     flat_field = FlatField(response=response)
     dark = DetectorModel(flat=flat_field, dark=DarkCurrent(rate_e_s=4.0))
     stray = DetectorModel(flat=flat_field, stray=StrayLight(level_e_s=4.0))
-    assert_allclose(dark.expected_e(np.zeros((6, 8)), 3.0), 12.0, rtol=ROUNDING)
-    assert_allclose(stray.expected_e(np.zeros((6, 8)), 3.0), 6.0, rtol=ROUNDING)
+    assert_allclose(dark.expected_e(np.zeros((6, 8)), 3.0), 12.0, rtol=FLOAT64_SUM)
+    assert_allclose(stray.expected_e(np.zeros((6, 8)), 3.0), 6.0, rtol=FLOAT64_SUM)
 
 
 def test_stray_light_is_a_plane_and_a_glow() -> None:
@@ -160,7 +160,7 @@ def test_vignetting_takes_its_part_in_the_corners_and_nothing_in_the_middle() ->
     factor = FlatField(vignetting=0.3).factor(1001, 501)
     assert factor[250, 500] == 1.0
     assert_allclose(factor[0, 0], 0.7, rtol=0, atol=2e-3)  # the middle of the corner pixel, not the corner
-    assert_allclose(factor[250, 0], 1.0 - 0.3 * 500**2 / (500.5**2 + 250.5**2), rtol=ROUNDING)
+    assert_allclose(factor[250, 0], 1.0 - 0.3 * 500**2 / (500.5**2 + 250.5**2), rtol=FLOAT64_SUM)
 
 
 def test_a_flat_field_of_another_size_is_refused() -> None:
@@ -174,7 +174,7 @@ def test_transfer_smear_is_the_mean_of_the_column_times_transfer_over_exposure_t
     smear = FrameTransfer(row_time_s=row_time_s).smear_e(light, exposure_s)
     own = light * row_time_s / exposure_s  # a row does not smear itself
     expected = light.mean(axis=0) * (50 * row_time_s) / exposure_s
-    assert_allclose(smear + own, np.broadcast_to(expected, light.shape), rtol=ROUNDING)
+    assert_allclose(smear + own, np.broadcast_to(expected, light.shape), rtol=FLOAT64_SUM)
 
 
 def test_without_a_sweep_before_only_the_rows_towards_the_storage_smear() -> None:
@@ -184,7 +184,7 @@ def test_without_a_sweep_before_only_the_rows_towards_the_storage_smear() -> Non
         smear = FrameTransfer(row_time_s=1e-3, storage=storage, swept_before=False).smear_e(light, 0.1)
         expected = np.zeros_like(light)
         expected[beyond, 1] = 10.0
-        assert_allclose(smear, expected, rtol=0, atol=1e-9)
+        assert_allclose(smear, expected, rtol=0, atol=FLOAT64_SUM)
 
 
 # single pixels and particles ------------------------------------------------------------------------------
@@ -248,7 +248,7 @@ def test_a_track_leaves_all_its_charge_along_a_straight_line() -> None:
     track = y < 20
     off_px = np.abs((x[track] - 5.0) * 10.0 - (y[track] - 5.0) * 20.0) / np.hypot(20.0, 10.0)
     assert off_px.max() <= np.sqrt(0.5)  # half the diagonal of a pixel
-    assert_allclose((frame[:20] * np.arange(40)).sum() / 3000.0, 15.0, rtol=0, atol=1e-6)
+    assert_allclose((frame[:20] * np.arange(40)).sum() / 3000.0, 15.0, rtol=0, atol=SETTLED)
 
 
 # full well ------------------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ def test_blooming_keeps_the_charge_and_fills_no_pixel_beyond_its_capacity() -> N
     charge[90:110, 5:50:3] += random.uniform(0.0, 8000.0, (20, 15))
     held = FullWell(capacity_e=1000.0, blooming=True).held_e(charge)
     assert held.max() <= 1000.0 + 1e-9
-    assert_allclose(held.sum(axis=0), charge.sum(axis=0), rtol=ROUNDING)
+    assert_allclose(held.sum(axis=0), charge.sum(axis=0), rtol=FLOAT64_SUM)
     untouched = (charge <= 1000.0).all(axis=0)
     assert untouched.any()
     assert np.array_equal(held[:, untouched], charge[:, untouched])
@@ -273,7 +273,7 @@ def test_charge_spills_half_either_way_along_the_column() -> None:
     held = FullWell(capacity_e=1000.0, blooming=True).held_e(charge)
     expected = np.zeros(41)
     expected[16:25] = 1000.0
-    assert_allclose(held[:, 1], expected, rtol=0, atol=1e-9)
+    assert_allclose(held[:, 1], expected, rtol=0, atol=FLOAT64_SUM)
     assert held[:, [0, 2]].sum() == 0.0
 
 
@@ -317,8 +317,8 @@ def test_smear_keeps_the_light_and_the_place_of_a_star_and_widens_it_along_the_m
     moved = sky_light(camera, turning((0.0, 0.006, 0.0)))  # 12 px of 1000 px focal length in 2 s, along x
     centroid, variance = moments(moved.electrons)
     at_rest, width = moments(still.electrons)
-    assert_allclose(moved.electrons.sum(), moved.star_electrons.sum(), rtol=1e-7)
-    assert_allclose(moved.electrons.sum(), still.electrons.sum(), rtol=1e-7)
+    assert_allclose(moved.electrons.sum(), moved.star_electrons.sum(), rtol=FLOAT64_ROOT)
+    assert_allclose(moved.electrons.sum(), still.electrons.sum(), rtol=FLOAT64_ROOT)
     assert_allclose(centroid, at_rest, rtol=0, atol=1e-3)  # the projection is not quite linear: 12 px in 1000
     round_px2 = 0.8**2 + 1.0 / 12.0
     assert_allclose(np.diag(width), round_px2, rtol=0, atol=0.02)  # a pixel adds 1/12 on average over places
@@ -334,7 +334,7 @@ def test_a_camera_that_turns_to_the_right_sees_the_stars_go_left() -> None:
 def test_a_turn_about_the_line_of_sight_smears_the_corners_and_not_the_middle() -> None:
     camera = small_camera()
     light = sky_light(camera, turning((0.0, 0.0, 0.02)), count=60, spread_deg=0.05)
-    assert light.electrons.sum() == pytest.approx(light.star_electrons.sum(), rel=1e-6)
+    assert light.electrons.sum() == pytest.approx(light.star_electrons.sum(), rel=FLOAT32)
     _, variance = moments(light.electrons)
     _, still = moments(sky_light(camera, turning((0.0, 0.0, 0.0)), count=60, spread_deg=0.05).electrons)
     assert_allclose(variance, still, rtol=0, atol=0.2)  # all stars lie within 2 px of the axis
@@ -342,7 +342,7 @@ def test_a_turn_about_the_line_of_sight_smears_the_corners_and_not_the_middle() 
 
 def test_moments_of_an_exposure_integrate_a_gaussian_over_its_path() -> None:
     steps = instants(3.0, 25.0, 0.8)
-    assert sum(step.share for step in steps) == pytest.approx(1.0, abs=1e-12)
+    assert sum(step.share for step in steps) == pytest.approx(1.0, abs=FLOAT64)
     offsets = np.array([step.since_middle_s for step in steps]) / 3.0 * 25.0
     shares = np.array([step.share for step in steps])
     at = np.linspace(-20.0, 20.0, 81)[:, None]

@@ -45,6 +45,7 @@ from giantlike.simulation.orbits import CircularOrbit
 from giantlike.simulation.shot import SUN_MAGNITUDE_G, unexposed
 from giantlike.simulation.write import TRUTH_FILE
 from tests.simulated import ET, OBSERVER, shot_of, small_camera, small_catalog, sphere_scene
+from tests.tolerances import EPOCH_S, FLOAT64, FLOAT64_SUM, SETTLED
 
 SPHERE_FLUX = 2e-3  # relative: 5 x 5 rays a pixel on a disk of 60 px
 SPHERE_PHOTOCENTER_PX = 0.005  # 5 x 5 jittered rays a pixel on a disk of 60 px
@@ -52,7 +53,6 @@ NOISE_SIGMAS = 4.5  # passed by chance once in 150,000 times
 STELAB_RAD = 2e-8  # spiceypy's stelab is classical: (v/c)^2 at 30 km/s is 1e-8
 ET_ROUNDING_KM = 1e-5  # 30 km/s in 3e-7 s, what two roundings of an et of 7.6e8 s amount to
 POINT_SHARE = 1e-9  # double precision of the error function, relative to the whole source
-TABLE_S = 1e-6  # epochs are written to the microsecond
 
 
 def electrons(taken: SimulatedImage, camera: Camera) -> Float:
@@ -117,12 +117,12 @@ def test_a_point_source_is_the_gaussian_integrated_over_each_pixel() -> None:
 
 def test_sources_at_the_edge_keep_the_light_that_falls_on_the_detector() -> None:
     frame = point_sources([[-0.5, 10.0], [40.0, 10.0]], [2.0, 5.0], sigma_px=0.8, columns=20, rows=20)
-    assert_allclose(frame.sum(), 1.0, rtol=0, atol=1e-9)  # half of the first, nothing of the second
+    assert_allclose(frame.sum(), 1.0, rtol=0, atol=FLOAT64_SUM)  # half of the first, nothing of the second
 
 
 def test_a_psf_of_no_width_puts_all_light_into_one_pixel() -> None:
     frame = point_sources([[3.4, 2.3]], [7.0], sigma_px=0.0, columns=8, rows=6)
-    assert frame[2, 3] == pytest.approx(7.0, abs=1e-12)
+    assert frame[2, 3] == pytest.approx(7.0, abs=FLOAT64)
 
 
 def test_the_star_field_holds_every_catalog_star_on_the_detector_and_no_other() -> None:
@@ -264,7 +264,7 @@ def test_velocity_on_the_circle_is_the_derivative_of_position() -> None:
     orbit = CircularOrbit(radius_au=1.3, longitude_rad=0.7, inclination_rad=0.2, epoch_et=ET)
     step = 1000.0
     ahead, behind = orbit.state(ET + 5e5 + step)[0], orbit.state(ET + 5e5 - step)[0]
-    assert_allclose((ahead - behind) / (2 * step), orbit.state(ET + 5e5)[1], rtol=0, atol=1e-6)
+    assert_allclose((ahead - behind) / (2 * step), orbit.state(ET + 5e5)[1], rtol=0, atol=SETTLED)
     period_s = 1.3**1.5 * 365.2569 * 86400.0  # Kepler's third law, Gaussian year
     assert_allclose(orbit.state(ET + period_s)[0], orbit.state(ET)[0], rtol=0, atol=1e-5 * AU_KM)
 
@@ -274,9 +274,9 @@ def test_the_body_turns_about_its_pole_once_a_period() -> None:
     pole = direction_from_radec(40.0, -30.0)
     for fraction in (0.0, 0.3, 1.0):
         turned = orbit.inertial_from_body(ET + fraction * 20_000.0)
-        assert_allclose(rotate(turned, [0.0, 0.0, 1.0]), pole, rtol=0, atol=1e-12)
+        assert_allclose(rotate(turned, [0.0, 0.0, 1.0]), pole, rtol=0, atol=FLOAT64)
         swept = (turned * orbit.inertial_from_body(ET).inv()).as_rotvec() @ pole
-        assert_allclose(np.cos(swept), np.cos(2 * np.pi * fraction), rtol=0, atol=1e-9)
+        assert_allclose(np.cos(swept), np.cos(2 * np.pi * fraction), rtol=0, atol=FLOAT64_SUM)
 
 
 # approach -------------------------------------------------------------------------------------------------
@@ -402,7 +402,7 @@ def test_images_come_back_as_they_were_taken(plan: Approach, written: Path) -> N
     assert image.pixels.dtype == np.uint16
     assert image.exposure_s == frame.shot.exposure_s
     assert image.et is not None
-    assert_allclose(image.et, et_from_time(frame.shot.epoch), rtol=0, atol=TABLE_S)
+    assert_allclose(image.et, et_from_time(frame.shot.epoch), rtol=0, atol=EPOCH_S)
 
 
 def test_the_body_is_saturated_in_star_images_only(plan: Approach, written: Path) -> None:
@@ -430,5 +430,5 @@ def test_nothing_that_a_campaign_reads_holds_the_truth(plan: Approach, written: 
 def test_the_written_shape_is_the_body_that_was_photographed(plan: Approach, written: Path) -> None:
     shape = load_shape(written / "shapes" / "rock.obj", units="km")
     rock = next(target.shape for target in plan.targets if target.name == "ROCK")
-    assert_allclose(shape.mean_radius_km, rock.mean_radius_km, rtol=0, atol=1e-12)
-    assert_allclose(shape.circumscribing_radius_km, rock.circumscribing_radius_km, rtol=0, atol=1e-12)
+    assert_allclose(shape.mean_radius_km, rock.mean_radius_km, rtol=0, atol=FLOAT64)
+    assert_allclose(shape.circumscribing_radius_km, rock.circumscribing_radius_km, rtol=0, atol=FLOAT64)

@@ -49,6 +49,7 @@ from giantlike.stars.matching import (
 from giantlike.stars.pattern_database import pattern_database
 from giantlike.stars.verification import scaled_model
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FLOAT64, FLOAT64_SUM
 
 EPOCH = time_from_utc("2019-01-15T12:00:00")
 OBSERVER = ObserverState(position_km=np.array([1.1e8, 9e7, 4e7]), velocity_km_s=np.array([-20.0, 21.0, 9.0]))
@@ -565,7 +566,7 @@ def test_a_fix_carries_its_observations_and_provenance(catalog: MemoryCatalog) -
     image = replace(scene.image, sha256="ab" * 32).with_attitude(scene.attitude)
     fix = _solved(StarNavigation(CAMERA, catalog).solve_detections(image, detections))
     assert fix.observed_px.tolist() == detections.points_px[fix.detection_indices].tolist()
-    assert fix.fov_deg == pytest.approx(4.0, abs=1e-9)
+    assert fix.fov_deg == pytest.approx(4.0, abs=FLOAT64_SUM)
     assert fix.n_detected == len(detections)
     assert Quality.SATURATED in fix.flags
     assert not fix.flags.suspect
@@ -679,7 +680,7 @@ def test_the_chance_of_a_match_is_what_random_points_show() -> None:
 def test_false_match_probability_is_the_binomial_tail_times_the_trials() -> None:
     from scipy.stats import binom
 
-    assert false_match_probability(5, 40, 0.01, 1.0) == pytest.approx(binom.sf(4, 40, 0.01), rel=1e-9)
+    assert false_match_probability(5, 40, 0.01, 1.0) == pytest.approx(binom.sf(4, 40, 0.01), rel=FLOAT64_SUM)
     assert false_match_probability(5, 40, 0.01, 1e9) == 1.0
     assert false_match_probability(0, 40, 0.01, 0.5) == 0.5
     matched = np.array([1, 5, 40])
@@ -691,7 +692,7 @@ def test_false_match_probability_is_the_binomial_tail_times_the_trials() -> None
 def test_neighbors_of_equal_brightness_pull_a_centroid_half_way() -> None:
     places = np.array([[10.0, 10.0], [12.0, 10.0], [500.0, 500.0], [501.0, 500.0]])
     shift = confusion_px(places, np.array([5.0, 5.0, 5.0, 15.0]))
-    np.testing.assert_allclose(shift[:2], 1.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(shift[:2], 1.0, rtol=0, atol=FLOAT64)
     assert shift[2] < 1e-3
     assert shift[3] > 0.99
 

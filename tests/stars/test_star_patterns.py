@@ -22,10 +22,10 @@ from giantlike.stars.lost_in_space import identify_in_cone
 from giantlike.stars.quads import describe_quads
 from giantlike.stars.star_index import Pattern, build_index, caps, subsets
 from giantlike.stars.triads import describe_triads
+from tests.tolerances import FLOAT64_SUM, SETTLED
 
 SIGMA_PX = 0.2
 RIGHT_RAD_PX = 3.0  # of attitude at the corner: 20 stars at 0.2 px give 0.1 px, 5 stars 0.5 px
-ROUNDING = 1e-9
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -80,31 +80,31 @@ def test_triads_keep_their_sides_order_and_sense_under_rotation_and_turn_over_in
     stars, triads = _some_directions(), subsets(9, 3)
     sides, ordered, sense = describe_triads(stars, triads)
     turned = describe_triads(rotate(Rotation.random(rng=np.random.default_rng(2)), stars), triads[:, ::-1])
-    np.testing.assert_allclose(turned[0], sides, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(turned[0], sides, rtol=0, atol=FLOAT64_SUM)
     assert (turned[1] == ordered).all()
     assert (turned[2] == sense).all()
     mirrored = describe_triads(stars * [-1.0, 1.0, 1.0], triads)
-    np.testing.assert_allclose(mirrored[0], sides, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(mirrored[0], sides, rtol=0, atol=FLOAT64_SUM)
     assert (mirrored[2] != sense).all()
     ends = stars[ordered[:, 1]], stars[ordered[:, 2]]
     angle = np.arctan2(np.linalg.norm(np.cross(*ends), axis=1), np.einsum("ij,ij->i", *ends))
-    np.testing.assert_allclose(sides[:, 0], 2.0 * np.sin(angle / 2.0), rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(sides[:, 0], 2.0 * np.sin(angle / 2.0), rtol=0, atol=FLOAT64_SUM)
 
 
 def test_quads_keep_their_code_when_turned_scaled_or_listed_otherwise() -> None:
     stars, quads = _some_directions(), subsets(9, 4)
     codes, ordered, which = describe_quads(stars, quads)
     assert 0 < len(codes) < len(quads)
-    assert (codes >= -ROUNDING).all()
-    assert (codes <= 1.0 + ROUNDING).all()
+    assert (codes >= -FLOAT64_SUM).all()
+    assert (codes <= 1.0 + FLOAT64_SUM).all()
     turned = describe_quads(rotate(Rotation.random(rng=np.random.default_rng(3)), stars), quads[:, ::-1])
     assert (turned[2] == which).all()
-    np.testing.assert_allclose(turned[0], codes, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(turned[0], codes, rtol=0, atol=FLOAT64_SUM)
     assert (turned[1] == ordered).all()
     small = np.array([0.0, 0.0, 1.0]) + 1e-4 * (stars / stars[:, 2:] - [0.0, 0.0, 1.0])
     smaller = np.array([0.0, 0.0, 1.0]) + 1e-6 * (stars / stars[:, 2:] - [0.0, 0.0, 1.0])
     first, second = (describe_quads(s / np.linalg.norm(s, axis=1)[:, None], quads) for s in (small, smaller))
-    np.testing.assert_allclose(first[0], second[0], rtol=0, atol=1e-6)  # the curvature of 1e-4 rad, and rounding
+    np.testing.assert_allclose(first[0], second[0], rtol=0, atol=SETTLED)  # the curvature of 1e-4 rad, and rounding
 
 
 def test_caps_cover_the_part_of_the_sky_that_they_should() -> None:

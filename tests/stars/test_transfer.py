@@ -24,8 +24,8 @@ from giantlike.stars.transfer import (
     TransferredAttitude,
     transfer_attitude,
 )
+from tests.tolerances import FLOAT64
 
-ROTATION_RAD = 1e-12  # float64 rounding of a few products of rotations
 REPLACE = TransferOptions(method=TransferMethod.REPLACE, drift_arcsec_per_sqrt_s=0.0)
 PROPAGATE = TransferOptions(method=TransferMethod.PROPAGATE, drift_arcsec_per_sqrt_s=0.0)
 INTERPOLATE = TransferOptions(method=TransferMethod.INTERPOLATE, drift_arcsec_per_sqrt_s=0.0)
@@ -57,7 +57,7 @@ def test_replace_takes_the_star_solution_nearest_in_time_whatever_the_order() ->
     result = fixed(transfer_attitude(60.0, stars, options=REPLACE))
     assert result.used == (2,)
     assert result.gap_s == 10.0
-    assert angle_rad(result.camera_from_inertial, attitude(50.0)) <= ROTATION_RAD
+    assert angle_rad(result.camera_from_inertial, attitude(50.0)) <= FLOAT64
 
 
 def test_replace_prefers_the_earlier_of_two_equally_near_solutions() -> None:
@@ -69,8 +69,8 @@ def test_interpolate_is_exact_for_a_constant_rate_and_agrees_with_slerp() -> Non
     slerp = Slerp([0.0, 100.0], Rotation.concatenate([s.camera_from_inertial for s in stars]))
     for et in (0.0, 13.0, 50.0, 99.0, 100.0):
         result = fixed(transfer_attitude(et, stars, options=INTERPOLATE)).camera_from_inertial
-        assert angle_rad(result, attitude(et)) <= ROTATION_RAD
-        assert angle_rad(result, slerp(et)) <= ROTATION_RAD
+        assert angle_rad(result, attitude(et)) <= FLOAT64
+        assert angle_rad(result, slerp(et)) <= FLOAT64
 
 
 def test_interpolate_brackets_with_the_closest_solution_on_each_side() -> None:
@@ -90,7 +90,7 @@ def test_propagate_carries_the_star_solution_by_the_relative_rotation_of_the_a_p
     stars = [star(et, apriori=attitude(et) * bias_inertial) for et in (0.0, 500.0)]
     result = fixed(transfer_attitude(200.0, stars, apriori=attitude(200.0) * bias_inertial, options=PROPAGATE))
     assert result.used == (0,)
-    assert angle_rad(result.camera_from_inertial, attitude(200.0)) <= ROTATION_RAD
+    assert angle_rad(result.camera_from_inertial, attitude(200.0)) <= FLOAT64
 
 
 def test_propagate_turns_the_covariance_with_the_camera() -> None:
