@@ -8,14 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.calibration.solve import CAMERA_FILE
-from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.store.records import AttitudeRecord
-from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
 from giantlike.core.frames import require_same_frame
@@ -116,46 +113,6 @@ def export_run(
     job = _Job(output=output, camera=camera, records=chosen, options=options, bottom_up=result.bottom_up)
     files = _WRITERS[format_name](job)
     return Exported(files=files, n_attitudes=len(chosen), left_out=left_out)
-
-
-def camera_of_run(folder: Path) -> Camera:
-    """The camera whose attitudes a run holds: the calibrated one where the run calibrated.
-
-    Raises
-    ------
-    DataError
-        It is no run folder, or its camera is damaged.
-    """
-    calibrated = folder / CAMERA_FILE
-    if calibrated.exists():
-        return Camera.load(calibrated)
-    table = RunFolder.open(folder).provenance().get("inputs", {}).get("camera")
-    if not isinstance(table, dict):
-        raise DataError(folder, "provenance.json does not hold the camera: run the campaign again")
-    return Camera.from_mapping(table)
-
-
-def attitude_series(records: list[AttitudeRecord], camera: Camera) -> AttitudeSeries:
-    """Series of records that have an attitude and an epoch, in order of time, in the axes of their camera.
-
-    Raises
-    ------
-    InputError
-        There is none, or two images have one epoch.
-    """
-    timed = [(record.et, record, record.attitude) for record in records]
-    known = sorted(
-        ((et, record, attitude) for et, record, attitude in timed if et is not None and attitude is not None),
-        key=lambda item: item[0],
-    )
-    unknown = np.full((3, 3), np.nan).tolist()
-    return AttitudeSeries(
-        et=np.array([et for et, _, _ in known]),
-        camera_from_inertial=Rotation.from_quat(np.reshape([a.quaternion_xyzw for _, _, a in known], (-1, 4))),
-        covariance_rad2=np.reshape([a.covariance_rad2 or unknown for _, _, a in known], (-1, 3, 3)),
-        names=tuple(record.file for _, record, _ in known),
-        frame=camera.frame_name,
-    )
 
 
 def _chosen(

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.calibration.alignment import AlignmentFix, interlock
-from giantlike.campaign.export import attitude_series, camera_of_run
-from giantlike.campaign.store.results import load_result
+from giantlike.campaign.store.results import attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import Float, require
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError

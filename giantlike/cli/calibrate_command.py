@@ -9,10 +9,11 @@ from typing import Any
 import typer
 
 from giantlike.campaign.calibration.boards import BoardSetup, calibrate_boards
-from giantlike.campaign.calibration.solve import REPORT_FILE, calibration_summary
+from giantlike.campaign.calibration.solve import calibration_summary
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.results import RunResult
+from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
@@ -119,7 +120,7 @@ def _calibrate_board(
         print_json({"output": str(output), "calibration": summary})
     else:
         _print_calibration(summary)
-        typer.echo(output / REPORT_FILE)
+        typer.echo(output / CALIBRATION_PAGE)
     return ExitCode.DONE if summary["status"] == "ok" and not summary["images_lost"] else ExitCode.SOME_IMAGES_FAILED
 
 
@@ -134,7 +135,7 @@ def _show(result: RunResult, *, json: bool) -> ExitCode:
         print_json(result.summary())
     else:
         _print_calibration(calibration)
-        typer.echo(f"{result.folder / REPORT_FILE} ({result.time_s:.1f} s)")
+        typer.echo(f"{result.folder / CALIBRATION_PAGE} ({result.time_s:.1f} s)")
     return ExitCode.DONE if done and not result.failed_images else ExitCode.SOME_IMAGES_FAILED
 
 

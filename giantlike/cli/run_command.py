@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.report.report import write_report
+from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.cli.outcome import ExitCode, print_json, say

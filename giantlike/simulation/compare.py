@@ -18,6 +18,8 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import rotate, rotation_between, rotation_from_xyzw
 from giantlike.core.units import RAD_PER_ARCSEC
 from giantlike.core.values import Value
+from giantlike.io.run_tables import AttitudeRow, ObservationRow
+from giantlike.io.tables import read_rows
 
 _GRID = 5  # points along each side of the frame at which an attitude error is turned into pixels
 
@@ -143,13 +145,16 @@ def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
         A table is missing or damaged, or holds a file that the truth does not.
     """
     true_rows = {row["file"]: row for row in _read(truth)}
-    attitudes = []
-    for row in _read(run / "attitudes.csv"):
-        attitudes.append(_attitude_error(row, _true_row(true_rows, row, truth), camera))
-    observations = []
-    for row in _read(run / "observations.csv"):
-        observations.append(_observation_error(row, _true_row(true_rows, row, truth)))
-    return Comparison(attitudes=tuple(attitudes), observations=tuple(observations))
+    return Comparison(
+        attitudes=tuple(
+            _attitude_error(row, _true_row(true_rows, row.file, truth), camera)
+            for row in read_rows(run / "attitudes.csv", AttitudeRow)
+        ),
+        observations=tuple(
+            _observation_error(row, _true_row(true_rows, row.file, truth))
+            for row in read_rows(run / "observations.csv", ObservationRow)
+        ),
+    )
 
 
 def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
@@ -211,15 +216,16 @@ def _rms(values: Float) -> Float:
     return np.sqrt(np.mean(values**2, axis=0)) if len(values) else np.full(2, np.nan)
 
 
-def _attitude_error(row: Row, true_row: Row, camera: Camera) -> AttitudeError:
-    entry = AttitudeError(file=row["file"], source=row["source"], status=row["status"], reason=row["reason"])
-    if row["status"] == "failed" or not row["qx"]:
+def _attitude_error(row: AttitudeRow, true_row: Row, camera: Camera) -> AttitudeError:
+    entry = AttitudeError(file=row.file, source=row.source or "", status=row.status, reason=row.reason or "")
+    if row.status == "failed" or row.qx is None:
         return entry
-    error_rad = rotation_between(_attitude(row), _attitude(true_row))
+    attitude = rotation_from_xyzw(_floats(row.qx, row.qy, row.qz, row.qw))
+    error_rad = rotation_between(attitude, rotation_from_xyzw(_numbers(true_row, "qx", "qy", "qz", "qw")))
     entry = replace(entry, error_px=_shift_px(camera, error_rad))
-    if not row["sigma_x_arcsec"]:
+    if row.sigma_x_arcsec is None:
         return entry
-    sigma_rad = _numbers(row, "sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec") * RAD_PER_ARCSEC
+    sigma_rad = _floats(row.sigma_x_arcsec, row.sigma_y_arcsec, row.sigma_z_arcsec) * RAD_PER_ARCSEC
     by_axis = [_shift_px(camera, axis) for axis in np.diag(sigma_rad)]
     return replace(entry, sigma_px=np.sqrt(np.sum(np.square(by_axis), axis=0)), normalized=error_rad / sigma_rad)
 
@@ -234,29 +240,28 @@ def _shift_px(camera: Camera, rotvec_rad: Float) -> Float:
     return _rms(moved - points)
 
 
-def _observation_error(row: Row, true_row: Row) -> ObservationError:
+def _observation_error(row: ObservationRow, true_row: Row) -> ObservationError:
     entry = ObservationError(
-        file=row["file"],
-        target=row["target"],
-        estimator=row["estimator"],
-        status=row["status"],
-        reason=row["reason"],
+        file=row.file,
+        target=row.target,
+        estimator=row.estimator,
+        status=row.status,
+        reason=row.reason or "",
         diameter_px=float(true_row["diameter_px"]),
         phase_deg=float(true_row["phase_deg"]),
     )
-    if row["status"] == "failed":
+    if row.status == "failed":
         return entry
-    error = _numbers(row, "x_px", "y_px") - _numbers(true_row, "x_px", "y_px")
-    sigma = _numbers(row, "sigma_x_px", "sigma_y_px")
-    cross = float(row["rho_xy"] or 0.0) * sigma[0] * sigma[1]
+    error = _floats(row.x_px, row.y_px) - _numbers(true_row, "x_px", "y_px")
+    sigma = _floats(row.sigma_x_px, row.sigma_y_px)
+    cross = (row.rho_xy or 0.0) * sigma[0] * sigma[1]
     covariance = np.array([[sigma[0] ** 2, cross], [cross, sigma[1] ** 2]])
     nees = float(error @ np.linalg.solve(covariance, error))
     entry = replace(entry, error_px=error, sigma_px=sigma, nees=nees)
-    if not row["range_km"]:
+    if row.range_km is None or row.sigma_range_km is None:
         return entry
     true_km = float(true_row["range_km"])
-    range_error = float(row["range_km"]) / true_km - 1.0
-    return replace(entry, range_error=range_error, range_sigma=float(row["sigma_range_km"]) / true_km)
+    return replace(entry, range_error=row.range_km / true_km - 1.0, range_sigma=row.sigma_range_km / true_km)
 
 
 def _read(path: Path) -> list[dict[str, str]]:
@@ -267,15 +272,16 @@ def _read(path: Path) -> list[dict[str, str]]:
         raise DataError(path, f"cannot be read: {error.strerror}") from error
 
 
-def _true_row(true_rows: Mapping[str, Row], row: Row, truth: Path) -> Row:
-    if row["file"] not in true_rows:
-        raise DataError(truth, f"holds no truth for {row['file']!r}")
-    return true_rows[row["file"]]
-
-
-def _attitude(row: Row) -> Rotation:
-    return rotation_from_xyzw(_numbers(row, "qx", "qy", "qz", "qw"))
+def _true_row(true_rows: Mapping[str, Row], file: str, truth: Path) -> Row:
+    if file not in true_rows:
+        raise DataError(truth, f"holds no truth for {file!r}")
+    return true_rows[file]
 
 
 def _numbers(row: Row, *names: str) -> Float:
     return np.array([float(row[name]) for name in names])
+
+
+def _floats(*values: float | None) -> Float:
+    """Values of cells (n,); NaN where a cell is empty."""
+    return np.array(values, dtype=np.float64)

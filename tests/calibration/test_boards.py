@@ -123,7 +123,7 @@ def test_a_fisheye_is_calibrated_from_files(
     pictures: list[tuple[Float, Float]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Drawing takes most of the time, and another test does it
-    monkeypatch.setattr("giantlike.campaign.calibration.report.calibration_figures", lambda fix: [])
+    monkeypatch.setattr("giantlike.campaign.calibration.page.calibration_figures", lambda fix: [])
     for number, (picture, _) in enumerate(pictures):
         cv2.imwrite(str(tmp_path / f"board{number}.png"), np.round(np.clip(picture, 0, 255)).astype(np.uint8))
     cv2.imwrite(str(tmp_path / "empty.png"), np.full((ROWS, COLUMNS), 100, dtype=np.uint8))

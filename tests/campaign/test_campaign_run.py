@@ -25,16 +25,15 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign, ImageEntry
-from giantlike.campaign.report.report import write_report
+from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.run.attitude_transfer import attitude_to_use
 from giantlike.campaign.run.image_loading import open_image, scene_of
 from giantlike.campaign.run.pool import WorkerPool
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.run.worker import Workbench
-from giantlike.campaign.store.observables import rotation_of
-from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
@@ -138,7 +137,7 @@ def test_attitudes_come_from_stars_and_reach_the_short_exposures_between_them(fi
         assert attitude is not None
         assert attitude.source == ("stars" if record.star_image else "interpolated")
         assert attitude.covariance_rad2 is not None
-        error = rotation_between(rotation_of(attitude), finished.truth[record.file].camera_from_inertial)
+        error = rotation_between(attitude.rotation, finished.truth[record.file].camera_from_inertial)
         assert error @ np.linalg.solve(attitude.covariance_rad2, error) < CHI2_3_LIMIT
 
 
@@ -185,7 +184,7 @@ def test_parquet_holds_the_same_and_full_covariances(finished: Run) -> None:
 def test_the_partials_of_an_observation_match_numerical_derivatives(finished: Run) -> None:
     for record in finished.result.observations:
         assert record.attitude is not None
-        turn, at = rotation_of(record.attitude), np.array(record.position_inertial_km)
+        turn, at = record.attitude.rotation, np.array(record.position_inertial_km)
 
         def moved(state: Float, turn: Rotation = turn, at: Float = at) -> Float:
             """Pixel for the sum of position and offset (3,), and a small rotation (3,)."""

@@ -18,9 +18,10 @@ from typer.testing import CliRunner
 
 from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models import BrownModel
-from giantlike.campaign.export import ExportFormat, ExportOptions, camera_of_run, export_run
-from giantlike.campaign.store.parts import RunFolder
+from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem, Status
+from giantlike.campaign.store.results import camera_of_run
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, FrameMismatchError, InputError

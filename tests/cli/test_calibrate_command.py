@@ -156,8 +156,8 @@ def result_text(folder: Path) -> str:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes most of the time; once is enough."""
-    monkeypatch.setattr("giantlike.campaign.calibration.report.calibration_figures", lambda fix: [])
-    monkeypatch.setattr("giantlike.campaign.report.report.attitude_figures", lambda result: [])
+    monkeypatch.setattr("giantlike.campaign.calibration.page.calibration_figures", lambda fix: [])
+    monkeypatch.setattr("giantlike.campaign.report.run_page.attitude_figures", lambda result: [])
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -10,8 +10,9 @@ from giantlike.calibration import board_observations, calibrate
 from giantlike.calibration.boards import CORNER_SIGMA_PX
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.camera import Camera
-from giantlike.campaign.calibration.report import write_calibration_report
-from giantlike.campaign.calibration.solve import RESULT_FILE, CampaignCalibration, calibrated_camera, write_calibration
+from giantlike.campaign.calibration.page import write_calibration_page
+from giantlike.campaign.calibration.solve import CampaignCalibration, calibrated_camera, write_calibration
+from giantlike.campaign.store.run_folder import CALIBRATION_FILE
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Failure, Reason
@@ -67,7 +68,7 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
     DataError
         No image can be read, or a file cannot be written.
     """
-    require(not (folder / RESULT_FILE).exists(), f"{folder}: there is a calibration already; give another folder")
+    require(not (folder / CALIBRATION_FILE).exists(), f"{folder}: there is a calibration already; give another folder")
     images, lost = _open(files)
     sizes = {(image.columns, image.rows) for image in images}
     require(len(sizes) == 1, f"images of one camera have one size, got {sorted(sizes)}")
@@ -97,7 +98,7 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
         )
     folder.mkdir(parents=True, exist_ok=True)
     write_calibration(folder, result)
-    write_calibration_report(folder, folder.name, camera, result)
+    write_calibration_page(folder, folder.name, camera, result)
     return result
 
 

@@ -23,8 +23,8 @@ from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import model_to_mapping
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.schema import CalibrationSection
-from giantlike.campaign.store.observables import rows
 from giantlike.campaign.store.records import CalibrationRecord
+from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CALIBRATION_PAGE, CAMERA_FILE, RESIDUALS_FILE
 from giantlike.catalogs import StarCatalog
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
@@ -36,8 +36,6 @@ from giantlike.image import Image
 from giantlike.stars import Sky, StarOptions
 
 NO_STAR_IMAGE = "is no star image: its exposure is shorter than stars.long_exposure_s"
-CAMERA_FILE, RESULT_FILE, TABLE_FILE = "camera.toml", "calibration.json", "calibration_residuals.csv"
-REPORT_FILE = "calibration.html"
 _COLUMNS = (
     "file", "star", "x_px", "y_px", "predicted_x_px", "predicted_y_px", "sigma_px", "magnitude", "temperature_c",
     "used",
@@ -113,7 +111,7 @@ def record_of_stars(entry: ImageEntry, stars: StarImage, apriori: Rotation | Non
         apriori_xyzw=None if apriori is None else quaternion_xyzw(apriori).tolist(),
         quaternion_xyzw=quaternion_xyzw(stars.camera_from_inertial).tolist(),
         focal_length_px=stars.focal_length_px,
-        points_px=rows(stars.points_px),
+        points_px=stars.points_px.tolist(),
         covariance_px2=stars.covariance_px2.tolist(),
         snr=stars.snr.tolist(),
         star_ids=stars.star_ids.tolist(),
@@ -231,13 +229,13 @@ def write_calibration(folder: Path, result: CampaignCalibration) -> bool:
     else:
         (folder / CAMERA_FILE).unlink(missing_ok=True)
     content = json.dumps(calibration_summary(result), indent=1, default=str) + "\n"
-    path = folder / RESULT_FILE
-    if (folder / REPORT_FILE).exists() and path.exists() and path.read_text(encoding="utf-8") == content:
+    path = folder / CALIBRATION_FILE
+    if (folder / CALIBRATION_PAGE).exists() and path.exists() and path.read_text(encoding="utf-8") == content:
         return False
-    (folder / REPORT_FILE).unlink(missing_ok=True)
+    (folder / CALIBRATION_PAGE).unlink(missing_ok=True)
     write_text_atomic(path, content)
     if isinstance(result.outcome, StarCalibration):
-        write_text_atomic(folder / TABLE_FILE, _residual_table(result.outcome.fix))
+        write_text_atomic(folder / RESIDUALS_FILE, _residual_table(result.outcome.fix))
     return True
 
 

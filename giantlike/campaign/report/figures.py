@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from giantlike.campaign.store.observables import rotation_of
-from giantlike.campaign.store.parts import RunFolder
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, TargetView
 from giantlike.campaign.store.results import RunResult
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.errors import OpNavError
 from giantlike.core.frames import rotation_between
@@ -167,12 +165,11 @@ def _corrections(result: RunResult, source: str, at: Callable[[int], float]) -> 
     rows: list[tuple[float, Float, Float, bool]] = []
     for record in result.attitudes:
         attitude = record.attitude
-        if attitude is None or attitude.source != source or record.apriori_xyzw is None:
+        if attitude is None or attitude.source != source or record.apriori is None:
             continue
-        change = rotation_between(Rotation.from_quat(record.apriori_xyzw), rotation_of(attitude))
-        covariance = attitude.covariance_rad2
-        sigma = np.full(3, np.nan) if covariance is None else np.sqrt(np.diag(covariance))
-        rows.append((at(record.index), ARCSEC_PER_RAD * change, ARCSEC_PER_RAD * sigma, record.status == "suspect"))
+        change = rotation_between(record.apriori, attitude.rotation)
+        sigma = ARCSEC_PER_RAD * attitude.sigma_rad
+        rows.append((at(record.index), ARCSEC_PER_RAD * change, sigma, record.status == "suspect"))
     return _series(source, rows)
 
 

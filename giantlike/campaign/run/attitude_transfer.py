@@ -6,20 +6,17 @@ import bisect
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.store.observables import attitude_fields, attitude_value, rotation_of
+from giantlike.campaign.run.observables import attitude_of, with_attitude
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import AttitudeSource
 from giantlike.stars.rates import AngularRates, read_rates
-from giantlike.stars.transfer import StarAttitude, TransferMethod, TransferOptions, transfer_attitude
-
-_NOT_FOUND = {"attitude": None, "ra_deg": None, "dec_deg": None, "roll_deg": None, "fov_deg": None}
+from giantlike.stars.transfer import StarAttitude, TransferMethod, TransferredAttitude, transfer_attitude
 
 
-def carry_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
+def transfer_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
     """Give the short exposures of a campaign the attitudes of their neighbors in time.
 
     Parameters
@@ -35,32 +32,40 @@ def carry_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> li
     """
     if campaign.stars is None or campaign.stars.long_exposure_s is None:
         return list(records)
-    options = campaign.stars.transfer
     donors = [(record, star) for record in records if (star := _star(record)) is not None]
     rates = None if campaign.stars.rates is None else read_rates(campaign.stars.rates)
-    if options.method is TransferMethod.PROPAGATE and rates is None:
+    if campaign.stars.transfer.method is TransferMethod.PROPAGATE and rates is None:
         donors = [donor for donor in donors if donor[1].apriori is not None] or donors
     donors.sort(key=lambda donor: donor[1].et)
     times = [star.et for _, star in donors]
-    carried = []
+    transferred = []
     for record in records:
         if record.readable and not record.star_image:
             after = 0 if record.et is None else bisect.bisect_right(times, record.et)
-            neighbors = donors[max(after - 1, 0) : after + 1]
-            carried.append(_carried(campaign, record, neighbors, options, rates))
-        else:
-            carried.append(record)
-    return carried
+            record = _transferred(campaign, record, donors[max(after - 1, 0) : after + 1], rates)
+        transferred.append(record)
+    return transferred
 
 
 def attitude_to_use(record: AttitudeRecord) -> Attitude | None:
-    """What estimators are to take: the attitude found, else the a priori one, else none."""
-    if record.attitude is not None or record.apriori_xyzw is None:
+    """Attitude for the estimators: the one found, else the a priori one.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+
+    Returns
+    -------
+    Attitude or None
+        None if there is neither.
+    """
+    if record.attitude is not None or record.apriori is None:
         return record.attitude
-    return attitude_value(Rotation.from_quat(record.apriori_xyzw), AttitudeSource.A_PRIORI)
+    return attitude_of(record.apriori, AttitudeSource.A_PRIORI)
 
 
 def _star(record: AttitudeRecord) -> StarAttitude | None:
+    """Star solution of an image as the transfer takes it; None if there is none."""
     attitude = record.attitude
     if attitude is None or record.et is None or attitude.covariance_rad2 is None:
         return None
@@ -68,32 +73,33 @@ def _star(record: AttitudeRecord) -> StarAttitude | None:
         return None
     return StarAttitude(
         et=record.et,
-        camera_from_inertial=rotation_of(attitude),
+        camera_from_inertial=attitude.rotation,
         covariance_rad2=np.array(attitude.covariance_rad2),
-        apriori=_apriori(record),
+        apriori=record.apriori,
     )
 
 
-def _apriori(record: AttitudeRecord) -> Rotation | None:
-    return None if record.apriori_xyzw is None else Rotation.from_quat(record.apriori_xyzw)
-
-
-def _carried(
+def _transferred(
     campaign: Campaign,
     record: AttitudeRecord,
     donors: Sequence[tuple[AttitudeRecord, StarAttitude]],
-    options: TransferOptions,
     rates: AngularRates | None,
 ) -> AttitudeRecord:
+    """Record of a short exposure with the attitude that its neighbors give."""
+    assert campaign.stars is not None
+    options = campaign.stars.transfer
+    record = record.replace(transferred=True)
     if record.et is None:
-        problem = Problem(reason=Reason.NO_EPOCH, detail=f"{record.file}: no epoch, so it has no neighbors in time")
-        return record.model_copy(update=_NOT_FOUND | {"transferred": True, "status": "failed", "problem": problem})
-    stars = [star for _, star in donors]
-    outcome = transfer_attitude(record.et, stars, apriori=_apriori(record), rates=rates, options=options)
+        outcome: TransferredAttitude | Failure = Failure(Reason.NO_EPOCH, "no epoch, so it has no neighbors in time")
+    else:
+        stars = [star for _, star in donors]
+        outcome = transfer_attitude(record.et, stars, apriori=record.apriori, rates=rates, options=options)
     if isinstance(outcome, Failure):
         problem = Problem(reason=outcome.reason, detail=f"{record.file}: {outcome.detail}")
-        return record.model_copy(update=_NOT_FOUND | {"transferred": True, "status": "failed", "problem": problem})
-    attitude = attitude_value(outcome.camera_from_inertial, AttitudeSource.INTERPOLATED, outcome.covariance_rad2)
+        return record.replace(
+            status="failed", problem=problem, attitude=None, ra_deg=None, dec_deg=None, roll_deg=None, fov_deg=None
+        )
+    attitude = attitude_of(outcome.camera_from_inertial, AttitudeSource.INTERPOLATED, outcome.covariance_rad2)
     sources = [donors[index][0] for index in outcome.used]
     suspect = any(source.status == "suspect" for source in sources)
     provenance = {
@@ -101,10 +107,5 @@ def _carried(
         "from": ", ".join(source.file for source in sources),
         "gap_s": f"{outcome.gap_s:.6g}",
     }
-    fields = attitude_fields(campaign.camera, attitude) | {
-        "transferred": True,
-        "problem": None,
-        "provenance": provenance,
-        "status": "suspect" if suspect else "ok",
-    }
-    return record.model_copy(update=fields)
+    record = with_attitude(record, campaign.camera, attitude, "suspect" if suspect else "ok")
+    return record.replace(provenance=provenance)

@@ -1,4 +1,4 @@
-"""A campaign from its file to its run folder."""
+"""A campaign from its file to its run folder: calibration, attitudes, transfer, bodies, tables and report."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from giantlike.camera import Camera
-from giantlike.campaign.calibration.report import write_calibration_report
+from giantlike.campaign.calibration.page import write_calibration_page
 from giantlike.campaign.calibration.solve import (
     CampaignCalibration,
     calibrate_campaign,
@@ -19,13 +19,13 @@ from giantlike.campaign.calibration.solve import (
     write_calibration,
 )
 from giantlike.campaign.file.config import Campaign, ImageEntry
-from giantlike.campaign.file.schema import CalibrationSection
-from giantlike.campaign.report.report import write_report
-from giantlike.campaign.run.attitude_transfer import attitude_to_use, carry_attitudes
+from giantlike.campaign.report.run_page import write_report
+from giantlike.campaign.run.attitude_transfer import attitude_to_use, transfer_attitudes
 from giantlike.campaign.run.image_loading import targets_in
 from giantlike.campaign.run.pool import WorkerPool
+from giantlike.campaign.run.provenance import environment_of, inputs_of
 from giantlike.campaign.run.worker import (
-    BodyJob,
+    ImageJob,
     Workbench,
     estimate_image,
     failed_image,
@@ -33,21 +33,23 @@ from giantlike.campaign.run.worker import (
     find_first_stars,
     solve_image,
 )
-from giantlike.campaign.store.parts import AnyRecord, Record, RunFolder, stamp_of
-from giantlike.campaign.store.provenance import environment_of, inputs_of
+from giantlike.campaign.store.log import RunLog
 from giantlike.campaign.store.records import (
     AttitudeRecord,
     CalibrationRecord,
+    ImageRecord,
     ObservationRecord,
     ObservationsRecord,
     Problem,
 )
 from giantlike.campaign.store.results import RunResult
+from giantlike.campaign.store.run_folder import Record, RunFolder, stamp_of
 from giantlike.campaign.store.tables import write_tables
 from giantlike.core.outcomes import Reason
 
+Made = TypeVar("Made", bound=ImageRecord)
 Progress: TypeAlias = Callable[[str, int, int], None]
-"""Called with what is being done, how many images are done, and of how many."""
+"""Called with the name of the step, the number of images done, and of all."""
 
 _DIED = Problem(
     reason=Reason.INTERNAL_ERROR,
@@ -66,7 +68,7 @@ def run_campaign(
     """Run a campaign and write its run folder.
 
     With a ``[calibration]`` section the camera is calibrated first, and everything else uses the calibrated camera.
-    Where calibration fails or is not accepted, the run goes on with the camera it was given, and says so.
+    If calibration fails or is not accepted, the run goes on with the given camera and a warning.
 
     Parameters
     ----------
@@ -74,10 +76,11 @@ def run_campaign(
     workers : int, optional
         Number of processes; default one per CPU, never more than images.
     resume : bool
-        Go on with a run that was interrupted.
+        Continue a run that was interrupted.
     bodies : bool
-        Run the estimators of bodies too; without, the run ends with the attitudes (and can be continued).
+        Run the estimators of bodies too; without them the run ends with the attitudes (and can be continued).
     progress : callable, optional
+        Called with the name of the step, the number of images done, and of all.
 
     Returns
     -------
@@ -94,59 +97,38 @@ def run_campaign(
     bench = Workbench.load(campaign)
     try:
         folder = RunFolder.start(campaign.output, inputs_of(campaign, bench), environment_of(campaign), resume=resume)
-        folder.log("run_started", resume=resume, images=len(campaign.images))
-        for warning in campaign.warnings:
-            folder.log("warning", detail=warning)
-        count = max(1, min(_cpus() if workers is None else workers, len(campaign.images)))
-        calibration, campaign, attitudes, records = _work_through(bench, folder, count, bodies, progress or _silent)
+        with RunLog(folder.path):
+            folder.log("run_started", resume=resume, images=len(campaign.images))
+            for warning in campaign.warnings:
+                folder.log("warning", detail=warning)
+            # Taken before any image is read: a file that changes later is noticed when the run is continued.
+            stamps = tuple(stamp_of(entry.path) for entry in campaign.images)
+            run = _Run(bench, folder, progress or _silent, stamps)
+            processes = _process_count(workers, len(campaign.images))
+            calibration = None
+            if campaign.calibration is not None:
+                with WorkerPool(bench, processes) as pool:
+                    calibration = run.calibrate(pool)
+                run = run.with_calibration(calibration)
+            with WorkerPool(run.bench, processes) as pool:
+                attitudes = run.transfer_attitudes(run.solve_images(pool))
+                records = run.estimate_images(attitudes, pool) if bodies else []
+            result = RunResult(
+                folder=folder.path,
+                name=campaign.name,
+                attitudes=tuple(attitudes),
+                bodies=tuple(records),
+                hdu=campaign.hdu,
+                bottom_up=campaign.bottom_up,
+                max_overlays=campaign.max_overlays,
+                warnings=run.bench.campaign.warnings,
+                time_s=time.perf_counter() - start,
+                calibration=None if calibration is None else calibration_summary(calibration),
+            )
+            _finish(folder, result)
     finally:
         bench.close()
-    result = RunResult(
-        folder=folder.path,
-        name=campaign.name,
-        attitudes=tuple(attitudes),
-        bodies=tuple(records),
-        hdu=campaign.hdu,
-        bottom_up=campaign.bottom_up,
-        max_overlays=campaign.max_overlays,
-        warnings=campaign.warnings,
-        time_s=time.perf_counter() - start,
-        calibration=None if calibration is None else calibration_summary(calibration),
-    )
-    _finish(folder, result)
     return result
-
-
-def _work_through(
-    bench: Workbench, folder: RunFolder, workers: int, bodies: bool, progress: Progress
-) -> tuple[CampaignCalibration | None, Campaign, list[AttitudeRecord], list[ObservationsRecord]]:
-    """All passes over the images; the campaign that comes back has the camera that was used."""
-    campaign = bench.campaign
-    # Taken before any image is read: a file that changes later is noticed when the run is continued.
-    stamps = tuple(stamp_of(entry.path) for entry in campaign.images)
-    calibration = None
-    if campaign.calibration is not None:
-        with WorkerPool(bench, workers) as pool:
-            calibration = _Run(campaign, folder, pool, progress, stamps).calibrate(bench, campaign.calibration)
-        bench, stamps = _with_calibration(bench, calibration, stamps)
-        campaign = bench.campaign
-    with WorkerPool(bench, workers) as pool:
-        run = _Run(campaign, folder, pool, progress, stamps)
-        attitudes = run.carry(run.solve_images())
-        records = run.estimate_images(attitudes) if bodies else []
-    return calibration, campaign, attitudes, records
-
-
-def _with_calibration(
-    bench: Workbench, calibration: CampaignCalibration, stamps: tuple[str, ...]
-) -> tuple[Workbench, tuple[str, ...]]:
-    """Workbench to go on with, and stamps that no record made with another camera has."""
-    if calibration.problem is not None:
-        bench = bench.with_warning(calibration.problem)
-    if calibration.camera is None:
-        return bench, stamps
-    digest = _digest(calibration.camera)
-    return bench.with_camera(calibration.camera), tuple(f"{stamp} {digest}" for stamp in stamps)
 
 
 def _finish(folder: RunFolder, result: RunResult) -> None:
@@ -167,106 +149,146 @@ def _finish(folder: RunFolder, result: RunResult) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """The two passes over the images; what is in the run folder is not done again."""
+    """The steps of a run; a record that the run folder holds with the stamp of today is not made again."""
 
-    campaign: Campaign
+    bench: Workbench
     folder: RunFolder
-    pool: WorkerPool
     progress: Progress
     stamps: tuple[str, ...]
 
-    def _save(self, record: AnyRecord) -> None:
-        self.folder.save(record, self.stamps[record.index])
+    @property
+    def campaign(self) -> Campaign:
+        return self.bench.campaign
 
-    def _done(self, kind: type[Record], entry: ImageEntry) -> Record | None:
-        return self.folder.load_valid(kind, entry.index, entry.key, self.stamps[entry.index])
+    def with_calibration(self, calibration: CampaignCalibration) -> _Run:
+        """Return the run with the calibrated camera, and stamps that no record made with another camera has."""
+        bench, stamps = self.bench, self.stamps
+        if calibration.problem is not None:
+            bench = bench.with_warning(calibration.problem)
+        if calibration.camera is not None:
+            bench, digest = bench.with_camera(calibration.camera), _digest(calibration.camera)
+            stamps = tuple(f"{stamp} {digest}" for stamp in stamps)
+        return _Run(bench, self.folder, self.progress, stamps)
 
-    def calibrate(self, bench: Workbench, setup: CalibrationSection) -> CampaignCalibration:
-        """Identify the stars of all star images, calibrate, and write what comes out."""
-        entries = self.campaign.images
-        records = {
-            entry.index: record for entry in entries if (record := self._done(CalibrationRecord, entry)) is not None
-        }
-        todo = [entry for entry in entries if entry.index not in records]
-        stage = "finding stars"
-        self.progress(stage, len(records), len(entries))
-        for position, answer in self.pool.run(find_first_stars, todo):
-            entry = todo[position]
-            record = answer or CalibrationRecord(index=entry.index, file=entry.key, problem=_DIED)
-            self._save(record)
-            records[entry.index] = record
-            self.progress(stage, len(records), len(entries))
-        assert bench.navigation is not None
-        ordered = [records[entry.index] for entry in entries]
-        result = calibrate_campaign(self.campaign, setup, ordered, bench.navigation.catalog)
+    def calibrate(self, pool: WorkerPool) -> CampaignCalibration:
+        """Identify the stars of all star images, calibrate, and write camera, summary, residuals and page."""
+        campaign, setup, navigation = self.campaign, self.campaign.calibration, self.bench.navigation
+        assert setup is not None
+        assert navigation is not None
+        records = self._done(CalibrationRecord)
+        self._make(
+            pool,
+            "finding stars",
+            find_first_stars,
+            self._missing(records),
+            records,
+            lambda entry: CalibrationRecord(index=entry.index, file=entry.key, problem=_DIED),
+        )
+        result = calibrate_campaign(campaign, setup, _in_order(records), navigation.catalog)
         if write_calibration(self.folder.path, result):
-            write_calibration_report(self.folder.path, self.campaign.name, self.campaign.camera, result)
+            write_calibration_page(self.folder.path, campaign.name, campaign.camera, result)
         self.folder.log("calibrated", accepted=result.camera is not None, problem=result.problem)
         return result
 
-    def solve_images(self) -> list[AttitudeRecord]:
-        entries = self.campaign.images
-        records = {
-            entry.index: record.light()
-            for entry in entries
-            if (record := self._done(AttitudeRecord, entry)) is not None
-        }
-        todo = [entry for entry in entries if entry.index not in records]
-        stage = "reading images" if self.campaign.stars is None else "solving stars"
-        self.progress(stage, len(records), len(entries))
-        for position, answer in self.pool.run(solve_image, todo):
-            entry = todo[position]
-            record = answer or failed_image(self.campaign, entry, _DIED)
-            self._save(record)
-            self._log("image", record, record.problem)
-            records[entry.index] = record.light()
-            self.progress(stage, len(records), len(entries))
-        return [records[entry.index] for entry in entries]
+    def solve_images(self, pool: WorkerPool) -> list[AttitudeRecord]:
+        """Read all images and solve the stars of star images."""
+        records = self._done(AttitudeRecord)
+        self._make(
+            pool,
+            "reading images" if self.campaign.stars is None else "solving stars",
+            solve_image,
+            self._missing(records),
+            records,
+            lambda entry: failed_image(self.campaign, entry, _DIED),
+        )
+        return _in_order(records)
 
-    def carry(self, solved: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
-        carried = carry_attitudes(self.campaign, solved)
-        for before, record in zip(solved, carried, strict=True):
+    def transfer_attitudes(self, solved: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
+        """Give short exposures the attitudes of their neighbors in time."""
+        transferred = transfer_attitudes(self.campaign, solved)
+        for before, record in zip(solved, transferred, strict=True):
             if record != before:
                 self._save(record)
-                self._log("attitude_carried", record, record.problem)
-        return carried
+                self._log("attitude_carried", record)
+        return transferred
 
-    def estimate_images(self, attitudes: Sequence[AttitudeRecord]) -> list[ObservationsRecord]:
-        results: dict[int, ObservationsRecord] = {}
-        todo: list[BodyJob] = []
+    def estimate_images(self, attitudes: Sequence[AttitudeRecord], pool: WorkerPool) -> list[ObservationsRecord]:
+        """Run the estimators on all images of bodies."""
+        records: dict[int, ObservationsRecord] = {}
+        jobs: list[ImageJob] = []
         for entry, image in zip(self.campaign.images, attitudes, strict=True):
             if not image.body_image or not targets_in(self.campaign, entry.key):
                 self.folder.drop_observations(entry.index)
                 continue
             attitude = attitude_to_use(image)
-            done = self._done(ObservationsRecord, entry)
+            done = self._load(ObservationsRecord, entry)
             if not image.readable and image.problem is not None:
                 record = failed_observations(self.campaign, entry, image.problem, epoch_utc=image.epoch_utc)
                 self._save(record)
-                results[entry.index] = record
+                records[entry.index] = record
             elif done is not None and all(record.attitude == attitude for record in done.observations):
-                results[entry.index] = done.light()
+                records[entry.index] = done.light()
             else:
-                todo.append(BodyJob(entry, attitude))
-        total = len(results) + len(todo)
-        if todo:
-            self.progress("finding bodies", len(results), total)
-        for position, answer in self.pool.run(estimate_image, todo):
-            entry = todo[position].entry
-            record = answer or failed_observations(self.campaign, entry, _DIED)
-            self._save(record)
-            for observation in record.observations:
-                self._log("observation", observation, observation.problem)
-            results[entry.index] = record.light()
-            self.progress("finding bodies", len(results), total)
-        return [results[index] for index in sorted(results)]
+                jobs.append(ImageJob(entry, attitude))
+        self._make(
+            pool,
+            "finding bodies",
+            estimate_image,
+            jobs,
+            records,
+            lambda entry: failed_observations(self.campaign, entry, _DIED),
+        )
+        return _in_order(records)
 
-    def _log(self, event: str, record: AttitudeRecord | ObservationRecord, problem: Problem | None) -> None:
+    def _make(
+        self,
+        pool: WorkerPool,
+        stage: str,
+        function: Callable[[Workbench, ImageJob], Made],
+        jobs: Sequence[ImageJob],
+        records: dict[int, Made],
+        record_of_lost: Callable[[ImageEntry], Made],
+    ) -> None:
+        """Run the jobs of a step; save, log and add their records to those that were there."""
+        total = len(records) + len(jobs)
+        if jobs:
+            self.progress(stage, len(records), total)
+        for position, answer in pool.run(function, jobs):
+            entry = jobs[position].entry
+            record = answer or record_of_lost(entry)
+            self._save(record)
+            if isinstance(record, AttitudeRecord):
+                self._log("image", record)
+            elif isinstance(record, ObservationsRecord):
+                for observation in record.observations:
+                    self._log("observation", observation)
+            records[entry.index] = record.light()
+            self.progress(stage, len(records), total)
+
+    def _load(self, kind: type[Record], entry: ImageEntry) -> Record | None:
+        return self.folder.load(kind, entry.index, entry.key, stamp=self.stamps[entry.index])
+
+    def _done(self, kind: type[Record]) -> dict[int, Record]:
+        """Records of a step that need not be made again, by index."""
+        found = {entry.index: self._load(kind, entry) for entry in self.campaign.images}
+        return {index: record.light() for index, record in found.items() if record is not None}
+
+    def _missing(self, records: dict[int, Any]) -> list[ImageJob]:
+        return [ImageJob(entry) for entry in self.campaign.images if entry.index not in records]
+
+    def _save(self, record: ImageRecord) -> None:
+        self.folder.save(record, self.stamps[record.index])
+
+    def _log(self, event: str, record: AttitudeRecord | ObservationRecord) -> None:
         names = ("file", "status", "target", "estimator", "notes", "time_s")
         values = {name: value for name in names if (value := getattr(record, name, None)) not in (None, [])}
-        if problem is not None:
-            values |= problem.model_dump(mode="json", exclude_none=True)
+        if record.problem is not None:
+            values |= record.problem.model_dump(mode="json", exclude_none=True)
         self.folder.log(event, **values)
+
+
+def _in_order(records: dict[int, Made]) -> list[Made]:
+    return [records[index] for index in sorted(records)]
 
 
 def _digest(camera: Camera) -> str:
@@ -274,9 +296,11 @@ def _digest(camera: Camera) -> str:
     return hashlib.sha256(json.dumps(camera.to_mapping(), sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _cpus() -> int:
-    """CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _process_count(workers: int | None, images: int) -> int:
+    """Number of processes: as asked for, or the CPUs that this process may use, and no more than images."""
+    if workers is None:
+        workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(workers, images))
 
 
 def _silent(stage: str, done: int, total: int) -> None:

@@ -1,4 +1,4 @@
-"""The work on one image, as a worker process does it: stars first, bodies later.
+"""Processing of one image by a worker process: stars first, bodies later.
 
 Whatever goes wrong with an image ends in its record; nothing that an image holds can end a run.
 """
@@ -9,7 +9,7 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -17,17 +17,8 @@ from giantlike.calibration import identify_first
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import NO_STAR_IMAGE, record_of_stars, temperature_of
 from giantlike.campaign.file.config import Campaign, ImageEntry
-from giantlike.campaign.file.inputs import TargetSetup
 from giantlike.campaign.run.image_loading import PreparedImage, open_image, scene_of, targets_in
-from giantlike.campaign.store.observables import (
-    attitude_fields,
-    attitude_value,
-    fix_fields,
-    predicted_fields,
-    rotation_of,
-    rows,
-    status_of,
-)
+from giantlike.campaign.run.observables import attitude_of, with_attitude, with_fix, with_prediction, with_stars
 from giantlike.campaign.store.records import (
     Attitude,
     AttitudeRecord,
@@ -35,7 +26,6 @@ from giantlike.campaign.store.records import (
     ObservationRecord,
     ObservationsRecord,
     Problem,
-    StarMatches,
     TargetView,
 )
 from giantlike.catalogs import load_catalog
@@ -57,12 +47,14 @@ Answer = TypeVar("Answer")
 Arguments = ParamSpec("Arguments")
 
 _OUTLINE_ANGLES = 120
+"""Points of a predicted outline in an overlay: one every 3 deg, drawn as a polygon; no result rests on it."""
 _OUTLINE_MIN_RADIUS_PX = 2.0
+"""Apparent radius, px, below which an overlay shows a cross alone: an outline would be hidden by it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workbench(Value):
-    """What every image of a campaign needs: loaded once per process.
+    """Campaign with catalog, shapes and kernels loaded, once per process.
 
     Parameters
     ----------
@@ -71,7 +63,6 @@ class Workbench(Value):
     shapes : dict of str to Shape
         By target name.
     kernels : SpiceKernels or None
-        Those that were loaded.
     """
 
     campaign: Campaign
@@ -82,6 +73,14 @@ class Workbench(Value):
     @classmethod
     def load(cls, campaign: Campaign) -> Workbench:
         """Load catalog, shapes and kernels.
+
+        Parameters
+        ----------
+        campaign : Campaign
+
+        Returns
+        -------
+        Workbench
 
         Raises
         ------
@@ -104,6 +103,14 @@ class Workbench(Value):
         """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky.
 
         They rest on stars as bright as those of the calibration, so that residuals of the two compare.
+
+        Parameters
+        ----------
+        camera : Camera
+
+        Returns
+        -------
+        Workbench
         """
         stars, navigation, setup = self.campaign.stars, self.navigation, self.campaign.calibration
         if stars is not None and navigation is not None:
@@ -114,11 +121,34 @@ class Workbench(Value):
         return replace(self, campaign=replace(self.campaign, camera=camera, stars=stars), navigation=navigation)
 
     def with_warning(self, text: str) -> Workbench:
-        """Return the workbench for a campaign with one more warning."""
+        """Return the workbench for a campaign with one more warning.
+
+        Parameters
+        ----------
+        text : str
+
+        Returns
+        -------
+        Workbench
+        """
         return replace(self, campaign=replace(self.campaign, warnings=(*self.campaign.warnings, text)))
 
     def for_image(self, image: Image) -> Workbench:
-        """Return the workbench with the camera as it is at the temperature of an image."""
+        """Return the workbench with the camera at the temperature of an image.
+
+        Parameters
+        ----------
+        image : Image
+
+        Returns
+        -------
+        Workbench
+
+        Raises
+        ------
+        DataError
+            The header of the image does not hold the temperature that the calibration needs.
+        """
         setup = self.campaign.calibration
         if setup is None or setup.temperature_keyword is None or self.campaign.camera.uncertainty is None:
             return self
@@ -127,33 +157,60 @@ class Workbench(Value):
         return self.with_camera(replace(camera, model=model))
 
     def close(self) -> None:
-        """Take the kernels out of SPICE's pool."""
+        """Unload the kernels."""
         if self.kernels is not None:
             self.kernels.unload()
 
 
 @dataclass(frozen=True, slots=True)
-class BodyJob:
-    """An image on which estimators are to run, and the attitude to use (None: there is none)."""
+class ImageJob:
+    """Work on one image.
+
+    Parameters
+    ----------
+    entry : ImageEntry
+    attitude : Attitude or None
+        For the estimators of bodies; None: there is none.
+    """
 
     entry: ImageEntry
-    attitude: Attitude | None
+    attitude: Attitude | None = None
 
 
-def solve_image(bench: Workbench, entry: ImageEntry) -> AttitudeRecord:
-    """Read an image and, where it is a star image, solve its stars."""
+def solve_image(bench: Workbench, job: ImageJob) -> AttitudeRecord:
+    """Read an image and, if it is a star image, solve its stars.
+
+    Parameters
+    ----------
+    bench : Workbench
+    job : ImageJob
+
+    Returns
+    -------
+    AttitudeRecord
+    """
     start = time.perf_counter()
-    record = _attempt(_solved, bench, entry, start)
+    record = _attempt(_solved, bench, job.entry)
     if isinstance(record, Problem):
-        return failed_image(bench.campaign, entry, record, time.perf_counter() - start)
-    return record
+        record = failed_image(bench.campaign, job.entry, record)
+    return record.replace(time_s=time.perf_counter() - start)
 
 
-def find_first_stars(bench: Workbench, entry: ImageEntry) -> CalibrationRecord:
-    """Read a star image and identify its stars with a camera that is known roughly, for calibration."""
-    record = _attempt(_first_stars, bench, entry)
+def find_first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord:
+    """Read a star image and identify its stars with a camera that is known roughly, for calibration.
+
+    Parameters
+    ----------
+    bench : Workbench
+    job : ImageJob
+
+    Returns
+    -------
+    CalibrationRecord
+    """
+    record = _attempt(_first_stars, bench, job.entry)
     if isinstance(record, Problem):
-        return CalibrationRecord(index=entry.index, file=entry.key, problem=record)
+        return CalibrationRecord(index=job.entry.index, file=job.entry.key, problem=record)
     return record
 
 
@@ -161,26 +218,36 @@ def _first_stars(bench: Workbench, entry: ImageEntry) -> CalibrationRecord | Pro
     campaign, setup = bench.campaign, bench.campaign.calibration
     assert setup is not None
     assert bench.navigation is not None
-    try:
-        image = open_image(campaign, entry).image
-    except OpNavError as error:
-        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
+    prepared = _read(open_image, campaign, entry)
+    if isinstance(prepared, Problem):
+        return prepared
+    image = prepared.image
     if not campaign.is_star_image(image.exposure_s):
         return Problem(reason=Reason.NO_SIGNAL, detail=NO_STAR_IMAGE)
-    try:
-        temperature_c = temperature_of(image, setup.temperature_keyword)
-    except OpNavError as error:
-        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
+    temperature_c = _read(temperature_of, image, setup.temperature_keyword)
+    if isinstance(temperature_c, Problem):
+        return temperature_c
     found = identify_first(
         image, campaign.camera, bench.navigation, scale_error=setup.scale_error, temperature_c=temperature_c
     )
     if isinstance(found, Failure):
-        return Problem(reason=found.reason, detail=found.detail)
+        return Problem.of(found)
     return record_of_stars(entry, found, image.camera_from_inertial)
 
 
-def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem, time_s: float = 0.0) -> AttitudeRecord:
-    """Record of an image that nothing could be done with."""
+def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem) -> AttitudeRecord:
+    """Record of an image that could not be processed.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    entry : ImageEntry
+    problem : Problem
+
+    Returns
+    -------
+    AttitudeRecord
+    """
     known = campaign.geometry.get(entry.key)
     exposure_s = None if known is None else known.exposure_s
     return AttitudeRecord(
@@ -193,44 +260,44 @@ def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem, time_s
         body_image=campaign.is_body_image(exposure_s),
         status="failed",
         problem=problem,
-        time_s=time_s,
     )
 
 
-def _solved(bench: Workbench, entry: ImageEntry, start: float) -> AttitudeRecord | Problem:
-    campaign = bench.campaign
-    try:
-        prepared = open_image(campaign, entry)
-        bench = bench.for_image(prepared.image)
-    except OpNavError as error:
-        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
+def _opened(bench: Workbench, entry: ImageEntry) -> tuple[Workbench, PreparedImage]:
+    """Image, and the workbench with the camera at its temperature."""
+    prepared = open_image(bench.campaign, entry)
+    return bench.for_image(prepared.image), prepared
+
+
+def _solved(bench: Workbench, entry: ImageEntry) -> AttitudeRecord | Problem:
+    opened = _read(_opened, bench, entry)
+    if isinstance(opened, Problem):
+        return opened
+    bench, prepared = opened
     campaign, image = bench.campaign, prepared.image
     apriori = image.camera_from_inertial
-    values: dict[str, Any] = {
-        "index": entry.index,
-        "file": entry.key,
-        "path": campaign.path_from_output(entry.path),
-        "sha256": image.sha256,
-        "columns": image.columns,
-        "rows": image.rows,
-        "epoch_utc": None if image.epoch is None else utc_text(image.epoch),
-        "et": image.et,
-        "exposure_s": image.exposure_s,
-        "star_image": campaign.is_star_image(image.exposure_s),
-        "body_image": campaign.is_body_image(image.exposure_s),
-        "apriori_xyzw": None if apriori is None else quaternion_xyzw(apriori).tolist(),
-        "notes": _notes(campaign, prepared),
-    }
-    if bench.navigation is not None and values["star_image"]:
-        values |= _star_fields(bench.navigation, image)
-    elif apriori is not None:
-        values |= attitude_fields(campaign.camera, attitude_value(apriori, AttitudeSource.A_PRIORI))
-    else:
-        values |= {
-            "status": "failed",
-            "problem": Problem(reason=Reason.NO_ATTITUDE, detail=f"{entry.key}: no attitude in table, header or SPICE"),
-        }
-    return AttitudeRecord(**values, time_s=time.perf_counter() - start)
+    record = AttitudeRecord(
+        index=entry.index,
+        file=entry.key,
+        path=campaign.path_from_output(entry.path),
+        sha256=image.sha256,
+        columns=image.columns,
+        rows=image.rows,
+        epoch_utc=None if image.epoch is None else utc_text(image.epoch),
+        et=image.et,
+        exposure_s=image.exposure_s,
+        star_image=campaign.is_star_image(image.exposure_s),
+        body_image=campaign.is_body_image(image.exposure_s),
+        apriori_xyzw=None if apriori is None else quaternion_xyzw(apriori).tolist(),
+        notes=_notes(campaign, prepared),
+        status="failed",
+    )
+    if bench.navigation is not None and record.star_image:
+        return _from_stars(record, bench.navigation, image)
+    if apriori is not None:
+        return with_attitude(record, campaign.camera, attitude_of(apriori, AttitudeSource.A_PRIORI))
+    missing = Problem(reason=Reason.NO_ATTITUDE, detail=f"{entry.key}: no attitude in table, header or SPICE")
+    return record.replace(problem=missing)
 
 
 def _notes(campaign: Campaign, prepared: PreparedImage) -> list[str]:
@@ -241,40 +308,30 @@ def _notes(campaign: Campaign, prepared: PreparedImage) -> list[str]:
     return notes
 
 
-def _star_fields(navigation: StarNavigation, image: Image) -> dict[str, Any]:
-    """Fields of a record that the stars of an image give."""
+def _from_stars(record: AttitudeRecord, navigation: StarNavigation, image: Image) -> AttitudeRecord:
+    """Record with what the stars of an image give."""
     detections = navigation.detect(image)
     if isinstance(detections, Failure):
-        return {"status": "failed", "problem": Problem(reason=detections.reason, detail=detections.detail)}
-    fields: dict[str, Any] = {"detected_px": rows(detections.points_px), "n_detected": int(detections.clean.sum())}
+        return record.replace(problem=Problem.of(detections))
+    record = record.replace(detected_px=detections.points_px.tolist(), n_detected=int(detections.clean.sum()))
     fix = navigation.solve_detections(image, detections)
     if isinstance(fix, Failure):
-        return fields | {"status": "failed", "problem": Problem(reason=fix.reason, detail=fix.detail)}
-    attitude = attitude_value(fix.camera_from_inertial, AttitudeSource.STARS, fix.covariance_rad2)
-    fields |= attitude_fields(navigation.camera, attitude) | {
-        "status": status_of(fix.flags),
-        "n_detected": fix.n_detected,
-        "n_matched": fix.n_used,
-        "n_rejected": fix.n_rejected,
-        "rms_px": fix.rms_px,
-        "false_match_probability": fix.false_match_probability,
-        "fov_deg": fix.fov_deg,
-        "flags": list(fix.flags.names()),
-        "provenance": dict(fix.provenance),
-        "stars": StarMatches(
-            star_ids=fix.star_ids.tolist(),
-            observed_px=rows(fix.observed_px),
-            predicted_px=rows(fix.predicted_px),
-            sigma_px=fix.sigma_px.tolist(),
-            magnitudes=fix.magnitudes.tolist(),
-            rejected_px=rows(fix.rejected_px),
-        ),
-    }
-    return fields
+        return record.replace(problem=Problem.of(fix))
+    return with_stars(record, navigation.camera, fix)
 
 
-def estimate_image(bench: Workbench, job: BodyJob) -> ObservationsRecord:
-    """Run every estimator on every target of an image."""
+def estimate_image(bench: Workbench, job: ImageJob) -> ObservationsRecord:
+    """Run every estimator on every target of an image.
+
+    Parameters
+    ----------
+    bench : Workbench
+    job : ImageJob
+
+    Returns
+    -------
+    ObservationsRecord
+    """
     record = _attempt(_estimated, bench, job)
     return failed_observations(bench.campaign, job.entry, record) if isinstance(record, Problem) else record
 
@@ -282,41 +339,49 @@ def estimate_image(bench: Workbench, job: BodyJob) -> ObservationsRecord:
 def failed_observations(
     campaign: Campaign, entry: ImageEntry, problem: Problem, *, epoch_utc: str | None = None
 ) -> ObservationsRecord:
-    """Failed rows for every estimator that would have run on an image."""
-    return ObservationsRecord(
-        index=entry.index,
-        file=entry.key,
-        observations=[
-            ObservationRecord(
-                index=entry.index,
-                file=entry.key,
-                epoch_utc=epoch_utc,
-                target=target.name,
-                estimator=estimator.name,
-                status="failed",
-                problem=problem,
-                time_s=0.0,
-            )
-            for target in targets_in(campaign, entry.key)
-            for estimator in target.estimators
-        ],
-    )
+    """Failed rows for every estimator that would have run on an image.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    entry : ImageEntry
+    problem : Problem
+    epoch_utc : str, optional
+
+    Returns
+    -------
+    ObservationsRecord
+    """
+    rows = [
+        ObservationRecord(
+            index=entry.index,
+            file=entry.key,
+            epoch_utc=epoch_utc,
+            target=target.name,
+            estimator=estimator.name,
+            status="failed",
+            problem=problem,
+        )
+        for target in targets_in(campaign, entry.key)
+        for estimator in target.estimators
+    ]
+    return ObservationsRecord(index=entry.index, file=entry.key, observations=rows)
 
 
-def _estimated(bench: Workbench, job: BodyJob) -> ObservationsRecord | Problem:
-    campaign, entry = bench.campaign, job.entry
-    try:
-        prepared = open_image(campaign, entry)
-        bench = bench.for_image(prepared.image)
-    except OpNavError as error:
-        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
+def _estimated(bench: Workbench, job: ImageJob) -> ObservationsRecord | Problem:
+    entry = job.entry
+    opened = _read(_opened, bench, entry)
+    if isinstance(opened, Problem):
+        return opened
+    bench, prepared = opened
     campaign, image = bench.campaign, prepared.image
     if job.attitude is not None:
         image = image.with_attitude(
-            rotation_of(job.attitude),
+            job.attitude.rotation,
             source=AttitudeSource(job.attitude.source),
             covariance_rad2=job.attitude.covariance_rad2,
         )
+    epoch_utc = None if image.epoch is None else utc_text(image.epoch)
     observations: list[ObservationRecord] = []
     views: list[TargetView] = []
     notes: list[str] = []
@@ -324,7 +389,20 @@ def _estimated(bench: Workbench, job: BodyJob) -> ObservationsRecord | Problem:
         scene = _attempt(scene_of, campaign, image, target, bench.shapes[target.name])
         geometry = _attempt(scene.geometry, image) if isinstance(scene, Scene) else scene
         for estimator in target.estimators:
-            observations.append(_observed(bench, job, image, target, estimator, scene, geometry))
+            record = ObservationRecord(
+                index=entry.index,
+                file=entry.key,
+                epoch_utc=epoch_utc,
+                target=target.name,
+                estimator=estimator.name,
+                status="failed",
+                attitude=job.attitude,
+            )
+            if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
+                observations.append(_observed(record, estimator, image, campaign.camera, scene, geometry))
+            else:
+                problem = Problem.of(geometry) if isinstance(geometry, Failure) else geometry
+                observations.append(record.replace(problem=problem))
         if isinstance(geometry, TargetGeometry) and campaign.max_overlays > 0:
             view = _attempt(_view, campaign, geometry)
             if isinstance(view, Problem):
@@ -335,48 +413,25 @@ def _estimated(bench: Workbench, job: BodyJob) -> ObservationsRecord | Problem:
 
 
 def _observed(
-    bench: Workbench,
-    job: BodyJob,
-    image: Image,
-    target: TargetSetup,
+    record: ObservationRecord,
     estimator: Estimator,
-    scene: Scene | Failure | Problem,
-    geometry: TargetGeometry | Failure | Problem,
+    image: Image,
+    camera: Camera,
+    scene: Scene,
+    geometry: TargetGeometry,
 ) -> ObservationRecord:
-    """Run one estimator on one target of an image."""
-    camera = bench.campaign.camera
-    values: dict[str, Any] = {
-        "index": job.entry.index,
-        "file": job.entry.key,
-        "epoch_utc": None if image.epoch is None else utc_text(image.epoch),
-        "target": target.name,
-        "estimator": estimator.name,
-        "attitude": job.attitude,
-    }
+    """Record with the result of one estimator."""
     start = time.perf_counter()
-    outcome: CenterFix | Failure | Problem
-    if not isinstance(scene, Scene):
-        outcome = scene
-    elif not isinstance(geometry, TargetGeometry):
-        outcome = geometry
-    else:
-        values |= predicted_fields(camera, geometry)
-        outcome = _attempt(estimator.estimate, image, camera, scene, target.name)
-        if isinstance(outcome, CenterFix):
-            fields = _attempt(fix_fields, camera, geometry, job.attitude, outcome)
-            if isinstance(fields, Problem):
-                outcome = fields
-            else:
-                values |= fields
-    if isinstance(outcome, Failure):
-        outcome = Problem(reason=outcome.reason, detail=outcome.detail)
-    if isinstance(outcome, Problem):
-        values |= {"status": "failed", "problem": outcome}
-    return ObservationRecord(**values, time_s=time.perf_counter() - start)
+    record = with_prediction(record, camera, geometry)
+    outcome = _attempt(estimator.estimate, image, camera, scene, record.target)
+    done = _attempt(with_fix, record, camera, geometry, outcome) if isinstance(outcome, CenterFix) else outcome
+    if not isinstance(done, ObservationRecord):
+        done = record.replace(problem=Problem.of(done) if isinstance(done, Failure) else done)
+    return done.replace(time_s=time.perf_counter() - start)
 
 
 def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
-    """Predicted outline of a target, None where its center cannot be imaged."""
+    """Predicted outline of a target; None if its center cannot be imaged."""
     model = campaign.camera.model
     predicted_px = model.project(geometry.position_camera_km)
     if not np.isfinite(predicted_px).all():
@@ -393,15 +448,23 @@ def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
         target=geometry.target.name,
         predicted_px=predicted_px.tolist(),
         radius_px=radius_px,
-        outline_px=rows(outline),
+        outline_px=outline.tolist(),
         outline_lit=lit.tolist(),
     )
+
+
+def _read(function: Callable[Arguments, Answer], *args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer | Problem:
+    """Call a function that reads an image; damage becomes a :class:`Problem`."""
+    try:
+        return function(*args, **kwargs)
+    except OpNavError as error:
+        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
 
 
 def _attempt(
     function: Callable[Arguments, Answer], *args: Arguments.args, **kwargs: Arguments.kwargs
 ) -> Answer | Problem:
-    """Call a function; an exception becomes a :class:`Problem`."""
+    """Call a function; any exception becomes a :class:`Problem`."""
     try:
         return function(*args, **kwargs)
     except CoverageError as error:

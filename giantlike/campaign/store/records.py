@@ -1,4 +1,4 @@
-"""What a run keeps of each image: plain values that survive JSON exactly.
+"""Results of each image as plain values that survive JSON exactly.
 
 A record is written the moment its image is done and everything else, tables and report, is made from
 records. Results therefore never depend on whether a run was interrupted.
@@ -6,11 +6,14 @@ records. Results therefore never depend on whether a run was interrupted.
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import ClassVar, Literal, Self, TypeAlias
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
+from scipy.spatial.transform import Rotation
 
-from giantlike.core.outcomes import Reason
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure, Reason
 
 Vector: TypeAlias = list[float]
 Matrix: TypeAlias = list[list[float]]
@@ -20,35 +23,92 @@ Status: TypeAlias = Literal["ok", "suspect", "failed"]
 class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    def replace(self, **changes: object) -> Self:
+        """Return a checked copy with other values of some fields.
+
+        Parameters
+        ----------
+        **changes
+            Values by field.
+
+        Returns
+        -------
+        record
+        """
+        return self.model_validate(self.__dict__ | changes)
+
 
 class Problem(_Record):
-    """Why there is no result: reason and detail as in :class:`~giantlike.core.outcomes.Failure`.
+    """The reason why there is no result.
 
-    ``traceback`` is there only for programming errors.
+    Parameters
+    ----------
+    reason : Reason
+    detail : str
+        As in :class:`~giantlike.core.outcomes.Failure`.
+    traceback : str, optional
+        Of a programming error.
     """
 
     reason: Reason
     detail: str
     traceback: str | None = None
 
+    @classmethod
+    def of(cls, failure: Failure) -> Self:
+        """Problem of a failed fit.
+
+        Parameters
+        ----------
+        failure : Failure
+
+        Returns
+        -------
+        Problem
+        """
+        return cls(reason=failure.reason, detail=failure.detail)
+
 
 class Attitude(_Record):
-    """An attitude and how good it is.
+    """An attitude and its covariance.
 
-    ``quaternion_xyzw`` is ``camera_from_inertial``, ``covariance_rad2`` (3 x 3) that of the small rotation about
-    the camera axes, absent where unknown. ``source`` is one of
-    :class:`~giantlike.image.AttitudeSource`.
+    Parameters
+    ----------
+    source : str
+        A value of :class:`~giantlike.image.AttitudeSource`.
+    quaternion_xyzw : (4,) list of float
+        ``camera_from_inertial``, scalar last.
+    covariance_rad2 : (3, 3) list of float, optional, rad^2
+        Of the small rotation about the camera axes; None where unknown.
     """
 
     source: str
     quaternion_xyzw: Vector
     covariance_rad2: Matrix | None = None
 
+    @property
+    def rotation(self) -> Rotation:
+        """``camera_from_inertial``."""
+        return Rotation.from_quat(self.quaternion_xyzw)
+
+    @property
+    def sigma_rad(self) -> Float:
+        """Standard deviations (3,) about the camera axes, rad; NaN where unknown."""
+        if self.covariance_rad2 is None:
+            return np.full(3, np.nan)
+        return np.sqrt(np.diag(self.covariance_rad2))
+
 
 class StarMatches(_Record):
-    """Stars of one solution, for residual plots and overlays: (n, 2) px, (n,) px and magnitudes.
+    """Stars of one solution, for residual plots and overlays.
 
-    ``rejected_px`` are the places (m, 2) of matches thrown out.
+    Parameters
+    ----------
+    star_ids : (n,) list of int
+    observed_px, predicted_px : (n, 2) list of float, px
+    sigma_px, magnitudes : (n,) list of float, px and magnitudes
+    rejected_px : (m, 2) list of float, px
+        Matches rejected as outliers.
     """
 
     star_ids: list[int]
@@ -59,37 +119,76 @@ class StarMatches(_Record):
     rejected_px: Matrix = []
 
 
-class AttitudeRecord(_Record):
-    """One image: what it is, and what its stars said.
+class ImageRecord(_Record):
+    """Base of what is kept of one image by one step of a run; one file in the run folder.
 
     Parameters
     ----------
-    index, file : int, str
-        Position in input order and name in the tables.
+    index : int
+        Position in input order.
+    file : str
+        Name in the tables.
+    """
+
+    part: ClassVar[str]
+    """Name of the step in the names of files."""
+
+    index: int
+    file: str
+
+    @property
+    def problems(self) -> list[Problem]:
+        """Everything that went wrong."""
+        raise NotImplementedError
+
+    def light(self) -> Self:
+        """Return the record without its lists of points: what is kept in memory of thousands of images.
+
+        Returns
+        -------
+        record
+        """
+        return self
+
+
+class AttitudeRecord(ImageRecord):
+    """The image itself, and its attitude.
+
+    Parameters
+    ----------
     path : str
         Image file relative to the run folder.
     sha256, columns, rows : str, int, int
         Empty and 0 where the image could not be read.
-    epoch_utc, et, exposure_s : mid-exposure and exposure, where known
+    epoch_utc, et, exposure_s : str, float, float, optional
+        Mid-exposure (UTC; TDB seconds past J2000) and exposure, s.
     star_image, body_image : bool
-        Whether its own stars were to be solved, and whether estimators run on it.
+        True if its own stars were to be solved; True if estimators run on it.
     transferred : bool
-        Whether the attitude was looked for in its neighbors.
-    status, problem : outcome of the attitude
-    apriori_xyzw : a priori ``camera_from_inertial``, where known
+        True if the attitude was looked for in its neighbors in time.
+    status : str
+    problem : Problem, optional
+    apriori_xyzw : (4,) list of float, optional
+        A priori ``camera_from_inertial``, scalar last.
     attitude : Attitude, optional
         The result; None when failed.
-    n_detected, n_matched, n_rejected, rms_px, false_match_probability : of the star solution
-    ra_deg, dec_deg, roll_deg, fov_deg : of the result, see CAMPAIGN files
-    flags : names of quality flags
-    time_s : float
-        Time that reading and solving took.
-    stars, detected_px : matches, and everything that looked like a star
-    notes : what was odd
+    n_detected, n_matched, n_rejected, rms_px, false_match_probability : int or float, optional
+        Of the star solution, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
+    ra_deg, dec_deg, roll_deg, fov_deg : float, optional, deg
+        As in :class:`~giantlike.io.run_tables.AttitudeRow`.
+    flags : list of str
+    provenance : dict of str to str
+    time_s : float, s
+        Time of reading and solving.
+    stars : StarMatches, optional
+    detected_px : (n, 2) list of float, px
+        Everything that looked like a star.
+    notes : list of str
+        Oddities.
     """
 
-    index: int
-    file: str
+    part: ClassVar[str] = "attitude"
+
     path: str
     sha256: str = ""
     columns: int = 0
@@ -115,29 +214,58 @@ class AttitudeRecord(_Record):
     fov_deg: float | None = None
     flags: list[str] = []
     provenance: dict[str, str] = {}
-    time_s: float
+    time_s: float = 0.0
     stars: StarMatches | None = None
     detected_px: Matrix = []
     notes: list[str] = []
 
     @property
     def readable(self) -> bool:
-        """Whether there is an image to work on."""
+        """True if the image could be read."""
         return self.columns > 0
 
-    def light(self) -> AttitudeRecord:
-        """Return the record without its lists of stars: what is kept in memory of thousands of images."""
+    @property
+    def apriori(self) -> Rotation | None:
+        """A priori ``camera_from_inertial``; None where unknown."""
+        return None if self.apriori_xyzw is None else Rotation.from_quat(self.apriori_xyzw)
+
+    @property
+    def wanted_source(self) -> str | None:
+        """Source from which the attitude was to come; None for an image that could not be read."""
+        if not self.readable:
+            return None
+        return "stars" if self.star_image else "interpolated" if self.transferred else "a_priori"
+
+    @property
+    def problems(self) -> list[Problem]:
+        """The problem of the attitude, if there is one."""
+        return [] if self.problem is None else [self.problem]
+
+    def light(self) -> Self:
+        """Return the record without its lists of stars.
+
+        Returns
+        -------
+        AttitudeRecord
+        """
         return self.model_copy(update={"stars": None, "detected_px": []})
 
 
-class CalibrationRecord(_Record):
-    """What calibration keeps of one star image; arrays as in :class:`~giantlike.calibration.star_images.StarImage`.
+class CalibrationRecord(ImageRecord):
+    """Sources and identified stars of an image, for calibration.
 
-    ``problem`` says why there is nothing.
+    Parameters
+    ----------
+    problem : Problem, optional
+        The reason why there are none.
+    apriori_xyzw : (4,) list of float, optional
+        A priori ``camera_from_inertial``, scalar last.
+    et, ..., sigma_px
+        As in :class:`~giantlike.calibration.star_images.StarImage` and its sky.
     """
 
-    index: int
-    file: str
+    part: ClassVar[str] = "calibration"
+
     problem: Problem | None = None
     et: float | None = None
     observer_position_km: Vector | None = None
@@ -153,14 +281,30 @@ class CalibrationRecord(_Record):
     source_indices: list[int] = []
     sigma_px: Vector = []
 
+    @property
+    def problems(self) -> list[Problem]:
+        """The problem of the image, if there is one."""
+        return [] if self.problem is None else [self.problem]
+
 
 class ObservationRecord(_Record):
-    """What one estimator said about one target in one image; units and frames as in the tables.
+    """Result of one estimator for one target in one image; units and frames as in the tables.
 
-    Covariances are of the image measurement alone, but for ``covariance_with_attitude_px2`` and
-    ``covariance_inertial_km2``: these hold the uncertainty of the attitude as well, and are absent where it is
-    unknown. The partials are those of the center in the image with respect to the apparent vector from camera to
-    body (inertial axes, px/km) and to the small rotation about the camera axes (px/rad), each 2 x 3.
+    Covariances are (2, 2) and (3, 3), partials (2, 3); see :class:`~giantlike.io.run_tables.ObservationRow`.
+
+    Parameters
+    ----------
+    index, file, epoch_utc, target, estimator, status : int or str
+    problem : Problem, optional
+    attitude : Attitude, optional
+        The attitude used; None: there was none.
+    predicted_px, ..., n_rejected
+        As in the tables; None where unknown.
+    flags : list of str
+    provenance : dict of str to str
+    limb_px : (n, 2) list of float, px
+        Limb points used.
+    time_s : float, s
     """
 
     index: int
@@ -190,11 +334,22 @@ class ObservationRecord(_Record):
     flags: list[str] = []
     provenance: dict[str, str] = {}
     limb_px: Matrix = []
-    time_s: float
+    time_s: float = 0.0
 
 
 class TargetView(_Record):
-    """Where a target was expected, for overlays: predicted center and outline, px; ``lit`` marks lit points."""
+    """Predicted place of a target in an image, for overlays.
+
+    Parameters
+    ----------
+    target : str
+    predicted_px : (2,) list of float, px
+        Center.
+    radius_px : float, px
+    outline_px : (n, 2) list of float, px
+    outline_lit : (n,) list of bool
+        True for points in sunlight.
+    """
 
     target: str
     predicted_px: Vector
@@ -203,16 +358,34 @@ class TargetView(_Record):
     outline_lit: list[bool]
 
 
-class ObservationsRecord(_Record):
-    """All observations of one image."""
+class ObservationsRecord(ImageRecord):
+    """All observations of one image.
 
-    index: int
-    file: str
+    Parameters
+    ----------
+    observations : list of ObservationRecord
+    views : list of TargetView
+    notes : list of str
+        Oddities.
+    """
+
+    part: ClassVar[str] = "observations"
+
     observations: list[ObservationRecord] = []
     views: list[TargetView] = []
     notes: list[str] = []
 
-    def light(self) -> ObservationsRecord:
-        """Return the record without limb points and outlines: what is kept in memory of thousands of images."""
+    @property
+    def problems(self) -> list[Problem]:
+        """Problems of the observations that failed."""
+        return [record.problem for record in self.observations if record.problem is not None]
+
+    def light(self) -> Self:
+        """Return the record without limb points and outlines.
+
+        Returns
+        -------
+        ObservationsRecord
+        """
         observations = [record.model_copy(update={"limb_px": []}) for record in self.observations]
         return self.model_copy(update={"observations": observations, "views": []})

@@ -1,19 +1,55 @@
-"""What a finished run says, as values and as counts."""
+"""A finished run: its records, counts and camera, read back from the run folder."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from giantlike.campaign.calibration.solve import RESULT_FILE
-from giantlike.campaign.store.parts import RunFolder
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
+from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
 from giantlike.core.errors import DataError
 from giantlike.core.values import Value
+from giantlike.io.attitude_series import AttitudeSeries
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusCounts:
+    """Number of records by status, and of failures by reason.
+
+    Parameters
+    ----------
+    ok, suspect, failed : int
+    reasons : dict of str to int
+    """
+
+    ok: int
+    suspect: int
+    failed: int
+    reasons: dict[str, int]
+
+    @classmethod
+    def of(cls, records: Sequence[AttitudeRecord | ObservationRecord]) -> StatusCounts:
+        """Count records.
+
+        Parameters
+        ----------
+        records : sequence of AttitudeRecord or ObservationRecord
+
+        Returns
+        -------
+        StatusCounts
+        """
+        statuses = Counter(record.status for record in records)
+        reasons = Counter(str(record.problem.reason) for record in records if record.problem is not None)
+        return cls(ok=statuses["ok"], suspect=statuses["suspect"], failed=statuses["failed"], reasons=dict(reasons))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,16 +67,16 @@ class RunResult(Value):
     bodies : tuple of ObservationsRecord
         One per image that shows a body; limb points and outlines stay in the run folder.
     hdu : int or str or None
-        Which extension of FITS files was read.
+        FITS extension that was read.
     bottom_up : bool
-        Whether rows were turned around.
+        True if the rows were reversed on reading.
     max_overlays : int
-        How many images the report shows.
+        Number of images shown in the report.
     warnings : tuple of str
-    time_s : float
+    time_s : float, s
         Of the last part of the run.
     calibration : dict, optional
-        What ``calibration.json`` holds, where the campaign calibrates.
+        Content of ``calibration.json``, if the campaign calibrates.
     """
 
     folder: Path
@@ -56,8 +92,16 @@ class RunResult(Value):
 
     @property
     def observations(self) -> tuple[ObservationRecord, ...]:
-        """One per image, target and estimator, in input order."""
+        """One record per image, target and estimator, in input order."""
         return tuple(record for image in self.bodies for record in image.observations)
+
+    @property
+    def by_estimator(self) -> dict[tuple[str, str], list[ObservationRecord]]:
+        """Observations by target and estimator."""
+        groups: dict[tuple[str, str], list[ObservationRecord]] = {}
+        for record in self.observations:
+            groups.setdefault((record.target, record.estimator), []).append(record)
+        return groups
 
     @property
     def failed_images(self) -> tuple[str, ...]:
@@ -71,18 +115,21 @@ class RunResult(Value):
         )
 
     def summary(self) -> dict[str, Any]:
-        """Counts as JSON has them."""
-        estimators = dict.fromkeys((record.target, record.estimator) for record in self.observations)
+        """Counts of the run, as JSON has them.
+
+        Returns
+        -------
+        dict
+        """
         return {
             "campaign": self.name,
             "output": str(self.folder),
             "images": len(self.attitudes),
             "failed_images": list(self.failed_images),
-            "attitudes": _counts(self.attitudes),
+            "attitudes": asdict(StatusCounts.of(self.attitudes)),
             "observations": [
-                {"target": target, "estimator": estimator}
-                | _counts([r for r in self.observations if (r.target, r.estimator) == (target, estimator)])
-                for target, estimator in estimators
+                {"target": target, "estimator": estimator} | asdict(StatusCounts.of(records))
+                for (target, estimator), records in self.by_estimator.items()
             ],
             "calibration": self.calibration,
             "warnings": list(self.warnings),
@@ -92,6 +139,15 @@ class RunResult(Value):
 
 def load_result(path: Path) -> RunResult:
     """Read a finished run back from its folder.
+
+    Parameters
+    ----------
+    path : Path
+        The run folder.
+
+    Returns
+    -------
+    RunResult
 
     Raises
     ------
@@ -112,12 +168,70 @@ def load_result(path: Path) -> RunResult:
         max_overlays=run["max_overlays"],
         warnings=tuple(run["warnings"]),
         time_s=run["time_s"],
-        calibration=_calibration(path / RESULT_FILE),
+        calibration=_calibration(path / CALIBRATION_FILE),
+    )
+
+
+def camera_of_run(path: Path) -> Camera:
+    """Camera whose attitudes a run holds: the calibrated one if the run calibrated.
+
+    Parameters
+    ----------
+    path : Path
+        The run folder.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    DataError
+        It is no run folder, or its camera is damaged.
+    """
+    calibrated = path / CAMERA_FILE
+    if calibrated.exists():
+        return Camera.load(calibrated)
+    table = RunFolder.open(path).provenance().get("inputs", {}).get("camera")
+    if not isinstance(table, dict):
+        raise DataError(path, "provenance.json does not hold the camera: run the campaign again")
+    return Camera.from_mapping(table)
+
+
+def attitude_series(records: Sequence[AttitudeRecord], camera: Camera) -> AttitudeSeries:
+    """Attitudes of the records that have one and an epoch, in order of time.
+
+    Parameters
+    ----------
+    records : sequence of AttitudeRecord
+    camera : Camera
+        Of which they are; gives the name of the frame.
+
+    Returns
+    -------
+    AttitudeSeries
+
+    Raises
+    ------
+    InputError
+        There is none, or two images have the same epoch.
+    """
+    known = sorted(
+        ((r.et, r.file, r.attitude) for r in records if r.et is not None and r.attitude is not None),
+        key=lambda item: item[0],
+    )
+    unknown = np.full((3, 3), np.nan).tolist()
+    return AttitudeSeries(
+        et=np.array([et for et, _, _ in known]),
+        camera_from_inertial=Rotation.from_quat(np.reshape([a.quaternion_xyzw for _, _, a in known], (-1, 4))),
+        covariance_rad2=np.reshape([a.covariance_rad2 or unknown for _, _, a in known], (-1, 3, 3)),
+        names=tuple(file for _, file, _ in known),
+        frame=camera.frame_name,
     )
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:
-    """Content of ``calibration.json``; None where there is none."""
+    """Content of ``calibration.json``; None if there is none."""
     if not path.exists():
         return None
     try:
@@ -125,9 +239,3 @@ def _calibration(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError) as error:
         raise DataError(path, "is damaged: continue the run with giantlike run --resume") from error
     return dict(content)
-
-
-def _counts(records: Sequence[AttitudeRecord | ObservationRecord]) -> dict[str, Any]:
-    statuses = Counter(record.status for record in records)
-    reasons = Counter(str(record.problem.reason) for record in records if record.problem is not None)
-    return {status: statuses.get(status, 0) for status in ("ok", "suspect", "failed")} | {"reasons": dict(reasons)}

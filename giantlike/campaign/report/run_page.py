@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
-from giantlike.campaign.report.page import render_page
+from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult
 from giantlike.core.atomic import write_text_atomic

@@ -1,4 +1,4 @@
-"""What a run was made from: versions, options and hashes, comparable when a run is continued."""
+"""Versions, options and hashes that a run is made from, as JSON has them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,19 @@ from giantlike.core.version import VERSION
 
 
 def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
-    """Everything that decides the results of a run, as plain values.
+    """Everything that decides the results of a run but the images, as plain values.
 
-    A run may only be continued when none of it has changed. The hashes of the images come in later, each
-    when its image is read.
+    A run is only continued when none of it has changed. The hashes of the images are added at the end of the run.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    bench : Workbench
+
+    Returns
+    -------
+    dict
+        As ``inputs`` of ``provenance.json``.
 
     Raises
     ------
@@ -53,7 +62,17 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
 
 
 def environment_of(campaign: Campaign) -> dict[str, Any]:
-    """Where and with what a run was made: file hashes that people look for, Python and its packages."""
+    """Hashes of files, Python and its packages, for people; they may change when a run is continued.
+
+    Parameters
+    ----------
+    campaign : Campaign
+
+    Returns
+    -------
+    dict
+        As ``environment`` of ``provenance.json``.
+    """
     return {
         "campaign_file": campaign.path.name,
         "campaign_sha256": file_sha256(campaign.path),
@@ -64,24 +83,16 @@ def environment_of(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Names of the inputs that differ; within tables dotted down to what changed.
-
-    >>> changes({"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": 1, "c": 5}})
-    ['a.c', 'd']
-    """
-    names: list[str] = []
-    for key in dict.fromkeys([*before, *now]):
-        old, new = before.get(key), now.get(key)
-        if isinstance(old, Mapping) and isinstance(new, Mapping):
-            names += [f"{key}.{name}" for name in changes(old, new)]
-        elif old != new:
-            names.append(key)
-    return names
-
-
 def file_sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
 
     Raises
     ------

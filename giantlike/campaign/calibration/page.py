@@ -16,8 +16,9 @@ from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, EquidistantModel, EquisolidModel, GridCorrectedModel, PinholeModel
 from giantlike.camera_models.affine import AFFINE_NAMES
 from giantlike.camera_models.axial import AxialModel
-from giantlike.campaign.calibration.solve import REPORT_FILE, CampaignCalibration, calibration_summary
-from giantlike.campaign.report.page import render_page
+from giantlike.campaign.calibration.solve import CampaignCalibration, calibration_summary
+from giantlike.campaign.report.templates import render_page
+from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
@@ -44,7 +45,7 @@ _MEANING = {
 }
 
 
-def write_calibration_report(folder: Path, name: str, camera: Camera, result: CampaignCalibration) -> Path:
+def write_calibration_page(folder: Path, name: str, camera: Camera, result: CampaignCalibration) -> Path:
     """Write ``calibration.html`` into a folder and return its path.
 
     Parameters
@@ -75,7 +76,7 @@ def write_calibration_report(folder: Path, name: str, camera: Camera, result: Ca
         n_rejected=len(rejected),
         figures=[] if fix is None else calibration_figures(fix),
     )
-    path = folder / REPORT_FILE
+    path = folder / CALIBRATION_PAGE
     write_text_atomic(path, page)
     return path
 

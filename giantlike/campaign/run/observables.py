@@ -1,0 +1,198 @@
+"""Fixes to records: everything that follows from a fix, its geometry and its attitude."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord, StarMatches, Status
+from giantlike.core.arrays import Float
+from giantlike.core.errors import InputError
+from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
+from giantlike.core.outcomes import AttitudeFix, CenterFix, PositionFix, Quality
+from giantlike.image import AttitudeSource
+from giantlike.scene import TargetGeometry
+
+
+def status_of(flags: Quality) -> Status:
+    """Status of a fix with quality flags.
+
+    Parameters
+    ----------
+    flags : Quality
+
+    Returns
+    -------
+    str
+        ``suspect`` if a named check objects, else ``ok``.
+    """
+    return "suspect" if flags.suspect else "ok"
+
+
+def attitude_of(rotation: Rotation, source: AttitudeSource, covariance_rad2: Float | None = None) -> Attitude:
+    """Attitude as a record holds it.
+
+    Parameters
+    ----------
+    rotation : Rotation
+        ``camera_from_inertial``.
+    source : AttitudeSource
+    covariance_rad2 : (3, 3) float64, optional, rad^2
+
+    Returns
+    -------
+    Attitude
+    """
+    return Attitude(
+        source=str(source),
+        quaternion_xyzw=quaternion_xyzw(rotation).tolist(),
+        covariance_rad2=None if covariance_rad2 is None else covariance_rad2.tolist(),
+    )
+
+
+def with_attitude(record: AttitudeRecord, camera: Camera, attitude: Attitude, status: Status = "ok") -> AttitudeRecord:
+    """Record with an attitude that was found, the pointing of the image center and the field of view.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+    camera : Camera
+    attitude : Attitude
+    status : str
+
+    Returns
+    -------
+    AttitudeRecord
+    """
+    center = camera.model.unproject(camera.center_px)
+    roll: float | None
+    try:
+        ra, dec, roll = pointing_deg(attitude.rotation, center)
+    except InputError:  # at a celestial pole there is no roll (nor right ascension, but the direction is known)
+        ra, dec = (float(angle) for angle in radec_from_direction(rotate(attitude.rotation.inv(), center)))
+        roll = None
+    return record.replace(
+        status=status, problem=None, attitude=attitude, fov_deg=camera.fov_deg, ra_deg=ra, dec_deg=dec, roll_deg=roll
+    )
+
+
+def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> AttitudeRecord:
+    """Record with an attitude that was found from stars.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+    camera : Camera
+    fix : AttitudeFix
+
+    Returns
+    -------
+    AttitudeRecord
+    """
+    attitude = attitude_of(fix.camera_from_inertial, AttitudeSource.STARS, fix.covariance_rad2)
+    return with_attitude(record, camera, attitude, status_of(fix.flags)).replace(
+        n_detected=fix.n_detected,
+        n_matched=fix.n_used,
+        n_rejected=fix.n_rejected,
+        rms_px=fix.rms_px,
+        false_match_probability=fix.false_match_probability,
+        fov_deg=fix.fov_deg,
+        flags=list(fix.flags.names()),
+        provenance=dict(fix.provenance),
+        stars=StarMatches(
+            star_ids=fix.star_ids.tolist(),
+            observed_px=fix.observed_px.tolist(),
+            predicted_px=fix.predicted_px.tolist(),
+            sigma_px=fix.sigma_px.tolist(),
+            magnitudes=fix.magnitudes.tolist(),
+            rejected_px=fix.rejected_px.tolist(),
+        ),
+    )
+
+
+def with_prediction(record: ObservationRecord, camera: Camera, geometry: TargetGeometry) -> ObservationRecord:
+    """Record with the place of the target by the a priori geometry.
+
+    Parameters
+    ----------
+    record : ObservationRecord
+    camera : Camera
+    geometry : TargetGeometry
+
+    Returns
+    -------
+    ObservationRecord
+    """
+    predicted = camera.model.project(geometry.position_camera_km)
+    return record.replace(
+        predicted_px=predicted.tolist() if np.isfinite(predicted).all() else None,
+        predicted_camera_km=geometry.position_camera_km.tolist(),
+    )
+
+
+def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry, fix: CenterFix) -> ObservationRecord:
+    r"""Record with a fix and, if the record has an attitude, its partials and combined covariances.
+
+    Parameters
+    ----------
+    record : ObservationRecord
+    camera : Camera
+    geometry : TargetGeometry
+        Its range makes a position of a center without one, for the partials.
+    fix : CenterFix
+
+    Returns
+    -------
+    ObservationRecord
+
+    Notes
+    -----
+    With ``J`` the derivative of the projection at ``p`` and ``e`` the small rotation about the camera axes by which
+    the attitude is off, the center moves by ``J (e x p) = -J [p]x e``; the position in inertial axes
+    ``R^T p`` moves by ``R^T [p]x e``.
+    """
+    record = record.replace(
+        status=status_of(fix.flags),
+        predicted_px=fix.predicted_px.tolist(),
+        center_px=fix.center_px.tolist(),
+        covariance_px2=fix.covariance_px2.tolist(),
+        score=fix.score if np.isfinite(fix.score) else None,
+        n_used=fix.n_used,
+        n_rejected=fix.n_rejected,
+        flags=list(fix.flags.names()),
+        provenance=dict(fix.provenance),
+    )
+    position = camera.model.unproject(fix.center_px) * geometry.range_km
+    if isinstance(fix, PositionFix):
+        position = fix.position_camera_km
+        record = record.replace(
+            position_camera_km=position.tolist(),
+            covariance_camera_km2=fix.covariance_camera_km2.tolist(),
+            range_km=fix.range_km,
+            sigma_range_km=fix.sigma_range_km,
+            limb_px=fix.limb_px.tolist(),
+        )
+    attitude = record.attitude
+    if attitude is None:
+        return record
+    camera_from_inertial = attitude.rotation.as_matrix()
+    by_position, cross = camera.model.project_jacobian(position), skew(position)
+    by_attitude = -by_position @ cross
+    record = record.replace(
+        partial_position_inertial_px_km=(by_position @ camera_from_inertial).tolist(),
+        partial_attitude_px_rad=by_attitude.tolist(),
+    )
+    if isinstance(fix, PositionFix):
+        record = record.replace(position_inertial_km=(camera_from_inertial.T @ position).tolist())
+    if attitude.covariance_rad2 is None:
+        return record
+    covariance = np.array(attitude.covariance_rad2)
+    record = record.replace(
+        covariance_with_attitude_px2=(fix.covariance_px2 + by_attitude @ covariance @ by_attitude.T).tolist()
+    )
+    if isinstance(fix, PositionFix):
+        combined = fix.covariance_camera_km2 + cross @ covariance @ cross.T
+        inertial = camera_from_inertial.T @ combined @ camera_from_inertial
+        record = record.replace(covariance_inertial_km2=inertial.tolist())
+    return record

@@ -1,0 +1,100 @@
+"""Events of a run as lines of ``log.jsonl``: a handler of the logger ``giantlike.campaign``."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from giantlike.core.errors import DataError
+
+LOGGER = logging.getLogger("giantlike.campaign")
+
+
+def log_event(folder: Path, event: str, *, level: int = logging.INFO, **values: Any) -> None:
+    """Log an event of a run.
+
+    Parameters
+    ----------
+    folder : Path
+        The run folder, by which a :class:`RunLog` knows the events of its run.
+    event : str
+        Kind of the event.
+    level : int
+        As of :mod:`logging`.
+    **values
+        Further keys of the line in ``log.jsonl``.
+
+    Raises
+    ------
+    DataError
+        ``log.jsonl`` cannot be written.
+    """
+    text = ", ".join(f"{key}={value}" for key, value in values.items())
+    extra = {"run_folder": folder, "line": {"event": event} | values}
+    LOGGER.log(level, "%s: %s", event, text, extra=extra)
+
+
+class RunLog(logging.Handler):
+    """Writes the events of one run to its ``log.jsonl``; attached inside a ``with`` block.
+
+    Other handlers get what they would get without it: events below the level that the program chose for the logger
+    end in the file only.
+
+    Parameters
+    ----------
+    folder : Path
+        The run folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._folder = folder
+        self._before = (logging.NOTSET, logging.NOTSET)
+
+    def __enter__(self) -> None:
+        self._before = (LOGGER.level, LOGGER.getEffectiveLevel())
+        LOGGER.addHandler(self)
+        LOGGER.addFilter(self._pass_on)
+        LOGGER.setLevel(min(logging.INFO, LOGGER.getEffectiveLevel()))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        LOGGER.removeHandler(self)
+        LOGGER.removeFilter(self._pass_on)
+        LOGGER.setLevel(self._before[0])
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line, if the record is an event of this run.
+
+        Parameters
+        ----------
+        record : LogRecord
+
+        Raises
+        ------
+        DataError
+            The file cannot be written.
+        """
+        if getattr(record, "run_folder", None) != self._folder:
+            return
+        line = {"time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())} | vars(record)["line"]
+        path = self._folder / "log.jsonl"
+        try:
+            with path.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(line, default=str) + "\n")
+        except OSError as error:
+            raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+
+    def _pass_on(self, record: logging.LogRecord) -> bool:
+        """Filter of the logger: return False for a record below the level of before, once it is written."""
+        if record.levelno >= self._before[1]:
+            return True
+        folder = getattr(record, "run_folder", None)
+        if folder == self._folder:
+            self.handle(record)
+        return folder not in (None, self._folder)  # another run in this process has a filter of its own

@@ -1,0 +1,192 @@
+"""Tables whose schema is a dataclass: CSV and Parquet files, the checks on reading, and descriptions of the columns.
+
+A field of the dataclass is a column; :func:`column` adds unit, frame and description to it.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from giantlike.core.atomic import write_bytes_atomic, write_text_atomic
+from giantlike.io.csv_rows import CsvRow, read_csv_rows
+
+Row = TypeVar("Row")
+
+_KINDS: Mapping[Any, str] = MappingProxyType(
+    {str: "text", int: "integer", float: "number", Sequence[str]: "texts", Sequence[float]: "numbers"}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """A column of a table.
+
+    Parameters
+    ----------
+    name : str
+    kind : str
+        text, integer, number, texts or numbers.
+    description : str
+    unit, frame : str
+        Empty where there is none.
+    csv : bool
+        True if the CSV file has the column as well as the Parquet file.
+    required : bool
+        True if no cell may be empty.
+    """
+
+    name: str
+    kind: str
+    description: str
+    unit: str
+    frame: str
+    csv: bool
+    required: bool
+
+
+def column(description: str, *, unit: str = "", frame: str = "", csv: bool = True) -> Any:
+    """Field of a dataclass that describes a column; the type of the field decides kind and emptiness.
+
+    Parameters
+    ----------
+    description : str
+    unit, frame : str
+        Empty where there is none.
+    csv : bool
+        False for a column of the Parquet file only.
+
+    Returns
+    -------
+    dataclasses.Field
+        Default None.
+    """
+    metadata = {"description": description, "unit": unit, "frame": frame, "csv": csv}
+    return dataclasses.field(default=None, metadata=metadata)
+
+
+def columns_of(kind: type[Any]) -> tuple[Column, ...]:
+    """Columns of a table, in order.
+
+    Parameters
+    ----------
+    kind : type
+        The dataclass of its rows.
+
+    Returns
+    -------
+    tuple of Column
+    """
+    hints = get_type_hints(kind)
+    columns = []
+    for field in dataclasses.fields(kind):
+        hint = hints[field.name]
+        optional = type(None) in get_args(hint)
+        base = next(part for part in get_args(hint) if part is not type(None)) if optional else hint
+        columns.append(Column(name=field.name, kind=_KINDS[base], required=not optional, **field.metadata))
+    return tuple(columns)
+
+
+def write_rows(stem: Path, kind: type[Row], rows: Sequence[Row]) -> None:
+    """Write a table as CSV and as Parquet.
+
+    CSV numbers keep all their digits, and a cell without a value is empty. In the Parquet file each column has its
+    unit, frame and description as metadata.
+
+    Parameters
+    ----------
+    stem : Path
+        Path of the files without suffix.
+    kind : type
+        The dataclass of the rows.
+    rows : sequence
+
+    Raises
+    ------
+    DataError
+        A file cannot be written.
+    """
+    columns = columns_of(kind)
+    names = [column.name for column in columns if column.csv]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([_csv_text(getattr(row, name)) for name in names] for row in rows)
+    write_text_atomic(stem.with_suffix(".csv"), text.getvalue())
+    write_bytes_atomic(stem.with_suffix(".parquet"), _parquet(columns, rows))
+
+
+def read_rows(path: Path, kind: type[Row]) -> list[Row]:
+    """Read a table back from its CSV file; what only the Parquet file holds is None.
+
+    Parameters
+    ----------
+    path : Path
+    kind : type
+        The dataclass of the rows.
+
+    Returns
+    -------
+    list
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, a column is missing or unknown, or a cell is wrong; the text says which.
+    """
+    columns = [column for column in columns_of(kind) if column.csv]
+    names = [column.name for column in columns]
+    rows = read_csv_rows(path, names, names)
+    return [kind(**{column.name: _cell(row, column) for column in columns}) for row in rows]
+
+
+def _cell(row: CsvRow, column: Column) -> str | int | float | None:
+    text = row.text(column.name)
+    if text is None:
+        if column.required:
+            raise row.error(column.name, "a value is needed")
+        return None
+    if column.kind == "text":
+        return text
+    try:
+        return int(text) if column.kind == "integer" else float(text)
+    except ValueError:
+        raise row.error(column.name, f"a value of kind {column.kind} is needed") from None
+
+
+def _csv_text(value: str | int | float | None) -> str:
+    if value is None:
+        return ""
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _parquet(columns: Sequence[Column], rows: Sequence[Any]) -> bytes:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    types = {
+        "text": pa.string(),
+        "number": pa.float64(),
+        "integer": pa.int64(),
+        "texts": pa.list_(pa.string()),
+        "numbers": pa.list_(pa.float64()),
+    }
+    fields = [
+        pa.field(
+            column.name,
+            types[column.kind],
+            metadata={"unit": column.unit, "frame": column.frame, "description": column.description},
+        )
+        for column in columns
+    ]
+    arrays = [pa.array([getattr(row, field.name) for row in rows], type=field.type) for field in fields]
+    sink = pa.BufferOutputStream()
+    parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), sink)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
