@@ -123,7 +123,7 @@ def write_rows(stem: Path, kind: type[Row], rows: Sequence[Row]) -> None:
 
 
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
-    """Read a table back from its CSV file; what only the Parquet file holds is None.
+    """Read a table back from its CSV file; columns that are not there, and those of Parquet alone, are None.
 
     Parameters
     ----------
@@ -138,11 +138,12 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     Raises
     ------
     DataError
-        The file cannot be read, a column is missing or unknown, or a cell is wrong; the text says which.
+        The file cannot be read, a column is unknown, one is missing whose cells may not be empty, or a cell is wrong; the
+        text says which.
     """
     columns = [column for column in columns_of(kind) if column.csv]
     names = [column.name for column in columns]
-    rows = read_csv_rows(path, names, names)
+    rows = read_csv_rows(path, names, [column.name for column in columns if column.required])
     return [kind(**{column.name: _cell(row, column) for column in columns}) for row in rows]
 
 

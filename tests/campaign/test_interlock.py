@@ -108,7 +108,7 @@ def test_a_table_of_attitudes_comes_back_as_it_was_written_whatever_the_order(tm
     ("text", "problem"),
     [
         ("qx,qy,qz,qw\n0,0,0,1\n", "epoch_utc or et"),
-        ("et,qx,qy,qz,qw\n0,,,,\n", "a quaternion is needed"),
+        ("et,qx,qy,qz,qw\n0,,,,\n", "must be filled in every row"),
         ("et,qx,qy,qz,qw\n0,0,0,0,2\n", "line 2, column qx"),
         ("et,roll\n0,0\n", "unknown column 'roll'"),
         (
