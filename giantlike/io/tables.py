@@ -138,8 +138,8 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     Raises
     ------
     DataError
-        The file cannot be read, a column is unknown, one is missing whose cells may not be empty, or a cell is wrong; the
-        text says which.
+        The file cannot be read, a column is unknown, one is missing whose cells may not be empty, or a cell is wrong;
+        the text says which.
     """
     columns = [column for column in columns_of(kind) if column.csv]
     names = [column.name for column in columns]
