@@ -34,13 +34,14 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
+from giantlike.ray_tracing import Body, FocalPlane, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative import SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.landmarks.matching import fit_patch
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, rays_for
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
 from giantlike.relative.landmarks.surface_features import LandmarkFix
 from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
+from giantlike.relative.template.fit import BoxPixels
 from giantlike.scene import Scene, Target
 from giantlike.shapes import irregular_body
 
@@ -123,27 +124,30 @@ def bound(one: Draw, fix: LandmarkFix) -> tuple[float, float]:
     catalog = landmarks_of(one.body.shape)  # type: ignore[arg-type]
     viewer = viewer_for(catalog, one.body.shape)
     assert CAMERA.psf is not None
+    plane = FocalPlane(model=CAMERA.model, columns=SIZE_PX, rows=SIZE_PX, psf=CAMERA.psf)
     renderer = LandmarkRenderer(
         catalog,
-        CAMERA.model,
+        plane,
         sun_direction_camera=one.sun,
-        psf=CAMERA.psf,
         max_size_px=VISIBILITY.max_size_px,
         rays_per_pixel_side=2 * rays_for(CAMERA.psf.sigma_px),
         other_law=False,
     )
-    seen = viewer.seen(
-        one.body, CAMERA.model, sun_direction_camera=one.sun, columns=SIZE_PX, rows=SIZE_PX, options=VisibilityOptions()
-    )
+    seen = viewer.seen(one.body, plane, sun_direction_camera=one.sun, options=VisibilityOptions())
     used = {landmark: place for place, landmark in enumerate(item.name for item in catalog.landmarks)}
     wanted = np.array([used[name] for name in fix.landmark_names])
     keep = np.isin(seen.numbers, wanted)
     seen = replace(seen, numbers=seen.numbers[keep], predicted_px=seen.predicted_px[keep], size_px=seen.size_px[keep])
     information = np.zeros((3, 3))
     signal = one.scale_dn * rendered(one.body, one.sun, RenderOptions(rays_per_pixel_side=4))
-    everywhere = np.ones(signal.shape, dtype=bool)
+    image = BoxPixels(
+        values_dn=signal,
+        usable=np.ones(signal.shape, dtype=bool),
+        corner_px=(0, 0),
+        noise_variance_dn2=CAMERA.detector.variance_dn2,
+    )
     for patch in renderer.patches(one.body, seen):
-        match = fit_patch(signal, everywhere, patch, np.zeros(2, np.int64), 1.0, CAMERA.detector.variance_dn2)
+        match = fit_patch(image, patch, np.zeros(2, np.int64), 1.0)
         if match is None:
             continue
         point = one.body.to_camera(viewer.points_body_km[patch.number]) + one.body.position_camera_km

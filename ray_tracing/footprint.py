@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
@@ -64,6 +64,21 @@ class FocalPlane(Value):
     def halo_px(self) -> int:
         """Distance in whole pixels over which the point spread function carries light."""
         return math.ceil(PSF_REACH_SIGMA * self.psf_sigma_px)
+
+    def contains(self, points_px: Float) -> Mask:
+        """Return True for points on the detector.
+
+        Parameters
+        ----------
+        points_px : (..., 2) float64, px
+
+        Returns
+        -------
+        (...) bool
+            False for NaN.
+        """
+        size = np.array([self.columns, self.rows])
+        return np.asarray(np.all((points_px >= -0.5) & (points_px <= size - 0.5), axis=-1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

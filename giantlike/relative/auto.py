@@ -1,4 +1,4 @@
-"""The estimator that chooses: by apparent size, shape and limb in view, checked by an independent second one."""
+"""Auto: chooses an estimator by apparent size, shape and limb in view, and checks it by an independent one."""
 
 from __future__ import annotations
 
@@ -10,23 +10,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
-from giantlike.image import Image
-from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.estimator import Estimator, EstimatorInputs, gather
+from giantlike.ray_tracing import FocalPlane, Silhouette, trace_silhouette
+from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.landmarks.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
-from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid
 
-_OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)
-_WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0  # a check less certain than both, in px and over the sigma of the fix, is none
+_OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions in which the limb in view is measured
+_WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
+"""Standard deviation, px and over that of the fix, above both of which a check is too weak to confirm anything."""
 _LIGHT, _LIMB, _LANDMARKS = "light", "limb", "landmarks"
 _SEES: Mapping[str, str] = MappingProxyType(
     {
@@ -38,25 +36,29 @@ _SEES: Mapping[str, str] = MappingProxyType(
         SurfaceFeatures.name: _LANDMARKS,
     }
 )
-"""What an estimator rests on."""
+"""Part of the image that an estimator uses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoOptions:
-    """When which estimator is taken, and the options of each.
+    """Limits of the choice of :class:`Auto`, and the options of each estimator.
 
     Parameters
     ----------
     unresolved_px : float, px
-        Up to this diameter a body is a point of light.
+        Largest diameter of a body that is a point of light; ``unresolved`` takes its light as that of a source.
     limb_px : float, px
-        From this diameter the limb is used.
+        Least diameter of a body whose limb is used.
     min_limb_px : float, px
-        Length of lit limb within the frame below which there is no limb to use.
+        Least length of lit limb within the frame that is used.
     false_alarm : float
         Probability that two right estimates are called a disagreement.
-    unresolved, moment, cross_correlation, limb_matching, ellipsoid_cra, surface_features
-        Options of the estimators.
+    unresolved : UnresolvedOptions
+    moment : MomentOptions
+    cross_correlation : CrossCorrelationOptions
+    limb_matching : LimbMatchingOptions
+    ellipsoid_cra : EllipsoidCRAOptions
+    surface_features : SurfaceFeaturesOptions
 
     Raises
     ------
@@ -86,13 +88,16 @@ class AutoOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """What to try, in order, what to check with, in order, and why.
+    """Estimators for a body.
 
     Parameters
     ----------
-    estimators, checks : tuple of str
-        Names.
+    estimators : tuple of str
+        Names of those to try, in order.
+    checks : tuple of str
+        Names of those to check with, in order.
     because : str
+        Reason of the choice, for the provenance.
     """
 
     estimators: tuple[str, ...]
@@ -103,20 +108,26 @@ class Choice:
 def choose(
     *, diameter_px: float, is_ellipsoid: bool, in_frame: float, limb_px: float, options: AutoOptions = AutoOptions()
 ) -> Choice:
-    """Choose estimators for what a body looks like.
+    """Choose estimators by the appearance of a body.
 
     Parameters
     ----------
     diameter_px : float, px
         Apparent diameter of the body.
     is_ellipsoid : bool
-        Whether its shape is an ellipsoid, for which the horizon has a closed form.
+        True if its shape is an ellipsoid, for which the horizon has a closed form.
     in_frame : float
         Part of the lit outline that lies within the frame, 0 to 1.
     limb_px : float, px
         Length of that part.
     options : AutoOptions
 
+    Returns
+    -------
+    Choice
+
+    Examples
+    --------
     >>> choose(diameter_px=2.0, is_ellipsoid=False, in_frame=1.0, limb_px=3.0).estimators[0]
     'unresolved'
     >>> choose(diameter_px=3000.0, is_ellipsoid=False, in_frame=0.0, limb_px=0.0).estimators[0]
@@ -164,18 +175,19 @@ def choose(
     )
 
 
-class Auto:
+class Auto(BodyEstimator[AutoOptions, CenterFix]):
     """Chooses an estimator by apparent size, shape and limb in view, and checks it by an independent one.
 
     The estimators of the choice are tried in order; the first fix to which none of its own checks objects is taken,
-    else the first fix. A second estimator that rests on something else (the limb instead of the light), or on the
-    light in another way, checks it: where the two differ by more than their covariances explain, the fix is flagged
+    else the first fix. A second estimator that uses something else (the limb instead of the light), or the light in
+    another way, checks it: where the two differ by more than their covariances explain, the fix is flagged
     ``DISAGREEMENT`` and so is suspect; where there is no second fix that is certain enough and not suspect itself, it
     is flagged ``UNCHECKED``.
 
-    The fix is that of the estimator taken, under the name ``auto``; its ``provenance`` says which (``chosen``), why
-    (``because``), what checked it (``checked_by``) and the probability that right estimates differ by as much
-    (``agreement``). ``score`` is that of the estimator taken.
+    The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
+    range, under the name ``auto``; its ``provenance`` says which (``chosen``), why (``because``), what checked it
+    (``checked_by``) and the probability that right estimates differ by as much (``agreement``). ``score`` is that of
+    the estimator taken. A failure is that of the first choice; its text names the others that were tried.
 
     Parameters
     ----------
@@ -185,50 +197,36 @@ class Auto:
     name: ClassVar[str] = "auto"
 
     def __init__(self, options: AutoOptions | None = None) -> None:
-        self.options = options or AutoOptions()
+        super().__init__(options or AutoOptions())
 
-    def estimate(
-        self, image: Image, camera: Camera, scene: Scene, target: str | None = None
-    ) -> CenterFix | PositionFix | Failure:
-        """Find a target of ``scene`` in ``image``.
-
-        Parameters
-        ----------
-        image : Image
-        camera : Camera
-        scene : Scene
-        target : str, optional
-            May be left out when there is only one.
-
-        Returns
-        -------
-        PositionFix, CenterFix or Failure
-            The failure is that of the first choice; its text names what else was tried.
-
-        Raises
-        ------
-        InputError
-            The image has another size than the camera, or there is no such target.
-        """
-        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
-        if isinstance(inputs, Failure):
-            return inputs
+    def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
+        """Choose, estimate and check."""
         choice = self._choice(inputs)
         outcomes = dict[str, CenterFix | Failure]()
 
         def outcome(name: str) -> CenterFix | Failure:
             if name not in outcomes:
-                outcomes[name] = self._estimator(name).estimate(image, camera, scene, inputs.target_name)
+                estimator = self._estimator(name)
+                outcomes[name] = estimator.estimate(inputs.image, inputs.camera, inputs.scene, inputs.target_name)
             return outcomes[name]
 
         taken = _taken(choice, outcome)
         if taken is None:
-            return _nothing(inputs, choice, outcomes)
-        return self._checked(inputs, choice, taken, outcome)
+            return _nothing(choice, outcomes)
+        fix = outcome(taken)
+        assert isinstance(fix, CenterFix)
+        flag, checked = self._check(fix, choice, taken, outcome)
+        provenance = {**fix.provenance, "chosen": taken, "because": choice.because, **checked}
+        return replace(fix, estimator=self.name, flags=fix.flags | flag, provenance=provenance)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
         diameter_px = 2.0 * inputs.radius_px
-        in_frame, limb_px = (1.0, 0.0) if diameter_px < self.options.limb_px else _limb_in_frame(inputs)
+        in_frame, limb_px = 1.0, 0.0
+        if diameter_px >= self.options.limb_px:
+            plane = inputs.focal_plane()
+            sun = inputs.geometry.sun_direction_camera
+            outline = trace_silhouette(inputs.geometry.body(), plane.model, _OUTLINE_RAD, sun_direction_camera=sun)
+            in_frame, limb_px = _limb_in_frame(outline, plane)
         return choose(
             diameter_px=diameter_px,
             is_ellipsoid=isinstance(inputs.geometry.target.shape, Ellipsoid),
@@ -248,35 +246,40 @@ class Auto:
         }
         return known[name]()
 
-    def _checked(
-        self, inputs: EstimatorInputs, choice: Choice, taken: str, outcome: Callable[[str], CenterFix | Failure]
-    ) -> CenterFix:
-        fix = outcome(taken)
-        assert isinstance(fix, CenterFix)
-        said = {"chosen": taken, "because": choice.because}
-        # What rests on something else comes first; another way to look at the same light is better than nothing.
+    def _check(
+        self, fix: CenterFix, choice: Choice, taken: str, outcome: Callable[[str], CenterFix | Failure]
+    ) -> tuple[Quality, dict[str, str]]:
+        """Flag of the check of a fix, and its provenance."""
+        # What uses something else comes first; another way to look at the same light is better than nothing.
         for name in sorted(choice.checks, key=lambda name: _SEES[name] == _SEES[taken]):
             if name == taken:
                 continue
             second = outcome(name)
-            if isinstance(second, CenterFix) and not second.flags.suspect and _tells(second, fix):
+            if isinstance(second, CenterFix) and not second.flags.suspect and _certain_enough(second, fix):
                 agreement = agreement_of(fix, second)
                 flag = Quality.NONE if agreement >= self.options.false_alarm else Quality.DISAGREEMENT
-                said |= {"checked_by": name, "agreement": f"{agreement:.3g}"}
-                break
-        else:
-            flag = Quality.UNCHECKED
-        return replace(fix, estimator=self.name, flags=fix.flags | flag, provenance={**fix.provenance, **said})
+                return flag, {"checked_by": name, "agreement": f"{agreement:.3g}"}
+        return Quality.UNCHECKED, {}
 
 
-def _tells(second: CenterFix, fix: CenterFix) -> bool:
-    """Whether a second fix is certain enough to check the first."""
+def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:
+    """Return True if a second fix is certain enough to check the first."""
     sigmas = [math.sqrt(float(np.linalg.eigvalsh(one.covariance_px2)[-1])) for one in (second, fix)]
     return sigmas[0] <= max(_WEAK_PX, _WEAK_SIGMAS * sigmas[1])
 
 
 def agreement_of(first: CenterFix, second: CenterFix) -> float:
-    """Probability that two right and independent fixes of one body differ by as much: by position, else by center."""
+    """Probability that two right and independent fixes of one body differ by as much.
+
+    Parameters
+    ----------
+    first, second : CenterFix
+        Compared by position where both are :class:`~giantlike.core.outcomes.PositionFix`, else by center.
+
+    Returns
+    -------
+    float
+    """
     from scipy.stats import chi2
 
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):
@@ -303,29 +306,22 @@ def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str
     return suspect
 
 
-def _nothing(inputs: EstimatorInputs, choice: Choice, outcomes: Mapping[str, CenterFix | Failure]) -> Failure:
+def _nothing(choice: Choice, outcomes: Mapping[str, CenterFix | Failure]) -> Failure:
+    """Return the failure of the first estimator tried, which names the others."""
     failures = [(name, one) for name, one in outcomes.items() if isinstance(one, Failure)]
     if not failures:
-        return inputs.fail(Reason.NO_LIMB, f"{choice.because}, and an ellipsoid has no landmarks")
+        return Failure(Reason.NO_LIMB, f"{choice.because}, and an ellipsoid has no landmarks")
     first, *others = failures
     also = "".join(f"; {name}: {one.reason}" for name, one in others)
-    return inputs.fail(first[1].reason, f"{choice.because}; {first[1].detail}{also}")
+    return Failure(first[1].reason, f"{choice.because}; {first[1].detail}{also}")
 
 
-def _limb_in_frame(inputs: EstimatorInputs) -> tuple[float, float]:
+def _limb_in_frame(outline: Silhouette, plane: FocalPlane) -> tuple[float, float]:
     """Part of the lit outline that lies within the frame, and its length in px."""
-    outline = trace_silhouette(
-        inputs.geometry.body(),
-        inputs.camera.model,
-        _OUTLINE_RAD,
-        sun_direction_camera=inputs.geometry.sun_direction_camera,
-    )
-    points: Float = outline.points_px
-    lit = outline.lit
-    if not lit.any():
+    if not outline.lit.any():
         return 0.0, 0.0
-    limits = np.array([inputs.camera.columns, inputs.camera.rows]) - 0.5
-    inside = np.isfinite(points).all(axis=1) & np.all((points > -0.5) & (points < limits), axis=1)
-    lengths = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-    usable = inside & lit & np.roll(inside, -1) & np.isfinite(lengths)
-    return float((inside & lit).sum() / lit.sum()), float(lengths[usable].sum())
+    inside = plane.contains(outline.points_px)
+    seen = inside & outline.lit
+    lengths = np.linalg.norm(np.roll(outline.points_px, -1, axis=0) - outline.points_px, axis=1)
+    usable = seen & np.roll(inside, -1) & np.isfinite(lengths)
+    return float(seen.sum() / outline.lit.sum()), float(lengths[usable].sum())

@@ -1,12 +1,13 @@
-"""What every estimator of a body is: one interface, and the gathering of inputs that all of them share."""
+"""Interface and base of the estimators of a body, and the inputs that all of them share."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Generic, Protocol, TypedDict, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.detector import GaussianPsf
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import FocalPlane
 from giantlike.scene import Scene, TargetGeometry
+
+Options = TypeVar("Options")
+Fix = TypeVar("Fix", bound=CenterFix, covariant=True)
 
 _ATTITUDE_FLAGS = MappingProxyType(
     {
@@ -34,7 +38,7 @@ _ATTITUDE_FLAGS = MappingProxyType(
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Finds one body in one image; an object that holds options and nothing else."""
+    """Estimator of the center or position of one body in one image; an object that holds options and nothing else."""
 
     name: ClassVar[str]
     """Name in campaign files and tables."""
@@ -47,27 +51,117 @@ class Estimator(Protocol):
     def estimate(
         self, image: Image, camera: Camera, scene: Scene, target: str | None = None
     ) -> CenterFix | PositionFix | Failure:
-        """Find a target of ``scene`` in ``image``; ``target`` may be left out when there is only one."""
+        """Find a target of a scene in an image.
+
+        Parameters
+        ----------
+        image : Image
+        camera : Camera
+        scene : Scene
+        target : str, optional
+            May be left out when the scene has only one.
+
+        Returns
+        -------
+        CenterFix, PositionFix or Failure
+        """
         ...
+
+
+class BodyEstimator(ABC, Generic[Options, Fix]):
+    """Base of the estimators: gathers the inputs and names image, target and estimator in every failure.
+
+    A subclass has a ``name``, options and a method ``_estimate``.
+
+    Parameters
+    ----------
+    options : object
+        The frozen options dataclass of the estimator.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+
+    @property
+    def options(self) -> Options:
+        """Options of the estimator."""
+        return self._options
+
+    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> Fix | Failure:
+        """Find a target of a scene in an image.
+
+        Parameters
+        ----------
+        image : Image
+        camera : Camera
+            Without a psf, one of :data:`~giantlike.core.detector.UNKNOWN_PSF_SIGMA_PX` is assumed or its width
+            estimated.
+        scene : Scene
+        target : str, optional
+            May be left out when the scene has only one.
+
+        Returns
+        -------
+        CenterFix, PositionFix or Failure
+            The fix of the estimator. Failures are those of its class, and those of an image without attitude, epoch,
+            signal or good pixels, of a target without geometry, behind the camera or around it.
+
+        Raises
+        ------
+        InputError
+            The image has another size than the camera, or the scene has no such target.
+        DataError
+            A file of the options is missing or damaged, or SPICE kernels do not cover the epoch.
+        """
+        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
+        if isinstance(inputs, Failure):
+            return inputs
+        result = self._estimate(inputs)
+        return inputs.fail(result.reason, result.detail) if isinstance(result, Failure) else result
+
+    @abstractmethod
+    def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:
+        """Find the body of gathered inputs.
+
+        Parameters
+        ----------
+        inputs : EstimatorInputs
+
+        Returns
+        -------
+        CenterFix, PositionFix or Failure
+            The text of a failure need not name image, target and estimator.
+        """
+
+
+class FixIdentity(TypedDict):
+    """Fields of a fix that follow from the inputs: keywords of :class:`~giantlike.core.outcomes.CenterFix`."""
+
+    estimator: str
+    target: str
+    predicted_px: Float
+    provenance: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EstimatorInputs(Value):
-    """What an estimator works on, gathered from image, camera and scene.
+    """Inputs of an estimator, gathered from image, camera and scene.
 
     Parameters
     ----------
     estimator : str
         Name of the estimator.
-    image_name : str
-        For messages.
+    image : Image
+    scene : Scene
     geometry : TargetGeometry
-        A priori.
+        A priori geometry of the target.
     camera : Camera
     predicted_px : (2,) float64, px
-        Where the a priori geometry puts the body's center; may lie outside the frame.
+        Center of the body by the a priori geometry; may lie outside the frame.
     pixels_dn : (rows, columns) float64, DN
-        Bias taken off.
+        Bias subtracted.
     usable : (rows, columns) bool
         Neither bad nor saturated.
     saturated : (rows, columns) bool
@@ -80,7 +174,8 @@ class EstimatorInputs(Value):
     """
 
     estimator: str
-    image_name: str
+    image: Image
+    scene: Scene
     geometry: TargetGeometry
     camera: Camera
     predicted_px: Float
@@ -97,36 +192,78 @@ class EstimatorInputs(Value):
         return self.geometry.target.name
 
     @property
+    def identity(self) -> FixIdentity:
+        """Estimator, target, prediction and provenance, for the fix."""
+        return FixIdentity(
+            estimator=self.estimator,
+            target=self.target_name,
+            predicted_px=self.predicted_px,
+            provenance=self.provenance,
+        )
+
+    @property
     def psf_sigma_px(self) -> float | None:
         """Standard deviation of the point spread function, px; None when the camera does not know it."""
         return None if self.camera.psf is None else self.camera.psf.sigma_px
 
     @property
     def radius_px(self) -> float:
-        """Apparent mean radius of the body, px: that of the sphere of its volume at the predicted place."""
+        """Apparent mean radius of the body, px: that of the sphere of its volume at the predicted center."""
         return apparent_radius_px(
             self.camera, self.predicted_px, self.geometry.target.shape.mean_radius_km, self.geometry.range_km
         )
 
     @property
     def reach_px(self) -> float:
-        """Apparent radius of the sphere around the body, px: nothing of it is seen farther from its center."""
+        """Apparent radius of the sphere around the body, px: all of it is seen within that of its center."""
         return apparent_radius_px(
             self.camera, self.predicted_px, self.geometry.target.shape.circumscribing_radius_km, self.geometry.range_km
         )
 
-    def focal_plane(self, psf_sigma_px: float) -> FocalPlane:
-        """Return the camera as renders take it, with a point spread function of ``psf_sigma_px``."""
-        camera = self.camera
-        psf = GaussianPsf(sigma_px=psf_sigma_px)
-        return FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=psf)
+    def focal_plane(self, psf_sigma_px: float | None = None) -> FocalPlane:
+        """Return the camera as renders take it.
+
+        Parameters
+        ----------
+        psf_sigma_px : float, px, optional
+            Standard deviation of the point spread function; None takes that of the camera, or
+            :data:`~giantlike.core.detector.UNKNOWN_PSF_SIGMA_PX` where the camera does not know it.
+
+        Returns
+        -------
+        FocalPlane
+        """
+        known = self.psf_sigma_px if psf_sigma_px is None else psf_sigma_px
+        psf = GaussianPsf(sigma_px=UNKNOWN_PSF_SIGMA_PX if known is None else known)
+        return FocalPlane(model=self.camera.model, columns=self.camera.columns, rows=self.camera.rows, psf=psf)
 
     def fail(self, reason: Reason, detail: str) -> Failure:
-        """Return a failure whose text starts with the image, the target and the estimator."""
-        return Failure(reason, f"{self.image_name}: {self.target_name}: {self.estimator}: {detail}")
+        """Return a failure whose text starts with the image, the target and the estimator.
+
+        Parameters
+        ----------
+        reason : Reason
+        detail : str
+
+        Returns
+        -------
+        Failure
+        """
+        return Failure(reason, f"{self.image.name}: {self.target_name}: {self.estimator}: {detail}")
 
     def flags_at(self, area: Mask) -> Quality:
-        """Flags for a measurement on the pixels ``area`` (rows, columns) bool: the shared ones and bad pixels on it."""
+        """Return the flags of the inputs for a measurement on some pixels.
+
+        Parameters
+        ----------
+        area : (rows, columns) bool
+            Pixels that were measured.
+
+        Returns
+        -------
+        Quality
+            The source of the attitude, and whether saturated or bad pixels lie in the area.
+        """
         flags = self.flags
         if bool((self.saturated & area).any()):
             flags |= Quality.SATURATED
@@ -138,7 +275,7 @@ class EstimatorInputs(Value):
 def gather(
     image: Image, camera: Camera, scene: Scene, target: str | None, *, estimator: str, options: object
 ) -> EstimatorInputs | Failure:
-    """Collect and check what an estimator needs.
+    """Collect and check the inputs of an estimator.
 
     Parameters
     ----------
@@ -173,7 +310,8 @@ def gather(
     predicted_px = camera.model.project(geometry.position_camera_km)
     inputs = EstimatorInputs(
         estimator=estimator,
-        image_name=image.name,
+        image=image,
+        scene=scene,
         geometry=geometry,
         camera=camera,
         predicted_px=predicted_px,
@@ -188,10 +326,19 @@ def gather(
     return inputs if problem is None else inputs.fail(*problem)
 
 
-def apparent_radius_px(camera: Camera, center_px: ArrayLike, radius_km: float, range_km: float) -> float:
-    """Apparent radius, px, of a sphere of ``radius_km`` at ``range_km`` seen at ``center_px`` (2,).
+def apparent_radius_px(camera: Camera | FocalPlane, center_px: ArrayLike, radius_km: float, range_km: float) -> float:
+    """Apparent radius of a sphere, px.
 
-    Outside the image the scale of the nearest image point is taken.
+    Parameters
+    ----------
+    camera : Camera or FocalPlane
+    center_px : (2,), px
+        Center of the sphere in the image; outside the frame the scale of the nearest pixel is taken.
+    radius_km, range_km : float, km
+
+    Returns
+    -------
+    float
     """
     inside = np.clip(center_px, -0.5, [camera.columns - 0.5, camera.rows - 0.5])
     angle = math.asin(min(radius_km / range_km, 1.0))
@@ -222,13 +369,25 @@ def position_of_center(model: CameraModel, center_px: Float, range_km: float, co
 def center_of_position(
     model: CameraModel, position_camera_km: Float, covariance_camera_km2: Float
 ) -> tuple[Float, Float]:
-    """Center of a body in the image (2,), px, and its covariance (2, 2), px^2, from its position (3,), km."""
+    """Center of a body in the image from its position.
+
+    Parameters
+    ----------
+    model : CameraModel
+    position_camera_km : (3,) float64, km, camera axes
+    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
+
+    Returns
+    -------
+    center_px : (2,) float64, px
+    covariance_px2 : (2, 2) float64, px^2
+    """
     jacobian = model.project_jacobian(position_camera_km)
     return model.project(position_camera_km), jacobian @ covariance_camera_km2 @ jacobian.T
 
 
 def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
-    """Why no estimator can work on these inputs, if so."""
+    """Reason and text where no estimator can use the inputs; None where they are good."""
     geometry = inputs.geometry
     if not inputs.usable.any():
         if inputs.saturated.any():

@@ -21,6 +21,8 @@ LEAST_USED_SHARE = 0.5
 
 The median absolute deviation, by which outliers are found, breaks down where half of the observations are wrong.
 """
+BORDER_SHARE = 0.9
+"""Share of a bounded search beyond which a fix lies at its border: the body may lie outside."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,6 +39,8 @@ class QualityChecks(Value):
         Range predicted over range found: 1 + the relative error of the prediction.
     search_range : float
         Declared search: largest relative error of the predicted range; infinite for estimators that keep the range.
+    bounded : bool
+        True for estimators that cannot leave ``search_px``: a fix at its border may be the flank of a body outside.
     n_used : int
         Observations used.
     n_offered : int
@@ -44,21 +48,28 @@ class QualityChecks(Value):
     residuals : float
         Residuals over the largest that noise and the known errors of the model explain; more than 1 is large. Where
         several criteria must agree, the least of their ratios; where one is enough, the largest.
+    weakness : float
+        Least good score over that of the fix; more than 1 is weak.
     outline_share : float
         Length of outline used over that of the whole outline.
     cut_by_frame : bool
         The body reaches over the edge of the image.
+    ambiguous : bool
+        Another source as good lies in the search region.
     """
 
     off_px: Float
     search_px: float
     range_ratio: float = 1.0
     search_range: float = math.inf
+    bounded: bool = False
     n_used: int = 1
     n_offered: int = 1
     residuals: float = 0.0
+    weakness: float = 0.0
     outline_share: float = 1.0
     cut_by_frame: bool = False
+    ambiguous: bool = False
 
     def __post_init__(self) -> None:
         require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
@@ -66,12 +77,13 @@ class QualityChecks(Value):
 
     @property
     def far_from_prediction(self) -> bool:
-        """True if the fix lies beyond the declared search.
+        """True if the fix lies beyond the declared search, or at the border of a bounded one.
 
         The limits are those of the options and nothing else. They do not grow with the uncertainty of the fix: what
         is uncertain and far away is not confirmed by being uncertain.
         """
-        return float(np.max(np.abs(self.off_px))) > self.search_px or abs(self.range_ratio - 1.0) > self.search_range
+        limit_px = self.search_px * (BORDER_SHARE if self.bounded else 1.0)
+        return float(np.max(np.abs(self.off_px))) > limit_px or abs(self.range_ratio - 1.0) > self.search_range
 
     @property
     def flags(self) -> Quality:
@@ -79,9 +91,11 @@ class QualityChecks(Value):
         checks = (
             (Quality.CUT_BY_FRAME, self.cut_by_frame),
             (Quality.SHORT_ARC, self.outline_share < SHORT_ARC_SHARE),
+            (Quality.LOW_SCORE, self.weakness > 1.0),
             (Quality.MANY_REJECTED, self.n_used < LEAST_USED_SHARE * self.n_offered),
             (Quality.LARGE_RESIDUALS, self.residuals > 1.0),
             (Quality.FAR_FROM_PREDICTION, self.far_from_prediction),
+            (Quality.AMBIGUOUS, self.ambiguous),
         )
         flags = Quality.NONE
         for flag, raised in checks:

@@ -207,7 +207,7 @@ def _same(first: Template | Failure, second: Template | Failure) -> bool:
 
 
 @pytest.mark.parametrize("options", [DEFAULTS, RenderOptions(sun_radius_rad=0.1, sun_samples=3, jitter_seed=1)])
-def test_a_kept_trace_shades_as_a_new_render_does(options: RenderOptions) -> None:
+def test_a_cached_trace_shades_as_a_new_render_does(options: RenderOptions) -> None:
     body = _body(irregular_body(2, facets=2000), [0.5, -0.4, 6.0])
     psf, wide, other_sun = GaussianPsf(sigma_px=0.7), GaussianPsf(sigma_px=1.9), np.array([0.0, 0.6, -0.8])
     trace = trace_body(body, BROWN, sun_direction_camera=SIDEWAYS, psf=psf, columns=256, rows=240, options=options)

@@ -29,6 +29,7 @@ from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflect
 from giantlike.relative.estimator import center_of_position
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.template.fit import (
+    BoxPixels,
     TemplateFit,
     TemplateFitOptions,
     TemplateImages,
@@ -70,7 +71,7 @@ def blobs(seed: int = 1, *, law: float = 1.0) -> Callable[[TemplateState, bool],
             image += shade * own / total * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2.0 * total))
         return image
 
-    return lambda state, fine: TemplateImages(light=light(state, law), other=light(state, 2.0))
+    return lambda state, fine: TemplateImages(light=light(state, law), others=[light(state, 2.0)])
 
 
 def start(random: np.random.Generator, *, shift_px: float = 0.4, log_range: float = 0.005) -> TemplateState:
@@ -81,6 +82,10 @@ def start(random: np.random.Generator, *, shift_px: float = 0.4, log_range: floa
     )
 
 
+def boxed(pixels: Float, usable: NDArray[np.bool_] = EVERYWHERE) -> BoxPixels:
+    return BoxPixels(values_dn=pixels, usable=usable, corner_px=CORNER, noise_variance_dn2=NOISE)
+
+
 def fitted(
     pixels: Float,
     at: TemplateState,
@@ -89,7 +94,7 @@ def fitted(
     options: TemplateFitOptions | None = None,
 ) -> TemplateFit:
     chosen = options or TemplateFitOptions()
-    fit = fit_template(pixels, usable, CORNER, blobs(), at, noise_variance_dn2=NOISE, options=chosen)
+    fit = fit_template(boxed(pixels, usable), blobs(), at, options=chosen)
     assert isinstance(fit, TemplateFit), fit
     return fit
 
@@ -123,7 +128,7 @@ def test_the_fit_is_not_pulled_by_another_reflectance_law() -> None:
     def one_law(state: TemplateState, fine: bool) -> TemplateImages:
         return TemplateImages(light=blobs()(state, fine).light)
 
-    bound = fit_template(pixels, EVERYWHERE, CORNER, one_law, TRUE, noise_variance_dn2=NOISE)
+    bound = fit_template(boxed(pixels), one_law, TRUE)
     assert isinstance(bound, TemplateFit)
     assert np.hypot(*errors(free)[:2]) < 0.25 * np.hypot(*errors(bound)[:2])
 
@@ -144,7 +149,7 @@ def test_errors_under_pure_noise_are_consistent_with_the_covariance() -> None:
     assert low / MISSED_FOR_NOISE < mean_nees(fits, lambda fit: fit.covariance) < high
 
 
-def test_model_errors_that_hang_together_are_in_the_covariance() -> None:
+def test_correlated_model_errors_are_in_the_covariance() -> None:
     random, draws = np.random.default_rng(12), 200
     fits = []
     for _ in range(draws):
@@ -206,14 +211,14 @@ def test_a_template_without_features_is_refused() -> None:
     def flat(state: TemplateState, fine: bool) -> TemplateImages:
         return TemplateImages(light=np.ones(SHAPE))
 
-    fit = fit_template(np.full(SHAPE, 50.0), EVERYWHERE, CORNER, flat, TRUE, noise_variance_dn2=NOISE)
+    fit = fit_template(boxed(np.full(SHAPE, 50.0)), flat, TRUE)
     assert isinstance(fit, Failure)
     assert fit.reason is Reason.DEGENERATE_GEOMETRY
 
 
 def test_a_failed_render_ends_the_fit_with_its_reason() -> None:
     dark = Failure(Reason.NOT_LIT, "dark")
-    fit = fit_template(np.ones(SHAPE), EVERYWHERE, CORNER, lambda state, fine: dark, TRUE, noise_variance_dn2=NOISE)
+    fit = fit_template(boxed(np.ones(SHAPE)), lambda state, fine: dark, TRUE)
     assert fit is dark
 
 
@@ -222,7 +227,7 @@ def test_alignment_takes_a_rough_start_near_the_solution() -> None:
     light = blobs()(rendered, True).light
     pixels = noisy(1500.0 * blobs()(TRUE, True).light, np.random.default_rng(16))
     rough = replace(rendered, center_px=np.add(TRUE.center_px, [-1.5, 1.2]))
-    state = align_template(pixels, EVERYWHERE, CORNER, light, rendered, rough, radius_px=18.0)
+    state = align_template(boxed(pixels), light, rendered, rough, radius_px=18.0)
     assert np.abs(state.center_px - TRUE.center_px).max() < ALIGNED_PX
     assert abs(state.log_range - TRUE.log_range) * 17.0 < ALIGNED_PX
 

@@ -21,6 +21,8 @@ def flags(**numbers: Any) -> Quality:
     [
         ({"off_px": np.array([0.0, -40.1])}, Quality.FAR_FROM_PREDICTION),
         ({"off_px": np.array([39.9, -39.9])}, Quality.NONE),
+        ({"off_px": np.array([36.1, 0.0]), "bounded": True}, Quality.FAR_FROM_PREDICTION),
+        ({"off_px": np.array([35.9, 0.0]), "bounded": True}, Quality.NONE),
         ({"range_ratio": 1.031, "search_range": 0.03}, Quality.FAR_FROM_PREDICTION),
         ({"range_ratio": 0.969, "search_range": 0.03}, Quality.FAR_FROM_PREDICTION),
         ({"range_ratio": 0.971, "search_range": 0.03}, Quality.NONE),
@@ -29,6 +31,8 @@ def flags(**numbers: Any) -> Quality:
         ({"n_used": 50, "n_offered": 100}, Quality.NONE),
         ({"residuals": 1.01}, Quality.LARGE_RESIDUALS),
         ({"outline_share": 0.24}, Quality.SHORT_ARC),
+        ({"weakness": 1.01}, Quality.LOW_SCORE),
+        ({"ambiguous": True}, Quality.AMBIGUOUS),
         ({"cut_by_frame": True}, Quality.CUT_BY_FRAME),
     ],
 )

@@ -26,7 +26,7 @@ from giantlike.image import Image
 from giantlike.io import write_fits
 from giantlike.io.image_files import read_image_file
 from giantlike.io.spice import load_kernels, orientation
-from giantlike.ray_tracing import LommelSeeliger
+from giantlike.ray_tracing import FocalPlane, LommelSeeliger
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.relative import ESTIMATORS, Estimator, LandmarkFix, SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
@@ -47,10 +47,10 @@ def rock() -> TriangleMesh:
 
 
 @cache
-def case(seed: int, phase_deg: float, *, told_other_law: bool = False) -> BodyImage:
+def case(seed: int, phase_deg: float, *, believes_other_law: bool = False) -> BodyImage:
     """An image whose prediction is off by 10 px and 1.5 % of the range."""
     one = body_image(rock(), seed, phase_deg=phase_deg, radius_px=110.0).believed(off_px=(8.0, -6.0), range_error=0.015)
-    target = replace(one.target, reflectance=LommelSeeliger()) if told_other_law else one.target
+    target = replace(one.target, reflectance=LommelSeeliger()) if believes_other_law else one.target
     return replace(one, target=target)
 
 
@@ -101,7 +101,7 @@ def test_the_position_is_found_from_a_prediction_ten_pixels_and_a_percent_off(se
 
 
 def test_a_law_that_is_told_wrong_costs_little_and_the_covariance_knows() -> None:
-    one = case(2, 60.0, told_other_law=True)
+    one = case(2, 60.0, believes_other_law=True)
     assert_sound(one, estimated(one))
 
 
@@ -173,7 +173,8 @@ def test_landmarks_in_use_are_seen_lit_and_not_oblique() -> None:
     body, sun = geometry.body(), geometry.sun_direction_camera
     options, catalog = VisibilityOptions(), landmarks_of(rock())
     viewer = LandmarkViewer(catalog, rock())
-    seen = viewer.seen(body, CAMERA.model, sun_direction_camera=sun, columns=400, rows=400, options=options)
+    plane = FocalPlane(model=CAMERA.model, columns=400, rows=400)
+    seen = viewer.seen(body, plane, sun_direction_camera=sun, options=options)
     sun_body = body.to_body(sun)
     camera_km = body.camera_body_km
     for number in range(len(catalog)):
@@ -192,7 +193,7 @@ def test_landmarks_in_use_are_seen_lit_and_not_oblique() -> None:
     assert seen.dark > 0
     assert seen.oblique > len(catalog) // 3
     few = replace(options, max_landmarks=5)
-    chosen = viewer.seen(body, CAMERA.model, sun_direction_camera=sun, columns=400, rows=400, options=few)
+    chosen = viewer.seen(body, plane, sun_direction_camera=sun, options=few)
     assert chosen.numbers.size == 5
     assert set(chosen.numbers) <= set(seen.numbers)
 

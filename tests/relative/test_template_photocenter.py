@@ -16,7 +16,7 @@ from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, render
-from giantlike.relative.light.photocenter import ellipsoid_photocenter_km
+from giantlike.relative.light.phase_correction import ellipsoid_photocenter_km
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 from tests.tolerances import SETTLED
 

@@ -23,9 +23,10 @@ from giantlike.image import Image
 from giantlike.processing.detection.windowed import windowed_centroid
 from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative.estimator import gather
-from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions, kaasalainen_tanga
+from giantlike.relative.light.phase_correction import kaasalainen_tanga
+from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.template.fit import TemplateImages
-from giantlike.relative.template.rendering import FitBox, TemplateRenderer
+from giantlike.relative.template.rendering import TemplateRenderer
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, irregular_body, sphere
 from tests.limb_images import body_image
@@ -229,10 +230,17 @@ def test_the_template_of_a_small_body_changes_with_the_range_as_its_derivative_s
     image = exposed(case.light(), 3000.0, rng=None)
     inputs = gather(image, CAMERA, case.scene(), None, estimator="test", options=None)
     assert not isinstance(inputs, Failure)
-    renderer = TemplateRenderer(inputs=inputs, rays_across=480)
-    template = renderer.render(renderer.start)
+    renderer = TemplateRenderer(
+        target=inputs.geometry.body(),
+        plane=inputs.focal_plane(),
+        sun_direction_camera=inputs.geometry.sun_direction_camera,
+        rays_across=480,
+    )
+    template = renderer.render(renderer.start, renderer.sampling(0))
     assert isinstance(template, Template)
-    synthesize = renderer.synthesis(FitBox.around(template, np.zeros(2, dtype=np.int64), 4, inputs), other_law=False)
+    low = template.corner_px.astype(np.float64)
+    box = renderer.box(low, low + template.brightness.shape[::-1], 4)
+    synthesize = renderer.synthesis(box, other_law=False)
 
     def images(log_range: float) -> TemplateImages:
         made = synthesize(dataclasses.replace(renderer.start, log_range=log_range), True)

@@ -18,7 +18,7 @@ from giantlike.processing.limb.segmentation import Background, background_of
 from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
-from giantlike.relative.light.unresolved import sunlight_px
+from giantlike.relative.light.phase_correction import sunlight_px
 from giantlike.shapes import PlacedEllipsoid
 
 _LIGHT_SIGMAS, _LIGHT_SHARE = 5.0, 0.1  # of light: over the background, and of the brightness of the body
@@ -119,7 +119,7 @@ def limb_edges(inputs: EstimatorInputs, placed: PlacedEllipsoid, options: Ellips
     if isinstance(sky, Failure):
         return sky
     background, body_dn = sky
-    sunlight = sunlight_px(inputs)
+    sunlight = sunlight_px(inputs.geometry, inputs.camera.model)
     if not sunlight.any():
         return inputs.fail(Reason.NO_LIMB, "the Sun stands behind the camera: sunlight has no direction in the image")
     threshold = background.level_dn + max(_LIGHT_SIGMAS * background.sigma_dn, _LIGHT_SHARE * body_dn)

@@ -1,10 +1,10 @@
-"""Where in an image landmarks are: normalized correlation, then a fit of the template, with a covariance."""
+"""Matching of landmarks in an image: normalized correlation, then a fit of the template, with a covariance."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.processing.correlate import find_peak, normalized_correlation
+from giantlike.processing.pixel_box import PixelBox
 from giantlike.relative.landmarks.rendering import Patch
-from giantlike.relative.template.rendering import FitBox
+from giantlike.relative.template.fit import BoxPixels
 
-_ROUNDS = 3
-_DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12.0
-_LEAST_OVERLAP = 0.6
-_CONDITION_LIMIT = 1e12
-_NEAR_SEARCH_PX = 8
-_MAX_SHIFT_PX = 1.5  # beyond a pixel and a half the correlation peak and the fit contradict each other
+_ROUNDS = 3  # linear fits of a fraction of a pixel: each leaves a small part of the last step
+_DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12.0  # central, of fourth order, 1/px
+_LEAST_OVERLAP = 0.6  # of the ground of a landmark that must be usable. No study yet
+_LEAST_PIXELS = 20  # usable: three times the parameters of the fit
+_CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
+_NEAR_SEARCH_PX = 8  # px: a wider search takes the ground around a landmark along, which makes it more distinct
+_MAX_SHIFT_PX = 1.5  # px from the correlation peak: beyond, that and the fit contradict each other
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,7 +33,7 @@ class LandmarkMatch(Value):
     Parameters
     ----------
     number : int
-        Its place in the catalog.
+        Number in the catalog.
     offset_px : (2,) float64, px
         Found minus predicted.
     covariance_px2 : (2, 2) float64, px^2
@@ -47,28 +49,48 @@ class LandmarkMatch(Value):
 
 
 def correlation_surface(pixels_dn: Float, usable: Mask, patch: Patch, search_px: int) -> Float:
-    """Correlation (2 s + 1, 2 s + 1) of a patch with the image, for shifts of up to ``search_px``; NaN if undefined.
+    """Correlation of a patch with the image.
 
-    A wide search takes the ground around the landmark along where it is rendered: it makes the place more certain.
+    Parameters
+    ----------
+    pixels_dn : (rows, columns) float64, DN
+    usable : (rows, columns) bool
+    patch : Patch
+    search_px : int, px
+        Largest shift, along each axis. With a wide search the ground around the landmark is matched along with it, if
+        it is rendered: that makes the place more certain.
+
+    Returns
+    -------
+    (2 s + 1, 2 s + 1) float64
+        For all shifts by whole pixels; NaN where undefined.
     """
-    core = patch.core
-    box = FitBox(
-        x=patch.box.x + core[1].start - search_px,
-        y=patch.box.y + core[0].start - search_px,
-        width=patch.light[core].shape[1] + 2 * search_px,
-        height=patch.light[core].shape[0] + 2 * search_px,
-    )
+    light = patch.light[patch.core]
+    low = np.array([patch.box.x + patch.core[1].start, patch.box.y + patch.core[0].start])
+    box = PixelBox.spanning(low, low + light.shape[::-1], search_px)
     return normalized_correlation(
         box.cut(pixels_dn),
-        patch.light[core],
+        light,
         image_usable=box.cut(usable),
-        template_usable=None if patch.whole and search_px > _NEAR_SEARCH_PX else patch.mask[core],
+        template_usable=None if patch.whole and search_px > _NEAR_SEARCH_PX else patch.mask[patch.core],
         min_overlap=_LEAST_OVERLAP,
     )
 
 
 def common_shift(surfaces: Sequence[Float], radii_px: Float) -> NDArray[np.int64]:
-    """The shift (2,), px, that most landmarks agree with, each of which may be off it by ``radii_px`` (n,)."""
+    """Shift that most landmarks agree with.
+
+    Parameters
+    ----------
+    surfaces : sequence of (k, k) float64
+        Correlations of each landmark, from :func:`correlation_surface`.
+    radii_px : (n,) float64, px
+        Largest distance of each from the common shift.
+
+    Returns
+    -------
+    (2,) int64, px
+    """
     total = np.zeros_like(surfaces[0])
     for surface, radius in zip(surfaces, radii_px, strict=True):
         side = 2 * math.ceil(float(radius)) + 1
@@ -81,7 +103,22 @@ def common_shift(surfaces: Sequence[Float], radii_px: Float) -> NDArray[np.int64
 
 
 def peak_near(surface: Float, shift_px: NDArray[np.int64], radius_px: float) -> tuple[Float, float] | None:
-    """The peak (2,), px, of a correlation surface within a radius of a shift, and its height; None if it has none."""
+    """Peak of a correlation surface near a shift.
+
+    Parameters
+    ----------
+    surface : (k, k) float64
+        From :func:`correlation_surface`.
+    shift_px : (2,) int64, px
+    radius_px : float, px
+        Largest distance from the shift.
+
+    Returns
+    -------
+    peak_px : (2,) float64, px
+    score : float
+        Correlation there. Both, or None where there is no peak within the radius.
+    """
     half = (surface.shape[0] - 1) // 2
     reach = math.ceil(radius_px) + 1
     low = np.maximum(shift_px + half - reach, 0)
@@ -95,27 +132,18 @@ def peak_near(surface: Float, shift_px: NDArray[np.int64], radius_px: float) -> 
     return peak.offset_px + low - half, peak.score
 
 
-def fit_patch(
-    pixels_dn: Float,
-    usable: Mask,
-    patch: Patch,
-    shift_px: NDArray[np.int64],
-    score: float,
-    noise_variance_dn2: Callable[[Float], Float],
-) -> LandmarkMatch | None:
+def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], score: float) -> LandmarkMatch | None:
     """Fit a patch to the image near a whole shift.
 
     Parameters
     ----------
-    pixels_dn : (rows, columns) float64, DN
-    usable : (rows, columns) bool
+    pixels : BoxPixels
+        The whole image.
     patch : Patch
     shift_px : (2,) int64, px
         Of the correlation peak, rounded.
     score : float
         Correlation there.
-    noise_variance_dn2 : callable
-        Variance, DN^2, of the noise on pixels that hold a given signal.
 
     Returns
     -------
@@ -128,16 +156,11 @@ def fit_patch(
     the landmark, plus the light under another law times a second gain, plus a constant. Slopes are those of the whole
     model, so that three rounds settle.
     """
-    box = FitBox(
-        x=patch.box.x + int(shift_px[0]),
-        y=patch.box.y + int(shift_px[1]),
-        width=patch.box.width,
-        height=patch.box.height,
-    )
-    used = patch.mask & box.cut(usable)
-    if used.sum() < max(_LEAST_OVERLAP * patch.mask.sum(), 20.0):
+    box = replace(patch.box, x=patch.box.x + int(shift_px[0]), y=patch.box.y + int(shift_px[1]))
+    used = patch.mask & box.cut(pixels.usable)
+    if used.sum() < max(_LEAST_OVERLAP * patch.mask.sum(), _LEAST_PIXELS):
         return None
-    image = box.cut(pixels_dn)[used]
+    image = box.cut(pixels.values_dn)[used]
     lights = _lights(patch, used)
     columns_of = lights[:, used].T
     model, noise = patch.light * (image.std() / max(float(patch.light[used].std()), 1e-12)), np.ones_like(image)
@@ -155,14 +178,14 @@ def fit_patch(
         offset = solution[:2]
         covariance = inverse[:2, :2] / np.outer(scale[:2], scale[:2])
         model = np.tensordot(solution[2:], lights, axes=1)
-        noise = noise_variance_dn2(np.maximum(model[used], 0.0))
+        noise = pixels.noise_variance_dn2(np.maximum(model[used], 0.0))
     if not float(np.abs(offset).max()) <= _MAX_SHIFT_PX:
         return None
     return LandmarkMatch(number=patch.number, offset_px=offset + shift_px, covariance_px2=covariance, score=score)
 
 
 def _lights(patch: Patch, used: Mask) -> Float:
-    """Images (k, h, w) that a landmark is made of: its light, even and with slopes, the other law's, and a constant."""
+    """Images (k, h, w) of the model: the light, even and with slopes, a constant, and the light under the other law."""
     rows, columns = np.mgrid[: patch.box.height, : patch.box.width].astype(np.float64)
     across, down = (axis - axis[used].mean() for axis in (columns, rows))
     lights = [patch.light, across * patch.light, down * patch.light, np.ones_like(patch.light)]

@@ -1,30 +1,32 @@
-"""Landmarks rendered for one pose of the body: a template with the pixels of the ground that belongs to each."""
+"""Landmarks rendered for one pose of the body: a template of each, with the pixels of its own ground."""
 
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
 
-from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, RenderOptions, Trace, trace_body
+from giantlike.processing.pixel_box import PixelBox
+from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, trace_body
 from giantlike.relative.landmarks.visibility import SeenLandmarks
-from giantlike.relative.template.rendering import FitBox
+from giantlike.relative.template.rendering import contrasting_law
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog
 
 BORDER_PX = 3
-"""Pixels of a patch around those that are matched: derivatives take them, and the point spread function."""
+"""Pixels of a patch around those that are matched: derivatives need them, and the point spread function."""
 
 _TOGETHER = 3.0  # one render for all, as long as it has no more pixels than this times those of the patches
-_LEAST_PIXELS = 40
+_LEAST_PIXELS = 40  # px of its own ground: a landmark of less has hardly any texture. No study yet
+_COVERED = 1.0 - 1e-9  # of a pixel: wholly covered, to rounding
+_ERODED = np.ones((5, 5), np.uint8)  # px: the point spread function carries in what lies beside a map
+_OUTLINE_POINTS = 9  # along each side of a landmark; their hull is its outline
+_OUTLINE_BITS = 4  # fractional bits of outlines drawn: a sixteenth of a pixel
 
 
 @runtime_checkable
@@ -32,20 +34,30 @@ class Windowing(Protocol):
     """A camera model that can be cut to a part of its image, as all of ours can."""
 
     def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window whose first pixel is (``x0_px``, ``y0_px``) here."""
+        """Return the model of a window of the image.
+
+        Parameters
+        ----------
+        x0_px, y0_px : float, px
+            Pixel here that becomes the first of the window.
+
+        Returns
+        -------
+        CameraModel
+        """
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Patch(Value):
-    """A landmark as it should look.
+    """A landmark as rendered.
 
     Parameters
     ----------
     number : int
-        Its place in the catalog.
-    box : FitBox
-        Where in the image.
+        Number in the catalog.
+    box : PixelBox
+        Its pixels in the image.
     light : (h, w) float64
         Brightness under the law of the target.
     other : (h, w) float64, optional
@@ -53,11 +65,11 @@ class Patch(Value):
     mask : (h, w) bool
         The ground of the landmark; False in a border of :data:`BORDER_PX`.
     whole : bool
-        Whether the ground around it is rendered too.
+        True if the ground around it is rendered too.
     """
 
     number: int
-    box: FitBox
+    box: PixelBox
     light: Float
     other: Float | None
     mask: Mask
@@ -65,25 +77,45 @@ class Patch(Value):
 
     @property
     def core(self) -> tuple[slice, slice]:
-        """The part within the border."""
+        """Rows and columns within the border."""
         inner = slice(BORDER_PX, -BORDER_PX)
         return inner, inner
 
 
-class LandmarkRenderer:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Images(Value):
+    """Renders (h, w) of a part of the image: under the law of the body, under another one, and what is covered."""
+
+    light: Float
+    other: Float | None
+    covered: Mask
+
+    def part(self, slices: tuple[slice, slice]) -> _Images:
+        """Return some rows and columns."""
+        return _Images(self.light[slices], None if self.other is None else self.other[slices], self.covered[slices])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkRenderer(Value):
     """Renders landmarks of a target.
 
     Parameters
     ----------
     catalog : LandmarkCatalog
-    model : CameraModel
+    plane : FocalPlane
+        With a camera model that can be cut to a window of its image.
     sun_direction_camera : (3,) float64, unitless, camera axes
-    psf : GaussianPsf
+        Unit vector from body to Sun.
     max_size_px : float, px
         Of larger landmarks only the middle is rendered.
     rays_per_pixel_side : int
     other_law : bool
-        Whether to render under another reflectance law as well.
+        True to render under another reflectance law as well.
+
+    Raises
+    ------
+    InputError
+        The camera model cannot be windowed.
 
     Notes
     -----
@@ -91,129 +123,131 @@ class LandmarkRenderer:
     shadows that other ground casts. Those from elsewhere are rendered from their own maps, one by one.
     """
 
-    def __init__(
-        self,
-        catalog: LandmarkCatalog,
-        model: CameraModel,
-        *,
-        sun_direction_camera: Float,
-        psf: GaussianPsf,
-        max_size_px: float,
-        rays_per_pixel_side: int,
-        other_law: bool,
-    ) -> None:
-        require(isinstance(model, Windowing), f"{type(model).__name__} has no windowed(): landmarks are rendered alone")
-        self._catalog, self._model, self._sun, self._psf = catalog, model, sun_direction_camera, psf
-        self._max_size_px, self._rays, self._other_law = max_size_px, rays_per_pixel_side, other_law
+    catalog: LandmarkCatalog
+    plane: FocalPlane
+    sun_direction_camera: Float
+    max_size_px: float
+    rays_per_pixel_side: int
+    other_law: bool
+
+    def __post_init__(self) -> None:
+        model = self.plane.model
+        require(
+            isinstance(model, Windowing), f"landmarks need a camera model with windowed(), not {type(model).__name__}"
+        )
+        Value.__post_init__(self)
 
     def roughly(self) -> LandmarkRenderer:
-        """Return one with one ray to a pixel and one law: enough to find landmarks by."""
-        rough = copy(self)
-        rough._rays, rough._other_law = 1, False
-        return rough
+        """Return one with one ray to a pixel and one law: enough to find landmarks."""
+        return replace(self, rays_per_pixel_side=1, other_law=False)
 
     def patches(self, body: Body, seen: SeenLandmarks) -> tuple[Patch, ...]:
-        """Templates of the landmarks seen, without those of which too little can be rendered."""
-        outlines = [self._outline(body, self._catalog.landmarks[number]) for number in seen.numbers]
+        """Render the landmarks seen.
+
+        Parameters
+        ----------
+        body : Body
+        seen : SeenLandmarks
+
+        Returns
+        -------
+        tuple of Patch
+            In the order of ``seen``, without those of which too little can be rendered.
+        """
+        landmarks = [self.catalog.landmarks[number] for number in seen.numbers]
+        outlines = [self._outline(body, landmark) for landmark in landmarks]
         boxes = [self._box(outline, center) for outline, center in zip(outlines, seen.predicted_px, strict=True)]
-        own_shape = self._catalog.shape_sha256 == body.shape.sha256
+        own_shape = self.catalog.shape_sha256 == body.shape.sha256
         if own_shape:
-            images = self._cut(body, boxes)
+            rendered = self._together(body, boxes)
         else:
-            images = [
-                self._images(replace(body, shape=self._catalog.landmarks[number].mesh), box)
-                for number, box in zip(seen.numbers.tolist(), boxes, strict=True)
-            ]
+            pairs = zip(landmarks, boxes, strict=True)
+            rendered = [self._images(replace(body, shape=landmark.mesh), box) for landmark, box in pairs]
         patches = []
-        for number, outline, box, image in zip(seen.numbers, outlines, boxes, images, strict=True):
-            if image is None:
+        for number, outline, box, images in zip(seen.numbers, outlines, boxes, rendered, strict=True):
+            if images is None:
                 continue
-            light, other, covered = image
             mask = _filled(outline, box)
-            if not own_shape:  # the point spread function carries in what lies beside the map
-                mask &= cv2.erode(covered.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            if not own_shape:
+                mask &= cv2.erode(images.covered.astype(np.uint8), _ERODED) > 0
             if int(mask.sum()) >= _LEAST_PIXELS:
-                patches.append(Patch(number=int(number), box=box, light=light, other=other, mask=mask, whole=own_shape))
+                patch = Patch(
+                    number=int(number), box=box, light=images.light, other=images.other, mask=mask, whole=own_shape
+                )
+                patches.append(patch)
         return tuple(patches)
 
     def _outline(self, body: Body, landmark: Landmark) -> Float:
         """Pixels (k, 2) whose hull is the ground of a landmark."""
-        ground = landmark.grid_body_km(9)
-        pixels = self._model.project(body.to_camera(ground) + body.position_camera_km)
+        ground = landmark.grid_body_km(_OUTLINE_POINTS)
+        pixels = self.plane.model.project(body.to_camera(ground) + body.position_camera_km)
         finite = pixels[np.isfinite(pixels).all(axis=1)].astype(np.float32)
         return cv2.convexHull(finite)[:, 0].astype(np.float64)
 
-    def _box(self, outline: Float, center_px: Float) -> FitBox:
+    def _box(self, outline: Float, center_px: Float) -> PixelBox:
         """The box around an outline, not more than the largest size around its middle, and a border."""
-        half = 0.5 * self._max_size_px
-        low = np.floor(np.maximum(outline.min(axis=0), center_px - half)).astype(np.int64) - BORDER_PX
-        high = np.ceil(np.minimum(outline.max(axis=0), center_px + half)).astype(np.int64) + 1 + BORDER_PX
-        (x, y), (width, height) = low.tolist(), (high - low).tolist()
-        return FitBox(x=x, y=y, width=width, height=height)
+        half = 0.5 * self.max_size_px
+        low, high = np.maximum(outline.min(axis=0), center_px - half), np.minimum(outline.max(axis=0), center_px + half)
+        return PixelBox.spanning(low, high + 1.0, BORDER_PX)
 
-    def _cut(self, body: Body, boxes: list[FitBox]) -> list[tuple[Float, Float | None, Mask] | None]:
+    def _together(self, body: Body, boxes: list[PixelBox]) -> list[_Images | None]:
         """Images of the shape in boxes: out of one render of all, where they lie close together."""
         if not boxes:
             return []
-        x0, y0 = min(box.x for box in boxes), min(box.y for box in boxes)
-        x1, y1 = max(box.x + box.width for box in boxes), max(box.y + box.height for box in boxes)
-        whole = FitBox(x=x0, y=y0, width=x1 - x0, height=y1 - y0)
-        if whole.width * whole.height > _TOGETHER * sum(box.width * box.height for box in boxes):
+        corners = np.array([box.corner_px for box in boxes])
+        sizes = np.array([(box.width, box.height) for box in boxes])
+        whole = PixelBox.spanning(corners.min(axis=0), (corners + sizes).max(axis=0))
+        if whole.width * whole.height > _TOGETHER * sizes.prod(axis=1).sum():
             return [self._images(body, box) for box in boxes]
         images = self._images(body, whole)
         if images is None:
             return [None] * len(boxes)
-        light, other, covered = images
-        parts: list[tuple[Float, Float | None, Mask] | None] = []
-        for box in boxes:
-            part = (slice(box.y - y0, box.y - y0 + box.height), slice(box.x - x0, box.x - x0 + box.width))
-            parts.append((light[part], None if other is None else other[part], covered[part]))
-        return parts
+        return [images.part(replace(box, x=box.x - whole.x, y=box.y - whole.y).slices) for box in boxes]
 
-    def _images(self, body: Body, box: FitBox) -> tuple[Float, Float | None, Mask] | None:
-        """Brightness under the law of the body, under another one, and what is covered wholly; None for nothing lit."""
-        assert isinstance(self._model, Windowing)
-        model = self._model.windowed(box.x, box.y)
-        options = RenderOptions(rays_per_pixel_side=self._rays, min_rays_across=1)
+    def _images(self, body: Body, box: PixelBox) -> _Images | None:
+        """Renders of a body in a box; None where nothing of it is lit."""
+        assert isinstance(self.plane.model, Windowing)
         trace = trace_body(
             body,
-            model,
-            sun_direction_camera=self._sun,
-            psf=self._psf,
+            self.plane.model.windowed(box.x, box.y),
+            sun_direction_camera=self.sun_direction_camera,
+            psf=self.plane.psf,
             columns=box.width,
             rows=box.height,
-            options=options,
+            options=RenderOptions(rays_per_pixel_side=self.rays_per_pixel_side, min_rays_across=1),
         )
-        if isinstance(trace, Failure):
+        template = trace if isinstance(trace, Failure) else trace.template()
+        if isinstance(trace, Failure) or isinstance(template, Failure):
             return None
-        template = trace.template()
-        if isinstance(template, Failure):
-            return None
-        light = template.placed(box.width, box.height)
-        covered = replace(template, brightness=template.coverage).placed(box.width, box.height) > 1.0 - 1e-9
-        return light, self._shaded_otherwise(trace, box), covered
-
-    def _shaded_otherwise(self, trace: Trace, box: FitBox) -> Float | None:
-        if not self._other_law:
-            return None
-        own = trace.body.reflectance
-        template = trace.with_reflectance(LommelSeeliger() if isinstance(own, Lambert) else Lambert()).template()
-        return None if isinstance(template, Failure) else template.placed(box.width, box.height)
+        coverage = replace(template, brightness=template.coverage).placed(box.width, box.height)
+        other = trace.with_reflectance(contrasting_law(body.reflectance)).template() if self.other_law else None
+        return _Images(
+            light=template.placed(box.width, box.height),
+            other=other.placed(box.width, box.height) if isinstance(other, Template) else None,
+            covered=coverage > _COVERED,
+        )
 
 
-def _filled(outline: Float, box: FitBox) -> Mask:
+def _filled(outline: Float, box: PixelBox) -> Mask:
     """Pixels (h, w) of a box within an outline, none in the border."""
     image = np.zeros((box.height, box.width), np.uint8)
-    shift = 4
-    corners = np.rint((outline - [box.x, box.y]) * 2**shift).astype(np.int32)
-    cv2.fillConvexPoly(image, corners, 1, lineType=cv2.LINE_8, shift=shift)
-    mask: Mask = image > 0
-    for edge in (slice(None, BORDER_PX), slice(-BORDER_PX, None)):
-        mask[edge] = False
-        mask[:, edge] = False
+    corners = np.rint((outline - box.corner_px) * 2**_OUTLINE_BITS).astype(np.int32)
+    cv2.fillConvexPoly(image, corners, 1, lineType=cv2.LINE_8, shift=_OUTLINE_BITS)
+    mask = np.zeros(image.shape, dtype=bool)
+    inner = slice(BORDER_PX, -BORDER_PX)
+    mask[inner, inner] = image[inner, inner] > 0
     return mask
 
 
 def rays_for(psf_sigma_px: float) -> int:
-    """Rays along each side of a pixel: more where the point spread function is too narrow to smooth their pattern."""
+    """Rays along each side of a pixel: more where the point spread function is too narrow to smooth their pattern.
+
+    Parameters
+    ----------
+    psf_sigma_px : float, px
+
+    Returns
+    -------
+    int
+    """
     return 3 if psf_sigma_px < 0.5 else math.ceil(1.4 / max(psf_sigma_px, 0.7))

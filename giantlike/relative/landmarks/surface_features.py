@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
@@ -12,37 +11,37 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require
-from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.core.values import Value
-from giantlike.image import Image
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
 from giantlike.ray_tracing import Body
-from giantlike.relative.estimator import EstimatorInputs, center_of_position, gather
+from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, center_of_position
 from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, rays_for
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
-from giantlike.scene import Scene
+from giantlike.relative.quality import QualityChecks
+from giantlike.relative.template.fit import BoxPixels
 from giantlike.shapes import LevelsOfDetail, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks
 
-_NEAR_PX = 3  # search once a pose is known
-_FREE_TURN_RAD = 0.03  # how far a free attitude may be off for landmarks to be looked for near enough
+_NEAR_PX = 3  # px, search once a pose is known
+_FREE_TURN_RAD = 0.03  # rad, error of a free attitude that the first search allows for, at most
 _LOW_SCORE = 0.6
+"""Mean correlation of the landmarks below which a fix is flagged. No study yet."""
 _LARGE_RESIDUALS_PX = 0.5
-_NEAR_SEARCH_LIMIT = 0.9
-_SETTLED_SIGMA = 0.3
-_DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders
+"""Root mean square of the residuals, px, above which a fix is flagged. No study yet."""
+_SETTLED_SIGMA = 0.3  # of the standard deviation of the position: a last step so small adds 5 % to it
+_DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
 _LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
+_RADIUS_PX = 1.5  # px, distance from the common shift by noise of the correlation peaks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceFeaturesOptions:
-    """How landmarks are looked for and what the pose may be.
+    """Options of :class:`SurfaceFeatures`.
 
     Parameters
     ----------
@@ -50,18 +49,18 @@ class SurfaceFeaturesOptions:
         Landmarks: a catalog (.npz), a maplet (.MAP), or a folder of maplets. Without one they are chosen on
         the shape of the target, if it is a mesh.
     search_px : int, px
-        How far from the prediction to look at first, along each axis.
+        Largest error of the predicted center, along each axis.
     search_range : float
         Largest relative error of the predicted range.
     attitude_sigma_deg : float, deg
         Standard deviation of the predicted attitude of the body in the camera, about each axis: 0 trusts it, infinity
-        leaves it free. In between and beyond, the fix has an attitude of its own.
+        leaves it free. Unless it is 0 the fix has an attitude of its own.
     min_landmarks : int
-        Fewer that are found and agree are a failure.
+        Least number of landmarks that are found and agree.
     min_score : float
-        Correlation below which a landmark is not found.
+        Least correlation of a landmark that counts as found.
     inlier_px : float, px
-        How near a found landmark must lie to where the pose projects it.
+        Largest distance of a found landmark from its projection by the pose.
     free_reflectance : bool
         Let the image mix another reflectance law into that of the target.
     max_iterations : int
@@ -69,6 +68,11 @@ class SurfaceFeaturesOptions:
     tolerance_px : float, px
         The pose has settled when no landmark moves by more.
     visibility : VisibilityOptions
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
     """
 
     landmarks: Path | None = None
@@ -114,7 +118,7 @@ class LandmarkFix(PositionFix):
     landmark_names : tuple of str
         Of the landmarks used.
     landmark_px, landmark_predicted_px : (n, 2) float64, px
-        Where they were found, and where the pose puts them.
+        Measured, and projected by the pose.
     """
 
     camera_from_body: Rotation
@@ -125,13 +129,18 @@ class LandmarkFix(PositionFix):
     landmark_predicted_px: Float
 
     def unwrap(self) -> LandmarkFix:
-        """Return the fix itself."""
+        """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead).
+
+        Returns
+        -------
+        LandmarkFix
+        """
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Found(Value):
-    """What one look at the image gave: landmarks matched, in the order of the catalog, and the pose they agree on."""
+    """Landmarks matched, in the order of the catalog, and the pose that they agree on."""
 
     matches: tuple[LandmarkMatch, ...]
     observed_px: Float
@@ -139,17 +148,21 @@ class _Found(Value):
     tried: int
 
 
-class SurfaceFeatures:
+class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     """Full position of a body, and its attitude if asked, from landmarks on its surface.
 
     The landmarks that can be seen at the predicted pose are rendered and correlated with the image. The shift that most
     of them share is found first, then each near it; a pose that most agree with (RANSAC) tells the wrong ones. Rendered
-    anew there, each is fitted to the pixels, and the pose improved by least squares, until it stands still.
+    anew there, each is fitted to the pixels, and the pose improved by least squares, until it converges.
 
-    ``score`` of the fix is the mean correlation of the landmarks used; ``residuals`` are found minus projected, px, x
-    and y in turn; ``limb_px`` is where the landmarks were found. Landmarks that lie off the pose by more than the
-    scatter of the others explains are left out. The covariance holds the noise of the pixels and what the residuals
-    show beyond it, the same for all landmarks: errors of the maps, the shape, the sampling and the law.
+    ``score`` of the fix is the mean correlation of the landmarks used; ``residuals`` are measured minus projected, px,
+    x and y in turn; ``limb_px`` are the measured points. Landmarks that lie off the pose by more than the scatter of
+    the others explains are rejected. The covariance holds the noise of the pixels and the excess of the residuals over
+    it, the same for all landmarks: errors of the maps, the shape, the sampling and the law.
+
+    Failures are ``WRONG_SHAPE`` without landmarks; ``OUT_OF_FRAME``, ``NOT_LIT`` or ``TOO_FEW_MATCHES`` when too few
+    can be used or are found, ``LOW_CORRELATION`` when they are not like the image, ``PEAK_AT_EDGE`` when the body may
+    lie beyond the search range, ``DEGENERATE_GEOMETRY`` and ``NOT_CONVERGED``.
 
     Parameters
     ----------
@@ -164,42 +177,12 @@ class SurfaceFeatures:
     name: ClassVar[str] = "surface_features"
 
     def __init__(self, options: SurfaceFeaturesOptions | None = None) -> None:
-        self.options = options or SurfaceFeaturesOptions()
+        super().__init__(options or SurfaceFeaturesOptions())
 
-    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> LandmarkFix | Failure:
-        """Find a target of ``scene`` in ``image``.
-
-        Parameters
-        ----------
-        image : Image
-        camera : Camera
-        scene : Scene
-        target : str, optional
-            May be left out when there is only one.
-
-        Returns
-        -------
-        LandmarkFix or Failure
-            ``WRONG_SHAPE`` without landmarks; ``OUT_OF_FRAME``, ``NOT_LIT`` or ``TOO_FEW_MATCHES`` when too few can be
-            used or are found, ``LOW_CORRELATION`` when they are not like the image, ``PEAK_AT_EDGE`` when the body may
-            lie beyond the search range, ``DEGENERATE_GEOMETRY``, ``NOT_CONVERGED``, and what ``gather`` fails for.
-
-        Raises
-        ------
-        InputError
-            The image has another size than the camera, or there is no such target.
-        DataError
-            The file of landmarks is missing or damaged, or SPICE kernels do not cover the epoch.
-        """
-        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
-        if isinstance(inputs, Failure):
-            return inputs
+    def _estimate(self, inputs: EstimatorInputs) -> LandmarkFix | Failure:
+        """Find the body of gathered inputs."""
         catalog = self._landmarks(inputs)
-        if isinstance(catalog, Failure):
-            return inputs.fail(catalog.reason, catalog.detail)
-        search = _Search(inputs, catalog, self.options)
-        result = search.settled()
-        return inputs.fail(result.reason, result.detail) if isinstance(result, Failure) else result
+        return catalog if isinstance(catalog, Failure) else _Search(inputs, catalog, self.options).settled()
 
     def _landmarks(self, inputs: EstimatorInputs) -> LandmarkCatalog | Failure:
         """The landmarks of the file, read once, or those of the target's mesh."""
@@ -224,7 +207,7 @@ def _moved(body: Body, pose: PnpFix, share: float) -> Body:
 
 
 def _within_noise(before: Body, pose: PnpFix) -> bool:
-    """Whether the last step was small against the standard deviation of the position, along every direction."""
+    """Return True if the last step is small against the standard deviation of the position, in every direction."""
     step = pose.position_camera_km - before.position_camera_km
     return float(step @ np.linalg.solve(pose.covariance[:3, :3], step)) < _SETTLED_SIGMA**2
 
@@ -235,25 +218,30 @@ def _read_once(path: str) -> LandmarkCatalog:
 
 
 class _Search:
-    """One image before one estimator: what stays the same from render to render."""
+    """Search for a body in one image: holds everything that stays the same from render to render."""
 
     def __init__(self, inputs: EstimatorInputs, catalog: LandmarkCatalog, options: SurfaceFeaturesOptions) -> None:
         self.inputs, self.catalog, self.options = inputs, catalog, options
         self.start = inputs.geometry.body()
         self.viewer = viewer_for(catalog, self.start.shape)
-        sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
+        self.pixels = BoxPixels(
+            values_dn=inputs.pixels_dn,
+            usable=inputs.usable,
+            corner_px=(0, 0),
+            noise_variance_dn2=inputs.camera.detector.variance_dn2,
+        )
+        plane = inputs.focal_plane()
         self.renderer = LandmarkRenderer(
             catalog,
-            inputs.camera.model,
+            plane,
             sun_direction_camera=inputs.geometry.sun_direction_camera,
-            psf=GaussianPsf(sigma_px=sigma_px),
             max_size_px=options.visibility.max_size_px,
-            rays_per_pixel_side=rays_for(sigma_px),
+            rays_per_pixel_side=rays_for(plane.psf_sigma_px),
             other_law=options.free_reflectance,
         )
 
     def settled(self) -> LandmarkFix | Failure:
-        """Look, solve, render anew, until the pose stands still."""
+        """Match, solve, render anew, until the pose converges."""
         body, change_px = self.start, math.inf
         seen = self._seen(body)
         for iteration in range(self.options.max_iterations):
@@ -274,13 +262,11 @@ class _Search:
         return Failure(Reason.NOT_CONVERGED, detail)
 
     def _seen(self, body: Body) -> SeenLandmarks | Failure:
-        camera, options = self.inputs.camera, self.options
+        options = self.options
         seen = self.viewer.seen(
             body,
-            camera.model,
+            self.renderer.plane,
             sun_direction_camera=self.inputs.geometry.sun_direction_camera,
-            columns=camera.columns,
-            rows=camera.rows,
             options=options.visibility,
         )
         if seen.numbers.size >= options.min_landmarks:
@@ -335,7 +321,7 @@ class _Search:
             shift = common_shift(surfaces, radii)
             if int(np.abs(shift).max()) >= search_px:
                 detail = f"best match at the edge of the search region, {shift.tolist()} px from the prediction"
-                return Failure(Reason.PEAK_AT_EDGE, f"{detail}; widen search_px")
+                return Failure(Reason.PEAK_AT_EDGE, f"{detail}; increase search_px")
         matches, scores = [], []
         for patch, surface, radius in zip(patches, surfaces, radii, strict=True):
             peak = peak_near(surface, shift, float(radius))
@@ -344,9 +330,7 @@ class _Search:
             scores.append(peak[1])
             if peak[1] < options.min_score:
                 continue
-            whole = np.rint(peak[0]).astype(np.int64)
-            variance = inputs.camera.detector.variance_dn2
-            match = fit_patch(inputs.pixels_dn, inputs.usable, patch, whole, peak[1], variance)
+            match = fit_patch(self.pixels, patch, np.rint(peak[0]).astype(np.int64), peak[1])
             if match is not None:
                 matches.append(match)
         if len(matches) >= options.min_landmarks:
@@ -358,7 +342,7 @@ class _Search:
         return Failure(Reason.TOO_FEW_MATCHES, detail)
 
     def _radii(self, body: Body, patches: tuple[Patch, ...]) -> Float:
-        """How far (n,), px, landmarks may lie from the shift that they share, by errors of range and attitude."""
+        """Largest distances (n,), px, of landmarks from the common shift, by errors of range and attitude."""
         numbers = [patch.number for patch in patches]
         model = self.inputs.camera.model
         arms = np.linalg.norm(self._projected(body)[numbers] - self.inputs.predicted_px, axis=1)
@@ -366,7 +350,7 @@ class _Search:
         levers = np.linalg.norm(self.viewer.points_body_km[numbers], axis=1) * model.focal_length_px
         levers = levers / float(np.linalg.norm(body.position_camera_km))
         arms = np.minimum(arms, levers)
-        result: Float = 1.5 + self.options.search_range * arms + min(turn, _FREE_TURN_RAD) * levers
+        result: Float = _RADIUS_PX + self.options.search_range * arms + min(turn, _FREE_TURN_RAD) * levers
         return np.minimum(result, self.options.search_px)
 
     def _change_px(self, before: Body, after: Body, seen: SeenLandmarks) -> float:
@@ -374,7 +358,7 @@ class _Search:
         return float(np.abs(moved).max())
 
     def _fix(self, body: Body, found: _Found) -> LandmarkFix:
-        """The fix of a pose that stands still."""
+        """Return the fix of a pose that has converged."""
         inputs, pose = self.inputs, found.pose
         used = [match for match, inlier in zip(found.matches, pose.inliers, strict=True) if inlier]
         numbers = np.array([match.number for match in used])
@@ -382,25 +366,22 @@ class _Search:
         center, covariance_px2 = center_of_position(inputs.camera.model, pose.position_camera_km, covariance)
         score = float(np.mean([match.score for match in used]))
         observed = found.observed_px[pose.inliers]
-        position = PositionFix(
-            estimator=SurfaceFeatures.name,
+        known = inputs.geometry.camera_from_body
+        return LandmarkFix(
+            estimator=inputs.estimator,
             target=inputs.target_name,
+            predicted_px=inputs.predicted_px,
+            provenance={**inputs.provenance, "landmarks_sha256": self.catalog.sha256},
             center_px=center,
             covariance_px2=covariance_px2,
-            predicted_px=inputs.predicted_px,
             residuals=pose.residuals_px[pose.inliers].ravel(),
             n_used=len(used),
             n_rejected=found.tried - len(used),
             score=score,
             flags=self._flags(found, observed, score),
-            provenance=self._provenance(),
             position_camera_km=pose.position_camera_km,
             covariance_camera_km2=covariance,
             limb_px=observed,
-        )
-        known = inputs.geometry.camera_from_body
-        return LandmarkFix(
-            **{each.name: getattr(position, each.name) for each in fields(PositionFix)},
             camera_from_body=pose.camera_from_body,
             pose_covariance=pose.covariance,
             attitude_change_rad=(pose.camera_from_body * known.inv()).as_rotvec(),
@@ -410,22 +391,17 @@ class _Search:
         )
 
     def _flags(self, found: _Found, observed_px: Float, score: float) -> Quality:
-        inputs, options = self.inputs, self.options
+        inputs, residuals_px = self.inputs, found.pose.residuals_px[found.pose.inliers]
         area = np.zeros_like(inputs.usable)
         columns, rows = np.rint(observed_px).astype(np.int64).T
         area[np.clip(rows, 0, area.shape[0] - 1), np.clip(columns, 0, area.shape[1] - 1)] = True
-        flags = inputs.flags_at(area)
-        if score < _LOW_SCORE:
-            flags |= Quality.LOW_SCORE
-        if 2 * len(observed_px) < found.tried:
-            flags |= Quality.MANY_REJECTED
-        left = found.pose.residuals_px[found.pose.inliers]
-        if math.sqrt(float(np.mean(left**2))) > _LARGE_RESIDUALS_PX:
-            flags |= Quality.LARGE_RESIDUALS
-        center = inputs.camera.model.project(found.pose.position_camera_km)
-        if float(np.abs(center - inputs.predicted_px).max()) > _NEAR_SEARCH_LIMIT * options.search_px:
-            flags |= Quality.FAR_FROM_PREDICTION
-        return flags
-
-    def _provenance(self) -> Mapping[str, str]:
-        return {**self.inputs.provenance, "landmarks_sha256": self.catalog.sha256}
+        checks = QualityChecks(
+            off_px=inputs.camera.model.project(found.pose.position_camera_km) - inputs.predicted_px,
+            search_px=self.options.search_px,
+            bounded=True,
+            n_used=len(observed_px),
+            n_offered=found.tried,
+            residuals=math.sqrt(float(np.mean(residuals_px**2))) / _LARGE_RESIDUALS_PX,
+            weakness=_LOW_SCORE / score,
+        )
+        return inputs.flags_at(area) | checks.flags

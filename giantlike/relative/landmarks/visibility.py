@@ -1,4 +1,4 @@
-"""Which landmarks a camera can make use of: in the frame, in sight, lit, neither too oblique nor too small."""
+"""Selection of landmarks that a camera can use: in the frame, in sight, lit, neither too oblique nor too small."""
 
 from __future__ import annotations
 
@@ -10,27 +10,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require, unit
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Body
-from giantlike.ray_tracing.body import sun_in_body
+from giantlike.ray_tracing import Body, FocalPlane
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import LevelsOfDetail, Shape, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog
 
 Indices = NDArray[np.int64]
 
-_GRID = 5  # points along each side of a landmark whose sight and light are looked at
-_LIFT = 0.005  # of the size: how far over the ground rays start
-_MAX_HIDDEN = 0.1
-_LEAST_INSIDE = 0.6  # of the points in the frame
+_GRID = 5  # points along each side of a landmark whose sight and light are tested
+_LIFT = 0.005  # of the size: height over the ground at which rays start, so that maps do not lie under facets
+_MAX_HIDDEN = 0.1  # of the points that other ground may hide: two of the 25. No study yet
+_LEAST_INSIDE = 0.6  # of the points that must lie in the frame: the center and more than half. No study yet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisibilityOptions:
-    """What makes a landmark useful.
+    """Conditions under which a landmark is used.
 
     Parameters
     ----------
@@ -44,6 +42,11 @@ class VisibilityOptions:
         Of larger ones only the middle is used.
     max_landmarks : int
         If more can be used, those with the strongest texture, well spread over the image.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
     """
 
     max_incidence_deg: float = 75.0
@@ -65,12 +68,12 @@ class VisibilityOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeenLandmarks(Value):
-    """Landmarks that can be used, and what became of the others.
+    """Landmarks that can be used, and the number of others by reason.
 
     Parameters
     ----------
     numbers : (k,) int64
-        Places in the catalog.
+        Numbers in the catalog.
     predicted_px : (k, 2) float64, px
     size_px : (k,) float64, px
         Foreshortened width.
@@ -95,7 +98,7 @@ class SeenLandmarks(Value):
 
 
 class LandmarkViewer:
-    """Landmarks with the ground around them; says for any pose which can be seen.
+    """Landmarks with the ground around them: selects for any pose those that can be seen.
 
     Parameters
     ----------
@@ -131,15 +134,26 @@ class LandmarkViewer:
     def seen(
         self,
         body: Body,
-        model: CameraModel,
+        plane: FocalPlane,
         *,
         sun_direction_camera: Float,
-        columns: int,
-        rows: int,
         options: VisibilityOptions,
     ) -> SeenLandmarks:
-        """Landmarks that an image of ``columns`` by ``rows`` px can be matched with, for one pose of the body."""
-        camera_km, sun = body.camera_body_km, sun_in_body(body, sun_direction_camera)
+        """Select the landmarks that an image can be matched with, for one pose of the body.
+
+        Parameters
+        ----------
+        body : Body
+        plane : FocalPlane
+        sun_direction_camera : (3,) float64, unitless, camera axes
+            Unit vector from body to Sun.
+        options : VisibilityOptions
+
+        Returns
+        -------
+        SeenLandmarks
+        """
+        model, camera_km, sun = plane.model, body.camera_body_km, body.to_body(sun_direction_camera)
         predicted = model.project(body.to_camera(self.points_body_km) + body.position_camera_km)
         to_camera = camera_km - self.points_body_km
         range_km = np.linalg.norm(to_camera, axis=1)
@@ -148,8 +162,8 @@ class LandmarkViewer:
         facing = cos_emission > math.cos(options.max_emission_deg * RAD_PER_DEG)
         lit = cos_incidence > math.cos(options.max_incidence_deg * RAD_PER_DEG)
         ground_px = model.project(body.to_camera(self._ground) + body.position_camera_km)
-        inside = self._share(_inside(ground_px, columns, rows))
-        framed = (inside >= _LEAST_INSIDE) & _inside(predicted, columns, rows)
+        inside = self._share(plane.contains(ground_px))
+        framed = (inside >= _LEAST_INSIDE) & plane.contains(predicted)
         size_px = self.sizes_km * cos_emission / range_km * model.focal_length_px
         large = size_px >= options.min_size_px
         hidden, dark = np.zeros((2, len(predicted)), dtype=bool)
@@ -201,15 +215,19 @@ _VIEWERS_LOCK = threading.Lock()
 
 
 def viewer_for(catalog: LandmarkCatalog, shape: Shape) -> LandmarkViewer:
-    """Return the viewer of a catalog on a shape, made once and kept with the catalog."""
+    """Return the viewer of a catalog on a shape, made once and cached with the catalog.
+
+    Parameters
+    ----------
+    catalog : LandmarkCatalog
+    shape : Shape
+
+    Returns
+    -------
+    LandmarkViewer
+    """
     with _VIEWERS_LOCK:
         viewers = _VIEWERS.setdefault(catalog, {})
         if shape.sha256 not in viewers:
             viewers[shape.sha256] = LandmarkViewer(catalog, shape)
         return viewers[shape.sha256]
-
-
-def _inside(pixels: Float, columns: int, rows: int) -> Mask:
-    """Which pixels (n, 2) lie on a detector."""
-    result: Mask = np.all((pixels >= -0.5) & (pixels <= [columns - 0.5, rows - 0.5]), axis=-1)
-    return result

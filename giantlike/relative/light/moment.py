@@ -1,9 +1,9 @@
-"""Moment algorithm: center of brightness of a resolved body, corrected to the center of its figure."""
+"""Moment: center of brightness of a resolved body, corrected to the center of its figure."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import cv2
@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
-from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
+from giantlike.core.detector import Detector
+from giantlike.core.outcomes import CenterFix, Failure, Reason
 from giantlike.core.values import Value
-from giantlike.image import Image
 from giantlike.processing.limb.segmentation import (
     Background,
     Blobs,
@@ -26,27 +25,29 @@ from giantlike.processing.limb.segmentation import (
     otsu_threshold,
 )
 from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, trace_body
-from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, gather
-from giantlike.relative.light.unresolved import Correction, modeled_correction_px
-from giantlike.scene import Scene, TargetGeometry
+from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, apparent_radius_px
+from giantlike.relative.light.phase_correction import Correction, modeled_correction_px, require_correction
+from giantlike.relative.quality import QualityChecks
+from giantlike.scene import TargetGeometry
 
-_LIGHT_SIGMAS = 5.0  # over the background: what is light at all
-_MIN_AREA_PX = 4
-_MIN_BACKGROUND_PX = 100
+_LIGHT_SIGMAS = 5.0  # of the background: a pixel of noise is so bright once in 3.5 million
+_MIN_AREA_PX = 4  # px, of a blob: hits and hot pixels are smaller
+_MIN_BACKGROUND_PX = 100  # px: their median is then known to an eighth of the noise
 _VISIBLE = 0.02  # of the brightest pixel of a template: its expected blob
 _TRACE = 0.002  # the same, for the region that the light of a body is taken from
-_REGION_MARGIN = 0.05  # of the radius, for errors of range and law
-_REGION_MARGIN_PX = 3
+_REGION_MARGIN, _REGION_MARGIN_PX = 0.05, 3  # of the radius and px, for errors of range and law
 _OTSU_MARGIN = 0.25  # of the radius, for enough dark pixels
 _LOWER_THRESHOLD = 0.5
-_SAMPLING_PX = 0.02  # rays of the template on a large body
-_MAX_SATURATED = 0.2
-_INCONSISTENT_SIGMAS = 4.0
-_EDGE_PX = 1.0  # how far off the edge of the lit area may be, by the point spread function above all
-_MAX_STRAY = 0.05
+"""Factor of the threshold whose effect on the center enters the covariance as one sigma."""
+_SAMPLING_PX = 0.02  # px, error by the rays of the template on a large body
+_MAX_SATURATED = 0.2  # of the bright pixels: above, the center is not that of the light. No study yet
+_INCONSISTENT_SIGMAS = 4.0  # between predicted and measured size: once in 16,000 by chance
+_EDGE_PX = 1.0  # px, error of the edge of the lit area, by the point spread function above all
+_MAX_STRAY = 0.05  # of the bright pixels outside the expected area: above, it is not the light of the body alone
 _SETTLING, _SETTLED_PX = 4, 2
+"""Rounds in which the region follows its light, and motion, px, that ends them: less than the margin of the region."""
 _BLOCK = 0.25  # of the radius: markings larger than that are few
-_RAYS_ACROSS = 300
+_RAYS_ACROSS = 300  # over the body: see _SAMPLING_PX
 _OTHER_LAWS = (LommelSeeliger(), Lambert())  # flat and dark at the terminator: those of bodies lie between, about
 
 
@@ -57,7 +58,7 @@ class MomentOptions:
     Parameters
     ----------
     search_px : float, px
-        Largest distance of the light from where it is predicted.
+        Largest distance of the light from its predicted place.
     correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
         As for ``unresolved``.
     range_sigma : float
@@ -76,25 +77,27 @@ class MomentOptions:
     def __post_init__(self) -> None:
         require(1 <= self.search_px <= 2000, f"search_px must be in [1, 2000], got {self.search_px}")
         require(0 < self.range_sigma < 1, f"range_sigma must be in (0, 1), got {self.range_sigma}")
-        known = [str(kind) for kind in Correction]
-        require(self.correction in known, f"correction must be one of {', '.join(known)}, got {self.correction!r}")
+        require_correction(self.correction)
 
 
-class Moment:
+class Moment(BodyEstimator[MomentOptions, CenterFix]):
     """Center of the light of a body that is all in the frame, and a correction for its phase.
 
-    What stands out from the background is joined to blobs; that of the target, told from those of the other targets of
-    the scene by place and size, is parted from the dark by Otsu's method, and the brightness above background gives the
-    center of light (paper 1 eq. 4). The correction to the center of the figure is by default that of the body rendered
-    at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is the one of the paper. It grows
-    with the size of the body, predicted (``range_sigma``) and measured by the lit area.
+    Bright pixels are joined to blobs; that of the target, told from those of the other targets of the scene by place
+    and size, is separated from the dark by Otsu's method, and the brightness above background gives the center of light
+    (paper 1 eq. 4). The correction to the center of the figure is by default that of the body rendered at its predicted
+    geometry, its light cut at the same level; ``kaasalainen_tanga`` is the one of the paper. It grows with the size of
+    the body, predicted (``range_sigma``) and measured by the lit area.
 
-    No limb and no detail of the surface counts, so nothing can be mistaken for them; in return the reflectance law is
-    fully believed. ``score`` is the lit area over that expected, ``residuals`` are image minus template, shifted by
-    whole pixels, over the brightest pixel of the template. The covariance holds the noise, the error of the size, and
-    systematic terms, each as one sigma: what the laws of Lommel-Seeliger and Lambert would do, and what a threshold
-    half as high does. For ``kaasalainen_tanga`` and ``none`` the difference from the rendered correction stands for the
-    law. Markings and rings, which the template has not, count by the residuals that they leave.
+    No limb and no detail of the surface is used, so that nothing can be mistaken for them; in return the reflectance
+    law is fully trusted. ``score`` is the lit area over that expected, ``residuals`` are image minus template, shifted
+    by whole pixels, over the brightest pixel of the template. The covariance holds the noise, the error of the size,
+    and systematic terms, each as one sigma: the effects of the laws of Lommel-Seeliger and Lambert, and of a threshold
+    half as high. For ``kaasalainen_tanga`` and ``none`` the difference from the rendered correction stands for the law.
+    Markings and rings, which the template lacks, count by the residuals that they leave.
+
+    Failures are ``NO_SIGNAL``, ``AMBIGUOUS``, ``OUT_OF_FRAME`` where light reaches the edge of the image,
+    ``SATURATED`` and ``NOT_LIT``.
 
     Parameters
     ----------
@@ -109,76 +112,59 @@ class Moment:
     name: ClassVar[str] = "moment"
 
     def __init__(self, options: MomentOptions | None = None) -> None:
-        self.options = MomentOptions() if options is None else options
+        super().__init__(options or MomentOptions())
 
-    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> CenterFix | Failure:
-        """Find a target of ``scene`` in ``image``; ``target`` may be left out when there is only one.
-
-        Returns
-        -------
-        CenterFix or Failure
-            ``NO_SIGNAL``, ``AMBIGUOUS``, ``OUT_OF_FRAME`` where light reaches the edge of the image, ``SATURATED``,
-            ``NOT_LIT``, and what ``gather`` fails for.
-
-        Raises
-        ------
-        InputError
-            The image has another size than the camera, or there is no such target.
-        DataError
-            SPICE kernels do not cover the epoch.
-        """
-        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
-        if isinstance(inputs, Failure):
-            return inputs
+    def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
+        """Find the body of gathered inputs."""
         templates = _templates(inputs, margin_px=math.ceil(self.options.search_px))
         if isinstance(templates, Failure):
-            return inputs.fail(templates.reason, templates.detail)
-        others = _other_targets(image, scene, inputs)
-        light = _light_of(inputs, templates[0], others, self.options.search_px)
-        return light if isinstance(light, Failure) else self._fix(inputs, templates, light)
+            return templates
+        light = _light_of(inputs, templates[0], _other_targets(inputs), self.options.search_px)
+        return light if isinstance(light, Failure) else _fix(inputs, templates, light, self.options)
 
-    def _fix(self, inputs: EstimatorInputs, templates: list[Template], light: _Light) -> CenterFix:
-        """Center of light and the correction, with all that is known of its errors."""
-        template, other_laws = templates[0], templates[1:]
-        center_px, noise_px2 = light.centroid(inputs, light.threshold_dn)
-        rendered = light.offset_px(template, light.threshold_dn)
-        by_law = [light.offset_px(other, light.threshold_dn) - rendered for other in other_laws]
-        low_dn = _LOWER_THRESHOLD * light.threshold_dn
-        by_threshold = light.centroid(inputs, low_dn)[0] - center_px + light.offset_px(template, low_dn) - rendered
-        offset, by_correction = self._corrected(inputs, rendered, by_law)
-        size = _measured_size(light, templates, self.options.range_sigma)
-        terms = [*by_correction, by_threshold, size.sigma * offset]
-        covariance = noise_px2 + _SAMPLING_PX**2 * np.eye(2) + sum(np.outer(term, term) for term in terms)
-        covariance = covariance + light.unexplained_px2(template, center_px, inputs.radius_px)
-        left, peak_dn = light.left(template)
-        flags = inputs.flags_at(light.bright)
-        if not size.consistent or light.stray > _MAX_STRAY:
-            flags |= Quality.LARGE_RESIDUALS
-        if float(np.linalg.norm(center_px + rendered - template.center_px)) > 0.95 * self.options.search_px:
-            flags |= Quality.FAR_FROM_PREDICTION
-        return CenterFix(
-            estimator=self.name,
-            target=inputs.target_name,
-            center_px=center_px + size.scale * offset,
-            covariance_px2=covariance,
-            predicted_px=inputs.predicted_px,
-            residuals=left[light.bright] / peak_dn,
-            n_used=int(np.count_nonzero(light.bright)),
-            n_rejected=0,
-            score=size.area_ratio,
-            flags=flags,
-            provenance=inputs.provenance,
-        )
 
-    def _corrected(self, inputs: EstimatorInputs, rendered: Float, by_law: list[Float]) -> tuple[Float, list[Float]]:
-        """From the center of light to that of the figure (2,), px, and errors (2,) of it, each as one sigma."""
-        kind = Correction(self.options.correction)
-        if kind is Correction.RENDERED:
-            return rendered, by_law
-        if kind is Correction.NONE:
-            return np.zeros(2), [rendered]
-        published = modeled_correction_px(inputs, kind)
-        return published, [published - rendered]
+def _fix(inputs: EstimatorInputs, templates: list[Template], light: _Light, options: MomentOptions) -> CenterFix:
+    """Center of light and the correction, with all that is known of their errors."""
+    template, threshold_dn = templates[0], light.threshold_dn
+    center_px, noise_px2 = light.centroid(threshold_dn)
+    rendered, *by_other_laws = (light.offset_px(one, threshold_dn) for one in templates)
+    low_dn = _LOWER_THRESHOLD * threshold_dn
+    by_threshold = light.centroid(low_dn)[0] - center_px + light.offset_px(template, low_dn) - rendered
+    offset, by_correction = _corrected(inputs, rendered, by_other_laws, Correction(options.correction))
+    size = _measured_size(light, templates, options.range_sigma)
+    terms = [*by_correction, by_threshold, size.sigma * offset]
+    covariance = noise_px2 + _SAMPLING_PX**2 * np.eye(2) + sum(np.outer(term, term) for term in terms)
+    residuals_dn, peak_dn = light.residuals_dn(template)
+    bright = light.bright
+    n_used, stray = int(np.count_nonzero(bright)), int(np.count_nonzero(bright & ~light.expected))
+    checks = QualityChecks(
+        off_px=np.array([np.linalg.norm(center_px + rendered - template.center_px), 0.0]),
+        search_px=options.search_px,
+        bounded=True,
+        residuals=max(size.excess, stray / n_used / _MAX_STRAY),
+    )
+    return CenterFix(
+        **inputs.identity,
+        center_px=center_px + size.scale * offset,
+        covariance_px2=covariance + light.unexplained_px2(residuals_dn, center_px, inputs.radius_px),
+        residuals=residuals_dn[bright] / peak_dn,
+        n_used=n_used,
+        n_rejected=0,
+        score=size.area_ratio,
+        flags=inputs.flags_at(bright) | checks.flags,
+    )
+
+
+def _corrected(
+    inputs: EstimatorInputs, rendered: Float, by_other_laws: list[Float], kind: Correction
+) -> tuple[Float, list[Float]]:
+    """From the center of light to that of the figure (2,), px, and errors (2,) of it, each as one sigma."""
+    if kind is Correction.RENDERED:
+        return rendered, [other - rendered for other in by_other_laws]
+    if kind is Correction.NONE:
+        return np.zeros(2), [rendered]
+    published = modeled_correction_px(inputs.geometry, inputs.camera.model, radius_px=inputs.radius_px, kind=kind)
+    return published, [published - rendered]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -188,30 +174,26 @@ class _Light(Value):
     Parameters
     ----------
     signal_dn : (rows, columns) float64, DN
-        Background taken off, bad pixels filled.
+        Background subtracted, bad pixels filled.
     region : (rows, columns) bool
-        Where light counts as the body's.
+        Pixels whose light counts as the body's.
+    expected : (rows, columns) bool
+        Pixels where light of the body is expected, with a margin.
     threshold_dn : float, DN
         Otsu's, above background.
     background : Background
+    detector : Detector
     shift_px : (2,) int64, px
         From a template at the predicted place to the light.
-    expected : (rows, columns) bool
-        Where light of the body is expected, with a margin.
     """
 
     signal_dn: Float
     region: Mask
+    expected: Mask
     threshold_dn: float
     background: Background
+    detector: Detector
     shift_px: NDArray[np.int64]
-    expected: Mask
-
-    @property
-    def stray(self) -> float:
-        """Share of the bright pixels where no light of the body is expected."""
-        bright = self.bright
-        return float(np.count_nonzero(bright & ~self.expected)) / float(np.count_nonzero(bright))
 
     @property
     def bright(self) -> Mask:
@@ -219,14 +201,14 @@ class _Light(Value):
         result: Mask = self.region & (self.signal_dn > self.threshold_dn)
         return result
 
-    def centroid(self, inputs: EstimatorInputs, threshold_dn: float) -> tuple[Float, Float]:
+    def centroid(self, threshold_dn: float) -> tuple[Float, Float]:
         """Center of the light above a threshold (2,), px, and its covariance (2, 2) by noise, px^2."""
         rows, columns = np.nonzero(self.region & (self.signal_dn > threshold_dn))
         values = self.signal_dn[rows, columns]
         pixels = np.stack([columns, rows], axis=1).astype(np.float64)
         center = values @ pixels / values.sum()
-        variance = inputs.camera.detector.variance_dn2(values)
-        variance = variance - float(inputs.camera.detector.variance_dn2(np.zeros(1))[0]) + self.background.sigma_dn**2
+        variance = self.detector.variance_dn2(values) - float(self.detector.variance_dn2(np.zeros(1))[0])
+        variance = variance + self.background.sigma_dn**2
         arms = (pixels - center) / values.sum()
         return center, (arms * variance[:, None]).T @ arms
 
@@ -246,21 +228,17 @@ class _Light(Value):
         result: Float = template.center_px - center - template.corner_px
         return result
 
-    def left(self, template: Template) -> tuple[Float, float]:
+    def residuals_dn(self, template: Template) -> tuple[Float, float]:
         """Image minus template at the nearest whole pixels (rows, columns), DN, and the template's peak, DN."""
         rows, columns = self.region.shape
-        expected = np.zeros((rows, columns))
-        height, width = template.brightness.shape
-        x, y = (int(value) for value in template.corner_px + self.shift_px)
-        x0, x1, y0, y1 = max(x, 0), min(x + width, columns), max(y, 0), min(y + height, rows)
-        expected[y0:y1, x0:x1] = template.brightness[y0 - y : y1 - y, x0 - x : x1 - x]
+        expected = replace(template, corner_px=template.corner_px + self.shift_px).placed(columns, rows)
         gain = self.gain_dn(template)
         return self.signal_dn - gain * expected, gain * float(template.brightness.max())
 
-    def unexplained_px2(self, template: Template, center_px: Float, radius_px: float) -> Float:
+    def unexplained_px2(self, residuals_dn: Float, center_px: Float, radius_px: float) -> Float:
         """Covariance (2, 2) of the center by markings: residuals of blocks of a quarter radius, each as one sigma."""
         rows, columns = np.nonzero(self.bright)
-        left = self.left(template)[0][rows, columns]
+        left = residuals_dn[rows, columns]
         arms = np.stack([columns, rows], axis=1) - center_px
         block = np.floor(arms / max(_BLOCK * radius_px, 1.0)).astype(np.int64)
         block -= block.min(axis=0)
@@ -273,12 +251,15 @@ class _Light(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Size:
-    """How large the body is in the image: ``scale`` times its prediction, with a relative ``sigma``."""
+    """Size of the body in the image: ``scale`` times its prediction, with a relative ``sigma``.
+
+    ``excess`` is the difference of measured and predicted size over the largest that is consistent.
+    """
 
     scale: float
     sigma: float
     area_ratio: float
-    consistent: bool
+    excess: float
 
 
 def _measured_size(light: _Light, templates: list[Template], range_sigma: float) -> _Size:
@@ -291,24 +272,24 @@ def _measured_size(light: _Light, templates: list[Template], range_sigma: float)
     by_law = max(abs(math.log(max(area, 1.0) / own)) for area in areas[1:])
     variance = (0.5 * by_law) ** 2 + 0.25 / own + (0.5 * _EDGE_PX / math.sqrt(own)) ** 2
     log_size = 0.5 * math.log(ratio)
-    if abs(log_size) > _INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance):  # halo, or another body
-        return _Size(scale=1.0, sigma=range_sigma, area_ratio=ratio, consistent=False)
+    excess = abs(log_size) / (_INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance))
+    if excess > 1.0:  # halo, or another body
+        return _Size(scale=1.0, sigma=range_sigma, area_ratio=ratio, excess=excess)
     weight = range_sigma**2 / (range_sigma**2 + variance)
-    return _Size(
-        scale=math.exp(weight * log_size), sigma=math.sqrt(weight * variance), area_ratio=ratio, consistent=True
-    )
+    sigma = math.sqrt(weight * variance)
+    return _Size(scale=math.exp(weight * log_size), sigma=sigma, area_ratio=ratio, excess=excess)
 
 
 def _templates(inputs: EstimatorInputs, *, margin_px: int) -> list[Template] | Failure:
     """The body at its predicted place under its own law and then others."""
-    sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
+    plane = inputs.focal_plane()
     trace = trace_body(
         inputs.geometry.body(),
-        inputs.camera.model,
+        plane.model,
         sun_direction_camera=inputs.geometry.sun_direction_camera,
-        psf=GaussianPsf(sigma_px=sigma_px),
-        columns=inputs.camera.columns,
-        rows=inputs.camera.rows,
+        psf=plane.psf,
+        columns=plane.columns,
+        rows=plane.rows,
         options=RenderOptions(rays_per_pixel_side=1, min_rays_across=_RAYS_ACROSS, margin_px=margin_px),
     )
     if isinstance(trace, Failure):
@@ -326,7 +307,7 @@ def _templates(inputs: EstimatorInputs, *, margin_px: int) -> list[Template] | F
 def _light_of(
     inputs: EstimatorInputs, template: Template, others: list[ExpectedBlob], search_px: float
 ) -> _Light | Failure:
-    """Find the light of the body and part it from the dark and from other bodies."""
+    """Find the light of the body and separate it from the dark and from other bodies."""
     background = _background(inputs, search_px)
     if isinstance(background, Failure):
         return background
@@ -341,11 +322,12 @@ def _light_of(
     if isinstance(chosen, Failure) and chosen.reason is Reason.NO_SIGNAL and others:
         chosen = identify_blobs(blobs, [own], search_px=search_px)  # another body may be too faint, or hidden
     if isinstance(chosen, Failure):
-        return inputs.fail(chosen.reason, chosen.detail)
+        return chosen
     blob = int(chosen[0])
     if bool(blobs.touch_frame[blob]):
-        return inputs.fail(
-            Reason.OUT_OF_FRAME, "the light of the body reaches the edge of the image: its center is not that of a part"
+        return Failure(
+            Reason.OUT_OF_FRAME,
+            "the light of the body reaches the edge of the image; use an estimator that matches limb or template",
         )
     foreign = np.isin(blobs.labels, chosen[1:] + 1)
     shift = np.rint(blobs.centroids_px[blob] - template.photocenter_px).astype(np.int64)
@@ -354,34 +336,35 @@ def _light_of(
         light = _Light(
             signal_dn=signal,
             region=region & ~foreign,
+            expected=expected,
             threshold_dn=otsu_threshold(signal[around & ~foreign]),
             background=background,
+            detector=inputs.camera.detector,
             shift_px=shift,
-            expected=expected,
         )
         bright = light.bright
         if not bright.any():
-            return inputs.fail(Reason.NO_SIGNAL, f"no pixel is above {light.threshold_dn:.4g} DN over background")
-        center = light.centroid(inputs, light.threshold_dn)[0] + light.offset_px(template, light.threshold_dn)
+            return Failure(Reason.NO_SIGNAL, f"no pixel is above {light.threshold_dn:.4g} DN over background")
+        center = light.centroid(light.threshold_dn)[0] + light.offset_px(template, light.threshold_dn)
         before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
         if np.abs(shift - before).max() <= _SETTLED_PX:
             break
     saturated = float(inputs.saturated[bright].mean())
     if saturated > _MAX_SATURATED:
-        return inputs.fail(
+        return Failure(
             Reason.SATURATED, f"{saturated:.0%} of the bright pixels are saturated, allowed {_MAX_SATURATED:.0%}"
         )
     return light
 
 
 def _background(inputs: EstimatorInputs, search_px: float) -> Background | Failure:
-    """Level and noise of the sky: of all that the body cannot reach."""
+    """Level and noise of the sky: of all pixels that the body cannot reach."""
     rows, columns = np.ogrid[: inputs.camera.rows, : inputs.camera.columns]
     x, y = inputs.predicted_px
     away = np.hypot(columns - x, rows - y) > inputs.reach_px + search_px
     values = inputs.pixels_dn[away & inputs.usable]
     if values.size < _MIN_BACKGROUND_PX:
-        return inputs.fail(
+        return Failure(
             Reason.OUT_OF_FRAME,
             f"{values.size} pixels lie more than {search_px:g} px from the body, needed {_MIN_BACKGROUND_PX} for a "
             "background; it fills the image",
@@ -405,7 +388,7 @@ def _filled(inputs: EstimatorInputs) -> Float:
 def _regions(
     inputs: EstimatorInputs, template: Template, shift_px: NDArray[np.int64], blobs: Blobs, blob: int
 ) -> tuple[Mask, Mask, Mask]:
-    """Where light counts as the body's, where it is expected, and a box with enough dark around for a threshold."""
+    """Pixels of the body's light, those where it is expected, and a box with enough dark around for a threshold."""
     rows, columns = inputs.camera.rows, inputs.camera.columns
     trace = template.brightness > _TRACE * float(template.brightness.max())
     y, x = np.nonzero(trace)
@@ -427,20 +410,20 @@ def _regions(
     return region, expected, around
 
 
-def _other_targets(image: Image, scene: Scene, inputs: EstimatorInputs) -> list[ExpectedBlob]:
-    """How the other targets in the frame should look, as spheres."""
+def _other_targets(inputs: EstimatorInputs) -> list[ExpectedBlob]:
+    """Expected light of the other targets in the frame, as spheres."""
     found = []
-    for target in scene.targets:
+    for target in inputs.scene.targets:
         if target.name == inputs.target_name:
             continue
-        geometry = scene.geometry(image, target.name)
+        geometry = inputs.scene.geometry(inputs.image, target.name)
         if not isinstance(geometry, Failure):
             found += _expected(geometry, inputs.camera)
     return found
 
 
 def _expected(geometry: TargetGeometry, camera: Camera) -> list[ExpectedBlob]:
-    """A sphere in the place of a body, none where its light is not in the frame or but a point."""
+    """Light of a sphere in the place of a body; none where it is not in the frame or only a point."""
     center = camera.model.project(geometry.position_camera_km)
     if not np.isfinite(center).all() or geometry.range_km <= geometry.target.shape.circumscribing_radius_km:
         return []

@@ -1,7 +1,7 @@
 """Statistics of a photometric fit whose model is not exact: weights and covariances from the residuals themselves.
 
 A template differs from the image by more than noise: facets, sampling, albedo, the reflectance law. The differences
-vary with edges and with light, and they hang together over the width of the point spread function and often farther.
+vary with edges and with light, and are correlated over the width of the point spread function and often farther.
 """
 
 from __future__ import annotations
@@ -17,22 +17,33 @@ from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 
 _REWEIGHTINGS = 3
-_FIRST_ERROR = 0.03  # of a pixel, of the light
+"""Rounds of a first fit in which errors, weights and clipped values are updated; later fits start from their result."""
+_FIRST_ERROR = 0.03
+"""Model errors that the iteration starts from: pixels at edges, and as a share of the light. Only a start value."""
 _VARIANCE_SAMPLES = 8_000
+"""Values that sizes of errors are taken from, at most: their relative error is then some sqrt(2 / 8000) = 1.6 %."""
 _VARIANCE_STEPS = 25
+"""Multiplicative updates of the sizes in each round; they settle over the rounds and iterations of the fit."""
 _SIGNIFICANT = 2.0
+"""Standard deviations of a sample autocorrelation, 1 / sqrt(n): a smaller one counts as noise."""
 _MOST_ABSORBED = 0.75
+"""Part of a correlated error that parameters can take out of the residuals, at most, so that the scaled variance stays
+finite. No study yet."""
 _INSIDE_PIXEL_PX = 0.3
+"""Correlation lengths below this are none: exp(-d^2 / (4 b^2)) is then less than 0.07 between neighboring pixels."""
 _FINE_LENGTH_PX = 4.0
+"""Pixels to a correlation length that remain when scores are summed over blocks: the Gaussian is still well sampled."""
 _BLOCKS_PER_PARAMETER = 3.0
-_MANY_BLOCKS = 150  # with so many, where they start no longer matters
-_CONDITION_LIMIT = 1e12
-_LEVERAGE_LIMIT = 0.95  # a block that alone fixes a parameter counts as if a little else did too
+"""Effective blocks to a parameter that the jackknife needs; with fewer its own scatter exceeds what it measures."""
+_MANY_BLOCKS = 150  # so many average the choice of their first corner; with fewer two grids are averaged
+_CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
+_LEVERAGE_LIMIT = 0.95
+"""Share of its information that leaving out a block takes away: one that alone fixes a parameter leaves a little."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior(Value):
-    """What is known of the parameters before the fit.
+    """A priori knowledge of the parameters, independent of each other.
 
     Parameters
     ----------
@@ -46,17 +57,38 @@ class Prior(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class VarianceModel(Value):
+    """Variance of values: known noise, and kinds of error of unknown size.
+
+    Parameters
+    ----------
+    noise : (n,) float64
+        Variance of the noise.
+    shapes : (m, n) float64
+        Variance of each kind of error over its unknown size; the first kind is independent from value to value.
+    """
+
+    noise: Float
+    shapes: Float
+
+    def total(self, sizes: Float) -> Float:
+        """Variance (n,) for given sizes (m,) of the errors."""
+        result: Float = self.noise + sizes @ self.shapes
+        return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RobustFit(Value):
-    """Parameters of a linear model, with what the residuals say of its errors.
+    """Parameters of a linear model, and the sizes of its errors by the residuals.
 
     Parameters
     ----------
     parameters : (k,) float64
     errors : (m,) float64
-        Variances of the kinds of error.
+        Sizes of the kinds of error.
     noise, error : (n,) float64
-        Variances: of what is independent from pixel to pixel, and of model errors that the point spread function
-        spreads.
+        Variances: of the part that is independent from pixel to pixel, and of model errors that the point spread
+        function spreads.
     kept : (n,) bool
         False where a residual was clipped.
     """
@@ -71,8 +103,7 @@ class RobustFit(Value):
 def robust_fit(
     design: Float,
     values: Float,
-    noise: Float,
-    shapes: Float,
+    variances: VarianceModel,
     prior: Prior,
     *,
     clip_sigma: float,
@@ -83,30 +114,29 @@ def robust_fit(
     Parameters
     ----------
     design : (n, k) float64
-    values, noise : (n,) float64
-        Noise as variance.
-    shapes : (m, n) float64
-        How the variances of further kinds of error vary over the values; those of the first kind are independent.
+    values : (n,) float64
+    variances : VarianceModel
     prior : Prior
     clip_sigma : float
-        Values with larger residuals are rejected.
+        Values with larger residuals, in standard deviations, are rejected.
     start : (m,) float64, optional
-        Variances of the kinds of error from a fit nearby.
+        Sizes of the errors from a fit nearby.
 
     Returns
     -------
     RobustFit or None
         None when the values do not determine the parameters.
     """
+    noise, shapes = variances.noise, variances.shapes
     known = np.zeros(len(shapes)) if start is None else start
-    parameters = _weighted(design, values, 1.0 / (noise + known @ shapes), prior)
+    parameters = _weighted(design, values, 1.0 / variances.total(known), prior)
     if parameters is None:
         return None
-    errors = _first_errors(values - design @ parameters, noise, len(shapes)) if start is None else start
+    errors = _first_errors(values - design @ parameters, variances) if start is None else start
     for _ in range(_REWEIGHTINGS if start is None else 1):
         residuals = values - design @ parameters
-        errors = model_errors(residuals, noise, shapes, errors, clip_sigma=clip_sigma)
-        variance = noise + errors @ shapes
+        errors = model_errors(residuals, variances, errors, clip_sigma=clip_sigma)
+        variance = variances.total(errors)
         kept = np.abs(residuals) <= clip_sigma * np.sqrt(variance)
         parameters = _weighted(design, values, kept / variance, prior)
         if parameters is None:
@@ -114,15 +144,13 @@ def robust_fit(
     return RobustFit(parameters, errors, noise + errors[0] * shapes[0], errors[1:] @ shapes[1:], kept)
 
 
-def model_errors(residuals: Float, noise: Float, shapes: Float, start: Float, *, clip_sigma: float) -> Float:
-    """Variances of several kinds of model error under which Gaussian residuals are most likely.
+def model_errors(residuals: Float, variances: VarianceModel, start: Float, *, clip_sigma: float) -> Float:
+    """Sizes of several kinds of model error under which Gaussian residuals are most likely.
 
     Parameters
     ----------
-    residuals, noise : (n,) float64
-        Noise as variance.
-    shapes : (m, n) float64
-        How the variance of each kind varies over the values.
+    residuals : (n,) float64
+    variances : VarianceModel
     start : (m,) float64
         Positive.
     clip_sigma : float
@@ -131,16 +159,16 @@ def model_errors(residuals: Float, noise: Float, shapes: Float, start: Float, *,
     Returns
     -------
     (m,) float64
-        Not negative. Of many values a part is enough.
+        Not negative; from a sample where the values are many.
     """
     thin = slice(None, None, max(residuals.size // _VARIANCE_SAMPLES, 1))
-    squares, noise, shapes = residuals[thin] ** 2, noise[thin], shapes[:, thin]
-    result = start
+    sampled = VarianceModel(variances.noise[thin], variances.shapes[:, thin])
+    squares, result = residuals[thin] ** 2, start
     for _ in range(_VARIANCE_STEPS):
-        variance = noise + result @ shapes
+        variance = sampled.total(result)
         clipped = np.minimum(squares, clip_sigma**2 * variance)
-        expected = np.maximum(shapes @ (1.0 / variance), 1e-300)
-        result = result * (shapes @ (clipped / variance**2)) / expected
+        expected = np.maximum(sampled.shapes @ (1.0 / variance), 1e-300)
+        result = result * (sampled.shapes @ (clipped / variance**2)) / expected
     return result
 
 
@@ -156,101 +184,143 @@ def _weighted(design: Float, values: Float, weights: Float, prior: Prior) -> Flo
     return result
 
 
-def _first_errors(residuals: Float, noise: Float, count: int) -> Float:
-    """Rough variances (count,) of model errors: some of each kind."""
+def _first_errors(residuals: Float, variances: VarianceModel) -> Float:
+    """Rough sizes (m,) of the model errors to start from: some of each kind."""
+    noise, count = variances.noise, len(variances.shapes)
     excess = robust_sigma(residuals, 0.0) ** 2 - float(np.median(noise))
     return np.array([max(excess, 1e-3 * float(noise.mean())), *[_FIRST_ERROR**2] * (count - 1)])
 
 
-def noise_covariance(design: Float, weights: Float, noise: Float, prior: Prior) -> Float:
-    """Covariance (k, k) that noise of given variance (n,) makes in a fit with given weights (n,) and prior."""
-    inverse = np.linalg.inv((design * weights[:, None]).T @ design + np.diag(prior.information))
-    scatter = (design * (weights**2 * noise)[:, None]).T @ design + np.diag(prior.information)
-    result: Float = inverse @ scatter @ inverse
-    return result
-
-
-def error_covariance(columns: Float, weights: Float, error: Float, prior: Prior, *, length_px: float) -> Float:
-    """Covariance (k, k) that an error of the model of known size makes in a fit.
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFit(Value):
+    """Weighted linear least-squares fit of images to pixels, with a prior.
 
     Parameters
     ----------
     columns : (k, h, w) float64
-        Derivatives of the model.
+        Derivatives of the model image by the parameters.
     weights : (h, w) float64
         0 where a pixel is not used.
-    error : (h, w) float64
-        The image that one standard deviation of the error makes, with its sign.
     prior : Prior
-    length_px : float, px
-        Errors at a distance d have the correlation ``exp(-d^2 / (2 length_px^2))``.
     """
-    design = columns.reshape(len(columns), -1).T
-    inverse = np.linalg.inv((design * weights.ravel()[:, None]).T @ design + np.diag(prior.information))
-    result: Float = inverse @ _correlated(columns * (weights * error), length_px / math.sqrt(2.0)) @ inverse
-    return result
 
+    columns: Float
+    weights: Float
+    prior: Prior
 
-def full_covariance(
-    columns: Float,
-    weights: Float,
-    residuals: Float,
-    noise: Float,
-    error: Float,
-    prior: Prior,
-    *,
-    blur_px: float,
-    block_px: int,
-) -> Float:
-    """Covariance of a fit from noise and from model errors that hang together.
+    @property
+    def information(self) -> Float:
+        """Normal matrix (k, k), the prior included."""
+        design = self.columns.reshape(len(self.columns), -1).T
+        result: Float = (design * self.weights.reshape(-1, 1)).T @ design + np.diag(self.prior.information)
+        return result
 
-    Parameters
-    ----------
-    columns : (k, h, w) float64
-        Derivatives of the model.
-    weights : (h, w) float64
-        0 where a pixel is not used.
-    residuals : (h, w) float64
-    noise, error : (h, w) float64
-        Variances of what is independent from pixel to pixel, and of what the point spread function spreads.
-    prior : Prior
-    blur_px : float, px
-        Standard deviation of the point spread function.
-    block_px : int, px
+    def _sandwich(self, scatter: Float) -> Float:
+        """Covariance (k, k) of the parameters from that of their scores."""
+        inverse = np.linalg.inv(self.information)
+        result: Float = inverse @ scatter @ inverse
+        return result
 
-    Returns
-    -------
-    (k, k) float64
+    def _noise_scatter(self, noise: Float) -> Float:
+        """Covariance (k, k) of the scores from independent noise of given variance (h, w), and from the prior."""
+        design = self.columns.reshape(len(self.columns), -1).T
+        result: Float = (design * (self.weights**2 * noise).reshape(-1, 1)).T @ design + np.diag(self.prior.information)
+        return result
 
-    Notes
-    -----
-    The sandwich ``H^-1 (N + E + P) H^-1`` has the scores of the noise, of the model error, correlated between pixels
-    at distance d like ``exp(-d^2 / (4 b^2))``, and of the prior; b is ``blur_px``, or more where the residuals are
-    correlated over longer distances. E is scaled up for the part of the model error that the parameters absorb, their
-    number over that of independent patches. Where a jackknife over blocks of pixels finds more, in any direction of
-    parameter space, its variance is taken: it sees whatever hangs together over a block.
-    """
-    design = columns.reshape(len(columns), -1).T
-    flat = weights.ravel()
-    known = np.diag(prior.information)
-    information = (design * flat[:, None]).T @ design + known
-    inverse = np.linalg.inv(information)
-    length_px = _correlation_length_px(residuals, weights, error, blur_px, block_px)
-    independent = (design * (flat**2 * noise.ravel())[:, None]).T @ design
-    absorbed = _absorbed(weights * error, length_px, len(columns))
-    together = _correlated(columns * (weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
-    scatter = independent + together + known
-    sandwich = inverse @ scatter @ inverse
-    offsets = (0, block_px // 2) if weights.size < _MANY_BLOCKS * block_px**2 else (0,)
-    moves = [_jackknife(columns, residuals, weights, information, block_px, offset) for offset in offsets]
-    told = [move for move in moves if move is not None]
-    return larger(sandwich, np.mean(told, axis=0) + inverse @ known @ inverse) if told else sandwich
+    def noise_covariance(self, noise: Float) -> Float:
+        """Covariance (k, k) of the parameters from independent noise of given variance (h, w), and from the prior."""
+        return self._sandwich(self._noise_scatter(noise))
+
+    def error_covariance(self, error: Float, *, length_px: float) -> Float:
+        """Covariance of the parameters from an error of the model of known size.
+
+        Parameters
+        ----------
+        error : (h, w) float64
+            Image that one standard deviation of the error makes, with its sign.
+        length_px : float, px
+            Errors at a distance d have the correlation ``exp(-d^2 / (2 length_px^2))``.
+
+        Returns
+        -------
+        (k, k) float64
+        """
+        return self._sandwich(_correlated(self.columns * (self.weights * error), length_px / math.sqrt(2.0)))
+
+    def full_covariance(self, residuals: Float, noise: Float, error: Float, *, blur_px: float, block_px: int) -> Float:
+        """Covariance of the parameters from noise and from correlated errors of the model.
+
+        Parameters
+        ----------
+        residuals : (h, w) float64
+        noise, error : (h, w) float64
+            Variances of the part that is independent from pixel to pixel, and of the part that the point spread
+            function spreads.
+        blur_px : float, px
+            Standard deviation of the point spread function.
+        block_px : int, px
+            Side of the blocks of the jackknife.
+
+        Returns
+        -------
+        (k, k) float64
+
+        Notes
+        -----
+        The sandwich ``H^-1 (N + E + P) H^-1`` has the scores of the noise, of the model error, correlated between
+        pixels at distance d like ``exp(-d^2 / (4 b^2))``, and of the prior; b is ``blur_px``, or more where the
+        residuals are correlated over longer distances. E is scaled up for the part of the model error that the
+        parameters absorb, their number over that of independent patches. Where a delete-one jackknife over blocks of
+        pixels finds more, in any direction of parameter space, its variance is taken: it includes any correlation
+        over the size of a block.
+        """
+        length_px = _correlation_length_px(residuals, self.weights, error, blur_px, block_px)
+        absorbed = _absorbed(self.weights * error, length_px, len(self.columns))
+        correlated = _correlated(self.columns * (self.weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
+        sandwich = self._sandwich(self._noise_scatter(noise) + correlated)
+        offsets = (0, block_px // 2) if self.weights.size < _MANY_BLOCKS * block_px**2 else (0,)
+        found = [self._jackknife(residuals, block_px, offset) for offset in offsets]
+        known = [covariance for covariance in found if covariance is not None]
+        if not known:
+            return sandwich
+        of_prior = self._sandwich(np.diag(self.prior.information))
+        return larger(sandwich, np.mean(known, axis=0) + of_prior)
+
+    def _jackknife(self, residuals: Float, block: int, offset: int) -> Float | None:
+        """Covariance (k, k) from the changes of the parameters when one block of pixels at a time is left out.
+
+        None where so few blocks hold the information that their scatter says little.
+        """
+        information, count = self.information, len(self.columns)
+        scores, own = self._block_scores(residuals, block, offset)
+        leverage = np.einsum("bij,ji->b", own, np.linalg.inv(information))
+        if float(leverage.sum()) ** 2 < _BLOCKS_PER_PARAMETER * count * float(np.vdot(leverage, leverage)):
+            return None
+        seen = leverage > 0.0
+        moved = np.linalg.solve(information - _LEVERAGE_LIMIT * own[seen], scores[seen][..., None])[..., 0]
+        moved = moved - moved.mean(axis=0)
+        result: Float = moved.T @ moved
+        return result
+
+    def _block_scores(self, residuals: Float, block: int, offset: int) -> tuple[Float, Float]:
+        """Scores (b, k) and information (b, k, k) of square blocks of pixels, the first starting ``offset`` early."""
+        scores, own = [], []
+        height, width = self.weights.shape
+        for top in range(-offset, height, block):
+            for left in range(-offset, width, block):
+                part = (slice(max(top, 0), top + block), slice(max(left, 0), left + block))
+                design = self.columns[:, part[0], part[1]].reshape(len(self.columns), -1)
+                weighted = design * self.weights[part].ravel()
+                scores.append(weighted @ residuals[part].ravel())
+                own.append(weighted @ design.T)
+        return np.array(scores), np.array(own)
 
 
 def _correlation_length_px(residuals: Float, weights: Float, error: Float, least_px: float, most_px: float) -> float:
-    """Length b over which the model error is correlated like ``exp(-d^2 / (4 b^2))``, from its autocorrelation.
+    """Length b, px, of the correlation ``exp(-d^2 / (4 b^2))`` of the model error, from the sample autocorrelation.
 
-    The sum of that kernel over d = 1, 2, ... is ``sqrt(pi) b - 1/2``; it ends where the correlation drowns in noise.
+    The sum of that kernel over d = 1, 2, ... is ``sqrt(pi) b - 1/2``; it is taken up to the first lag whose correlation
+    is not significant.
     """
     scaled = residuals * np.sqrt(weights)
     used = weights > 0.0
@@ -278,29 +348,36 @@ def _absorbed(share: Float, length_px: float, count: int) -> float:
 
 
 def _correlated(scores: Float, length_px: float) -> Float:
-    """Covariance (k, k) of the sum of scores (k, h, w), correlated as in :func:`full_covariance`.
+    """Covariance (k, k) of the sum of scores (k, h, w), correlated as in :meth:`LinearFit.full_covariance`.
 
-    Over long distances sums over small blocks do for pixels.
+    For long correlation lengths scores are first summed over small blocks.
     """
     if length_px < _INSIDE_PIXEL_PX:
         flat = scores.reshape(len(scores), -1)
-        return _symmetric(flat @ flat.T)
+        result: Float = flat @ flat.T
+        return result
     factor = max(int(length_px / _FINE_LENGTH_PX), 1)
-    images = _blocks(scores, factor, 0) if factor > 1 else scores
+    images = _block_sums(scores, factor) if factor > 1 else scores
     sigma = math.sqrt(2.0) * length_px / factor
     side = 2 * math.ceil(4.0 * sigma) + 1
     blurred = np.stack([cv2.GaussianBlur(one, (side, side), sigma, borderType=cv2.BORDER_CONSTANT) for one in images])
     flat = images.reshape(len(images), -1)
-    return _symmetric(2.0 * math.pi * sigma**2 * (flat @ blurred.reshape(len(images), -1).T))
-
-
-def _symmetric(matrix: Float) -> Float:
-    """A matrix (k, k) without the rounding that makes it uneven."""
-    return 0.5 * (matrix + matrix.T)
+    covariance: Float = 2.0 * math.pi * sigma**2 * (flat @ blurred.reshape(len(images), -1).T)
+    return 0.5 * (covariance + covariance.T)
 
 
 def larger(first: Float, second: Float) -> Float:
-    """A covariance that is nowhere below ``first`` or ``second``, both (k, k), and as small as that allows."""
+    """Smallest covariance that exceeds two others in every direction of parameter space.
+
+    Parameters
+    ----------
+    first, second : (k, k) float64
+        ``first`` positive definite.
+
+    Returns
+    -------
+    (k, k) float64
+    """
     root = np.linalg.cholesky(first)
     inverse_root = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
@@ -309,44 +386,10 @@ def larger(first: Float, second: Float) -> Float:
     return result
 
 
-def _jackknife(
-    columns: Float, residuals: Float, weights: Float, information: Float, block: int, offset: int
-) -> Float | None:
-    """Covariance (k, k) from how the parameters move when a block of pixels is left out, one block at a time.
-
-    None where so few blocks hold the information that their scatter says little.
-    """
-    count = len(columns)
-    scores, own = _block_scores(columns, weights, residuals, block, offset)
-    leverage = np.einsum("bij,ji->b", own, np.linalg.inv(information))
-    if float(leverage.sum()) ** 2 < _BLOCKS_PER_PARAMETER * count * float(np.vdot(leverage, leverage)):
-        return None
-    seen = leverage > 0.0
-    moved = np.linalg.solve(information - _LEVERAGE_LIMIT * own[seen], scores[seen][..., None])[..., 0]
-    moved = moved - moved.mean(axis=0)
-    result: Float = moved.T @ moved
-    return result
-
-
-def _block_scores(columns: Float, weights: Float, residuals: Float, block: int, offset: int) -> tuple[Float, Float]:
-    """Scores (b, k) and information (b, k, k) of square blocks of pixels, the first starting ``offset`` early."""
-    scores, own = [], []
-    height, width = weights.shape
-    for top in range(-offset, height, block):
-        for left in range(-offset, width, block):
-            part = (slice(max(top, 0), top + block), slice(max(left, 0), left + block))
-            weight = weights[part].ravel()
-            design = columns[:, part[0], part[1]].reshape(len(columns), -1)
-            weighted = design * weight
-            scores.append(weighted @ residuals[part].ravel())
-            own.append(weighted @ design.T)
-    return np.array(scores), np.array(own)
-
-
-def _blocks(images: Float, block: int, offset: int) -> Float:
+def _block_sums(images: Float, block: int) -> Float:
     """Sums (k, rows, columns) of images (k, h, w) over square blocks."""
     count, height, width = images.shape
-    padded = np.pad(images, [(0, 0), (offset, -(height + offset) % block), (offset, -(width + offset) % block)])
+    padded = np.pad(images, [(0, 0), (0, -height % block), (0, -width % block)])
     shape = (count, padded.shape[1] // block, block, padded.shape[2] // block, block)
     result: Float = padded.reshape(shape).sum(axis=(2, 4))
     return result

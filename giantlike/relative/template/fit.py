@@ -1,15 +1,15 @@
 """Photometric fit of a rendered template to an image: center, range, and a covariance that counts model errors.
 
-The image is modeled as ``gain * light + mixing * other + offset``, with ``light`` the template rendered at the current
-geometry and ``other`` the same body under another reflectance law. Gauss-Newton steps in center, logarithm of the range
-and width of the point spread function alternate with new renders, so the solution does not depend on how derivatives
-are taken, only the way to it does.
+The image is modeled as ``gain * light + offset + sum(mixing_i * difference_i)``, with ``light`` the template rendered
+at the current geometry and the differences those that other reflectance laws make. Gauss-Newton steps in center,
+logarithm of the range and width of the point spread function alternate with new renders, so that the solution does not
+depend on the way derivatives are taken.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -18,44 +18,67 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.relative.template.covariance import (
-    Prior,
-    RobustFit,
-    error_covariance,
-    full_covariance,
-    larger,
-    noise_covariance,
-    robust_fit,
-)
+from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, VarianceModel, larger, robust_fit
 
 FIT_BORDER_PX = 4
-"""How far a fitted box should reach over the frame: derivatives take that many neighbors."""
+"""Pixels over the frame that a fitted box should reach: derivatives take that many neighbors."""
 
-_FIRST_DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])
-_SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])
-_PIXEL_VARIANCE_PX2 = 1.0 / 12.0
-_X, _Y, _RANGE, _BLUR, _GAIN, _OFFSET, _MIXING = range(7)
-_MIXING_SIGMA = 1.0  # of the share of the other law in the light; 1 is that law alone
-_MAX_STEP_PX = 4.0
-_MAX_STEP_LOG_RANGE = 0.1
-_MAX_STEP_BLUR_PX2 = 3.0  # blur hides errors of the place, as long as these are large
-_MAX_PSF_VARIANCE_PX2 = 25.0
-_BLUR_MOVES = 0.1  # of a pixel per px^2: blur is even where shifts are odd, and hardly moves a body
-_DAMPED_AFTER = 5  # renders: steps that have not settled by then come from the sampling of the renders
+_FIRST_DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])  # central, of sixth order, 1/px
+_SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])  # the same, 1/px^2
+_PIXEL_VARIANCE_PX2 = 1.0 / 12.0  # px^2, of a square pixel along one axis
+_X, _Y, _RANGE, _BLUR, _GAIN, _OFFSET = range(6)  # parameters; after them the other laws
+_MIXING_SIGMA = 1.0
+"""A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
+about between those that are mixed."""
+_MAX_STEP_PX, _MAX_STEP_LOG_RANGE = 4.0, 0.1
+"""Largest step of center, px, and logarithm of the range: an image is linear in them over a few pixels only."""
+_MAX_STEP_BLUR_PX2 = 3.0  # px^2: blur hides errors of the center, as long as these are large
+_MAX_PSF_VARIANCE_PX2 = 25.0  # px^2: a point spread function of 5 px, beyond any camera in focus
+_BLUR_MOVES = 0.1
+"""Motion of the center, px, that counts for a change of the blur by 1 px^2: blur is even where shifts are odd, and
+hardly moves a body."""
+_DAMPED_AFTER = 5  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
 _FLICKER_PX = 0.3
-_ROUGH_STEP_PX = 0.5  # from so near, one linear step ends where the next hardly moves
-_ALIGN_RADII_PX = (12.0, 40.0)
-_ALIGN_STEPS = 5
-_ALIGN_STEP_PX = 2.0
-_ALIGN_BLUR_PX = 0.6
-_WARPED_OVER = 4  # pixels that are averaged after an image was moved: the errors of the interpolation with them
-_BLOCK = 0.35  # side of the blocks of the jackknife over the root mean square radius of the light
-_MAX_BLOCK_PX = 32
+"""Last step, px, up to which a fit at the end of its renders counts as converged; the step enters the covariance."""
+_ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
+_ALIGN_RADII_PX = (
+    12.0,
+    40.0,
+)  # px, of the body in the reduced images: errors of half of it are still found, then refined
+_ALIGN_STEPS = 5  # of an alignment in each reduced image; the best state on the way is taken
+_ALIGN_STEP_PX = 2.0  # px of the reduced image: the reach of its slopes after _ALIGN_BLUR_PX
+_ALIGN_BLUR_PX = 0.6  # px of the reduced image: block means alias without it
+_WARPED_OVER = 4  # pixels averaged after an image was moved: the errors of the interpolation average with them
+_BLOCK = 0.35
+"""Side of the blocks of the jackknife over the root mean square radius of the light. No study yet."""
+_MAX_BLOCK_PX = 32  # px: enough blocks remain on large bodies
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoxPixels(Value):
+    """Pixels of a box of an image, and their noise.
+
+    Parameters
+    ----------
+    values_dn : (h, w) float64, DN
+        Bias subtracted.
+    usable : (h, w) bool
+        Neither bad nor saturated.
+    corner_px : (int, int), px
+        Column and row of the first element in the image.
+    noise_variance_dn2 : callable
+        Variance, DN^2, of the noise of pixels that hold a given signal of the body; that of the background is measured.
+    """
+
+    values_dn: Float
+    usable: Mask
+    corner_px: tuple[int, int]
+    noise_variance_dn2: Callable[[Float], Float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemplateFitOptions:
-    """How to fit.
+    """Options of :func:`fit_template`.
 
     Parameters
     ----------
@@ -72,7 +95,12 @@ class TemplateFitOptions:
     relief_sigma : float
         Standard deviation of the errors of the shape along its radii, as a fraction of the radius.
     relief_length_px : float, px
-        How far they hang together: at a distance d their correlation is ``exp(-d^2 / (2 relief_length_px^2))``.
+        Their correlation length: at a distance d they have the correlation ``exp(-d^2 / (2 relief_length_px^2))``.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
     """
 
     max_iterations: int = 8
@@ -95,12 +123,12 @@ class TemplateFitOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TemplateState(Value):
-    """What a template is rendered for.
+    """Geometry and blur that a template is rendered for.
 
     Parameters
     ----------
     center_px : (2,) float64, px
-        Where the center of the body appears.
+        Center of the body in the image.
     log_range : float
         Natural logarithm of the range over the a priori range.
     psf_variance_px2 : float, px^2
@@ -119,8 +147,8 @@ class TemplateImages(Value):
     ----------
     light : (h, w) float64
         Brightness under the reflectance law of the target.
-    other : (h, w) float64, optional
-        Brightness under another law; None keeps to the one.
+    others : (k, h, w) float64
+        Brightness under k other laws, which the fit may mix in; none by default.
     derivatives : (4, h, w) float64, optional
         Of ``light``, by x and y of the center in px, the logarithm of the range and the variance of the point spread
         function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
@@ -129,17 +157,17 @@ class TemplateImages(Value):
     """
 
     light: Float
-    other: Float | None = None
+    others: Sequence[Float] = ()
     derivatives: Float | None = None
 
 
 Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]
-"""Renders the body for a state into the fitted box, roughly on the way there and finely at the end (True)."""
+"""Renders the body for a state into the fitted box; finely (True) at the end of the fit, roughly on the way."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TemplateFit(Value):
-    """A template that fits.
+    """A fitted template.
 
     Parameters
     ----------
@@ -147,7 +175,7 @@ class TemplateFit(Value):
     covariance : (3, 3) float64
         Of x and y in px and of the logarithm of the range: noise and model error.
     noise_covariance : (3, 3) float64
-        The part of it that the noise of the detector alone makes.
+        The part of it from the noise of the detector alone.
     gain_dn : float, DN
         Signal of a surface of relative brightness 1.
     offset_dn : float, DN
@@ -179,29 +207,21 @@ class TemplateFit(Value):
 
 
 def fit_template(
-    pixels_dn: Float,
-    usable: Mask,
-    corner_px: tuple[int, int],
+    pixels: BoxPixels,
     synthesize: Synthesis,
     start: TemplateState,
     *,
-    noise_variance_dn2: Callable[[Float], Float],
     options: TemplateFitOptions = TemplateFitOptions(),
 ) -> TemplateFit | Failure:
     r"""Fit a rendered template to the pixels of a box.
 
     Parameters
     ----------
-    pixels_dn : (h, w) float64, DN
-    usable : (h, w) bool
-    corner_px : (int, int), px
-        Column and row of element [0, 0] in the image.
+    pixels : BoxPixels
     synthesize : callable
         Renders a :class:`TemplateState` into the box, finely where its second argument is True.
     start : TemplateState
         Within a pixel or two, in center and limb.
-    noise_variance_dn2 : callable
-        Variance, DN^2, of the noise on pixels that hold a given signal of the body; that of the background is measured.
     options : TemplateFitOptions
 
     Returns
@@ -215,11 +235,11 @@ def fit_template(
     Pixels are weighted by ``1 / (noise + v0 + v1 |grad M|^2 + v2 S^2)``: the noise variance of the model image ``M``
     (with its signal ``S``), and three variances of the model error - everywhere, at edges, and in proportion to the
     light - that maximize the likelihood of the residuals. The covariance of the weighted fit is then widened to that
-    of a jackknife over blocks of pixels, which sees residuals that hang together over the size of a block.
+    of a jackknife over blocks of pixels, which includes residuals that are correlated over the size of a block.
 
     Relief ``h`` (over the radius) that the shape lacks moves each point of the image by ``h`` times its distance from
-    the center, along that direction: it changes the image by ``-h dM/dlog(range)``, and a field of it with the stated
-    standard deviation and correlation makes a covariance that the stated one is nowhere below. What relief does to the
+    the center, along that direction: it changes the image by ``-h dM/dlog(range)``. The covariance is nowhere below
+    that of a field of such relief with the given standard deviation and correlation length. The effect of relief on the
     shading is left to the residuals.
     """
     state, fine = start, False
@@ -229,9 +249,9 @@ def fit_template(
         images = synthesize(state, fine)
         if isinstance(images, Failure):
             return images
-        problem = _Problem(pixels_dn, usable, corner_px, images, state, photometry)
-        prior = _prior(state, start, problem.gain_dn, options)
-        solution = problem.solve(noise_variance_dn2, prior, options.clip_sigma, errors)
+        problem = _Problem(pixels, images, state, photometry)
+        prior = _prior(state, start, problem, options)
+        solution = problem.solve(prior, options.clip_sigma, errors)
         if isinstance(solution, Failure):
             return solution
         photometry, errors = solution.parameters[_GAIN:], solution.errors
@@ -246,21 +266,13 @@ def fit_template(
 
 
 def align_template(
-    pixels_dn: Float,
-    usable: Mask,
-    corner_px: tuple[int, int],
-    light: Float,
-    rendered: TemplateState,
-    start: TemplateState,
-    *,
-    radius_px: float,
+    pixels: BoxPixels, light: Float, rendered: TemplateState, start: TemplateState, *, radius_px: float
 ) -> TemplateState:
     """Improve a rough start from one render by moving and scaling it, on images reduced in size and then less so.
 
     Parameters
     ----------
-    pixels_dn, usable, corner_px
-        As in :func:`fit_template`.
+    pixels : BoxPixels
     light : (h, w) float64
         A template rendered for the state ``rendered``.
     rendered, start : TemplateState
@@ -278,20 +290,25 @@ def align_template(
         last = min(factor, _WARPED_OVER)  # part of the reduction comes before the light is moved, part hides that
         first = round(factor / last)
         factor = first * last
-        share = _mean_over(usable.astype(np.float64), factor)
-        small = _softened(_mean_over(np.where(usable, pixels_dn, 0.0), factor)) / np.maximum(_softened(share), 1e-6)
+        share = _mean_over(pixels.usable.astype(np.float64), factor)
+        known = _mean_over(np.where(pixels.usable, pixels.values_dn, 0.0), factor)
+        small = BoxPixels(
+            values_dn=_softened(known) / np.maximum(_softened(share), 1e-6),
+            usable=share > 0.5,
+            corner_px=(0, 0),
+            noise_variance_dn2=pixels.noise_variance_dn2,
+        )
         part = _mean_over(light, first)
         tried: list[tuple[float, TemplateState]] = []
         for _ in range(_ALIGN_STEPS):
             moved = warped(
-                part, (0, 0), _seen_reduced(rendered, corner_px, first), _seen_reduced(state, corner_px, first)
+                part, (0, 0), _reduced(rendered, pixels.corner_px, first), _reduced(state, pixels.corner_px, first)
             )
             moved = _softened(_mean_over(moved, last))
-            moved = moved[: small.shape[0], : small.shape[1]]
+            moved = moved[: small.usable.shape[0], : small.usable.shape[1]]
             if not float(moved.sum()) > 0.0:
                 break
-            local = _seen_reduced(state, corner_px, factor)
-            problem = _Problem(small, share > 0.5, (0, 0), TemplateImages(light=moved), local, None)
+            problem = _Problem(small, TemplateImages(light=moved), _reduced(state, pixels.corner_px, factor), None)
             tried.append((problem.misfit_dn2(), state))
             step = problem.plain_step()
             state = replace(
@@ -303,82 +320,80 @@ def align_template(
     return state
 
 
-def _seen_reduced(state: TemplateState, corner_px: tuple[int, int], factor: int) -> TemplateState:
-    """A state in pixels of a box that was reduced in size."""
+def _reduced(state: TemplateState, corner_px: tuple[int, int], factor: int) -> TemplateState:
+    """Return a state in the pixels of a box that was reduced in size."""
     center = (state.center_px - corner_px + 0.5) / factor - 0.5
     return replace(state, center_px=center, psf_variance_px2=_ALIGN_BLUR_PX**2)
 
 
-def _prior(state: TemplateState, start: TemplateState, gain_dn: float, options: TemplateFitOptions) -> Prior:
-    """The prior of the step from ``state``: nothing is known of gain, offset and center."""
-    mean, sigma = np.zeros(_MIXING + 1), np.full(_MIXING + 1, np.inf)
+def _prior(state: TemplateState, start: TemplateState, problem: _Problem, options: TemplateFitOptions) -> Prior:
+    """Return the prior of the step from ``state``: none of gain, offset and center."""
+    mean, sigma = np.zeros(problem.n_parameters), np.full(problem.n_parameters, np.inf)
     mean[_RANGE], sigma[_RANGE] = -state.log_range, options.log_range_sigma
     mean[_BLUR], sigma[_BLUR] = start.psf_variance_px2 - state.psf_variance_px2, options.blur_sigma_px2
-    sigma[_MIXING] = _MIXING_SIGMA * max(abs(gain_dn), 1e-12)
+    sigma[_OFFSET + 1 :] = _MIXING_SIGMA * max(abs(problem.gain_dn), 1e-12)
     return Prior(mean, sigma**-2)
 
 
 class _Problem:
-    """One linear step: the columns of the model around a state and the pixels that they should explain."""
+    """One linear step: derivatives of the model around a state, and the pixels to explain.
+
+    The model is linear in its photometry: the light, a constant, and the differences that other laws make.
+    """
 
     def __init__(
-        self,
-        pixels_dn: Float,
-        usable: Mask,
-        corner_px: tuple[int, int],
-        images: TemplateImages,
-        state: TemplateState,
-        photometry: Float | None,
+        self, pixels: BoxPixels, images: TemplateImages, state: TemplateState, photometry: Float | None
     ) -> None:
-        self._pixels_dn, self._usable, self._light = pixels_dn, usable, images.light
-        other = images.light if images.other is None else images.other
-        difference = other * (float(images.light.sum()) / float(other.sum())) - images.light
-        basis = np.stack([images.light, np.ones_like(images.light), difference])
-        light = np.append(_unweighted(basis[:2], usable, pixels_dn), 0.0) if photometry is None else photometry
-        self.gain_dn, offset = float(light[0]), float(light[1])
-        self._model = model = np.tensordot(light, basis, 1)
+        self._pixels, self._light = pixels, images.light
+        total = float(images.light.sum())
+        differences = [other * (total / float(other.sum())) - images.light for other in images.others]
+        basis = np.stack([images.light, np.ones_like(images.light), *differences])
+        if photometry is None:
+            first = _unweighted(basis[:2], pixels)
+            photometry = np.concatenate([first, np.zeros(len(differences))])
+        self.gain_dn, offset = float(photometry[0]), float(photometry[1])
+        self._model = model = np.tensordot(photometry, basis, 1)
         self._signal = model - offset
-        x = corner_px[0] + np.arange(model.shape[1]) - state.center_px[0]
-        y = corner_px[1] + np.arange(model.shape[0])[:, None] - state.center_px[1]
+        x = pixels.corner_px[0] + np.arange(model.shape[1]) - state.center_px[0]
+        y = pixels.corner_px[1] + np.arange(model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + _PIXEL_VARIANCE_PX2  # the blur does not grow with the body
         rendered = images.derivatives
-        slope_x, slope_y, curvature = _derivatives(model if rendered is None else light[2] * difference)
+        by_pixels = model if rendered is None else np.tensordot(photometry[2:], basis[2:], 1)
+        slope_x, slope_y, curvature = _derivatives(by_pixels)
         radial = x * slope_x + y * slope_y + spread * curvature
         moved = np.stack([-slope_x, -slope_y, radial, 0.5 * curvature])
         if rendered is not None:
             moved += self.gain_dn * rendered
         self._slope2 = moved[_X] ** 2 + moved[_Y] ** 2
         self._columns = np.concatenate([moved, basis])
-        self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / images.light.sum()))
+        self.n_parameters = len(self._columns)
+        self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / total))
 
     def misfit_dn2(self) -> float:
         """Mean square of image minus model, before any step."""
-        use = self._usable
-        return float(np.mean((self._pixels_dn[use] - self._model[use]) ** 2))
+        use = self._pixels.usable
+        return float(np.mean((self._pixels.values_dn[use] - self._model[use]) ** 2))
 
     def plain_step(self) -> Float:
         """Unweighted step (3,) in x, y and logarithm of the range, brightness free, kept short."""
         names = [_X, _Y, _RANGE, _GAIN, _OFFSET]
-        step = _unweighted(self._columns[names], self._usable, self._pixels_dn)[: _RANGE + 1]
+        step = _unweighted(self._columns[names], self._pixels)[: _RANGE + 1]
         longest = max(float(np.hypot(step[_X], step[_Y])), abs(float(step[_RANGE])) * self.reach_px, 1e-12)
         result: Float = step * min(1.0, _ALIGN_STEP_PX / longest)
         return result
 
-    def solve(
-        self,
-        noise_variance_dn2: Callable[[Float], Float],
-        prior: Prior,
-        clip_sigma: float,
-        errors: Float | None,
-    ) -> RobustFit | Failure:
+    def solve(self, prior: Prior, clip_sigma: float, errors: Float | None) -> RobustFit | Failure:
         """Weighted least squares with the model-error variances that the residuals ask for."""
-        use = self._usable
-        design, values = self._columns[:, use].T, self._pixels_dn[use]
-        noise = noise_variance_dn2(self._signal[use])
-        shapes = np.stack([np.ones(noise.size), self._slope2[use], self._signal[use] ** 2])
-        fit = robust_fit(design, values, noise, shapes, prior, clip_sigma=clip_sigma, start=errors)
+        use = self._pixels.usable
+        signal = self._signal[use]
+        shapes = np.stack([np.ones(signal.size), self._slope2[use], signal**2])
+        variances = VarianceModel(self._pixels.noise_variance_dn2(signal), shapes)
+        design, values = self._columns[:, use].T, self._pixels.values_dn[use]
+        fit = robust_fit(design, values, variances, prior, clip_sigma=clip_sigma, start=errors)
         if fit is None:
-            return Failure(Reason.DEGENERATE_GEOMETRY, "the pixels do not fix where and how bright the body is")
+            return Failure(
+                Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"
+            )
         return fit
 
     def result(
@@ -391,28 +406,25 @@ class _Problem:
         options: TemplateFitOptions,
     ) -> TemplateFit:
         """The fit after its last step (3,)."""
-        use = self._usable
+        use = self._pixels.usable
         used = np.zeros(use.shape, bool)
         used[use] = solution.kept
         noise, error = np.ones(use.shape), np.zeros(use.shape)
         noise[use], error[use] = solution.noise, solution.error
         model = np.tensordot(solution.parameters, self._columns, 1)
-        residuals = self._pixels_dn - model
-        weights = np.where(used, 1.0 / (noise + error), 0.0)
-        covariance = full_covariance(
-            self._columns,
-            weights,
+        residuals = self._pixels.values_dn - model
+        fit = LinearFit(self._columns, np.where(used, 1.0 / (noise + error), 0.0), prior)
+        covariance = fit.full_covariance(
             residuals,
             noise,
             error,
-            prior,
             blur_px=math.sqrt(state.psf_variance_px2 + _PIXEL_VARIANCE_PX2),
             block_px=int(np.clip(round(_BLOCK * self.reach_px), 3, _MAX_BLOCK_PX)),
         )
-        of_noise = noise_covariance(self._columns[:, used].T, weights[used], noise[used], prior)
+        of_noise = fit.noise_covariance(noise)
         if options.relief_sigma > 0.0:
             relief = options.relief_sigma * self._columns[_RANGE]
-            of_relief = error_covariance(self._columns, weights, relief, prior, length_px=options.relief_length_px)
+            of_relief = fit.error_covariance(relief, length_px=options.relief_length_px)
             covariance = larger(of_noise + of_relief, covariance)
         return TemplateFit(
             state=state,
@@ -420,7 +432,7 @@ class _Problem:
             noise_covariance=of_noise[:3, :3],
             gain_dn=float(solution.parameters[_GAIN]),
             offset_dn=float(solution.parameters[_OFFSET]),
-            score=float(np.corrcoef(self._light[used], self._pixels_dn[used])[0, 1]),
+            score=float(np.corrcoef(self._light[used], self._pixels.values_dn[used])[0, 1]),
             residuals_dn=residuals,
             model_dn=model,
             used=used,
@@ -430,16 +442,16 @@ class _Problem:
         )
 
 
-def _unweighted(basis: Float, usable: Mask, pixels_dn: Float) -> Float:
+def _unweighted(basis: Float, pixels: BoxPixels) -> Float:
     """Least-squares brightness (k,) of images (k, h, w)."""
-    brightness = np.linalg.lstsq(basis[:, usable].T, pixels_dn[usable], rcond=None)[0]
+    brightness = np.linalg.lstsq(basis[:, pixels.usable].T, pixels.values_dn[pixels.usable], rcond=None)[0]
     return brightness.astype(np.float64, copy=False)
 
 
 def _stepped(
     state: TemplateState, parameters: Float, reach_px: float, options: TemplateFitOptions
 ) -> tuple[TemplateState, float]:
-    """The state after a step, which is kept short, and how far the step moves center or limb, px."""
+    """State after a step, which is limited, and the motion of center or limb, px, by the whole step."""
     shift_px = parameters[[_X, _Y]]
     length_px = float(np.hypot(*shift_px))
     shift_px = shift_px * min(1.0, _MAX_STEP_PX / max(length_px, 1e-12))
@@ -484,7 +496,20 @@ def _softened(image: Float) -> Float:
 
 
 def warped(light: Float, corner_px: tuple[int, int], rendered: TemplateState, to: TemplateState) -> Float:
-    """A template (h, w) rendered for one state, moved and scaled to another within the same box."""
+    """Move and scale a template to another state within the same box.
+
+    Parameters
+    ----------
+    light : (h, w) float64
+        Rendered for the state ``rendered``.
+    corner_px : (int, int), px
+        Column and row of its first element.
+    rendered, to : TemplateState
+
+    Returns
+    -------
+    (h, w) float64
+    """
     scale = math.exp(to.log_range - rendered.log_range)
     corner = np.asarray(corner_px, dtype=np.float64)
     shift = rendered.center_px - corner - scale * (to.center_px - corner)

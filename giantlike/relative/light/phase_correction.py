@@ -1,19 +1,119 @@
-"""Where the light of an ellipsoid lies, in closed form."""
+"""Corrections from the center of the light of a body to the center of its figure."""
 
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.core.frames import rotate
+from giantlike.scene import TargetGeometry
 from giantlike.shapes.base import PlacedEllipsoid
 
 _LEAST_SINE = 1e-6  # of the angle between Sun and observer, made round: below, the light is that of a full moon
-_LEAST_LIGHT = 1e-12
+_LEAST_LIGHT = 1e-12  # of the light of a full moon: less is rounding
 _FULL_MOON = 2.0 / 3.0  # of the radius: the mean of mu weighted with mu
+_LEAST_ACROSS = 1e-9  # of the direction to the Sun, across the line of sight: less has no direction but of rounding
+
+
+class Correction(StrEnum):
+    """Correction of the centroid of the light to the center of the figure."""
+
+    RENDERED = "rendered"
+    """That of the body rendered at its predicted geometry."""
+    KAASALAINEN_TANGA = "kaasalainen_tanga"
+    """By paper 1 eq. 3, meant for bodies that are not resolved."""
+    ELLIPSOID = "ellipsoid"
+    """By the center of light of its best-fitting ellipsoid under the law of Lommel and Seeliger, in closed form."""
+    NONE = "none"
+
+
+def require_correction(name: str) -> None:
+    """Raise :class:`~giantlike.core.errors.InputError` unless ``name`` is that of a :class:`Correction`."""
+    known = [str(kind) for kind in Correction]
+    require(name in known, f"correction must be one of {', '.join(known)}, got {name!r}")
+
+
+def modeled_correction_px(geometry: TargetGeometry, model: CameraModel, *, radius_px: float, kind: Correction) -> Float:
+    """Correction by a formula, from the center of the light to that of the figure.
+
+    Parameters
+    ----------
+    geometry : TargetGeometry
+    model : CameraModel
+    radius_px : float, px
+        Apparent radius of the body.
+    kind : Correction
+        ``KAASALAINEN_TANGA`` or ``ELLIPSOID``; points always get the first.
+
+    Returns
+    -------
+    (2,) float64, px
+    """
+    shape, position_km = geometry.target.shape, geometry.position_camera_km
+    by_position = model.project_jacobian(position_km)
+    if kind is Correction.KAASALAINEN_TANGA or shape.circumscribing_radius_km == 0.0:
+        sunlight = sunlight_px(geometry, model)
+        return kaasalainen_tanga(sunlight, radius_px=radius_px, phase_angle_rad=geometry.phase_angle_rad)
+    body_from_camera = geometry.camera_from_body.inv()
+    light_body_km = ellipsoid_photocenter_km(
+        shape.best_fit_ellipsoid,
+        sun_direction_body=rotate(body_from_camera, geometry.sun_direction_camera),
+        observer_direction_body=-rotate(body_from_camera, unit(position_km)),
+    )
+    result: Float = -by_position @ rotate(geometry.camera_from_body, light_body_km)
+    return result
+
+
+def sunlight_px(geometry: TargetGeometry, model: CameraModel) -> Float:
+    """Direction of the sunlight in the image at the predicted center.
+
+    Parameters
+    ----------
+    geometry : TargetGeometry
+    model : CameraModel
+
+    Returns
+    -------
+    (2,) float64, unitless
+        Away from the Sun; zero at zero phase.
+    """
+    along = model.project_jacobian(geometry.position_camera_km) @ geometry.sun_direction_camera
+    length = float(np.linalg.norm(along))
+    seen = length > _LEAST_ACROSS * model.focal_length_px / geometry.range_km
+    return -along / length if seen else np.zeros(2)
+
+
+def kaasalainen_tanga(sunlight: Float, *, radius_px: float, phase_angle_rad: float) -> Float:
+    """Phase correction to add to a center of brightness.
+
+    Parameters
+    ----------
+    sunlight : (2,) float64, unitless, image axes
+        Unit vector along which the light travels in the image, away from the Sun.
+    radius_px : float, px
+        Apparent radius of the body.
+    phase_angle_rad : float, rad
+
+    Returns
+    -------
+    (2,) float64, px
+
+    References
+    ----------
+    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 3.
+
+    Examples
+    --------
+    >>> kaasalainen_tanga(np.array([1.0, 0.0]), radius_px=1.0, phase_angle_rad=np.radians(50.0)).round(9).tolist()
+    [0.31, 0.0]
+    """
+    phase_deg = math.degrees(phase_angle_rad)
+    return sunlight * (0.0062 if phase_deg < 80 else 0.0065) * radius_px * phase_deg
 
 
 def ellipsoid_photocenter_km(
@@ -65,7 +165,7 @@ def ellipsoid_photocenter_km(
     else:
         axis = side / length
         light, along, across = _lune(_angle(rounded_sun, middle, axis), _angle(rounded_observer, middle, axis))
-        require(light > _LEAST_LIGHT, "the Sun stands behind the body: none of its light is seen")
+        require(light > _LEAST_LIGHT, "the Sun must not stand right behind the body: none of its light is seen")
         mean = (along * middle + across * axis) / light
     return placed.center_body_km + rotate(placed.body_from_axes, radii * mean)
 

@@ -1,0 +1,77 @@
+"""Box of whole pixels in an image, which may reach over its edges: cut out of images, and patches placed in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, Scalar
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PixelBox:
+    """A box of pixels; it may reach over the edges of the image.
+
+    Parameters
+    ----------
+    x, y : int, px
+        Column and row of its first pixel.
+    width, height : int, px
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @classmethod
+    def spanning(cls, low_px: Float, high_px: Float, margin_px: int = 0) -> PixelBox:
+        """Return the box from pixel ``low_px`` (2,) up to, not including, ``high_px`` (2,), and a margin around it."""
+        low = np.floor(low_px).astype(np.int64) - margin_px
+        (x, y), (width, height) = low.tolist(), (np.ceil(high_px).astype(np.int64) + margin_px - low).tolist()
+        return cls(x=x, y=y, width=width, height=height)
+
+    def limited(self, columns: int, rows: int, border_px: int = 0) -> PixelBox:
+        """Return the part within a frame widened by ``border_px``; at least one pixel."""
+        frame = np.array([columns, rows])
+        corner = np.array([self.x, self.y])
+        low = np.clip(corner, -border_px, frame)
+        high = np.clip(corner + np.array([self.width, self.height]), low + 1, np.maximum(frame + border_px, low + 1))
+        return PixelBox.spanning(low, high)
+
+    @property
+    def corner_px(self) -> tuple[int, int]:
+        """Column and row of the first pixel."""
+        return self.x, self.y
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns of the image, for a box that lies in it."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
+    def cut(self, image: NDArray[Scalar], corner_px: tuple[int, int] = (0, 0), outside: Any = 0) -> NDArray[Scalar]:
+        """Cut the box out of an image.
+
+        Parameters
+        ----------
+        image : (h, w)
+        corner_px : (int, int), px
+            Column and row of the first element of ``image``.
+        outside : scalar
+            Value where the box reaches over the image.
+
+        Returns
+        -------
+        (height, width)
+            A copy.
+        """
+        part = np.full((self.height, self.width), outside, dtype=image.dtype)
+        x, y = self.x - int(corner_px[0]), self.y - int(corner_px[1])
+        y0, y1 = max(y, 0), min(y + self.height, image.shape[0])
+        x0, x1 = max(x, 0), min(x + self.width, image.shape[1])
+        if x0 < x1 and y0 < y1:
+            part[y0 - y : y1 - y, x0 - x : x1 - x] = image[y0:y1, x0:x1]
+        return part
