@@ -35,12 +35,15 @@ class Trace(Value):
         Body, Sun and options of the trace.
     footprint : Footprint
         Pixels and cells of the trace.
+    size_px : (int, int), px
+        Columns and rows of the frame.
     tiles : tuple of TracedRays
         Rays of each tile of the footprint.
     """
 
     view: View
     footprint: Footprint
+    size_px: tuple[int, int]
     tiles: tuple[TracedRays, ...] = field(repr=False)
 
     @property
@@ -168,4 +171,5 @@ def trace_body(
     def traced(tile: Tile) -> TracedRays:
         return trace_rays(view, grid.directions(tile), stratum=tile.start)
 
-    return Trace(view=view, footprint=footprint, tiles=tuple(in_order(traced, footprint.tiles, options.threads)))
+    tiles = tuple(in_order(traced, footprint.tiles, options.threads))
+    return Trace(view=view, footprint=footprint, size_px=(columns, rows), tiles=tiles)
