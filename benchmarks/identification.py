@@ -31,10 +31,10 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure
 from giantlike.image import Image
 from giantlike.processing.detection.detections import Detections
-from giantlike.stars import Sky, StarNavigation, StarOptions, navigation, verification
-from giantlike.stars.index_store import cap_radius_rad, sky_index
+from giantlike.stars import Sky, StarNavigation, StarOptions, navigation
+from giantlike.stars import lost_in_space as search
 from giantlike.stars.refine import RefinedAttitude, refine_attitude
-from giantlike.stars.star_index import Pattern
+from giantlike.stars.star_index import Pattern, cap_radius_rad, sky_index
 
 RIGHT_PX = 5.0  # of 1024, and up to a half pixel of centroid noise
 SIZE = 1024
@@ -270,7 +270,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=10_000, help="random fields of the largest tables")
     parser.add_argument("--only", nargs="*", default=list(SECTIONS), choices=list(SECTIONS))
     arguments = parser.parse_args()
-    for module in (navigation, verification):  # the only way to tell naming stars from weighing them
+    for module in (navigation, search):  # the only way to tell naming stars from weighing them
         vars(module)["refine_attitude"] = _timed_refine
     catalog = load_catalog("default")
     for name in arguments.only:

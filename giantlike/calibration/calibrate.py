@@ -10,15 +10,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
-from giantlike.calibration.criteria import missed_criteria
+from giantlike.calibration.bundle_adjustment import Data, Minimum, State, covariance_of, minimize, predict
+from giantlike.calibration.criteria import CalibrationCriteria, missed_criteria
 from giantlike.calibration.field_map import FieldSensitivity
-from giantlike.calibration.fix import CalibrationFix, ImageCalibration, RejectedObservation
-from giantlike.calibration.levenberg_marquardt import Minimum, covariance_of, minimize
-from giantlike.calibration.normal import Data, State, predict
 from giantlike.calibration.observability import parameter_support
 from giantlike.calibration.observations import ImageObservations
-from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
-from giantlike.calibration.robust import Loss
+from giantlike.calibration.options import CalibrationOptions, Loss
+from giantlike.calibration.result import CalibrationFix, ImageCalibration, RejectedObservation
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason

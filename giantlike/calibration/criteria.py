@@ -1,13 +1,52 @@
-"""Whether a calibration is good enough to be used, and if not, why."""
+"""Acceptance criteria of a calibration."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from giantlike.calibration.fix import CalibrationFix
-from giantlike.calibration.options import CalibrationCriteria
+from giantlike.calibration.result import CalibrationFix
+from giantlike.core.arrays import require
 
 _PARTS = 3  # of the field along each axis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationCriteria:
+    """What a calibration must reach; each is checked, and one that is missed is named with both numbers.
+
+    Parameters
+    ----------
+    max_residual_px : float, px
+        Radial residual rms of the observations kept.
+    max_image_residual_px : float, px
+        The same of every single image.
+    max_rejected : float
+        Share of observations thrown out.
+    max_map_sigma_px : float, px
+        Uncertainty of the camera map (radial, modulo a rotation), worst place of the field.
+    min_observations_per_parameter : float
+        Observations kept over parameters of the camera.
+    min_covered : float
+        Share of the field (nine equal parts) in which anything was observed.
+
+    Raises
+    ------
+    InputError
+        A value is not positive.
+    """
+
+    max_residual_px: float = 0.5
+    max_image_residual_px: float = 1.0
+    max_rejected: float = 0.25
+    max_map_sigma_px: float = 0.5
+    min_observations_per_parameter: float = 3.0
+    min_covered: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            require(getattr(self, name) > 0, f"{name} must be > 0, got {getattr(self, name)}")
 
 
 def missed_criteria(fix: CalibrationFix, criteria: CalibrationCriteria) -> tuple[str, ...]:

@@ -1,12 +1,47 @@
-"""What a user may choose in a calibration, and what it must reach to be accepted."""
+"""Options of a calibration."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
-from giantlike.calibration.robust import Loss
-from giantlike.core.arrays import require
+import numpy as np
+
+from giantlike.core.arrays import Float, require
+
+_HUBER_SQUARE = 1.345**2 * 2.0  # two axes: 95 % efficient for Gaussian residuals, near enough
+_CAUCHY_SQUARE = 2.385**2 * 2.0
+
+
+class Loss(StrEnum):
+    """What a squared residual (two axes, in units of its variance) costs.
+
+    ``linear`` is least squares; ``huber`` grows with the distance beyond two sigma, ``cauchy`` with its logarithm.
+    """
+
+    LINEAR = "linear"
+    HUBER = "huber"
+    CAUCHY = "cauchy"
+
+    def cost(self, squares: Float) -> Float:
+        """Cost (n,) of squared residuals (n,): equal to them where they are small."""
+        if self is Loss.HUBER:
+            beyond = 2.0 * np.sqrt(_HUBER_SQUARE * squares) - _HUBER_SQUARE
+            return np.where(squares <= _HUBER_SQUARE, squares, beyond)
+        if self is Loss.CAUCHY:
+            result: Float = _CAUCHY_SQUARE * np.log1p(squares / _CAUCHY_SQUARE)
+            return result
+        return squares
+
+    def weight(self, squares: Float) -> Float:
+        """Derivative (n,) of the cost: the factor on the weight in iteratively reweighted least squares."""
+        if self is Loss.HUBER:
+            return np.sqrt(_HUBER_SQUARE / np.maximum(squares, _HUBER_SQUARE))
+        if self is Loss.CAUCHY:
+            result: Float = 1.0 / (1.0 + squares / _CAUCHY_SQUARE)
+            return result
+        return np.ones_like(squares)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,40 +82,3 @@ class CalibrationOptions:
         require(self.max_rounds >= 1, f"max_rounds must be >= 1, got {self.max_rounds}")
         require(self.max_steps >= 1, f"max_steps must be >= 1, got {self.max_steps}")
         object.__setattr__(self, "loss", Loss(self.loss))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationCriteria:
-    """What a calibration must reach; each is checked, and one that is missed is named with both numbers.
-
-    Parameters
-    ----------
-    max_residual_px : float, px
-        Radial residual rms of the observations kept.
-    max_image_residual_px : float, px
-        The same of every single image.
-    max_rejected : float
-        Share of observations thrown out.
-    max_map_sigma_px : float, px
-        Uncertainty of the camera map (radial, modulo a rotation), worst place of the field.
-    min_observations_per_parameter : float
-        Observations kept over parameters of the camera.
-    min_covered : float
-        Share of the field (nine equal parts) in which anything was observed.
-
-    Raises
-    ------
-    InputError
-        A value is not positive.
-    """
-
-    max_residual_px: float = 0.5
-    max_image_residual_px: float = 1.0
-    max_rejected: float = 0.25
-    max_map_sigma_px: float = 0.5
-    min_observations_per_parameter: float = 3.0
-    min_covered: float = 0.6
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            require(getattr(self, name) > 0, f"{name} must be > 0, got {getattr(self, name)}")

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.calibration.calibrate import calibrate
-from giantlike.calibration.fix import CalibrationFix
+from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.observations import ImageObservations
-from giantlike.calibration.options import CalibrationCriteria, CalibrationOptions
+from giantlike.calibration.options import CalibrationOptions
+from giantlike.calibration.result import CalibrationFix
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, model_from_mapping, model_to_mapping
 from giantlike.core.arrays import Float, Mask, require
@@ -25,8 +26,7 @@ from giantlike.stars.field import Sky
 from giantlike.stars.matching import attitudes_of_sky
 from giantlike.stars.navigation import StarNavigation, sky_of
 from giantlike.stars.options import StarOptions
-from giantlike.stars.refine import RefinedAttitude, refine_attitude
-from giantlike.stars.verification import depth_for, scaled_model
+from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude, scaled_model
 
 DEFAULT_MIN_SNR = 20.0
 """Stars from which a camera is calibrated: their centroids are known to some 0.05 px."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.calibration.fix import CalibrationFix
+from giantlike.calibration.result import CalibrationFix
 from giantlike.core.arrays import Float, Mask
 
 _BINS = 6

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
-from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
@@ -20,6 +19,7 @@ from giantlike.stars.matching import (
     chance_of_match,
     false_match_probability,
     match_nearest,
+    predicted_in_frame,
 )
 from giantlike.stars.options import StarOptions
 
@@ -84,8 +84,9 @@ def identify_apriori(
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Matching Potential
        Stars with Known Stars From a Star Catalog, steps 1-10.
     """
-    predicted = camera.model.project(rotate(camera_from_inertial, directions_inertial))
-    predicted[~camera.contains(predicted, margin_px=-options.max_pixel_distance)] = np.nan
+    predicted = predicted_in_frame(
+        directions_inertial, camera, camera_from_inertial, margin_px=options.max_pixel_distance
+    )
     near = np.flatnonzero(np.isfinite(predicted[:, 0]))
     if near.size < options.min_matches:
         return Failure(
@@ -194,8 +195,7 @@ def _verified(
     directions_inertial: Float, points_px: Float, camera: Camera, rotation: Rotation, options: StarOptions
 ) -> Identification | Failure:
     """Match all stars with the attitude found, and ask whether chance would do as well."""
-    predicted = camera.model.project(rotate(rotation, directions_inertial))
-    predicted[~camera.contains(predicted, margin_px=-options.inlier_px)] = np.nan
+    predicted = predicted_in_frame(directions_inertial, camera, rotation, margin_px=options.inlier_px)
     matches = match_nearest(predicted, points_px, options.inlier_px)
     area = float(camera.columns * camera.rows)
     chance = chance_of_match(predicted, points_px, options.inlier_px, area)

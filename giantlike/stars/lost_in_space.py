@@ -21,16 +21,26 @@ from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.stars.field import Sky
-from giantlike.stars.index_store import sky_index
-from giantlike.stars.matching import attitudes_of_sky, attitudes_within_angle
+from giantlike.processing.geometry.wahba import davenport_quaternions
+from giantlike.stars.field import Sky, StarField
+from giantlike.stars.matching import (
+    attitudes_of_sky,
+    attitudes_within_angle,
+    false_match_probability,
+    predicted_in_frame,
+)
 from giantlike.stars.options import StarOptions
-from giantlike.stars.pattern_search import Candidates, Hypothesis, Scope, find_candidates, hypotheses
-from giantlike.stars.refine import RefinedAttitude
-from giantlike.stars.searches import searches
-from giantlike.stars.star_index import Pattern, StarIndex, build_index, caps, density_for
+from giantlike.stars.pattern_search import Candidates, Hypothesis, Scope, find_candidates, hypotheses, searches
+from giantlike.stars.refine import (
+    SMALLEST_GATE_PX,
+    RefinedAttitude,
+    depth_for,
+    refine_attitude,
+    scaled_model,
+    significant_matches,
+)
+from giantlike.stars.star_index import Pattern, StarIndex, build_index, caps, density_for, sky_index
 from giantlike.stars.tetra import tetra_hypotheses
-from giantlike.stars.verification import scaled_model, verify
 
 _OTHER_SCALE = 0.2
 """A focal length off by less than this is found when the stated one does not fit."""
@@ -41,6 +51,8 @@ _BRIGHTEST = 40
 _NARROW_RAD = math.radians(0.75)  # half a field of view: below, the catalog may have too few stars for it
 _SAMPLED_RAD = 0.3  # distance of the places where its stars are counted
 _BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # searches that find most images
+_GAINED = 3  # matches that a fit may add
+_FIRST_RADIUS = 0.008  # of the image width: distortion that a pinhole of the right focal length leaves
 Bools = Mask
 
 
@@ -128,9 +140,7 @@ class _Problem(Value):
         """Try hypotheses until one is verified; ``brief`` stops where most images are solved."""
         refuted = 0
         for hypothesis in self.hypotheses(brief):
-            outcome = verify(
-                hypothesis, self.points_px, self.covariance_px2, self.camera, self.sky, self.options, self.trials
-            )
+            outcome = self.verify(hypothesis)
             if isinstance(outcome, RefinedAttitude):
                 return outcome
             refuted += 1
@@ -141,6 +151,55 @@ class _Problem(Value):
             f"no pattern of {len(self.points_px)} detections is found {where} at a field of view of "
             f"{self.camera.fov_deg:.4g} degrees{free} ({refuted} candidates were tried and refuted)",
         )
+
+    def verify(self, hypothesis: Hypothesis) -> RefinedAttitude | Failure:
+        """Match all stars of the image with the attitude of a hypothesis, and refine it."""
+        camera, options = self.camera, self.options
+        if options.estimate_scale:
+            camera = dataclasses.replace(camera, model=scaled_model(camera.model, hypothesis.scale))
+        field = self.sky.field(camera, hypothesis.camera_from_inertial, count=depth_for(len(self.points_px)))
+        rough = options.estimate_scale or not len(hypothesis.star_ids)
+        radius = max(options.inlier_px, _FIRST_RADIUS * camera.columns) if rough else options.inlier_px
+        rotation = self._with_apparent_places(hypothesis, field, camera)
+        predicted = predicted_in_frame(field.directions_inertial, camera, rotation, margin_px=radius)
+        hopeless = self._hopeless(predicted, radius)
+        if hopeless is not None:
+            return hopeless
+        return refine_attitude(
+            field,
+            self.points_px,
+            self.covariance_px2,
+            camera,
+            rotation,
+            radius_px=radius,
+            trials=self.trials,
+            options=options,
+        )
+
+    def _hopeless(self, predicted_px: Float, radius_px: float) -> Failure | None:
+        """Failure of an attitude that would be refused even if its matches came as close as they ever do."""
+        count, area = len(self.points_px), float(self.camera.columns * self.camera.rows)
+        found = len(significant_matches(predicted_px, self.points_px, radius_px, area)) + _GAINED
+        chance = float(np.pi * SMALLEST_GATE_PX**2 * min(found, len(predicted_px)) / area)
+        trials = self.trials(SMALLEST_GATE_PX)
+        probability = false_match_probability(min(found, count), count, chance, trials)
+        if probability <= self.options.max_false_match_probability:
+            return None
+        return Failure(
+            Reason.AMBIGUOUS,
+            f"{found - _GAINED} of {count} detections match a star to {radius_px:.3g} px, which chance does too",
+        )
+
+    def _with_apparent_places(self, hypothesis: Hypothesis, field: StarField, camera: Camera) -> Rotation:
+        """Attitude from the apparent places of the stars of a hypothesis: an index has neither aberration nor epoch."""
+        _, mine, theirs = np.intersect1d(hypothesis.star_ids, field.stars.ids, return_indices=True)
+        seen = camera.model.unproject(self.points_px[hypothesis.detection_indices[mine]])
+        good = np.isfinite(seen).all(axis=1)
+        if int(good.sum()) < 3:
+            return hypothesis.camera_from_inertial
+        directions = field.directions_inertial[theirs[good]]
+        weights = np.ones((1, len(directions)))
+        return Rotation.from_quat(davenport_quaternions(directions[None], seen[good][None], weights)[0])
 
     def hypotheses(self, brief: bool) -> Iterator[Hypothesis]:
         """Attitudes that patterns suggest, lazily, none of them twice."""

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from scipy.special import betainc, rel_entr
 
+from giantlike.camera import Camera
 from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
 from giantlike.core.values import Value
 
 BLEND_PX = 4.0
@@ -34,6 +37,24 @@ class Matches(Value):
 
     def __len__(self) -> int:
         return int(self.star_indices.size)
+
+
+def predicted_in_frame(
+    directions_inertial: Float, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float
+) -> Float:
+    """Pixels (n, 2) of stars, NaN for those that fall further than ``margin_px`` outside the image.
+
+    Parameters
+    ----------
+    directions_inertial : (n, 3) float64, unitless, inertial
+        Apparent unit vectors.
+    camera : Camera
+    camera_from_inertial : Rotation
+    margin_px : float, px
+    """
+    predicted = camera.model.project(rotate(camera_from_inertial, directions_inertial))
+    predicted[~camera.contains(predicted, margin_px=-margin_px)] = np.nan
+    return predicted
 
 
 def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, ambiguous_px: float = 0.0) -> Matches:

@@ -27,8 +27,7 @@ from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky
 from giantlike.stars.lost_in_space import identify_in_cone, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within
 from giantlike.stars.options import StarOptions, bright_enough
-from giantlike.stars.refine import RefinedAttitude, refine_attitude
-from giantlike.stars.verification import depth_for
+from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # with an a priori attitude, fainter ones are noise or unlisted
 _LARGE_CHI = 5.0

@@ -10,9 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.camera_models import CameraModel, ifov_rad
-from giantlike.core.arrays import Float, Mask
-from giantlike.core.frames import rotate
+from giantlike.camera_models import BrownModel, CameraModel, PinholeModel, ifov_rad
+from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.stars.attitude import AttitudeSolution, Scale, fit_attitude
@@ -24,6 +23,7 @@ from giantlike.stars.matching import (
     false_match_probability,
     log_chance,
     match_nearest,
+    predicted_in_frame,
 )
 from giantlike.stars.options import StarOptions
 
@@ -94,11 +94,12 @@ def refine_attitude(
     RefinedAttitude or Failure
         Reasons: too_few_matches, ambiguous (chance would do as well), and those of the fit.
     """
-    solution: AttitudeSolution
+    refinement = _Refinement(field, points_px, covariance_px2, trials, options)
     rotation, radius = camera_from_inertial, radius_px
+    solution: AttitudeSolution
     previous: tuple[bytes, bytes] | None = None
     for _ in range(_MAX_ROUNDS):
-        predicted = _predicted_in_frame(field, camera, rotation, radius)
+        predicted = predicted_in_frame(field.directions_inertial, camera, rotation, margin_px=radius)
         matches = significant_matches(predicted, points_px, radius, float(camera.columns * camera.rows))
         if len(matches) < options.min_matches:
             return Failure(
@@ -106,17 +107,16 @@ def refine_attitude(
                 f"{len(matches)} of {len(points_px)} detections match a star to {radius:.3g} px, "
                 f"{options.min_matches} are needed",
             )
-        fitted = _fit(field, matches, points_px, covariance_px2, predicted, camera, options)
+        fitted = refinement.fit(matches, predicted, camera)
         if isinstance(fitted, Failure):
             return fitted
-        solution = fitted
-        rotation = solution.camera_from_inertial
+        solution, rotation = fitted, fitted.camera_from_inertial
         camera = dataclasses.replace(camera, model=solution.model)
         now = (matches.star_indices.tobytes(), matches.detection_indices.tobytes())
         if now == previous and radius == options.inlier_px:
             break
         previous, radius = now, options.inlier_px
-    return _judged(field, matches, solution, points_px, camera, trials, options)
+    return refinement.accepted(matches, solution, camera)
 
 
 def significant_matches(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> Matches:
@@ -143,6 +143,20 @@ def significant_matches(predicted_px: Float, points_px: Float, radius_px: float,
     return match_nearest(limited, points_px, radius_px)
 
 
+def scaled_model(model: CameraModel, scale: float) -> CameraModel:
+    """The model with its focal lengths times ``scale``; a pinhole as a Brown model, whose ``k1`` can be estimated."""
+    values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
+    values |= {name: values[name] * scale for name in ("fx_px", "fy_px", "skew_px")}
+    if isinstance(model, PinholeModel):
+        return BrownModel(**values)
+    return model.with_parameters(list(values.values()))
+
+
+def depth_for(n_detections: int) -> int:
+    """How many catalog stars, brightest first, to hold against so many detections."""
+    return 3 * n_detections + 100
+
+
 def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale:
     """What of the camera model so many stars can determine."""
     if not options.estimate_scale or n_matched < _STARS_FOR_FOCAL_LENGTH:
@@ -151,64 +165,55 @@ def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale
     return Scale.RADIAL if radial else Scale.FOCAL_LENGTH
 
 
-def _predicted_in_frame(field: StarField, camera: Camera, rotation: Rotation, margin_px: float) -> Float:
-    predicted = camera.model.project(rotate(rotation, field.directions_inertial))
-    predicted[~camera.contains(predicted, margin_px=-margin_px)] = np.nan
-    return predicted
+@dataclass(frozen=True, slots=True, eq=False)
+class _Refinement(Value):
+    """Stars and detections of one image, and the test that a set of matches must pass."""
 
+    field: StarField
+    points_px: Float
+    covariance_px2: Float
+    trials: Callable[[float], float]
+    options: StarOptions
 
-def _fit(
-    field: StarField,
-    matches: Matches,
-    points_px: Float,
-    covariance_px2: Float,
-    predicted_px: Float,
-    camera: Camera,
-    options: StarOptions,
-) -> AttitudeSolution | Failure:
-    stars, chosen = matches.star_indices, matches.detection_indices
-    catalog_px = field.sigma_rad[stars] / ifov_rad(camera.model, points_px[chosen])
-    blend_px = confusion_px(predicted_px, field.stars.magnitude)[stars]
-    return fit_attitude(
-        field.directions_inertial[stars],
-        points_px[chosen],
-        covariance_px2[chosen] + (catalog_px**2 + blend_px**2)[:, None, None] * np.eye(2),
-        camera.model,
-        scale=scale_for(len(matches), camera.model, options),
-        outlier_sigma=options.outlier_sigma,
-        method=options.attitude_method,
-    )
-
-
-def _judged(
-    field: StarField,
-    matches: Matches,
-    solution: AttitudeSolution,
-    points_px: Float,
-    camera: Camera,
-    trials: Callable[[float], float],
-    options: StarOptions,
-) -> RefinedAttitude | Failure:
-    """Ask the last question: how likely are so many matches, that close, by chance."""
-    used: Mask = solution.used
-    n_used = int(used.sum())
-    residuals = points_px[matches.detection_indices[used]] - solution.predicted_px[used]
-    gate = max(float(np.linalg.norm(residuals, axis=1).max()), SMALLEST_GATE_PX)
-    predicted = _predicted_in_frame(field, camera, solution.camera_from_inertial, gate)
-    predicted[int(matches.star_indices.max()) + 1 :] = np.nan
-    chance = chance_of_match(predicted, points_px, gate, float(camera.columns * camera.rows))
-    n_depths = int(np.isfinite(predicted[:, 0]).sum())
-    probability = false_match_probability(n_used, len(points_px), chance, trials(gate) * n_depths)
-    if n_used < options.min_matches or probability > options.max_false_match_probability:
-        return Failure(
-            Reason.AMBIGUOUS,
-            f"{n_used} of {len(points_px)} detections match one of {n_depths} stars to {gate:.2g} px; "
-            f"chance does that with probability up to {probability:.1e}",
+    def fit(self, matches: Matches, predicted_px: Float, camera: Camera) -> AttitudeSolution | Failure:
+        """Attitude from matches, each weighted with the errors of centroid, catalog and blended neighbors."""
+        stars, points_px = matches.star_indices, self.points_px[matches.detection_indices]
+        catalog_px = self.field.sigma_rad[stars] / ifov_rad(camera.model, points_px)
+        blend_px = confusion_px(predicted_px, self.field.stars.magnitude)[stars]
+        extra_px2 = (catalog_px**2 + blend_px**2)[:, None, None] * np.eye(2)
+        return fit_attitude(
+            self.field.directions_inertial[stars],
+            points_px,
+            self.covariance_px2[matches.detection_indices] + extra_px2,
+            camera.model,
+            scale=scale_for(len(matches), camera.model, self.options),
+            outlier_sigma=self.options.outlier_sigma,
+            method=self.options.attitude_method,
         )
-    return RefinedAttitude(
-        field=field,
-        solution=solution,
-        matches=matches,
-        n_detections=len(points_px),
-        false_match_probability=probability,
-    )
+
+    def accepted(self, matches: Matches, solution: AttitudeSolution, camera: Camera) -> RefinedAttitude | Failure:
+        """The refined attitude, or a failure if so many matches this close are likely enough by chance."""
+        options, points_px, used = self.options, self.points_px, solution.used
+        n_used = int(used.sum())
+        residuals = points_px[matches.detection_indices[used]] - solution.predicted_px[used]
+        gate = max(float(np.linalg.norm(residuals, axis=1).max()), SMALLEST_GATE_PX)
+        predicted = predicted_in_frame(
+            self.field.directions_inertial, camera, solution.camera_from_inertial, margin_px=gate
+        )
+        predicted[int(matches.star_indices.max()) + 1 :] = np.nan
+        chance = chance_of_match(predicted, points_px, gate, float(camera.columns * camera.rows))
+        n_depths = int(np.isfinite(predicted[:, 0]).sum())
+        probability = false_match_probability(n_used, len(points_px), chance, self.trials(gate) * n_depths)
+        if n_used < options.min_matches or probability > options.max_false_match_probability:
+            return Failure(
+                Reason.AMBIGUOUS,
+                f"{n_used} of {len(points_px)} detections match one of {n_depths} stars to {gate:.2g} px; "
+                f"chance does that with probability up to {probability:.1e}",
+            )
+        return RefinedAttitude(
+            field=self.field,
+            solution=solution,
+            matches=matches,
+            n_detections=len(points_px),
+            false_match_probability=probability,
+        )

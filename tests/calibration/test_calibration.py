@@ -23,10 +23,10 @@ from giantlike.calibration import (
     collimator_directions,
     interlock,
 )
+from giantlike.calibration.bundle_adjustment import Data, State, linearized, normal_equations, predict
 from giantlike.calibration.field_map import map_difference
-from giantlike.calibration.normal import Data, State, linearized, normal_equations, predict
 from giantlike.calibration.observability import Verdict
-from giantlike.calibration.robust import Loss
+from giantlike.calibration.options import Loss
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float

@@ -46,8 +46,8 @@ from giantlike.stars.matching import (
     log_chance,
     match_nearest,
 )
-from giantlike.stars.pattern_database import pattern_database
-from giantlike.stars.verification import scaled_model
+from giantlike.stars.refine import scaled_model
+from giantlike.stars.tetra import pattern_database
 from tests.numerical import numerical_jacobian
 from tests.tolerances import FLOAT64, FLOAT64_SUM
 
@@ -508,7 +508,7 @@ def test_stars_are_found_through_wide_lenses(catalog: MemoryCatalog, kind: str) 
 
 
 def test_a_damaged_pattern_database_is_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from giantlike.stars import pattern_database as module
+    from giantlike.stars import tetra as module
 
     monkeypatch.setenv("GIANTLIKE_CACHE", str(tmp_path))
     monkeypatch.setattr(module, "_database", module._database.__wrapped__)

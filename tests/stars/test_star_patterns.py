@@ -17,11 +17,9 @@ from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate, rotation_between
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.stars import RefinedAttitude, Sky, StarOptions, identify_lost_in_space
-from giantlike.stars.index_store import cap_radius_rad, sky_index
 from giantlike.stars.lost_in_space import identify_in_cone
-from giantlike.stars.quads import describe_quads
-from giantlike.stars.star_index import Pattern, build_index, caps, subsets
-from giantlike.stars.triads import describe_triads
+from giantlike.stars.patterns import describe_quads, describe_triads
+from giantlike.stars.star_index import Pattern, build_index, cap_radius_rad, caps, sky_index, subsets
 from tests.tolerances import FLOAT64_SUM, SETTLED
 
 SIGMA_PX = 0.2
@@ -223,12 +221,12 @@ def test_an_attitude_wrong_by_3_degrees_is_enough_for_a_deep_catalog_of_a_small_
 
 def test_an_index_is_kept_on_disk_and_belongs_to_its_stars(catalog: MemoryCatalog) -> None:
     from giantlike.catalogs import cache_folder
-    from giantlike.stars import index_store
+    from giantlike.stars import star_index
 
     radius = cap_radius_rad(np.radians(12.0))
     assert np.degrees(radius) == pytest.approx(11.31, abs=0.01)
     made = sky_index(catalog, Pattern.TRIAD, radius)
-    index_store._memory.clear()
+    star_index._memory.clear()
     read = sky_index(catalog, Pattern.TRIAD, radius)
     assert read is not made
     assert (read.patterns == made.patterns).all()

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from giantlike.calibration.field_map import field_grid
-from giantlike.calibration.fix import CalibrationFix
 from giantlike.calibration.observability import Verdict
+from giantlike.calibration.result import CalibrationFix
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.calibration import AlignmentFix, align, calibrate_stars
-from giantlike.calibration.fix import CalibrationFix
+from giantlike.calibration.result import CalibrationFix
 from giantlike.calibration.star_images import StarCalibration, StarImage
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera, ModelUncertainty
