@@ -12,7 +12,8 @@ from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import Failure
 from giantlike.image import Image
-from giantlike.processing.detection.sequence import FixedPattern, enough_images, fixed_pattern, saturation_of
+from giantlike.processing.detection.frame import saturation_of
+from giantlike.processing.detection.sequence import FixedPattern, enough_images, fixed_pattern
 
 
 def sequence_pattern(

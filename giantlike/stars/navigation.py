@@ -19,8 +19,9 @@ from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
 from giantlike.image import Image
-from giantlike.processing.detection.detect import DetectionOptions, detect_sources
+from giantlike.processing.detection.detect import detect_sources
 from giantlike.processing.detection.detections import DetectionFlag, Detections
+from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.apriori import identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky

@@ -26,7 +26,8 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec, rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
-from giantlike.processing.detection.centroid import cut_patches, fit_stars, pixel_shares
+from giantlike.processing.detection.centroid import fit_stars
+from giantlike.processing.detection.patches import cut_patches, pixel_shares
 from giantlike.simulation.cosmic_rays import CosmicRays, draw_tracks
 from tests.numerical import numerical_jacobian
 
@@ -172,11 +173,9 @@ def test_the_place_of_a_star_in_its_pixel_does_not_bias_its_centroid(sigma_px: f
         image = star_image(point[None], np.array([5000.0]), sigma_px, (21, 21)) + SKY_DN
         center = np.round(point).astype(np.int64)[None]
         fit = fit_stars(
-            cut_patches(image, None, center, 6),
+            cut_patches(image, None, center, 6, detector=Detector(gain_e_per_dn=GAIN)),
             flux_dn=np.array([4000.0]),
-            noise_dn=np.array([1.0]),
             psf_sigma_px=sigma_px,
-            gain_e_per_dn=GAIN,
         )
         assert fit.converged.all()
         assert_allclose(fit.points_px[0], point, rtol=0, atol=PHASE_BIAS_PX)

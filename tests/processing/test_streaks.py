@@ -15,8 +15,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
-from giantlike.processing.detection.centroid import cut_patches
-from giantlike.processing.detection.streak import fit_lines, line_shares
+from giantlike.processing.detection.patches import cut_patches
+from giantlike.processing.detection.streak import Lines, fit_lines, line_shares
 from tests.numerical import numerical_jacobian
 from tests.processing.test_detection import (
     DETECTOR,
@@ -50,7 +50,7 @@ def found_in(image: NDArray[Any], **options: Any) -> Detections:
 
 
 def test_a_line_is_the_sum_of_many_points() -> None:
-    patches = cut_patches(np.zeros((31, 31)), None, np.array([[15, 15]]), 15)
+    patches = cut_patches(np.zeros((31, 31)), None, np.array([[15, 15]]), 15, detector=Detector())
     half = np.array([[5.3, -3.1]])
     points = np.array([[15.2, 14.6]])
     shares, _ = line_shares(patches, points, half, SIGMA_PX)
@@ -60,7 +60,7 @@ def test_a_line_is_the_sum_of_many_points() -> None:
 
 
 def test_derivatives_of_a_line_are_those_of_its_pixels() -> None:
-    patches = cut_patches(np.zeros((21, 21)), None, np.array([[10, 10]]), 10)
+    patches = cut_patches(np.zeros((21, 21)), None, np.array([[10, 10]]), 10, detector=Detector())
     at = np.array([10.3, 9.8, 2.4, 1.7])
 
     def shares(p: Float) -> Float:
@@ -76,17 +76,10 @@ def test_middle_and_ends_of_streaks_have_honest_covariances() -> None:
     flux = np.full(len(points), 12_000.0)
     image = exposed(streaked_image(points, flux, half, shape), 4)
     n = len(points)
-    patches = cut_patches(image, None, np.rint(points).astype(np.int64), 10)
-    fits = fit_lines(
-        patches,
-        centers_px=points + 0.3,
-        halves_px=np.tile(half * 0.8, (n, 1)),
-        flux_dn=flux * 0.8,
-        background_dn=np.full(n, 100.0),
-        noise_dn=np.full(n, NOISE_DN),
-        sigma_px=SIGMA_PX,
-        gain_e_per_dn=GAIN,
-    )
+    detector = Detector(gain_e_per_dn=GAIN)
+    patches = cut_patches(image, None, np.rint(points).astype(np.int64), 10, detector=detector, noise_dn=NOISE_DN)
+    start = Lines(points + 0.3, np.tile(half * 0.8, (n, 1)), flux * 0.8, np.full(n, 100.0))
+    fits = fit_lines(patches, start, SIGMA_PX)
     assert fits.converged.all()
     low, high = nees_band(n, 1.0 - FALSE_ALARM)
     error = fits.centers_px - points
@@ -94,7 +87,9 @@ def test_middle_and_ends_of_streaks_have_honest_covariances() -> None:
     assert low < squares.mean() < high
     truth = np.stack([points - half, points + half], axis=1)
     off = (fits.ends_px - truth).reshape(n, 4)
-    both = np.einsum("ni,nij,nj->n", off, np.linalg.inv(fits.end_covariance_px2), off)
+    ends_from_middle = np.kron(np.array([[1.0, -1.0], [1.0, 1.0]]), np.eye(2))
+    covariance = ends_from_middle @ fits.covariance_px2 @ ends_from_middle.T
+    both = np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off)
     assert chi2.ppf(FALSE_ALARM / 2, 4 * n) < both.sum() < chi2.ppf(1 - FALSE_ALARM / 2, 4 * n)
     length = (fits.lengths_px - 2.0 * np.hypot(*half)) / fits.length_sigma_px
     assert chi2.ppf(FALSE_ALARM / 2, n) < np.sum(length**2) < chi2.ppf(1 - FALSE_ALARM / 2, n)

@@ -18,7 +18,7 @@ from giantlike.campaign.file.toml_file import read_toml
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry, read_geometry
-from giantlike.processing.detection.detect import DetectionOptions
+from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.options import StarOptions
 from giantlike.stars.rates import read_rates
 from giantlike.stars.transfer import TransferMethod, TransferOptions

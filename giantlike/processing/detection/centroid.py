@@ -18,100 +18,24 @@ unseen neighbor, a wrong gain), and the noise is not the error. Correlation betw
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.special import erf
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
+from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches, chi2_inflation, pixel_shares
 
-MIN_PSF_SIGMA_PX = 0.25
-"""A narrower point spread function cannot be told from one pixel, and a fit of it has no gradient."""
-
-_MAX_STEPS = 16
-_CONVERGED_PX = 1e-4
-_CONVERGED_SIGMAS = 0.02
+_MAX_STEPS = 16  # stars converge in 4 to 8; one that needs more gets FIT_FAILED
+_CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
+_CONVERGED_SIGMAS = 0.02  # last step over the error of the centroid: adds 0.02 % to its variance
 _NONLINEAR = [0, 1, 4]  # x, y, ln sigma: the model is linear in the others
-_LOG_WIDTH_LIMIT = math.log(4.0)
-_MAX_SHIFT_WIDTHS = 0.5
-_NEIGHBOR_ROUNDS = 3
-_CHI2_SIGMAS = 4.0
+_LOG_WIDTH_LIMIT = math.log(4.0)  # largest change of ln sigma from that of the PSF: flags need no more than a factor 3
+_MAX_SHIFT_WIDTHS = 0.5  # a star may be so many PSF widths (and 1 px) off its peak: more is another source
+_NEIGHBOR_ROUNDS = 3  # of subtracting neighbors and fitting again
 _SECOND_ORDER = 3.0  # by Monte Carlo, sigma 0.5 to 2.5 px, background and shot noise: between 1 and 5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Patches(Value):
-    """Square cut-outs of an image, one around each of n stars.
-
-    Parameters
-    ----------
-    values_dn : (n, w, w) float64, DN
-    valid : (n, w, w) bool
-        Inside the image and not a bad pixel.
-    saturated : (n, w, w) bool
-    corner_px : (n, 2) int64, px
-        (x, y) of the first pixel of each.
-    """
-
-    values_dn: Float
-    valid: Mask
-    saturated: Mask
-    corner_px: NDArray[np.int64]
-
-    @property
-    def half_px(self) -> int:
-        """Half side without the central pixel, px."""
-        return int(self.values_dn.shape[1]) // 2
-
-    @property
-    def reach_px(self) -> float:
-        """Distance within which a neighbor's light falls into a patch, px."""
-        return 1.5 * self.half_px + 1.0
-
-    def select(self, which: NDArray[np.integer]) -> Patches:
-        """Return the patches of some stars."""
-        return Patches(
-            values_dn=self.values_dn[which],
-            valid=self.valid[which],
-            saturated=self.saturated[which],
-            corner_px=self.corner_px[which],
-        )
-
-    def offsets_px(self, points_px: Float) -> tuple[Float, Float]:
-        """Distances (n, w) of the columns and of the rows of each patch from a point (n, 2), px."""
-        steps = np.arange(self.values_dn.shape[1])
-        dx = self.corner_px[:, 0, None] + steps - points_px[:, 0, None]
-        dy = self.corner_px[:, 1, None] + steps - points_px[:, 1, None]
-        return dx, dy
-
-    def longest_axis(self, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
-        """Largest second moment (n,) in a Gaussian window as wide as a star, in units of the window's.
-
-        Shifted by what a star at the same place in its pixel gives, so that stars give 0.5. A line or an edge
-        gives 1, a hot pixel 0.
-        """
-        dx, dy = self.offsets_px(points_px)
-        psf = np.full(len(points_px), max(psf_sigma_px, MIN_PSF_SIGMA_PX))
-        window = math.sqrt(psf_sigma_px**2 + 1.0 / 12.0)
-        window_x, window_y = np.exp(-0.5 * (dx / window) ** 2), np.exp(-0.5 * (dy / window) ** 2)
-        light = np.where(self.valid, self.values_dn - background_dn[:, None, None], 0.0)
-        size = light.shape[1]
-        share_x = pixel_shares(self.corner_px[:, 0], size, points_px[:, 0], psf)[0]
-        share_y = pixel_shares(self.corner_px[:, 1], size, points_px[:, 1], psf)[0]
-        star = np.where(self.valid, share_y[:, :, None] * share_x[:, None, :], 0.0)
-        moments = []
-        for image in (light, star):
-            seen = image * window_y[:, :, None] * window_x[:, None, :]
-            xx = np.einsum("nij,nj->n", seen, dx**2)
-            yy = np.einsum("nij,ni->n", seen, dy**2)
-            xy = np.einsum("nij,ni,nj->n", seen, dy, dx)
-            moments.append(np.stack([xx, yy, xy]) / np.maximum(seen.sum(axis=(1, 2)), 1e-300))
-        xx, yy, xy = moments[0] - moments[1]
-        longest: Float = ((xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)) / window**2 + 0.5
-        return longest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,37 +63,11 @@ class StarFits(Value):
     converged: Mask
 
 
-def cut_patches(
-    pixels: NDArray[np.generic],
-    bad: Mask | None,
-    points_px: NDArray[np.integer],
-    half_px: int,
-    saturation_dn: float = math.inf,
-) -> Patches:
-    """Cut squares of ``2 half_px + 1`` pixels around integer points (n, 2) out of an image of any real dtype."""
-    offsets = np.arange(-half_px, half_px + 1)
-    columns = points_px[:, 0, None] + offsets
-    rows = points_px[:, 1, None] + offsets
-    height, breadth = pixels.shape
-    inside = ((rows >= 0) & (rows < height))[:, :, None] & ((columns >= 0) & (columns < breadth))[:, None, :]
-    index = (np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, breadth - 1)[:, None, :])
-    valid = inside if bad is None else inside & ~bad[index]
-    values = np.where(valid, pixels[index].astype(np.float64), 0.0)
-    return Patches(
-        values_dn=values,
-        valid=valid,
-        saturated=valid & (values >= saturation_dn),
-        corner_px=np.asarray(points_px - half_px, dtype=np.int64),
-    )
-
-
 def fit_stars(
     patches: Patches,
     *,
     flux_dn: Float,
-    noise_dn: Float,
     psf_sigma_px: float,
-    gain_e_per_dn: float,
     width_prior: float = 0.25,
     isolated: bool = False,
 ) -> StarFits:
@@ -180,13 +78,11 @@ def fit_stars(
     patches : Patches
     flux_dn : (n,) float64, DN
         First guess.
-    noise_dn : (n,) float64, DN
-        Background noise of a pixel; the shot noise of the star itself is added.
     psf_sigma_px : float, px
         Expected width; start and prior of the fitted one. At least ``MIN_PSF_SIGMA_PX``.
-    gain_e_per_dn : float, electron/DN
     width_prior : float
-        Standard deviation of the prior on ln sigma: it keeps faint fits in bounds and does not touch bright ones.
+        Standard deviation of the prior on ln sigma, by default 25 %: it keeps the fits of faint stars in bounds and
+        does not touch those of bright ones.
     isolated : bool
         True to ignore neighbors; by default close stars are fitted again with the fitted neighbors subtracted.
 
@@ -201,11 +97,11 @@ def fit_stars(
     """
     psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
     start = np.empty((len(flux_dn), 5))
-    start[:, :2] = patches.corner_px + patches.half_px
-    start[:, 2] = np.maximum(flux_dn, noise_dn)
-    start[:, 3] = border_level(patches)
+    start[:, :2] = patches.centers_px
+    start[:, 2] = np.maximum(flux_dn, patches.noise_dn)
+    start[:, 3] = patches.border_level_dn()
     start[:, 4] = math.log(psf)
-    problem = _Problem(patches, noise_dn, psf, gain_e_per_dn, width_prior)
+    problem = _Problem(patches, psf, width_prior)
     parameters, good = problem.solve(start)
     pairs = neighbor_pairs(start[:, :2], patches.reach_px)
     for _ in range(0 if isolated else _NEIGHBOR_ROUNDS):
@@ -213,7 +109,7 @@ def fit_stars(
         if not len(near):
             break
         blended = np.unique(near[:, 0])
-        problem = _Problem(without_neighbors(patches, parameters, near), noise_dn, psf, gain_e_per_dn, width_prior)
+        problem = replace(problem, patches=_without_neighbors(patches, parameters, near))
         parameters[blended], good[blended] = problem.select(blended).solve(
             np.where(good[blended, None], parameters[blended], start[blended])
         )
@@ -226,40 +122,13 @@ def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
     return np.concatenate([pairs, pairs[:, ::-1]])
 
 
-def without_neighbors(patches: Patches, parameters: Float, pairs: NDArray[np.int64]) -> Patches:
-    """Subtract from each patch the fitted stars that it is paired with."""
+def _without_neighbors(patches: Patches, parameters: Float, pairs: NDArray[np.int64]) -> Patches:
+    """Patches minus the fitted stars that each of them is paired with."""
     of, neighbor = pairs.T
-    share_x, share_y = (
-        pixel_shares(patches.corner_px[of, k], patches.values_dn.shape[1], parameters[neighbor, k],
-                      np.exp(parameters[neighbor, 4]))[0]
-        for k in (0, 1)
-    )  # fmt: skip
+    shares = patches.select(of).star_shares(parameters[neighbor, :2], np.exp(parameters[neighbor, 4]))
     values = patches.values_dn.copy()
-    np.subtract.at(values, of, parameters[neighbor, 2, None, None] * share_y[:, :, None] * share_x[:, None, :])
-    return Patches(values_dn=values, valid=patches.valid, saturated=patches.saturated, corner_px=patches.corner_px)
-
-
-def border_level(patches: Patches) -> Float:
-    """Median (n,) of the valid pixels on the rim of each patch, or of all valid ones."""
-    rim = np.ones(patches.valid.shape[1:], dtype=bool)
-    rim[1:-1, 1:-1] = False
-    usable = patches.valid & rim
-    usable = np.where(usable.any(axis=(1, 2), keepdims=True), usable, patches.valid)
-    values = np.where(usable, patches.values_dn, np.inf).reshape(len(usable), -1)
-    middle = np.maximum(usable.sum(axis=(1, 2)) - 1, 0) // 2
-    level: Float = np.take_along_axis(np.sort(values, axis=1), middle[:, None], axis=1)[:, 0]
-    return np.where(np.isfinite(level), level, 0.0)
-
-
-def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Float) -> tuple[Float, Float, Float]:
-    """Share (n, size) of a unit Gaussian in each pixel along one axis, and d/d center, d/d ln width."""
-    edges = first[:, None] - 0.5 + np.arange(size + 1)
-    u = (edges - center[:, None]) / (math.sqrt(2.0) * width[:, None])
-    bell = np.exp(-(u**2)) / math.sqrt(math.pi)
-    share = 0.5 * np.diff(erf(u), axis=1)
-    by_center = -np.diff(bell, axis=1) / (math.sqrt(2.0) * width[:, None])
-    by_log_width = -np.diff(bell * u, axis=1)
-    return share, by_center, by_log_width
+    np.subtract.at(values, of, parameters[neighbor, 2, None, None] * shares)
+    return replace(patches, values_dn=values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,15 +136,11 @@ class _Problem:
     """Least squares of all stars: parameters (n, 5) are x, y, flux, background, ln sigma."""
 
     patches: Patches
-    noise_dn: Float
     psf_sigma_px: float
-    gain_e_per_dn: float
     width_prior: float
 
     def select(self, which: NDArray[np.integer]) -> _Problem:
-        return _Problem(
-            self.patches.select(which), self.noise_dn[which], self.psf_sigma_px, self.gain_e_per_dn, self.width_prior
-        )
+        return replace(self, patches=self.patches.select(which))
 
     def solve(self, start: Float) -> tuple[Float, Mask]:
         """Gauss-Newton from ``start`` (n, 5); returns parameters and which (n,) came to rest near the peak."""
@@ -299,33 +164,27 @@ class _Problem:
             still = np.hypot(step[:, 0], step[:, 1]) <= np.maximum(_CONVERGED_PX, _CONVERGED_SIGMAS * error)
             if still.any():
                 active, problem = active[~still], problem.select(np.flatnonzero(~still))
-        middle = self.patches.corner_px + self.patches.half_px
         reach = 1.0 + _MAX_SHIFT_WIDTHS * self.psf_sigma_px
-        good = np.hypot(*(parameters[:, :2] - middle).T) <= reach
+        good = np.hypot(*(parameters[:, :2] - self.patches.centers_px).T) <= reach
         good[active] = False
         return parameters, good
 
     def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
         """Normal matrices (n, 5, 5), right sides (n, 5), chi-squares (n,) and numbers of pixels (n,)."""
-        patches = self.patches
-        n, size = patches.values_dn.shape[:2]
+        patches, n, size = self.patches, len(parameters), self.patches.size_px
         x, y, flux, background, log_width = parameters.T
         width = np.exp(log_width)
         px, px_center, px_width = pixel_shares(patches.corner_px[:, 0], size, x, width)
         py, py_center, py_width = pixel_shares(patches.corner_px[:, 1], size, y, width)
-        jacobian = np.empty((n, 5, size, size))
         scale = flux[:, None, None]
         star = py[:, :, None] * px[:, None, :]
+        jacobian = np.empty((n, 5, size, size))
         jacobian[:, 0] = scale * py[:, :, None] * px_center[:, None, :]
         jacobian[:, 1] = scale * py_center[:, :, None] * px[:, None, :]
         jacobian[:, 2] = star
         jacobian[:, 3] = 1.0
         jacobian[:, 4] = scale * (py[:, :, None] * px_width[:, None, :] + py_width[:, :, None] * px[:, None, :])
-        model = background[:, None, None] + scale * star
-        used = patches.valid & ~(patches.saturated & (model >= patches.values_dn))
-        residual = np.where(used, patches.values_dn - model, 0.0).reshape(n, -1)
-        variance = self.noise_dn[:, None, None] ** 2 + np.maximum(scale * star, 0.0) / self.gain_e_per_dn
-        weight = (used / variance).reshape(n, -1)
+        residual, weight = patches.residuals(scale * star, background)
         rows = jacobian.reshape(n, 5, -1)
         weighted = rows * weight[:, None, :]
         normal = weighted @ rows.swapaxes(1, 2)
@@ -335,10 +194,9 @@ class _Problem:
         # A star without pixels has no information: keep the matrix regular, its covariance says so.
         diagonal = np.arange(4)
         normal[:, diagonal, diagonal] += np.stack(
-            [np.full(n, 1e-6), np.full(n, 1e-6), (1e-6 / flux) ** 2, 1e-12 / self.noise_dn**2], axis=-1
+            [np.full(n, 1e-6), np.full(n, 1e-6), (1e-6 / flux) ** 2, 1e-12 / patches.noise_dn**2], axis=-1
         )
-        chi2 = np.sum(weight * residual**2, axis=1)
-        return normal, right, chi2, used.reshape(n, -1).sum(axis=1)
+        return normal, right, np.sum(weight * residual**2, axis=1), np.count_nonzero(weight, axis=1)
 
     def limited(self, parameters: Float, step: Float) -> Float:
         """Shorten steps that leave the region where the linearization means something."""
@@ -359,15 +217,14 @@ class _Problem:
         normal, _, chi2, count = self.linearize(parameters)
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         freedom = np.maximum(count - 5, 1)
-        reduced = chi2 / freedom
-        inflation = np.where(reduced > 1.0 + _CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)
+        inflation = chi2_inflation(chi2, freedom)
         inflation *= 1.0 + _SECOND_ORDER * covariance[:, 2, 2] / parameters[:, 2] ** 2
         return StarFits(
-            points_px=parameters[:, :2].copy(),
+            points_px=parameters[:, :2],
             covariance_px2=covariance[:, :2, :2] * inflation[:, None, None],
-            flux_dn=parameters[:, 2].copy(),
-            background_dn=parameters[:, 3].copy(),
+            flux_dn=parameters[:, 2],
+            background_dn=parameters[:, 3],
             width_px=np.exp(parameters[:, 4]),
-            reduced_chi2=reduced,
+            reduced_chi2=chi2 / freedom,
             converged=good & (count > 5),
         )

@@ -25,18 +25,11 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.processing.detection.centroid import (
-    MIN_PSF_SIGMA_PX,
-    Patches,
-    StarFits,
-    cut_patches,
-    fit_stars,
-    neighbor_pairs,
-)
+from giantlike.processing.detection.centroid import StarFits, fit_stars, neighbor_pairs
 from giantlike.processing.detection.common_streak import (
     CommonStreak,
     find_common_streak,
-    measure_streaks,
+    fit_streaks,
     unexplained_power,
 )
 from giantlike.processing.detection.detections import DetectionFlag, Detections
@@ -48,8 +41,9 @@ from giantlike.processing.detection.matched_filter import (
     noise_between,
     recorded_width_px,
 )
-from giantlike.processing.detection.noise import NoiseSource, Region
+from giantlike.processing.detection.options import DetectionOptions
 from giantlike.processing.detection.particles import CORE_WIDTHS, core_of, find_few_pixels
+from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, PIXEL_VARIANCE_PX2, Patches, cut_patches
 from giantlike.processing.detection.streak import line_shares
 
 _FIRST_PSF_SIGMA_PX = 1.0
@@ -73,60 +67,6 @@ _ELONGATED = 0.9  # longest axis of the windowed moments: 0.5 for a star, 1 for 
 _SHARP_WIDTH = 0.62  # times the usual width of the stars of the image
 _SHARP_MIN_PSF_PX = 0.4  # below, a star and a hot pixel look the same
 _USUAL_MIN_STARS = 10
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DetectionOptions:
-    """How to detect.
-
-    Parameters
-    ----------
-    threshold_sigma : float
-        Detection limit of the filtered image in units of its local noise. Of white noise about one pixel in
-        three million exceeds 5.
-    max_sources : int
-        Keep at most this many, the most significant ones.
-    min_area_px : int
-        Fewer connected pixels above the limit are no source; 1 keeps all.
-    max_saturated_fraction : float
-        An image with a larger share of saturated pixels is refused.
-    noise : NoiseSource
-        Where the noise of a pixel is taken from.
-    covered : (x, y, columns, rows), px, optional
-        Pixels that no light reaches, for ``NoiseSource.COVERED``.
-    streak : bool, optional
-        Whether stars are drawn into lines of one direction and length. By default this is found out; where it is not
-        so although ``True`` was said, the image is refused.
-
-    Raises
-    ------
-    InputError
-        A value is out of its range.
-    """
-
-    threshold_sigma: float = 5.0
-    max_sources: int = 2000
-    min_area_px: int = 1
-    max_saturated_fraction: float = 0.5
-    noise: NoiseSource = NoiseSource.LOCAL
-    covered: Region | None = None
-    streak: bool | None = None
-
-    def __post_init__(self) -> None:
-        require(
-            math.isfinite(self.threshold_sigma) and self.threshold_sigma > 0,
-            f"threshold_sigma must be > 0, got {self.threshold_sigma}",
-        )
-        require(self.max_sources >= 1, f"max_sources must be >= 1, got {self.max_sources}")
-        require(self.min_area_px >= 1, f"min_area_px must be >= 1, got {self.min_area_px}")
-        require(
-            0.0 < self.max_saturated_fraction <= 1.0,
-            f"max_saturated_fraction must be in (0, 1], got {self.max_saturated_fraction}",
-        )
-        require(
-            (self.covered is not None) == (self.noise is NoiseSource.COVERED),
-            "noise from covered pixels and their region go together",
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,7 +95,7 @@ def detect_sources(
     detector: Detector,
     psf_sigma_px: float | None = None,
     mask: ArrayLike | None = None,
-    options: DetectionOptions = DetectionOptions(),
+    options: DetectionOptions | None = None,
 ) -> Detections | Failure:
     """Find stars and other point sources and measure where they are.
 
@@ -171,7 +111,7 @@ def detect_sources(
         over the brightest isolated sources of this image (1 px where there are none).
     mask : (rows, columns) bool, optional
         True where a pixel is bad.
-    options : DetectionOptions
+    options : DetectionOptions, optional
 
     Returns
     -------
@@ -197,9 +137,8 @@ def detect_sources(
         psf_sigma_px is None or (math.isfinite(psf_sigma_px) and psf_sigma_px >= 0),
         f"psf_sigma_px must be finite and >= 0, got {psf_sigma_px}",
     )
-    frame = frame_of(
-        pixels, mask, detector, options.max_saturated_fraction, noise=options.noise, covered=options.covered
-    )
+    options = DetectionOptions() if options is None else options
+    frame = frame_of(pixels, mask, detector, options)
     if isinstance(frame, Failure):
         return frame
     psf, filtered, found = _search(frame, psf_sigma_px, options)
@@ -259,15 +198,7 @@ def _search_with(
 
 def _common_streak(frame: Frame, found: _Candidates, psf_sigma_px: float | None) -> CommonStreak | None:
     bright = found.select(found.first & (found.significance > _STREAK_MIN_SIGNIFICANCE))
-    return find_common_streak(
-        frame.pixels,
-        frame.bad,
-        bright.peaks_px,
-        noise_dn=bright.noise_dn,
-        psf_sigma_px=psf_sigma_px,
-        gain_e_per_dn=frame.gain_e_per_dn,
-        saturation_dn=frame.saturation_dn,
-    )
+    return find_common_streak(frame, bright.peaks_px, bright.noise_dn, psf_sigma_px)
 
 
 def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions) -> _Candidates:
@@ -292,7 +223,7 @@ def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions
     strongest[component[first]] = significance[first]
     star_area = 4.0 * math.pi * filtered.width_px**2 * np.log(strongest[component] / options.threshold_sigma)
     extended = area[component] > _EXTENDED_AREA * star_area + _EXTENDED_AREA_MARGIN_PX
-    near_saturation = cut_patches(frame.pixels, frame.bad, points, 1, frame.saturation_dn).saturated.any(axis=(1, 2))
+    near_saturation = frame.patches(points, 1).saturated.any(axis=(1, 2))
     candidates = _Candidates(
         peaks_px=points,
         flux_dn=response[order] * filtered.flux_per_response,
@@ -326,7 +257,7 @@ def _estimate_psf(frame: Frame, found: _Candidates, psf_sigma_px: float) -> floa
     sharper: list[float] = []
     for start in range(0, min(len(found), _PSF_MOST_TRIED), 2 * _PSF_STARS):
         some = found.select(slice(start, start + 2 * _PSF_STARS))
-        patches = cut_patches(frame.pixels, frame.bad, some.peaks_px, _half_patch_px(psf_sigma_px), frame.saturation_dn)
+        patches = frame.patches(some.peaks_px, _half_patch_px(psf_sigma_px), some.noise_dn)
         whole = np.flatnonzero(patches.valid.all(axis=(1, 2)) & ~patches.saturated.any(axis=(1, 2)))
         whole = whole[: _PSF_STARS - len(stars)]
         if not whole.size:
@@ -335,21 +266,11 @@ def _estimate_psf(frame: Frame, found: _Candidates, psf_sigma_px: float) -> floa
         fits = fit_stars(
             patches,
             flux_dn=some.flux_dn,
-            noise_dn=some.noise_dn,
             psf_sigma_px=psf_sigma_px,
-            gain_e_per_dn=frame.gain_e_per_dn,
             width_prior=_PSF_WIDTH_PRIOR,
             isolated=True,
         )
-        few = find_few_pixels(
-            patches,
-            fits.points_px,
-            widths_px=fits.width_px,
-            background_dn=fits.background_dn,
-            noise_dn=some.noise_dn,
-            gain_e_per_dn=frame.gain_e_per_dn,
-            psf_sigma_px=psf_sigma_px,
-        )
+        few = find_few_pixels(patches, fits.points_px, fits.width_px, fits.background_dn, psf_sigma_px)
         wide = fits.converged & (fits.width_px > _HOT_PIXEL_WIDTH_PX) & ~few.not_star
         stars.extend(fits.width_px[wide])
         sharper.extend(fits.width_px[fits.converged & ~wide])
@@ -365,26 +286,23 @@ def _half_patch_px(psf_sigma_px: float) -> int:
 
 def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
     """Fit all candidates, flag what is odd about them, sort by flux."""
-    patches = cut_patches(frame.pixels, frame.bad, found.peaks_px, _half_patch_px(psf_sigma_px), frame.saturation_dn)
-    fits = fit_stars(
-        patches,
-        flux_dn=found.flux_dn,
-        noise_dn=found.noise_dn,
-        psf_sigma_px=psf_sigma_px,
-        gain_e_per_dn=frame.gain_e_per_dn,
-    )
+    patches = frame.patches(found.peaks_px, _half_patch_px(psf_sigma_px), found.noise_dn)
+    fits = fit_stars(patches, flux_dn=found.flux_dn, psf_sigma_px=psf_sigma_px)
     width = recorded_width_px(psf_sigma_px)
     failed = ~fits.converged
-    points = np.where(failed[:, None], found.peaks_px, fits.points_px)
-    covariance = np.where(failed[:, None, None], width**2 * np.eye(2), fits.covariance_px2)
+    fits = replace(
+        fits,
+        points_px=np.where(failed[:, None], found.peaks_px, fits.points_px),
+        covariance_px2=np.where(failed[:, None, None], width**2 * np.eye(2), fits.covariance_px2),
+    )
     flux = np.where(failed, found.flux_dn, fits.flux_dn)
-    core = core_of(patches, points, psf_sigma_px)
+    core = core_of(patches, fits.points_px, psf_sigma_px)
     peak = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
-    flags = _flags(frame, found, patches, fits, points, core, psf_sigma_px)
+    flags = _flags(frame, found, patches, fits, core, psf_sigma_px)
     order = np.argsort(-flux, kind="stable")
     return Detections(
-        points_px=points,
-        covariance_px2=covariance,
+        points_px=fits.points_px,
+        covariance_px2=fits.covariance_px2,
         flux_dn=flux,
         snr=flux / (found.noise_dn * 2.0 * math.sqrt(math.pi) * width),
         peak_dn=np.where(np.isfinite(peak), peak, 0.0),
@@ -401,10 +319,8 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
     """Fit a line to all candidates; what is no line as long as that of the image is not a star."""
     width = recorded_width_px(streak.sigma_px)
     half = math.ceil(max(abs(h) for h in streak.half_px) + 3.0 * width) + 2
-    patches = cut_patches(frame.pixels, frame.bad, found.peaks_px, half, frame.saturation_dn)
-    fits = measure_streaks(
-        patches, streak=streak, flux_dn=found.flux_dn, noise_dn=found.noise_dn, gain_e_per_dn=frame.gain_e_per_dn
-    )
+    patches = frame.patches(found.peaks_px, half, found.noise_dn)
+    fits = fit_streaks(patches, streak, found.flux_dn)
     shares = line_shares(patches, fits.centers_px, fits.halves_px, streak.sigma_px)[0]
     core = shares > 0.1 * shares.max(axis=(1, 2), keepdims=True)
     light = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
@@ -414,7 +330,7 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
     x, y = streak.half_px
     turned = np.abs(x * fits.halves_px[:, 1] - y * fits.halves_px[:, 0]) / (expected / 2.0)
     unlike = (np.abs(fits.lengths_px - expected) > allowed) | (2.0 * turned > allowed)
-    unlike |= unexplained_power(patches, fits, shares, found.noise_dn) > _STREAK_UNEXPLAINED
+    unlike |= unexplained_power(patches, fits, shares) > _STREAK_UNEXPLAINED
     ends = fits.ends_px
     last = np.array(frame.pixels.shape[::-1]) - 1.0
     cut = ((ends < width) | (ends > last - width)).any(axis=(1, 2))
@@ -453,36 +369,27 @@ def _flags(
     found: _Candidates,
     patches: Patches,
     fits: StarFits,
-    points_px: Float,
     core: Mask,
     psf_sigma_px: float,
 ) -> NDArray[np.uint16]:
     """Combine :class:`DetectionFlag` values (n,)."""
     rows, columns = frame.pixels.shape
     width = recorded_width_px(psf_sigma_px)
-    failed = ~fits.converged
+    points_px, failed = fits.points_px, ~fits.converged
     saturated = (core & patches.saturated).any(axis=(1, 2))
     margin = CORE_WIDTHS * width - 0.5
     last = np.array([columns, rows]) - 1.0 - margin
     cut = ((points_px < margin) | (points_px > last)).any(axis=1)
     masked = np.zeros(len(points_px), dtype=bool)
     if frame.bad is not None:
-        bad = cut_patches(frame.bad, None, found.peaks_px, patches.half_px).values_dn > 0
+        bad = cut_patches(frame.bad, None, found.peaks_px, patches.half_px, detector=frame.detector).values_dn > 0
         masked |= (core & bad).any(axis=(1, 2))
-    relative_width = np.hypot(fits.width_px, math.sqrt(1.0 / 12.0)) / width
+    relative_width = np.hypot(fits.width_px, math.sqrt(PIXEL_VARIANCE_PX2)) / width
     wide = relative_width > np.where(saturated, _EXTENDED_WIDTH_SATURATED, _EXTENDED_WIDTH)
-    long = patches.longest_axis(points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
+    long = patches.elongation(points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
     long &= ~saturated  # a plateau has no shape
     usual = _usual_width_px(fits, ~saturated & ~wide & ~long, psf_sigma_px)
-    few = find_few_pixels(
-        patches,
-        points_px,
-        widths_px=np.full(len(points_px), usual),
-        background_dn=fits.background_dn,
-        noise_dn=found.noise_dn,
-        gain_e_per_dn=frame.gain_e_per_dn,
-        psf_sigma_px=psf_sigma_px,
-    )
+    few = find_few_pixels(patches, points_px, np.full(len(points_px), usual), fits.background_dn, psf_sigma_px)
     sharp = (few.not_star | (fits.width_px < _SHARP_WIDTH * usual)) & (usual >= _SHARP_MIN_PSF_PX) & ~saturated
     blended = np.zeros(len(points_px), dtype=bool)
     blended[neighbor_pairs(points_px, patches.reach_px)[:, 0]] = True

@@ -1,9 +1,9 @@
-"""What comes into a detection: pixels checked, bad ones gathered, images without information refused."""
+"""Input of the detection: pixels and mask checked, images without information refused."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,17 @@ from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.detection.matched_filter import Image32
-from giantlike.processing.detection.noise import NoiseSource, Region, predicted_noise_dn
+from giantlike.processing.detection.noise import NoiseSource, predicted_noise_dn
+from giantlike.processing.detection.options import DetectionOptions
+from giantlike.processing.detection.patches import Patches, cut_patches
 
-_QUANTIZATION_DN = 1.0 / math.sqrt(12.0)
+_QUANTIZATION_DN = 1.0 / math.sqrt(12.0)  # rounding to whole numbers: standard deviation of a uniform error
 _FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in single precision
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame(Value):
-    """An image as the steps of a detection need it.
+    """An image to search for sources.
 
     Parameters
     ----------
@@ -30,31 +32,54 @@ class Frame(Value):
         As stored, finite.
     bad : (rows, columns) bool or None
     flat : (rows, columns) float32, DN
-        In single precision near zero, for the filter.
-    saturation_dn, gain_e_per_dn, noise_floor_dn : float
+        The image minus its median, in single precision: input of the matched filter.
+    detector : Detector
+        An integer image also saturates at the end of its dtype.
+    noise_floor_dn : float, DN
+        Lower bound of the noise of a pixel: quantization.
     noise_dn : (rows, columns) float32, DN, or None
-        Where it is not measured on the image itself.
+        Noise of a pixel; None where it is measured on the filtered image.
     """
 
     pixels: NDArray[Any]
     bad: Mask | None
     flat: Image32
-    saturation_dn: float
-    gain_e_per_dn: float
+    detector: Detector
     noise_floor_dn: float
     noise_dn: Image32 | None
+
+    def patches(self, points_px: NDArray[np.int64], half_px: int, noise_dn: ArrayLike = 1.0) -> Patches:
+        """Cut-outs of ``2 half_px + 1`` pixels around pixels (n, 2), of background noise (n,), DN."""
+        return cut_patches(self.pixels, self.bad, points_px, half_px, noise_dn=noise_dn, detector=self.detector)
 
 
 def frame_of(
     pixels: ArrayLike,
     mask: ArrayLike | None,
     detector: Detector,
-    max_saturated_fraction: float,
-    *,
-    noise: NoiseSource,
-    covered: Region | None,
+    options: DetectionOptions,
 ) -> Frame | Failure:
-    """Check what came in, gather bad pixels, refuse images without information."""
+    """Check the pixels and mask of an image for detection.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+    mask : (rows, columns) bool or None
+        True where a pixel is bad; pixels that are not finite are bad too.
+    detector : Detector
+    options : DetectionOptions
+
+    Returns
+    -------
+    Frame or Failure
+        ``no_signal``: all good pixels are equal, or there are none. ``saturated``: more pixels are saturated than the
+        options allow.
+
+    Raises
+    ------
+    InputError
+        Pixels are not 2-D and real, or the mask has another shape.
+    """
     array = np.asarray(pixels)
     require(
         array.ndim == 2 and array.size > 0 and array.dtype.kind in "iuf",
@@ -71,26 +96,30 @@ def frame_of(
         return Failure(Reason.NO_SIGNAL, "every pixel is masked or not finite")
     low, high = float(good.min()), float(good.max())
     integer = array.dtype.kind in "iu"
-    saturation = min(detector.saturation_dn, float(np.iinfo(array.dtype).max) if integer else math.inf)
+    saturation = saturation_of(array.dtype, detector.saturation_dn)
     saturated = float(np.count_nonzero(good >= saturation)) / good.size if high >= saturation else 0.0
-    if saturated > max_saturated_fraction:
+    if saturated > options.max_saturated_fraction:
         return Failure(
             Reason.SATURATED,
             f"{saturated:.0%} of the pixels are at or above saturation ({saturation:g} DN), "
-            f"at most {max_saturated_fraction:.0%} may be: expose shorter",
+            f"at most {options.max_saturated_fraction:.0%} may be: use a shorter exposure",
         )
     if low == high:
-        return Failure(Reason.NO_SIGNAL, f"every pixel is {low:g} DN: there is nothing to detect")
+        return Failure(Reason.NO_SIGNAL, f"every pixel has the value {low:g} DN: there is nothing to detect")
     sample = good[::7, ::7] if good.ndim == 2 else good[::49]
     whole = integer or bool((sample == np.round(sample)).all())
     return Frame(
         pixels=array,
         bad=masked,
         flat=np.subtract(array, np.median(sample), dtype=np.float32),
-        saturation_dn=saturation,
-        gain_e_per_dn=detector.gain_e_per_dn,
+        detector=replace(detector, saturation_dn=saturation),
         noise_floor_dn=_QUANTIZATION_DN if whole else _FLOAT_FLOOR * (high - low),
         noise_dn=None
-        if noise is NoiseSource.LOCAL
-        else predicted_noise_dn(array, masked, source=noise, detector=detector, covered=covered),
+        if options.noise is NoiseSource.LOCAL
+        else predicted_noise_dn(array, masked, source=options.noise, detector=detector, covered=options.covered),
     )
+
+
+def saturation_of(dtype: np.dtype[Any], saturation_dn: float) -> float:
+    """Value at which pixels of a dtype saturate, DN: the limit of the detector or the end of an integer type."""
+    return min(saturation_dn, float(np.iinfo(dtype).max)) if dtype.kind in "iu" else saturation_dn

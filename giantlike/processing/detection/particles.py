@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.processing.detection.centroid import Patches, pixel_shares
 from giantlike.processing.detection.matched_filter import recorded_width_px
+from giantlike.processing.detection.patches import Patches
 
 CORE_WIDTHS = 2.0
 """Radius of what counts as the core of a source, in recorded star widths; half a pixel more."""
@@ -64,43 +64,37 @@ def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> Mask:
 
 
 def find_few_pixels(
-    patches: Patches,
-    points_px: Float,
-    *,
-    widths_px: Float,
-    background_dn: Float,
-    noise_dn: Float,
-    gain_e_per_dn: float,
-    psf_sigma_px: float,
+    patches: Patches, points_px: Float, widths_px: Float, background_dn: Float, psf_sigma_px: float
 ) -> FewPixels:
-    """Compare a star and light in a few pixels.
+    """Compare a star and light in a few pixels as explanations of sources.
 
     Parameters
     ----------
     patches : Patches
         Saturated pixels are left out.
     points_px : (n, 2) float64, px
-        Fitted places.
+        Fitted centroids.
     widths_px : (n,) float64, px
         Gaussian width that a star at that place has.
-    background_dn, noise_dn : (n,) float64, DN
-        Level under each source and background noise of a pixel.
-    gain_e_per_dn : float, electron/DN
+    background_dn : (n,) float64, DN
+        Level under each source.
     psf_sigma_px : float, px
         Sets the size of the core.
+
+    Returns
+    -------
+    FewPixels
     """
-    n, size = patches.values_dn.shape[:2]
-    used = core_of(patches, points_px, psf_sigma_px) & patches.valid & ~patches.saturated
-    across = pixel_shares(patches.corner_px[:, 0], size, points_px[:, 0], widths_px)[0]
-    down = pixel_shares(patches.corner_px[:, 1], size, points_px[:, 1], widths_px)[0]
-    share = (down[:, :, None] * across[:, None, :]).reshape(n, -1)
-    used = used.reshape(n, -1)
+    n, size = len(points_px), patches.size_px
+    gain = patches.gain_e_per_dn
+    used = (core_of(patches, points_px, psf_sigma_px) & patches.valid & ~patches.saturated).reshape(n, -1)
+    share = patches.star_shares(points_px, widths_px).reshape(n, -1)
     light = patches.values_dn.reshape(n, -1) - background_dn[:, None]
-    floor = noise_dn[:, None] ** 2
-    star = _star_light(light, share, used, floor, gain_e_per_dn)
-    variance = floor + star / gain_e_per_dn + (_MODEL_ERROR * star) ** 2
+    floor = patches.noise_dn[:, None] ** 2
+    star = _star_light(light, share, used, floor, gain)
+    variance = floor + star / gain + (_MODEL_ERROR * star) ** 2
     left = np.sum(np.where(used, (light - star) ** 2 / variance, 0.0), axis=1)
-    single = np.where(used, light**2 / (floor + np.maximum(light, 0.0) / gain_e_per_dn), 0.0)
+    single = np.where(used, light**2 / (floor + np.maximum(light, 0.0) / gain), 0.0)
     brightest = -np.sort(np.where(light > 0.0, -single, 0.0), axis=1)[:, :_MOST_PIXELS]
     explained = np.concatenate([np.zeros((n, 1)), np.cumsum(brightest - _PIXEL_COST, axis=1)], axis=1)
     few = single.sum(axis=1) - explained.max(axis=1)
@@ -109,24 +103,13 @@ def find_few_pixels(
     n_pixels = explained.argmax(axis=1)
     least = np.take_along_axis(np.pad(brightest, ((0, 0), (1, 0)), constant_values=np.inf), n_pixels[:, None], axis=1)
     lit = np.where((single >= least) & (light > 0.0), light, 0.0).reshape(n, size, size)
-    line = _smaller_moment_px2(patches, points_px, lit)
-    thin = line <= min(_LINE_PX2 + _LINE_GROWTH * psf_sigma_px**2, _LINE_MOST_PX2)
+    x, y, xx, yy, xy = patches.moments(points_px, lit)
+    xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
+    across = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)  # second moment across the line through the light
+    thin = across <= min(_LINE_PX2 + _LINE_GROWTH * psf_sigma_px**2, _LINE_MOST_PX2)
     power = np.where(used, np.stack([(light - star) ** 2, light**2]), 0.0).sum(axis=2)
     refused &= power[0] > np.where(thin, _LEAST_POWER, _UNLIKE_POWER) * power[1]
     return FewPixels(not_star=refused & (few < left), n_pixels=n_pixels.astype(np.int64))
-
-
-def _smaller_moment_px2(patches: Patches, points_px: Float, light: Float) -> Float:
-    """Second moment (n,), px^2, of light (n, w, w) across the line that it is closest to."""
-    dx, dy = patches.offsets_px(points_px)
-    total = np.maximum(light.sum(axis=(1, 2)), 1e-300)
-    across, down = light.sum(axis=1), light.sum(axis=2)
-    x, y = np.sum(across * dx, axis=1) / total, np.sum(down * dy, axis=1) / total
-    xx = np.sum(across * dx**2, axis=1) / total - x**2
-    yy = np.sum(down * dy**2, axis=1) / total - y**2
-    xy = np.einsum("nij,ni,nj->n", light, dy, dx) / total - x * y
-    result: Float = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)
-    return result
 
 
 def _star_light(light: Float, share: Float, used: Mask, floor: Float, gain_e_per_dn: float) -> Float:

@@ -17,8 +17,10 @@ from giantlike.core.arrays import Float, Mask, frozen, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.processing.detection.detect import DetectionOptions, detect_sources
+from giantlike.processing.detection.detect import detect_sources
 from giantlike.processing.detection.detections import DetectionFlag, Detections
+from giantlike.processing.detection.frame import saturation_of
+from giantlike.processing.detection.options import DetectionOptions
 
 _MOST_IMAGES = 25  # more make the median no better and fill the memory
 _STRIP_PX = 1 << 22  # pixels of all images that are looked at together
@@ -76,11 +78,6 @@ class FixedPattern(Value):
         )
         saturated = array >= saturation_of(array.dtype, saturation_dn)
         return np.where(saturated, array, array - self.level_dn).astype(np.float32)
-
-
-def saturation_of(dtype: np.dtype[Any], saturation_dn: float) -> float:
-    """Where pixels of a dtype saturate, DN: at the detector's limit or at the end of an integer type."""
-    return min(saturation_dn, float(np.iinfo(dtype).max)) if dtype.kind in "iu" else saturation_dn
 
 
 def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = None) -> FixedPattern | Failure:

@@ -24,14 +24,37 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, frozen
 from giantlike.core.values import Value
-from giantlike.processing.detection.centroid import Patches, pixel_shares
+from giantlike.processing.detection.patches import Patches, chi2_inflation, pixel_shares
 
 _MAX_STEPS = 40
 _SETTLED = 1e-3  # of a standard deviation of a free fit, or of 1e-3 px
 _NODE_SPACING = 1.5  # in widths of the line
 _SPARE_NODES = 4
-_CHI2_SIGMAS = 4.0
 _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines(Value):
+    """Lines of light on a constant background, n of them: a first guess.
+
+    Parameters
+    ----------
+    centers_px : (n, 2) float64, px
+        Middle of each.
+    halves_px : (n, 2) float64, px
+        Vector from the middle to one end.
+    flux_dn, background_dn : (n,) float64, DN
+        Light of each, and level underneath.
+    """
+
+    centers_px: Float
+    halves_px: Float
+    flux_dn: Float
+    background_dn: Float
+
+    def select(self, which: NDArray[np.integer]) -> Lines:
+        """Lines of the given indices (k,)."""
+        return Lines(self.centers_px[which], self.halves_px[which], self.flux_dn[which], self.background_dn[which])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,13 +98,6 @@ class LineFits(Value):
         return np.stack([self.centers_px - self.halves_px, self.centers_px + self.halves_px], axis=1)
 
     @property
-    def end_covariance_px2(self) -> Float:
-        """Covariance (n, 4, 4), px^2, of :attr:`ends_px`: x and y of the first, then of the second."""
-        both = np.kron(np.array([[1.0, -1.0], [1.0, 1.0]]), np.eye(2))
-        result: Float = both @ self.covariance_px2 @ both.T
-        return result
-
-    @property
     def length_sigma_px(self) -> Float:
         """Standard deviation (n,) of :attr:`lengths_px`, px."""
         along = self.halves_px / np.maximum(self.lengths_px / 2.0, 1e-12)[:, None]
@@ -114,7 +130,7 @@ def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px:
     derivatives : (n, 4, w, w) float64, 1/px
         By center x, y and half x, y.
     """
-    size, n = patches.values_dn.shape[1], len(centers_px)
+    size, n = patches.size_px, len(centers_px)
     longest = 2.0 * float(np.hypot(*halves_px.T).max(initial=0.0))
     nodes, weights = _gauss_legendre(math.ceil(longest / (_NODE_SPACING * sigma_px)) + _SPARE_NODES)
     k = len(nodes)
@@ -131,40 +147,25 @@ def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px:
     return shares, derivatives
 
 
-def fit_lines(
-    patches: Patches,
-    *,
-    centers_px: Float,
-    halves_px: Float,
-    flux_dn: Float,
-    background_dn: Float,
-    noise_dn: Float,
-    sigma_px: float,
-    gain_e_per_dn: float,
-) -> LineFits:
+def fit_lines(patches: Patches, start: Lines, sigma_px: float) -> LineFits:
     """Fit a line to each patch.
 
     Parameters
     ----------
     patches : Patches
         Saturated pixels are lower bounds.
-    centers_px, halves_px : (n, 2) float64, px
-        First guess; a half of no length stays so.
-    flux_dn, background_dn : (n,) float64, DN
-        First guess.
-    noise_dn : (n,) float64, DN
-        Background noise of a pixel.
+    start : Lines
+        First guess; a half vector of no length stays so.
     sigma_px : float, px
-        Width of the line, > 0.
-    gain_e_per_dn : float, electron/DN
+        Gaussian width of the lines, > 0.
 
     Returns
     -------
     LineFits
     """
-    problem = _Problem(patches, noise_dn, sigma_px, gain_e_per_dn)
-    start = np.concatenate([centers_px, halves_px, flux_dn[:, None], background_dn[:, None]], axis=1)
-    return problem.finish(*problem.solve(start))
+    problem = _Problem(patches, sigma_px)
+    parameters = np.column_stack([start.centers_px, start.halves_px, start.flux_dn, start.background_dn])
+    return problem.finish(*problem.solve(parameters))
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,39 +173,31 @@ class _Problem:
     """Least squares of all lines: parameters (n, 6) are x, y, half x, half y, flux, background."""
 
     patches: Patches
-    noise_dn: Float
     sigma_px: float
-    gain_e_per_dn: float
 
     def select(self, which: NDArray[np.integer]) -> _Problem:
-        return _Problem(self.patches.select(which), self.noise_dn[which], self.sigma_px, self.gain_e_per_dn)
+        return _Problem(self.patches.select(which), self.sigma_px)
 
-    def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
-        """Normal matrices (n, 6, 6), right sides (n, 6), chi-squares (n,) and numbers of pixels (n,)."""
-        patches, n = self.patches, len(parameters)
-        flux = parameters[:, 4, None, None]
-        shares, derivatives = line_shares(patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
+    def linearize(self, parameters: Float) -> tuple[Float, Float, Float]:
+        """Normal matrices (n, 6, 6), right sides (n, 6), and costs (n,): -2 ln likelihood up to a constant."""
+        n, flux = len(parameters), parameters[:, 4, None, None]
+        shares, derivatives = line_shares(self.patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
         jacobian = np.concatenate(
             [flux[:, None] * derivatives, shares[:, None], np.ones_like(shares)[:, None]], axis=1
         ).reshape(n, 6, -1)
-        light = flux * shares
-        model = parameters[:, 5, None, None] + light
-        used = patches.valid & ~(patches.saturated & (model >= patches.values_dn))
-        residual = np.where(used, patches.values_dn - model, 0.0).reshape(n, -1)
-        variance = self.noise_dn[:, None, None] ** 2 + np.maximum(light, 0.0) / self.gain_e_per_dn
-        weight = (used / variance).reshape(n, -1)
+        residual, weight = self.patches.residuals(flux * shares, parameters[:, 5])
         weighted = jacobian * weight[:, None, :]
         normal = weighted @ jacobian.swapaxes(1, 2)
         right = (weighted @ residual[:, :, None])[:, :, 0]
-        chi2 = np.sum(weight * residual**2 + np.where(weight > 0, np.log(variance.reshape(n, -1)), 0.0), axis=1)
-        return normal, right, chi2, np.count_nonzero(used.reshape(n, -1), axis=1)
+        cost = np.sum(weight * residual**2 - np.log(np.where(weight > 0.0, weight, 1.0)), axis=1)
+        return normal, right, cost
 
     def solve(self, start: Float) -> tuple[Float, Mask]:
         """Levenberg-Marquardt from ``start`` (n, 6); returns parameters and which (n,) came to rest inside."""
         best = start.copy()
         damping = np.full(len(start), _DAMPING_START)
         active = np.arange(len(start))
-        normal, right, cost, _ = self.linearize(best)
+        normal, right, cost = self.linearize(best)
         for _ in range(_MAX_STEPS):
             if not active.size:
                 break
@@ -214,7 +207,7 @@ class _Problem:
             step = np.linalg.solve(damped, right[active, :, None])[:, :, 0]
             trial = best[active] + step
             trial[:, 4] = np.maximum(trial[:, 4], 0.1 * best[active, 4])
-            t_normal, t_right, t_cost, _ = self.select(active).linearize(trial)
+            t_normal, t_right, t_cost = self.select(active).linearize(trial)
             better = np.isfinite(t_cost) & (t_cost <= cost[active])
             settled = (np.einsum("ni,ni->n", step, right[active]) < _SETTLED) & (better | (damping[active] > 1.0))
             taken = active[better]
@@ -222,34 +215,29 @@ class _Problem:
             normal[taken], right[taken] = t_normal[better], t_right[better]
             damping[active] = np.clip(damping[active] * np.where(better, 0.2, 8.0), _DAMPING_LEAST, _DAMPING_MOST)
             active = active[~settled]
-        middle = self.patches.corner_px + self.patches.half_px
-        inside = np.asarray((np.abs(best[:, :2] - middle) < self.patches.half_px + 1.0).all(axis=1))
+        off = np.abs(best[:, :2] - self.patches.centers_px)
+        inside = np.asarray((off < self.patches.half_px + 1.0).all(axis=1))
         inside[active] = False
         return best, inside
 
     def finish(self, parameters: Float, good: Mask) -> LineFits:
         """Covariances and quality of the solution."""
-        normal, _, _, count = self.linearize(parameters)
+        normal, _, _ = self.linearize(parameters)
         shares, _ = line_shares(self.patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
-        light = parameters[:, 4, None, None] * shares
-        model = parameters[:, 5, None, None] + light
-        used = self.patches.valid & ~(self.patches.saturated & (model >= self.patches.values_dn))
-        variance = self.noise_dn[:, None, None] ** 2 + np.maximum(light, 0.0) / self.gain_e_per_dn
-        chi2 = np.sum(np.where(used, (self.patches.values_dn - model) ** 2 / variance, 0.0), axis=(1, 2))
-        freedom = np.maximum(count - 6, 1)
-        reduced = chi2 / freedom
-        inflation = np.where(reduced > 1.0 + _CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)
+        residual, weight = self.patches.residuals(parameters[:, 4, None, None] * shares, parameters[:, 5])
+        chi2, count = np.sum(weight * residual**2, axis=1), np.count_nonzero(weight, axis=1)
+        inflation = chi2_inflation(chi2, np.maximum(count - 6, 1))
         covariance = np.linalg.pinv(normal, hermitian=True)[:, :4, :4] * inflation[:, None, None]
         half = parameters[:, 2:4]
         turned = (half[:, 0] < 0) | ((half[:, 0] == 0) & (half[:, 1] < 0))
         sign = np.where(turned, -1.0, 1.0)
         flip = np.stack([np.ones_like(sign), np.ones_like(sign), sign, sign], axis=1)
         return LineFits(
-            centers_px=parameters[:, :2].copy(),
+            centers_px=parameters[:, :2],
             halves_px=half * sign[:, None],
             covariance_px2=covariance * flip[:, :, None] * flip[:, None, :],
-            flux_dn=parameters[:, 4].copy(),
-            background_dn=parameters[:, 5].copy(),
+            flux_dn=parameters[:, 4],
+            background_dn=parameters[:, 5],
             chi2=chi2,
             n_pixels=count,
             converged=good & (count > 6) & (parameters[:, 4] > 0),

@@ -17,9 +17,8 @@ from scipy.ndimage import map_coordinates
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
 from giantlike.core.values import Value
-from giantlike.processing.detection.centroid import cut_patches
 from giantlike.processing.detection.detections import Detections
-from giantlike.processing.psf.estimate import UNUSABLE, PsfEstimate
+from giantlike.processing.psf.estimate import UNUSABLE, PsfEstimate, star_patches
 from giantlike.processing.psf.profile import shape_shares
 
 _MOST_STARS = 400
@@ -96,17 +95,14 @@ def empirical_psf(
     require(oversampling >= 1 and half_px >= 1, f"needed numbers >= 1, got {oversampling} and {half_px}")
     usable = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)[:_MOST_STARS]
     stars = detections.select(usable)
-    bad = None if mask is None else np.asarray(mask, dtype=bool)
-    patches = cut_patches(
-        np.asarray(pixels), bad, np.rint(stars.points_px).astype(np.int64), half_px + 1, detector.saturation_dn
-    )
-    size, n = patches.values_dn.shape[1], len(stars)
+    patches = star_patches(pixels, stars, detector=detector, mask=mask, half_px=half_px + 1)
+    size, n = patches.size_px, len(stars)
     model = shape_shares(patches.corner_px, size, stars.points_px, psf.shapes_at(stars.points_px))
     flux = stars.flux_dn[:, None, None]
     left = (patches.values_dn - stars.background_dn[:, None, None]) / flux - model
     weight = np.where(
         patches.valid & ~patches.saturated,
-        flux**2 / (stars.noise_dn**2 + np.maximum(flux * model, 0.0) / detector.gain_e_per_dn),
+        flux**2 / patches.variance_dn2(flux * model),
         0.0,
     )
     dx, dy = patches.offsets_px(stars.points_px)

@@ -21,9 +21,9 @@ from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
-from giantlike.processing.detection.centroid import Patches, cut_patches
 from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.processing.detection.matched_filter import recorded_width_px
+from giantlike.processing.detection.patches import Patches, chi2_inflation, cut_patches
 from giantlike.processing.psf.profile import N_SHAPE, SHAPE_NAMES, PsfKind, shape_shares
 
 _MOST_STARS = 200
@@ -37,7 +37,6 @@ _MOST_ELONGATED, _MOST_WINGED = 0.9, 0.9
 _OUTLIER = 4.0
 _PATCH_WIDTHS = 4.0
 _REMEASURE_STEPS = 6
-_CHI2_SIGMAS = 4.0
 UNUSABLE = (
     DetectionFlag.SATURATED
     | DetectionFlag.MASKED
@@ -171,23 +170,19 @@ def estimate_psf(
         The degree is out of range, or pixels and mask differ in size.
     """
     array = np.asarray(pixels)
-    bad = None if mask is None else np.asarray(mask, dtype=bool)
     require(0 <= degree <= 3, f"degree must be 0 to 3, got {degree}")
     require(array.ndim == 2, f"pixels must be a 2-D array, got shape {array.shape}")
-    require(bad is None or bad.shape == array.shape, "the mask has another size than the pixels")
     usable = ((detections.flags & np.uint16(UNUSABLE)) == 0) & (detections.snr >= min_snr)
     stars = detections.select(np.flatnonzero(usable)[:_MOST_STARS])
+    patches = star_patches(array, stars, detector=detector, mask=mask)
     n_terms = (degree + 1) * (degree + 2) // 2
     if len(stars) < 3 * n_terms:
         return Failure(
             Reason.TOO_FEW_DETECTIONS,
             f"{len(stars)} stars of a signal to noise ratio of {min_snr:g} stand alone, {3 * n_terms} are needed",
         )
-    half = math.ceil(_PATCH_WIDTHS * recorded_width_px(stars.psf_sigma_px)) + 1
-    peaks = np.rint(stars.points_px).astype(np.int64)
-    patches = cut_patches(array, bad, peaks, half, detector.saturation_dn)
     terms = field_terms(stars.points_px, array.shape[1], array.shape[0], degree)
-    problem = _Problem(patches, terms, np.full(len(stars), stars.noise_dn), detector.gain_e_per_dn, kind.n_free)
+    problem = _Problem(patches, terms, kind.n_free)
     local = np.column_stack([stars.points_px, stars.flux_dn, stars.background_dn])
     start = np.zeros((kind.n_free, n_terms))
     start[0, 0] = math.log(stars.psf_sigma_px)
@@ -234,17 +229,12 @@ def remeasure(
         In the same order; covariances are the inverse Fisher information, times the reduced chi-square where that is
         more than noise explains.
     """
-    array = np.asarray(pixels)
-    bad = None if mask is None else np.asarray(mask, dtype=bool)
     chosen = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)
     if not chosen.size:
         return detections
     stars = detections.select(chosen)
-    half = math.ceil(_PATCH_WIDTHS * recorded_width_px(detections.psf_sigma_px)) + 1
-    patches = cut_patches(array, bad, np.rint(stars.points_px).astype(np.int64), half, detector.saturation_dn)
     terms = field_terms(stars.points_px, psf.columns, psf.rows, psf.degree)
-    noise = np.full(len(stars), detections.noise_dn)
-    problem = _Problem(patches, terms, noise, detector.gain_e_per_dn, psf.kind.n_free)
+    problem = _Problem(star_patches(pixels, stars, detector=detector, mask=mask), terms, psf.kind.n_free)
     local = np.column_stack([stars.points_px, stars.flux_dn, stars.background_dn])
     for _ in range(_REMEASURE_STEPS):
         _, _, _, step = problem.normal(local, psf.coefficients)
@@ -253,14 +243,50 @@ def remeasure(
     rows, _ = problem.jacobians(local, psf.coefficients)
     covariance = np.linalg.pinv((rows * weight[:, None, :]) @ rows.swapaxes(1, 2), hermitian=True)
     freedom = np.maximum(np.count_nonzero(weight, axis=1) - 4, 1)
-    reduced = np.sum(weight * left**2, axis=1) / freedom
-    covariance *= np.where(reduced > 1.0 + _CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)[:, None, None]
+    covariance *= chi2_inflation(np.sum(weight * left**2, axis=1), freedom)[:, None, None]
     good = (np.hypot(*(local[:, :2] - stars.points_px).T) < 1.0) & (local[:, 2] > 0)
     points, flux, level = detections.points_px.copy(), detections.flux_dn.copy(), detections.background_dn.copy()
     errors = detections.covariance_px2.copy()
     points[chosen[good]], flux[chosen[good]], level[chosen[good]] = local[good, :2], local[good, 2], local[good, 3]
     errors[chosen[good]] = covariance[good, :2, :2]
     return replace(detections, points_px=points, flux_dn=flux, background_dn=level, covariance_px2=errors)
+
+
+def star_patches(
+    pixels: ArrayLike,
+    stars: Detections,
+    *,
+    detector: Detector,
+    mask: ArrayLike | None = None,
+    half_px: int | None = None,
+) -> Patches:
+    """Cut-outs around stars, by default as large as the fit of their shape needs.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+    stars : Detections
+    detector : Detector
+        Gain and saturation.
+    mask : (rows, columns) bool, optional
+        True where a pixel is bad.
+    half_px : int, px, optional
+        Half side; default four recorded widths of a star.
+
+    Returns
+    -------
+    Patches
+
+    Raises
+    ------
+    InputError
+        Pixels and mask differ in size.
+    """
+    array, bad = np.asarray(pixels), None if mask is None else np.asarray(mask, dtype=bool)
+    require(bad is None or bad.shape == array.shape, f"mask must have the shape of the pixels, {array.shape}")
+    half = math.ceil(_PATCH_WIDTHS * recorded_width_px(stars.psf_sigma_px)) + 1 if half_px is None else half_px
+    peaks = np.rint(stars.points_px).astype(np.int64)
+    return cut_patches(array, bad, peaks, half, detector=detector, noise_dn=stars.noise_dn)
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,14 +302,10 @@ class _Problem:
 
     patches: Patches
     terms: Float
-    noise_dn: Float
-    gain_e_per_dn: float
     n_free: int
 
     def select(self, which: NDArray[np.integer[Any]]) -> _Problem:
-        return _Problem(
-            self.patches.select(which), self.terms[which], self.noise_dn[which], self.gain_e_per_dn, self.n_free
-        )
+        return _Problem(self.patches.select(which), self.terms[which], self.n_free)
 
     def shapes(self, shared: Float) -> Float:
         free = self.terms @ shared.T
@@ -294,14 +316,14 @@ class _Problem:
         return shapes
 
     def shares(self, points_px: Float, shapes: Float) -> Float:
-        size = self.patches.values_dn.shape[1]
-        return shape_shares(self.patches.corner_px, size, points_px, shapes).reshape(len(points_px), -1)
+        shares = shape_shares(self.patches.corner_px, self.patches.size_px, points_px, shapes)
+        return shares.reshape(len(points_px), -1)
 
     def residuals(self, local: Float, shared: Float) -> tuple[Float, Float, Float]:
         """Residuals, weights and star light (n, pixels)."""
         light = local[:, 2, None] * self.shares(local[:, :2], self.shapes(shared))
         used = (self.patches.valid & ~self.patches.saturated).reshape(light.shape)
-        variance = self.noise_dn[:, None] ** 2 + np.maximum(light, 0.0) / self.gain_e_per_dn
+        variance = self.patches.variance_dn2(light[..., None])[..., 0]
         left = self.patches.values_dn.reshape(light.shape) - local[:, 3, None] - light
         return np.where(used, left, 0.0), used / variance, light
 
@@ -380,7 +402,7 @@ class _Problem:
         left, weight, light = self.residuals(solution.local, solution.shared)
         freedom = max(int(np.count_nonzero(weight)) - 4 * len(left) - solution.shared.size, 1)
         reduced = float(np.sum(weight * left**2)) / freedom
-        noise = self.noise_dn**2 * np.count_nonzero(weight, axis=1)
+        noise = self.patches.noise_dn**2 * np.count_nonzero(weight, axis=1)
         power = (np.sum(left**2, axis=1) - noise) / np.sum(light**2, axis=1)
         return PsfEstimate(
             kind=kind,

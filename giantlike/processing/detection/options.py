@@ -1,0 +1,65 @@
+"""Options of the detection of point sources."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from giantlike.core.arrays import require
+from giantlike.processing.detection.noise import NoiseSource, Region
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectionOptions:
+    """Options of the detection of point sources.
+
+    Parameters
+    ----------
+    threshold_sigma : float
+        Detection limit of the filtered image in units of its local noise. Default 5: of white noise about one pixel in
+        three million exceeds it.
+    max_sources : int
+        Keep at most this many, the most significant ones. Default 2000: bounds the time of crowded or noisy images;
+        100 bright stars give the attitude that 2000 do to 0.0013 px.
+    min_area_px : int, px
+        Fewer connected pixels above the limit are not a source. Default 1 keeps all: undersampled stars have one.
+    max_saturated_fraction : float
+        An image with a larger share of saturated pixels is refused. Default one half: the median of such an image is
+        no background.
+    noise : NoiseSource
+        Source of the noise of a pixel. Default: the image around the pixel, which needs no calibrated detector.
+    covered : (x, y, columns, rows), px, optional
+        Pixels that no light reaches, for ``NoiseSource.COVERED``.
+    streak : bool, optional
+        True if the stars are trails of one direction and length, False if they are points; found from the image by
+        default. With True an image without a common streak is a failure.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    threshold_sigma: float = 5.0
+    max_sources: int = 2000
+    min_area_px: int = 1
+    max_saturated_fraction: float = 0.5
+    noise: NoiseSource = NoiseSource.LOCAL
+    covered: Region | None = None
+    streak: bool | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            math.isfinite(self.threshold_sigma) and self.threshold_sigma > 0,
+            f"threshold_sigma must be > 0, got {self.threshold_sigma}",
+        )
+        require(self.max_sources >= 1, f"max_sources must be >= 1, got {self.max_sources}")
+        require(self.min_area_px >= 1, f"min_area_px must be >= 1, got {self.min_area_px}")
+        require(
+            0.0 < self.max_saturated_fraction <= 1.0,
+            f"max_saturated_fraction must be in (0, 1], got {self.max_saturated_fraction}",
+        )
+        require(
+            (self.covered is not None) == (self.noise is NoiseSource.COVERED),
+            "noise from covered pixels and their region go together",
+        )

@@ -1,0 +1,256 @@
+"""Square cut-outs of an image around its sources, with the noise of their pixels: the data of all fits of sources."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erf
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.detector import Detector
+from giantlike.core.values import Value
+
+MIN_PSF_SIGMA_PX = 0.25
+"""Narrowest point spread function fitted, px: of a narrower one more than 91 % of the light falls on one pixel, and a
+fit of its width has no gradient."""
+PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+"""Second moment of a square pixel of unit side, px^2: what integration over pixels adds to that of a source."""
+CHI2_SIGMAS = 4.0
+"""Excess of a reduced chi-square over 1, in units of ``sqrt(2 / dof)``, from which on it scales a covariance:
+noise alone exceeds them once in 30,000 sources."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Patches(Value):
+    """Square cut-outs of an image, one around each of n sources.
+
+    Parameters
+    ----------
+    values_dn : (n, w, w) float64, DN
+    valid : (n, w, w) bool
+        True inside the image where the pixel is not bad.
+    saturated : (n, w, w) bool
+    corner_px : (n, 2) int64, px
+        (x, y) of the first pixel of each.
+    noise_dn : (n,) float64, DN
+        Standard deviation of the background of a pixel.
+    gain_e_per_dn : float, electron/DN
+        For the shot noise of the source.
+    """
+
+    values_dn: Float
+    valid: Mask
+    saturated: Mask
+    corner_px: NDArray[np.int64]
+    noise_dn: Float
+    gain_e_per_dn: float
+
+    @property
+    def size_px(self) -> int:
+        """Side of a patch, px."""
+        return int(self.values_dn.shape[1])
+
+    @property
+    def half_px(self) -> int:
+        """Half side without the central pixel, px."""
+        return self.size_px // 2
+
+    @property
+    def centers_px(self) -> NDArray[np.int64]:
+        """Central pixels (n, 2), px."""
+        return self.corner_px + self.half_px
+
+    @property
+    def reach_px(self) -> float:
+        """Distance within which the light of a neighbor falls into a patch, px."""
+        return 1.5 * self.half_px + 1.0
+
+    def select(self, which: NDArray[np.integer]) -> Patches:
+        """Patches of the sources with the given indices (k,)."""
+        return replace(
+            self,
+            values_dn=self.values_dn[which],
+            valid=self.valid[which],
+            saturated=self.saturated[which],
+            corner_px=self.corner_px[which],
+            noise_dn=self.noise_dn[which],
+        )
+
+    def offsets_px(self, points_px: Float) -> tuple[Float, Float]:
+        """Distances (n, w) of the columns and of the rows of each patch from a point (n, 2), px."""
+        steps = np.arange(self.size_px)
+        dx = self.corner_px[:, 0, None] + steps - points_px[:, 0, None]
+        dy = self.corner_px[:, 1, None] + steps - points_px[:, 1, None]
+        return dx, dy
+
+    def star_shares(self, points_px: Float, widths_px: Float) -> Float:
+        """Share (n, w, w) of a round Gaussian at ``points_px`` (n, 2), of width (n,), px, that falls on each pixel."""
+        across, down = (pixel_shares(self.corner_px[:, k], self.size_px, points_px[:, k], widths_px)[0] for k in (0, 1))
+        return down[:, :, None] * across[:, None, :]
+
+    def variance_dn2(self, light_dn: Float) -> Float:
+        """Variance (n, w, w), DN^2, of pixels that hold the light (n, w, w), DN: background and shot noise."""
+        return self.noise_dn[:, None, None] ** 2 + np.maximum(light_dn, 0.0) / self.gain_e_per_dn
+
+    def residuals(self, light_dn: Float, background_dn: Float) -> tuple[Float, Float]:
+        """Residuals and inverse variances (n, w * w), DN and 1/DN^2, of a model; zero where a pixel does not count.
+
+        Parameters
+        ----------
+        light_dn : (n, w, w) float64, DN
+            Light of the modeled sources.
+        background_dn : (n,) float64, DN
+            Level underneath.
+
+        Returns
+        -------
+        residual, weight : (n, w * w) float64
+            Saturated pixels are lower bounds: they count only where the model is below them.
+        """
+        model = background_dn[:, None, None] + light_dn
+        used = self.valid & ~(self.saturated & (model >= self.values_dn))
+        residual = np.where(used, self.values_dn - model, 0.0)
+        weight = used / self.variance_dn2(light_dn)
+        return residual.reshape(len(model), -1), weight.reshape(len(model), -1)
+
+    def moments(self, points_px: Float, light_dn: Float) -> Float:
+        """Moments (5, n) of light (n, w, w) about points (n, 2) over its sum: x, y in px, and xx, yy, xy in px^2."""
+        dx, dy = self.offsets_px(points_px)
+        columns, rows = light_dn.sum(axis=1), light_dn.sum(axis=2)
+        sums = [
+            np.sum(columns * dx, axis=1),
+            np.sum(rows * dy, axis=1),
+            np.sum(columns * dx**2, axis=1),
+            np.sum(rows * dy**2, axis=1),
+            np.einsum("nij,ni,nj->n", light_dn, dy, dx),
+        ]
+        result: Float = np.stack(sums) / np.maximum(columns.sum(axis=1), 1e-300)
+        return result
+
+    def elongation(self, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
+        """Largest second moment (n,) in a Gaussian window as wide as a star, in units of the window's.
+
+        Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5. A line or an edge
+        gives 1, a hot pixel 0.
+
+        Parameters
+        ----------
+        points_px : (n, 2) float64, px
+        background_dn : (n,) float64, DN
+        psf_sigma_px : float, px
+
+        Returns
+        -------
+        (n,) float64
+        """
+        dx, dy = self.offsets_px(points_px)
+        window_px = math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
+        window = np.exp(-0.5 * (dy / window_px) ** 2)[:, :, None] * np.exp(-0.5 * (dx / window_px) ** 2)[:, None, :]
+        light = self.values_dn - background_dn[:, None, None]
+        star = self.star_shares(points_px, np.full(len(points_px), max(psf_sigma_px, MIN_PSF_SIGMA_PX)))
+        seen, expected = (self.moments(points_px, np.where(self.valid, image, 0.0) * window) for image in (light, star))
+        _, _, xx, yy, xy = seen - expected
+        longest: Float = ((xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)) / window_px**2 + 0.5
+        return longest
+
+    def border_level_dn(self) -> Float:
+        """Median (n,), DN, of the valid pixels on the rim of each patch, or of all valid ones."""
+        rim = np.ones(self.valid.shape[1:], dtype=bool)
+        rim[1:-1, 1:-1] = False
+        usable = self.valid & rim
+        usable = np.where(usable.any(axis=(1, 2), keepdims=True), usable, self.valid)
+        values = np.where(usable, self.values_dn, np.inf).reshape(len(usable), -1)
+        middle = np.maximum(usable.sum(axis=(1, 2)) - 1, 0) // 2
+        level: Float = np.take_along_axis(np.sort(values, axis=1), middle[:, None], axis=1)[:, 0]
+        return np.where(np.isfinite(level), level, 0.0)
+
+
+def cut_patches(
+    pixels: NDArray[np.generic],
+    bad: Mask | None,
+    points_px: NDArray[np.integer],
+    half_px: int,
+    *,
+    detector: Detector,
+    noise_dn: ArrayLike = 1.0,
+) -> Patches:
+    """Cut squares of ``2 half_px + 1`` pixels out of an image.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+    bad : (rows, columns) bool or None
+    points_px : (n, 2) int, px
+        Central pixels (x, y); a square may reach over the edge of the image.
+    half_px : int, px
+    detector : Detector
+        Gain and saturation.
+    noise_dn : (n,) or float, DN
+        Background noise of a pixel; unimportant where only the values are used.
+
+    Returns
+    -------
+    Patches
+    """
+    offsets = np.arange(-half_px, half_px + 1)
+    columns = points_px[:, 0, None] + offsets
+    rows = points_px[:, 1, None] + offsets
+    height, breadth = pixels.shape
+    inside = ((rows >= 0) & (rows < height))[:, :, None] & ((columns >= 0) & (columns < breadth))[:, None, :]
+    index = (np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, breadth - 1)[:, None, :])
+    valid = inside if bad is None else inside & ~bad[index]
+    values = np.where(valid, pixels[index].astype(np.float64), 0.0)
+    return Patches(
+        values_dn=values,
+        valid=valid,
+        saturated=valid & (values >= detector.saturation_dn),
+        corner_px=np.asarray(points_px - half_px, dtype=np.int64),
+        noise_dn=np.broadcast_to(np.asarray(noise_dn, dtype=np.float64), len(points_px)),
+        gain_e_per_dn=detector.gain_e_per_dn,
+    )
+
+
+def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Float) -> tuple[Float, Float, Float]:
+    """Share (n, size) of a unit Gaussian in each pixel along one axis, and its derivatives.
+
+    Parameters
+    ----------
+    first : (n,) int, px
+        First pixel.
+    size : int, px
+    center, width : (n,) float64, px
+
+    Returns
+    -------
+    share : (n, size) float64
+    by_center : (n, size) float64, 1/px
+    by_log_width : (n, size) float64
+        By the natural logarithm of the width.
+    """
+    edges = first[:, None] - 0.5 + np.arange(size + 1)
+    u = (edges - center[:, None]) / (math.sqrt(2.0) * width[:, None])
+    bell = np.exp(-(u**2)) / math.sqrt(math.pi)
+    share = 0.5 * np.diff(erf(u), axis=1)
+    by_center = -np.diff(bell, axis=1) / (math.sqrt(2.0) * width[:, None])
+    by_log_width = -np.diff(bell * u, axis=1)
+    return share, by_center, by_log_width
+
+
+def chi2_inflation(chi2: Float, freedom: NDArray[np.integer]) -> Float:
+    """Factor (n,) on a covariance: the reduced chi-square where it exceeds what noise explains, else 1.
+
+    Parameters
+    ----------
+    chi2 : (n,) float64
+    freedom : (n,) int
+        Degrees of freedom, at least 1.
+
+    Returns
+    -------
+    (n,) float64
+    """
+    reduced = chi2 / freedom
+    return np.where(reduced > 1.0 + CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)
