@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from giantlike.calibration import CalibrationFix, ImageObservations, calibrate, calibrate_stars, identify_first
+from giantlike.calibration import CalibrationResult, ImageObservations, calibrate, calibrate_stars, identify_first
 from giantlike.calibration.boards import board_corners, board_observations
 from giantlike.calibration.field_map import map_difference
 from giantlike.camera import Camera
@@ -110,7 +110,7 @@ def rough(kind: str, truth: Mapping[str, float], frame: tuple[int, int], fixed: 
     return model_from_mapping({"type": kind} | start | middle | dict(fixed))
 
 
-def errors_of(fix: CalibrationFix, truth: CameraModel) -> np.ndarray[Any, np.dtype[np.float64]]:
+def errors_of(fix: CalibrationResult, truth: CameraModel) -> np.ndarray[Any, np.dtype[np.float64]]:
     values = dict(zip(truth.parameter_names, truth.parameters.tolist(), strict=True))
     found = dict(zip(fix.model.parameter_names, fix.model.parameters.tolist(), strict=True))
     return np.array([found[name] - values[name] for name in fix.estimated])
@@ -319,7 +319,7 @@ def real() -> dict[str, Any]:
         for label, estimate in names.items():
             for min_snr in (20.0, 0.0):
                 outcome = calibrate_stars(stars, camera, estimate=estimate, min_snr=min_snr).unwrap()
-                fix = outcome.fix
+                fix = outcome.result
                 found[f"{label}, SNR >= {min_snr:g}"] = {
                     "rms_px": round(fix.rms_px, 4), "stars": fix.n_used, "rejected": fix.n_rejected,
                     "rounds": outcome.rounds, "map_sigma_max_px": round(float(fix.map_sigma_px.max()), 3),

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from giantlike.calibration.alignment import AlignmentFix, align, interlock
+from giantlike.calibration.alignment import AlignmentResult, align, interlock
 from giantlike.calibration.boards import board_observations
 from giantlike.calibration.calibrate import calibrate
 from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.observations import ImageObservations, collimator_directions
 from giantlike.calibration.options import CalibrationOptions
-from giantlike.calibration.result import CalibrationFix
+from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import calibrate_stars, identify_first, observations_of_fix
 
 __all__ = [
-    "AlignmentFix",
+    "AlignmentResult",
     "CalibrationCriteria",
-    "CalibrationFix",
+    "CalibrationResult",
     "CalibrationOptions",
     "ImageObservations",
     "align",

@@ -21,7 +21,7 @@ _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AlignmentFix(Value):
+class AlignmentResult(Value):
     """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``.
 
     Parameters
@@ -87,7 +87,7 @@ class AlignmentFix(Value):
         """
         return FrameRotation(rotation=self.rotation_at(temperature_c), target=self.second, source=self.first)
 
-    def unwrap(self) -> AlignmentFix:
+    def unwrap(self) -> AlignmentResult:
         """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
         return self
 
@@ -98,7 +98,7 @@ def align(
     *,
     temperatures_c: ArrayLike | None = None,
     outlier_sigma: float = 5.0,
-) -> AlignmentFix | Failure:
+) -> AlignmentResult | Failure:
     """Weighted mean of n measured alignments, with a drift linear in temperature where temperatures are given.
 
     Parameters
@@ -114,7 +114,7 @@ def align(
 
     Returns
     -------
-    AlignmentFix or Failure
+    AlignmentResult or Failure
         Reasons: too_few_matches, degenerate_geometry (one temperature only).
 
     Raises
@@ -142,7 +142,7 @@ def align(
     chi2 = float(_squares(residuals, weights)[used].sum())
     if gammainc(freedom / 2.0, chi2 / 2.0) > _NOISE_EXPLAINS:
         covariance *= chi2 / freedom
-    return AlignmentFix(
+    return AlignmentResult(
         rotation=rotation,
         rate_rad_per_c=rate,
         reference_c=reference,
@@ -161,7 +161,7 @@ def interlock(
     second_covariance_rad2: ArrayLike,
     *,
     temperatures_c: ArrayLike | None = None,
-) -> AlignmentFix | Failure:
+) -> AlignmentResult | Failure:
     """Alignment ``second_from_first`` from n attitudes of two sensors at the same times.
 
     Parameters
@@ -175,7 +175,7 @@ def interlock(
 
     Returns
     -------
-    AlignmentFix or Failure
+    AlignmentResult or Failure
 
     Raises
     ------

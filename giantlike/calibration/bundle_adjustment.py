@@ -51,7 +51,7 @@ class Data(Value):
     pose: int
     estimated: NDArray[np.intp]
     prior: Float
-    prior_weight: Float
+    prior_sigma: Float
     start: Rotation
     attitude_weight: Float
 
@@ -62,7 +62,7 @@ class Data(Value):
         start: Rotation,
         estimated: NDArray[np.intp],
         prior: Float,
-        prior_weight: Float,
+        prior_sigma: Float,
     ) -> Data:
         """Lay images end to end; they are all of directions or all of finite points."""
         sigmas = [image.attitude_sigma_rad for image in images]
@@ -75,10 +75,15 @@ class Data(Value):
             pose=6 if images[0].finite else 3,
             estimated=estimated,
             prior=prior,
-            prior_weight=prior_weight,
+            prior_sigma=prior_sigma,
             start=start,
             attitude_weight=np.array([0.0 if sigma is None else sigma**-2 for sigma in sigmas]),
         )
+
+    @property
+    def prior_weight(self) -> Float:
+        """Inverse variances (k,) of the a priori values; 0 where there is none."""
+        return self.prior_sigma**-2.0
 
     @property
     def image_index(self) -> NDArray[np.intp]:
@@ -182,32 +187,37 @@ class NormalEquations(Value):
 
     def solve(self, damping: float) -> Step | None:
         """Levenberg-Marquardt step; None where a matrix is singular."""
-        k, p = self.camera.shape[0], self.poses.shape[1]
-        poses = self.poses * (1.0 + damping * np.eye(p))
-        camera = self.camera * (1.0 + damping * np.eye(k))
+        camera = self.camera * (1.0 + damping * np.eye(len(self.camera)))
         try:
-            carried = np.linalg.solve(poses, np.swapaxes(self.coupling, 1, 2))  # (m, p, k)
-            alone = np.linalg.solve(poses, self.pose_gradient[..., None])[..., 0]
-            reduced = camera - np.einsum("mkp,mpl->kl", self.coupling, carried)
+            by_camera, alone = self._pose_steps(damping)
+            reduced = camera - np.einsum("mkp,mpl->kl", self.coupling, by_camera)
             gradient = self.camera_gradient - np.einsum("mkp,mp->k", self.coupling, alone)
             units = 1.0 / np.sqrt(np.diag(camera))
             step = np.linalg.solve(reduced * np.outer(units, units), gradient * units) * units
         except np.linalg.LinAlgError:
             return None
-        back = alone - np.einsum("mpk,k->mp", carried, step)
-        decrement = float(self.camera_gradient @ step + np.sum(self.pose_gradient * back))
-        return Step(step, back, decrement) if np.isfinite(decrement) else None
+        poses = alone - np.einsum("mpk,k->mp", by_camera, step)
+        decrement = float(self.camera_gradient @ step + np.sum(self.pose_gradient * poses))
+        return Step(step, poses, decrement) if np.isfinite(decrement) else None
 
-    def reduced(self) -> tuple[Float, Float]:
-        """Information (m, k, k) and gradient (m, k) that each image has on the camera alone."""
-        carried = np.linalg.solve(self.poses, np.swapaxes(self.coupling, 1, 2))
-        alone = np.linalg.solve(self.poses, self.pose_gradient[..., None])[..., 0]
-        information = self.image_camera - self.coupling @ carried
-        return information, self.image_gradient - np.einsum("mkp,mp->mk", self.coupling, alone)
+    def _pose_steps(self, damping: float = 0.0) -> tuple[Float, Float]:
+        """Change of the poses with the camera parameters (m, p, k), and their step (m, p) for an unchanged camera."""
+        poses = self.poses * (1.0 + damping * np.eye(self.poses.shape[1]))
+        by_camera: Float = np.asarray(np.linalg.solve(poses, np.swapaxes(self.coupling, 1, 2)), dtype=np.float64)
+        alone: Float = np.asarray(np.linalg.solve(poses, self.pose_gradient[..., None]), dtype=np.float64)[..., 0]
+        return by_camera, alone
 
     def shifts_without_image(self) -> Float:
-        """How far the camera parameters (m, k) move when one image is left out, to first order; inf: undetermined."""
-        information, gradient = self.reduced()
+        """Shift of the camera parameters (m, k) when one image is left out, to first order; inf where that frees one.
+
+        Returns
+        -------
+        (m, k) float64
+            In the units of the parameters.
+        """
+        by_camera, alone = self._pose_steps()
+        information = self.image_camera - self.coupling @ by_camera  # of each image on the camera alone
+        gradient = self.image_gradient - np.einsum("mkp,mp->mk", self.coupling, alone)
         total = self.information()
         units = 1.0 / np.sqrt(np.diag(total))
         shifts = np.full(gradient.shape, np.inf)
@@ -218,15 +228,15 @@ class NormalEquations(Value):
         return shifts
 
     def pose_covariance(self, camera_covariance: Float) -> Float:
-        """Covariance (m, p, p) of the poses, that of the camera included."""
-        carried = np.linalg.solve(self.poses, np.swapaxes(self.coupling, 1, 2))
-        result: Float = np.linalg.inv(self.poses) + carried @ camera_covariance @ np.swapaxes(carried, 1, 2)
+        """Covariance (m, p, p) of the poses, that of the camera (k, k) included, rad^2 (and squares of lengths)."""
+        by_camera, _ = self._pose_steps()
+        result: Float = np.linalg.inv(self.poses) + by_camera @ camera_covariance @ np.swapaxes(by_camera, 1, 2)
         return result
 
     def information(self) -> Float:
         """Inverse covariance (k, k) of the camera parameters, poses eliminated."""
-        carried = np.linalg.solve(self.poses, np.swapaxes(self.coupling, 1, 2))
-        result: Float = self.camera - np.einsum("mkp,mpl->kl", self.coupling, carried)
+        by_camera, _ = self._pose_steps()
+        result: Float = self.camera - np.einsum("mkp,mpl->kl", self.coupling, by_camera)
         return (result + result.T) / 2.0
 
 

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
 from giantlike.calibration.bundle_adjustment import Data, Minimum, State, covariance_of, minimize, predict
-from giantlike.calibration.criteria import CalibrationCriteria, missed_criteria
+from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.field_map import FieldSensitivity
 from giantlike.calibration.observability import parameter_support
 from giantlike.calibration.observations import ImageObservations
 from giantlike.calibration.options import CalibrationOptions, Loss
-from giantlike.calibration.result import CalibrationFix, ImageCalibration, RejectedObservation
+from giantlike.calibration.result import CalibrationResult, ImageCalibration, RejectedObservation
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
@@ -41,7 +41,7 @@ def calibrate(
     rows: int,
     options: CalibrationOptions | None = None,
     criteria: CalibrationCriteria | None = None,
-) -> CalibrationFix | Failure:
+) -> CalibrationResult | Failure:
     """Estimate parameters of a camera model together with the orientation of every image.
 
     Parameters
@@ -60,7 +60,7 @@ def calibrate(
 
     Returns
     -------
-    CalibrationFix or Failure
+    CalibrationResult or Failure
         A fix that misses a criterion is returned with the reasons in ``problems``. Failure reasons:
         degenerate_geometry (parameters that cannot be told apart are named), not_converged, too_few_matches.
 
@@ -77,19 +77,20 @@ def calibrate(
     options = CalibrationOptions() if options is None else options
     criteria = CalibrationCriteria() if criteria is None else criteria
     _check(observations, model, estimate, options)
-    indices = np.array([model.parameter_names.index(name) for name in estimate], dtype=np.intp)
-    start = _start_rotations(observations, model)
-    if isinstance(start, Failure):
-        return start
+    rotations = _start_rotations(observations, model)
+    if isinstance(rotations, Failure):
+        return rotations
+    estimated = np.array([model.parameter_names.index(name) for name in estimate], dtype=np.intp)
     prior_sigma = np.array([options.prior_sigma.get(name, math.inf) for name in estimate])
-    data = Data.of(observations, start, indices, model.parameters[indices], prior_sigma**-2.0)
+    data = Data.of(observations, rotations, estimated, model.parameters[estimated], prior_sigma)
     positions = np.array(
         [np.zeros(3) if image.position_reference is None else image.position_reference for image in observations]
     )
-    fitted = _fit_without_outliers(State(model, start, positions), data, options)
-    if isinstance(fitted, Failure):
-        return fitted
-    return _result(fitted, data, observations, model, tuple(estimate), prior_sigma, (columns, rows), criteria)
+    fit = _fit_without_outliers(State(model, rotations, positions), data, options)
+    if isinstance(fit, Failure):
+        return fit
+    result = _result(fit, observations, model, tuple(estimate), (columns, rows))
+    return result if isinstance(result, Failure) else replace(result, problems=criteria.missed_by(result))
 
 
 def _check(
@@ -119,7 +120,10 @@ def _start_rotations(observations: Sequence[ImageObservations], model: CameraMod
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fitted(Value):
+class _Fit(Value):
+    """Minimum of the cost, the observations that it rests on, and the number of steps and rounds it took."""
+
+    data: Data
     minimum: Minimum
     used: Mask
     kept_images: Mask
@@ -127,7 +131,7 @@ class _Fitted(Value):
     rounds: int
 
 
-def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions) -> _Fitted | Failure:
+def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions) -> _Fit | Failure:
     """Robust fits and rejection until that changes nothing, then the fit by the loss that was asked for.
 
     Residuals are held against their robust spread (median of the squares) by a chi-square test that may be expected
@@ -152,7 +156,7 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
     minimum = minimize(state, data, used, options.loss, max_steps=options.max_steps)
     if isinstance(minimum, Failure):
         return minimum
-    return _Fitted(minimum, used, kept_images, steps + minimum.steps, rounds)
+    return _Fit(data, minimum, used, kept_images, steps + minimum.steps, rounds)
 
 
 def _agreeing(state: State, data: Data, used: Mask, options: CalibrationOptions) -> tuple[Mask, Mask]:
@@ -173,30 +177,28 @@ def _agreeing(state: State, data: Data, used: Mask, options: CalibrationOptions)
 
 
 def _result(
-    fitted: _Fitted,
-    data: Data,
+    fit: _Fit,
     observations: Sequence[ImageObservations],
     start: CameraModel,
     names: tuple[str, ...],
-    prior_sigma: Float,
     size: tuple[int, int],
-    criteria: CalibrationCriteria,
-) -> CalibrationFix | Failure:
-    state, normal, used = fitted.minimum.state, fitted.minimum.normal, fitted.used
-    found = covariance_of(normal, names)
+) -> CalibrationResult | Failure:
+    """Covariances and statistics of a fit; ``size`` are the columns and rows of the detector."""
+    data, state, used = fit.data, fit.minimum.state, fit.used
+    found = covariance_of(fit.minimum.normal, names)
     if isinstance(found, Failure):
         return found
     covariance, condition = found
     predicted = predict(state, data)
     squares = np.sum((data.points_px - predicted)[used] ** 2, axis=1)
-    freedom = _degrees_of_freedom(fitted, data, covariance)
+    freedom = _degrees_of_freedom(fit, covariance)
     chi2 = float(np.sum(squares / data.sigma_px[used] ** 2))
     explained = float(gammainc(freedom / 2.0, chi2 / 2.0)) <= _NOISE_EXPLAINS
     scale = 1.0 if explained else chi2 / freedom
-    mean_temperature = float(np.mean(data.temperatures_c))
-    sensitivity = FieldSensitivity.of(state.model, columns=size[0], rows=size[1], temperature_c=mean_temperature)
+    temperature_c = float(np.mean(data.temperatures_c))
+    sensitivity = FieldSensitivity.of(state.model, columns=size[0], rows=size[1], temperature_c=temperature_c)
     values = state.model.parameters[data.estimated]
-    fix = CalibrationFix(
+    return CalibrationResult(
         model=state.model,
         start=start,
         columns=size[0],
@@ -204,7 +206,7 @@ def _result(
         estimated=names,
         covariance=covariance * scale,
         covariance_scale=scale,
-        images=_images(fitted, data, observations, predicted, covariance, scale, sensitivity),
+        images=_images(fit, observations, predicted, covariance, scale, sensitivity),
         image_index=data.image_index,
         observed_px=data.points_px,
         predicted_px=predicted,
@@ -212,49 +214,47 @@ def _result(
         magnitudes=np.concatenate([image.magnitudes for image in observations]),
         labels=np.concatenate([image.labels for image in observations]),
         used=used,
-        rejected=_rejected(fitted, data, observations, predicted),
+        rejected=_rejected(fit, observations, predicted),
         residual_sigma_px=math.sqrt(float(squares.sum()) / freedom),
         reduced_chi2=chi2 / freedom,
         condition_number=condition,
-        support=parameter_support(
-            names, data.estimated, values, data.prior, covariance * scale, prior_sigma, sensitivity
-        ),
+        support=parameter_support(names, values, data, covariance * scale, sensitivity),
         map_points_px=sensitivity.points_px,
         map_sigma_px=sensitivity.sigma_px(data.estimated, covariance * scale),
         problems=(),
-        steps=fitted.steps,
-        rounds=fitted.rounds,
+        steps=fit.steps,
+        rounds=fit.rounds,
         provenance={"giantlike": VERSION, "model": state.model.type_name},
     )
-    return replace(fix, problems=missed_criteria(fix, criteria))
 
 
-def _degrees_of_freedom(fitted: _Fitted, data: Data, covariance: Float) -> float:
-    """Observations minus what they had to determine; where an a priori weighs in, they determine less."""
-    poses = fitted.minimum.normal.pose_covariance(covariance)[:, :3, :3]
+def _degrees_of_freedom(fit: _Fit, covariance: Float) -> float:
+    """Number of observations minus that of the unknowns, less the share of these that a priori values determine."""
+    data = fit.data
+    poses = fit.minimum.normal.pose_covariance(covariance)[:, :3, :3]
     from_priors = float(data.prior_weight @ np.diag(covariance))
     from_priors += float(data.attitude_weight @ np.trace(poses, axis1=1, axis2=2))
-    unknowns = len(data.estimated) + data.pose * int(fitted.kept_images.sum())
-    return max(2 * int(fitted.used.sum()) - unknowns + from_priors, 1.0)
+    unknowns = len(data.estimated) + data.pose * int(fit.kept_images.sum())
+    return max(2 * int(fit.used.sum()) - unknowns + from_priors, 1.0)
 
 
 def _images(
-    fitted: _Fitted,
-    data: Data,
+    fit: _Fit,
     observations: Sequence[ImageObservations],
     predicted_px: Float,
     covariance: Float,
     scale: float,
     sensitivity: FieldSensitivity,
 ) -> tuple[ImageCalibration, ...]:
-    state, normal = fitted.minimum.state, fitted.minimum.normal
+    """Pose, residuals and influence of every image."""
+    data, state, normal = fit.data, fit.minimum.state, fit.minimum.normal
     poses = normal.pose_covariance(covariance) * scale
     shifts = normal.shifts_without_image()
     weights = normal.information()
     residuals = data.points_px - predicted_px
     result = []
     for number, image in enumerate(observations):
-        mine = (data.image_index == number) & fitted.used
+        mine = (data.image_index == number) & fit.used
         shift, kept = shifts[number], bool(mine.any())
         known = bool(np.isfinite(shift).all())  # else the other images leave a parameter free
         moved = sensitivity.unrotated[..., data.estimated] @ shift if known else np.array([[math.inf]])
@@ -276,20 +276,20 @@ def _images(
 
 
 def _rejected(
-    fitted: _Fitted, data: Data, observations: Sequence[ImageObservations], predicted_px: Float
+    fit: _Fit, observations: Sequence[ImageObservations], predicted_px: Float
 ) -> tuple[RejectedObservation, ...]:
-    found = []
-    first = data.offsets
-    for index in np.flatnonzero(~fitted.used):
+    """Observations left out, worst first."""
+    data, found = fit.data, []
+    for index in np.flatnonzero(~fit.used):
         number = int(data.image_index[index])
         image = observations[number]
         distance = float(np.linalg.norm(data.points_px[index] - predicted_px[index]))
         imaged = math.isfinite(distance)
-        cause = "not_imaged" if not imaged else "outlier" if fitted.kept_images[number] else "image"
+        cause = "not_imaged" if not imaged else "outlier" if fit.kept_images[number] else "image"
         found.append(
             RejectedObservation(
                 image=image.name,
-                label=int(image.labels[index - first[number]]),
+                label=int(image.labels[index - data.offsets[number]]),
                 observed_px=(float(data.points_px[index, 0]), float(data.points_px[index, 1])),
                 predicted_px=(float(predicted_px[index, 0]), float(predicted_px[index, 1])),
                 distance_px=distance,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from giantlike.calibration.bundle_adjustment import Data
 from giantlike.calibration.field_map import FieldSensitivity
 from giantlike.core.arrays import Float
 
@@ -63,35 +63,39 @@ class ParameterSupport:
 
 
 def parameter_support(
-    names: Sequence[str],
-    indices: NDArray[np.intp],
-    values: Float,
-    start: Float,
-    covariance: Float,
-    prior_sigma: Float,
-    sensitivity: FieldSensitivity,
+    names: Sequence[str], values: Float, data: Data, covariance: Float, sensitivity: FieldSensitivity
 ) -> tuple[ParameterSupport, ...]:
     """Judge every estimated parameter.
 
     Parameters
     ----------
     names : sequence of str
-        k names; ``indices`` (k,) say where they are among all parameters of the model.
-    values, start, prior_sigma : (k,) float64
-        Prior infinite where there is none.
+        The k estimated parameters.
+    values : (k,) float64
+        Estimates, each in the unit of its parameter.
+    data : Data
+        Indices, starting values and a priori sigmas of the parameters.
     covariance : (k, k) float64
+        Of the estimates.
     sensitivity : FieldSensitivity
+        Over the detector.
+
+    Returns
+    -------
+    tuple of ParameterSupport
+        One per parameter, in their order.
     """
+    start = data.prior
     sigma = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sigma, sigma) - np.eye(len(names))
-    reach = np.linalg.norm(sensitivity.by_parameter[..., indices], axis=1).max(axis=0)
+    reach = np.linalg.norm(sensitivity.by_parameter[..., data.estimated], axis=1).max(axis=0)
     found = []
     for k, name in enumerate(names):
         partner = int(np.argmax(np.abs(correlation[k]))) if len(names) > 1 else -1
         shared = float(correlation[k, partner]) if partner >= 0 else 0.0
         is_scale = name.endswith("_px")
         change = values[k] - start[k] if is_scale else values[k]
-        if sigma[k] > _MOSTLY_PRIOR * prior_sigma[k]:
+        if sigma[k] > _MOSTLY_PRIOR * data.prior_sigma[k]:
             verdict = Verdict.PRIOR_ONLY
         elif not is_scale and abs(values[k]) < _SIGNIFICANT * sigma[k]:
             verdict = Verdict.NOT_SIGNIFICANT

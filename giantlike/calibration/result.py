@@ -69,7 +69,7 @@ class RejectedObservation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CalibrationFix(Value):
+class CalibrationResult(Value):
     """A calibrated camera model with its covariance and everything needed to judge it.
 
     Parameters
@@ -169,6 +169,6 @@ class CalibrationFix(Value):
         result: Float = self.covariance / np.outer(sigma, sigma)
         return result
 
-    def unwrap(self) -> CalibrationFix:
+    def unwrap(self) -> CalibrationResult:
         """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
         return self

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.calibration.result import CalibrationFix
+from giantlike.calibration.result import CalibrationResult
 from giantlike.core.arrays import Float, Mask
 
 _BINS = 6
@@ -45,30 +45,30 @@ class ResidualGroup:
     noise_px: float
 
 
-def residual_statistics(fix: CalibrationFix) -> tuple[ResidualGroup, ...]:
+def residual_statistics(result: CalibrationResult) -> tuple[ResidualGroup, ...]:
     """Residuals in groups of equal size: by image, magnitude, distance from the image center and temperature.
 
     A quantity that is the same for all observations, or unknown, gives no groups.
     """
-    center = (np.array([fix.columns, fix.rows]) - 1.0) / 2.0
-    temperatures = np.array([image.temperature_c for image in fix.images])[fix.image_index]
+    center = (np.array([result.columns, result.rows]) - 1.0) / 2.0
+    temperatures = np.array([image.temperature_c for image in result.images])[result.image_index]
     groups = []
-    for number, image in enumerate(fix.images):
-        mine = fix.used & (fix.image_index == number)
+    for number, image in enumerate(result.images):
+        mine = result.used & (result.image_index == number)
         if mine.any():
-            groups.append(_group(fix, "image", image.name, float(number), mine))
+            groups.append(_group(result, "image", image.name, float(number), mine))
     quantities = {
-        "magnitude": fix.magnitudes,
-        "radius_px": np.linalg.norm(fix.observed_px - center, axis=1),
+        "magnitude": result.magnitudes,
+        "radius_px": np.linalg.norm(result.observed_px - center, axis=1),
         "temperature_c": temperatures,
     }
     for kind, values in quantities.items():
-        groups += _binned(fix, kind, values)
+        groups += _binned(result, kind, values)
     return tuple(groups)
 
 
-def _binned(fix: CalibrationFix, kind: str, values: Float) -> list[ResidualGroup]:
-    known = fix.used & np.isfinite(values)
+def _binned(result: CalibrationResult, kind: str, values: Float) -> list[ResidualGroup]:
+    known = result.used & np.isfinite(values)
     if int(known.sum()) < _FEWEST or np.ptp(values[known]) == 0:
         return []
     edges = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, _BINS + 1)))
@@ -77,12 +77,12 @@ def _binned(fix: CalibrationFix, kind: str, values: Float) -> list[ResidualGroup
     for k, (low, high) in enumerate(itertools.pairwise(edges)):
         mine = known & (number == k)
         if mine.any():
-            groups.append(_group(fix, kind, f"{low:.4g} to {high:.4g}", float(np.median(values[mine])), mine))
+            groups.append(_group(result, kind, f"{low:.4g} to {high:.4g}", float(np.median(values[mine])), mine))
     return groups
 
 
-def _group(fix: CalibrationFix, kind: str, label: str, middle: float, mine: Mask) -> ResidualGroup:
-    residuals = fix.residuals_px[mine]
+def _group(result: CalibrationResult, kind: str, label: str, middle: float, mine: Mask) -> ResidualGroup:
+    residuals = result.residuals_px[mine]
     mean = residuals.mean(axis=0)
     return ResidualGroup(
         kind=kind,
@@ -92,5 +92,5 @@ def _group(fix: CalibrationFix, kind: str, label: str, middle: float, mine: Mask
         rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
         mean_x_px=float(mean[0]),
         mean_y_px=float(mean[1]),
-        noise_px=float(np.sqrt(2.0 * np.mean(fix.sigma_px[mine] ** 2))),
+        noise_px=float(np.sqrt(2.0 * np.mean(result.sigma_px[mine] ** 2))),
     )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.calibration.alignment import AlignmentFix, interlock
+from giantlike.calibration.alignment import AlignmentResult, interlock
 from giantlike.campaign.store.results import attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import Float, require
 from giantlike.core.atomic import write_text_atomic
@@ -33,7 +33,7 @@ class InterlockResult(Value):
 
     Parameters
     ----------
-    alignment : AlignmentFix
+    alignment : AlignmentResult
         ``second_from_first``.
     et : (n,) float64, TDB seconds past J2000
         Of the first sensor.
@@ -47,7 +47,7 @@ class InterlockResult(Value):
         Attitudes of the first sensor without one of the second at their time.
     """
 
-    alignment: AlignmentFix
+    alignment: AlignmentResult
     et: Float
     names: tuple[tuple[str, str], ...]
     rotation_angles_rad: Float

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
@@ -40,12 +40,21 @@ class StarField(Value):
     def __len__(self) -> int:
         return len(self.stars)
 
-    def brightest(self, count: int) -> StarField:
-        """Return the first ``count`` stars."""
+    def select(self, which: NDArray[np.integer]) -> StarField:
+        """Stars of the given indices (k,), in that order.
+
+        Parameters
+        ----------
+        which : (k,) int
+
+        Returns
+        -------
+        StarField
+        """
         return StarField(
-            stars=self.stars.select(np.arange(min(count, len(self)))),
-            directions_inertial=self.directions_inertial[:count],
-            sigma_rad=self.sigma_rad[:count],
+            stars=self.stars.select(which),
+            directions_inertial=self.directions_inertial[which],
+            sigma_rad=self.sigma_rad[which],
         )
 
 

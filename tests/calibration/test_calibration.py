@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 from giantlike.calibration import (
-    AlignmentFix,
+    AlignmentResult,
     CalibrationCriteria,
-    CalibrationFix,
     CalibrationOptions,
+    CalibrationResult,
     ImageObservations,
     align,
     calibrate,
@@ -78,14 +78,14 @@ def star_images(
     return observations
 
 
-def calibrated(observations: Sequence[ImageObservations], **changes: Any) -> CalibrationFix:
+def calibrated(observations: Sequence[ImageObservations], **changes: Any) -> CalibrationResult:
     settings: dict[str, Any] = {"model": ROUGH, "estimate": BROWN, "columns": COLUMNS, "rows": ROWS} | changes
     fix = calibrate(observations, **settings)
-    assert isinstance(fix, CalibrationFix), fix
+    assert isinstance(fix, CalibrationResult), fix
     return fix
 
 
-def errors_of(fix: CalibrationFix, truth: CameraModel) -> Float:
+def errors_of(fix: CalibrationResult, truth: CameraModel) -> Float:
     indices = [truth.parameter_names.index(name) for name in fix.estimated]
     result: Float = (fix.model.parameters - truth.parameters)[indices]
     return result
@@ -151,7 +151,7 @@ def test_jacobians_agree_with_numerical_differences(pose: int) -> None:
             )
         )  # fmt: skip
     start = Rotation.concatenate(rotations)
-    data = Data.of(images, start, indices, NAVCAM.parameters[indices], np.zeros(4))
+    data = Data.of(images, start, indices, NAVCAM.parameters[indices], np.full(4, np.inf))
     position = np.array([image.position_reference for image in images])
     state = State(NAVCAM, start, position)
     predicted, by_camera, by_pose = linearized(state, data)
@@ -176,7 +176,9 @@ def test_the_step_with_poses_eliminated_is_that_of_the_whole_matrix() -> None:
     start = Rotation.from_quat(np.random.default_rng(5).normal(size=(3, 4)))
     rotations = [Rotation.align_vectors(ROUGH.unproject(one.points_px), one.targets)[0] for one in observations]
     start = Rotation.concatenate(rotations)
-    data = Data.of(observations, start, indices, ROUGH.parameters[indices], np.array([0.0, 0.0, 1.0, 1.0, 0.0]))
+    data = Data.of(
+        observations, start, indices, ROUGH.parameters[indices], np.array([np.inf, np.inf, 1.0, 1.0, np.inf])
+    )
     state = State(ROUGH, start, np.zeros((3, 3)))
     normal = normal_equations(state, data, np.ones(24, dtype=bool), Loss.LINEAR)
     assert normal is not None
@@ -419,7 +421,7 @@ def test_interlock_with_drift_is_recovered_and_a_bad_attitude_left_out() -> None
     nothing = np.tile(np.eye(3) * (0.5 * sigma) ** 2, (count, 1, 1))
     rest = np.tile(np.eye(3) * 0.75 * sigma**2, (count, 1, 1))
     fix = interlock(tracker, nothing, camera, rest, temperatures_c=temperatures)
-    assert isinstance(fix, AlignmentFix)
+    assert isinstance(fix, AlignmentResult)
     assert not fix.used[0]
     assert fix.used[1:].sum() >= count - 2  # five robust sigma: a good one in 10,000
     offset = (drift_at(rate, fix.reference_c) * camera_from_tracker * fix.rotation.inv()).as_rotvec()
@@ -455,7 +457,7 @@ def test_a_static_alignment_of_scattered_attitudes_has_their_scatter() -> None:
     rng = np.random.default_rng(22)
     rotations = Rotation.from_rotvec(rng.normal(0, 1e-4, (50, 3)))
     fix = align(rotations, np.tile(np.eye(3) * 1e-12, (50, 1, 1)))  # said to be a hundred times better
-    assert isinstance(fix, AlignmentFix)
+    assert isinstance(fix, AlignmentResult)
     # The mean of 150 squares: six sigma of a chi-square are 0.7 of it
     assert fix.covariance_rad2[0, 0] == pytest.approx(1e-8 / 50, rel=0.7)
     failure = align(rotations, np.tile(np.eye(3), (50, 1, 1)), temperatures_c=np.full(50, 3.0))

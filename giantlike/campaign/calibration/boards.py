@@ -90,7 +90,7 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
         result = CampaignCalibration(outcome=outcome, camera=None, alignment=None, lost=told, targets="corners")
     else:
         result = CampaignCalibration(
-            outcome=StarCalibration(fix=outcome, rounds=1, settled=True, failed=()),
+            outcome=StarCalibration(result=outcome, rounds=1, settled=True, failed=()),
             camera=calibrated_camera(camera, outcome) if outcome.accepted else None,
             alignment=None,
             lost=told,

@@ -9,7 +9,7 @@ import numpy as np
 
 from giantlike.calibration.field_map import field_grid
 from giantlike.calibration.observability import Verdict
-from giantlike.calibration.result import CalibrationFix
+from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera
@@ -62,7 +62,7 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
     DataError
         The file cannot be written.
     """
-    fix = result.outcome.fix if isinstance(result.outcome, StarCalibration) else None
+    fix = result.outcome.result if isinstance(result.outcome, StarCalibration) else None
     summary = calibration_summary(result)
     rejected = [] if fix is None else summary["rejected"]
     page = render_page(
@@ -81,7 +81,7 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
     return path
 
 
-def calibration_figures(fix: CalibrationFix) -> list[dict[str, str]]:
+def calibration_figures(fix: CalibrationResult) -> list[dict[str, str]]:
     """Figures of a calibration as SVG, with captions."""
     used = fix.used
     residuals = star_residual_figure(
@@ -136,7 +136,7 @@ def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, F
     return pixels[good], shifts[good]
 
 
-def _trends(fix: CalibrationFix) -> dict[str, tuple[Float, Float, Float]]:
+def _trends(fix: CalibrationResult) -> dict[str, tuple[Float, Float, Float]]:
     groups = residual_statistics(fix)
     trends: dict[str, Any] = {}
     for kind, label in _TRENDS.items():

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.calibration import AlignmentFix, align, calibrate_stars
-from giantlike.calibration.result import CalibrationFix
+from giantlike.calibration import AlignmentResult, align, calibrate_stars
+from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import StarCalibration, StarImage
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera, ModelUncertainty
@@ -52,7 +52,7 @@ class CampaignCalibration(Value):
     outcome : StarCalibration or Failure
     camera : Camera or None
         The calibrated camera; None where there is none, or where it was not accepted.
-    alignment : AlignmentFix or None
+    alignment : AlignmentResult or None
         Of the camera with respect to the a priori attitudes, where images have them.
     lost : tuple of (str, str)
         Images that did not take part, and why.
@@ -62,7 +62,7 @@ class CampaignCalibration(Value):
 
     outcome: StarCalibration | Failure
     camera: Camera | None
-    alignment: AlignmentFix | None
+    alignment: AlignmentResult | None
     lost: tuple[tuple[str, str], ...]
     targets: str = "stars"
 
@@ -72,7 +72,7 @@ class CampaignCalibration(Value):
         if isinstance(self.outcome, Failure):
             return f"calibration failed: {self.outcome.reason}: {self.outcome.detail}"
         if self.camera is None:
-            return f"calibration not accepted: {'; '.join(self.outcome.fix.problems)}"
+            return f"calibration not accepted: {'; '.join(self.outcome.result.problems)}"
         return None
 
 
@@ -175,13 +175,13 @@ def calibrate_campaign(
     if isinstance(outcome, Failure):
         return CampaignCalibration(outcome=outcome, camera=None, alignment=None, lost=tuple(lost))
     lost += [(name, f"{failure.reason}: {failure.detail}") for name, failure in outcome.failed]
-    camera = calibrated_camera(campaign.camera, outcome.fix) if outcome.fix.accepted else None
+    camera = calibrated_camera(campaign.camera, outcome.result) if outcome.result.accepted else None
     return CampaignCalibration(
-        outcome=outcome, camera=camera, alignment=_alignment(outcome.fix, records), lost=tuple(lost)
+        outcome=outcome, camera=camera, alignment=_alignment(outcome.result, records), lost=tuple(lost)
     )
 
 
-def calibrated_camera(camera: Camera, fix: CalibrationFix) -> Camera:
+def calibrated_camera(camera: Camera, fix: CalibrationResult) -> Camera:
     """Camera with the model of a calibration and its covariance."""
     uncertainty = ModelUncertainty(
         estimated=fix.estimated,
@@ -193,7 +193,7 @@ def calibrated_camera(camera: Camera, fix: CalibrationFix) -> Camera:
     return dataclasses.replace(camera, model=fix.model, uncertainty=uncertainty)
 
 
-def _alignment(fix: CalibrationFix, records: Sequence[CalibrationRecord]) -> AlignmentFix | None:
+def _alignment(fix: CalibrationResult, records: Sequence[CalibrationRecord]) -> AlignmentResult | None:
     """Camera with respect to the a priori attitudes; with a drift where temperatures differ."""
     apriori = {record.file: record.apriori_xyzw for record in records if record.apriori_xyzw is not None}
     images = [image for image in fix.images if image.n_used > 0 and image.name in apriori]
@@ -235,7 +235,7 @@ def write_calibration(folder: Path, result: CampaignCalibration) -> bool:
     (folder / CALIBRATION_PAGE).unlink(missing_ok=True)
     write_text_atomic(path, content)
     if isinstance(result.outcome, StarCalibration):
-        write_text_atomic(folder / RESIDUALS_FILE, _residual_table(result.outcome.fix))
+        write_text_atomic(folder / RESIDUALS_FILE, _residual_table(result.outcome.result))
     return True
 
 
@@ -249,7 +249,7 @@ def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
     }
     if isinstance(result.outcome, Failure):
         return content
-    fix, everything = result.outcome.fix, result.outcome.all_stars
+    fix, everything = result.outcome.result, result.outcome.all_stars
     return content | {
         "model": model_to_mapping(fix.model),
         "estimated": list(fix.estimated),
@@ -285,7 +285,7 @@ def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
     }
 
 
-def _alignment_summary(alignment: AlignmentFix) -> dict[str, Any]:
+def _alignment_summary(alignment: AlignmentResult) -> dict[str, Any]:
     return {
         "camera_from_apriori_xyzw": quaternion_xyzw(alignment.rotation).tolist(),
         "rotation_arcsec": (ARCSEC_PER_RAD * alignment.rotation.as_rotvec()).tolist(),
@@ -306,7 +306,7 @@ def _number(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _residual_table(fix: CalibrationFix) -> str:
+def _residual_table(fix: CalibrationResult) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)

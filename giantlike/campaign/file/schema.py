@@ -16,7 +16,7 @@ from giantlike.calibration.star_images import DEFAULT_MIN_SNR
 from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.toml_file import Section
 from giantlike.core.errors import InputError
-from giantlike.processing.detection.detect import DetectionOptions
+from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferMethod
 
