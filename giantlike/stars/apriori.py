@@ -23,22 +23,22 @@ from giantlike.stars.matching import (
 )
 from giantlike.stars.options import StarOptions
 
-_SAMPLE = 4
-_VOTING_STARS, _VOTING_POINTS = 150, 100  # the brightest have enough to say
+_SAMPLE = 4  # stars of a random sample, as in the paper: two fix an attitude, four show a wrong pair among them
+_VOTING_STARS, _VOTING_POINTS = 150, 100  # brightest stars and detections that vote for a common shift; bounds its time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Identification(Value):
-    """Stars found in an image.
+    """Attitude and matches found with an a priori attitude.
 
     Parameters
     ----------
     camera_from_inertial : Rotation
-        Attitude good enough to match with; not yet weighted.
+        Attitude accurate enough for matching; the stars are not yet weighted.
     matches : Matches
         Indices into the stars and detections that were given.
     false_match_probability : float
-        Bound on the probability that chance made the matches.
+        Upper bound of the probability that the matches are due to chance.
     """
 
     camera_from_inertial: Rotation
@@ -58,26 +58,25 @@ def identify_apriori(
 
     Steps 1-10 of the matching in [1]_: predict, pair nearest neighbors, drop distant and ambiguous pairs, solve
     for the attitude of random samples of four and keep the one with most inliers (on a tie: the smaller sum of
-    squares). Where that does not succeed, it is tried again after the shift that most star-detection pairs within
-    ``max_pixel_distance`` have in common is taken out: then the attitude may be wrong by more than the distance
-    between stars, which nearest neighbors alone cannot stand. The vote counts pairs closely alike first, which crowded
-    fields need, then as different as an error of roll makes them.
+    squares). If that fails, the shift shared by most star-detection pairs within ``max_pixel_distance`` is subtracted
+    and the steps are repeated, so that the attitude may be wrong by more than the distance between stars. Shifts are
+    compared first to ``inlier_px`` (for crowded fields), then to the spread that an error of roll gives them.
 
     Parameters
     ----------
     directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors of catalog stars, a few more than the field holds, brightest first.
+        Apparent unit vectors of catalog stars in and around the field of view, brightest first.
     points_px : (m, 2) float64, px
         Detections, brightest first.
     camera : Camera
     camera_from_inertial : Rotation
-        A priori.
+        A priori attitude.
     options : StarOptions
 
     Returns
     -------
     Identification or Failure
-        Reasons: no_catalog_stars, too_few_detections, too_few_matches, ambiguous (chance would do as well).
+        Reasons: no_catalog_stars, too_few_detections, too_few_matches, ambiguous (the matches may be due to chance).
 
     References
     ----------
@@ -90,7 +89,7 @@ def identify_apriori(
     near = np.flatnonzero(np.isfinite(predicted[:, 0]))
     if near.size < options.min_matches:
         return Failure(
-            Reason.NO_CATALOG_STARS, f"{near.size} catalog stars in the field, {options.min_matches} are needed"
+            Reason.NO_CATALOG_STARS, f"{near.size} catalog stars in the field of view, {options.min_matches} are needed"
         )
     if len(points_px) < options.min_matches:
         return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {options.min_matches} are needed")
@@ -112,14 +111,14 @@ def _identify_shifted(
     spread_px: float,
     options: StarOptions,
 ) -> Identification | Failure:
-    """Steps 3-10 from predicted places (n, 2), px, NaN for stars far outside the image."""
+    """Identify by steps 3-10 from predicted pixels (n, 2), NaN for stars far outside the image."""
     radius = options.inlier_px + spread_px
     pairs = match_nearest(predicted_px, points_px, radius, ambiguous_px=options.inlier_px)
     if len(pairs) < options.min_matches:
         return Failure(
             Reason.TOO_FEW_MATCHES,
             f"{len(pairs)} of {len(points_px)} detections pair with a star within {options.max_pixel_distance:g} px of "
-            f"the a priori attitude, {options.min_matches} are needed",
+            f"its place by the a priori attitude, {options.min_matches} are needed",
         )
     rotation, n_inliers = ransac_attitude(
         directions_inertial[pairs.star_indices], points_px[pairs.detection_indices], camera, options
@@ -134,14 +133,20 @@ def _identify_shifted(
 
 
 def common_shift_px(predicted_px: Float, points_px: Float, max_distance_px: float, spread_px: float) -> Float:
-    """Displacement (2,), px, shared by most pairs of a star and a detection within ``max_distance_px``.
+    """Displacement shared by most pairs of a predicted star and a detection.
 
     Parameters
     ----------
     predicted_px, points_px : (n, 2), (m, 2) float64, px
     max_distance_px : float, px
+        Largest displacement.
     spread_px : float, px
-        Displacements that differ by less are the same: what roll and distortion add to a common shift.
+        Displacements that differ by less are counted as equal: roll and distortion spread a common shift.
+
+    Returns
+    -------
+    (2,) float64, px
+        Detection minus prediction; zero if no pair is close enough.
     """
     tree, other = cKDTree(points_px), cKDTree(predicted_px)
     pairs = tree.sparse_distance_matrix(other, max_distance_px, output_type="ndarray")
@@ -159,14 +164,20 @@ def common_shift_px(predicted_px: Float, points_px: Float, max_distance_px: floa
 def ransac_attitude(
     directions_inertial: Float, points_px: Float, camera: Camera, options: StarOptions
 ) -> tuple[Rotation, int]:
-    """Attitude of the four-star sample that agrees with most pairs, re-estimated from those, and their number.
+    """Attitude of the random sample of four pairs that agrees with most pairs (RANSAC).
 
     Parameters
     ----------
     directions_inertial, points_px : (k, 3), (k, 2) float64
-        Tentative pairs; with fewer than four every sample holds them all.
+        Tentative pairs; fewer than four are all in every sample.
     camera : Camera
     options : StarOptions
+
+    Returns
+    -------
+    camera_from_inertial : Rotation
+        Estimated again from all pairs that agree.
+    n_inliers : int
     """
     vectors_camera = camera.model.unproject(points_px)
     seen = np.isfinite(vectors_camera).all(axis=1)
@@ -194,7 +205,7 @@ def ransac_attitude(
 def _verified(
     directions_inertial: Float, points_px: Float, camera: Camera, rotation: Rotation, options: StarOptions
 ) -> Identification | Failure:
-    """Match all stars with the attitude found, and ask whether chance would do as well."""
+    """Match all stars with an attitude, and refuse it if the matches may be due to chance."""
     predicted = predicted_in_frame(directions_inertial, camera, rotation, margin_px=options.inlier_px)
     matches = match_nearest(predicted, points_px, options.inlier_px)
     area = float(camera.columns * camera.rows)
@@ -211,6 +222,6 @@ def _verified(
 
 
 def _spread_px(camera: Camera, options: StarOptions) -> float:
-    """How much displacements differ over the image when the attitude is off by ``max_pixel_distance``."""
+    """Spread of the displacements over the image, px, for an attitude error of ``max_pixel_distance``."""
     half_diagonal = float(np.hypot(camera.columns, camera.rows)) / 2.0
     return options.inlier_px + options.max_pixel_distance * half_diagonal / camera.model.focal_length_px

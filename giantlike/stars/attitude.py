@@ -20,12 +20,13 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 
-_MAX_STEPS = 20
-_STEP_RAD = 1e-11
-_MAX_ROUNDS = 10
+_MAX_STEPS = 20  # Gauss-Newton converges quadratically, in 3 to 5 steps; more mean that it does not converge
+_STEP_RAD = 1e-11  # last step: 2 microarcsec, far below any sigma, above the rounding of float64
+_MAX_ROUNDS = 10  # of fit and rejection, which usually settle after 2 to 4
 _NOISE_EXPLAINS = 0.977
-"""Chi-square quantile up to which residuals count as explained by the noise."""
-_MEDIAN_CHI2 = 2.0 * np.log(2.0)  # two degrees of freedom
+"""Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal
+distribution, one-sided."""
+_MEDIAN_CHI2 = 2.0 * np.log(2.0)  # median of chi-square with two degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,17 +37,19 @@ class AttitudeSolution(Value):
     ----------
     camera_from_inertial : Rotation
     covariance_rad2 : (3, 3) float64, rad^2
-        As in :class:`~giantlike.core.outcomes.AttitudeFix`; the estimated scale is marginalized.
+        Of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`; an estimated
+        scale is marginalized.
     model : CameraModel
-        The one given, or with the estimated scale.
+        Camera model, with the estimated scale if there is one.
     used : (n,) bool
-        Which stars were kept.
+        False for outliers.
     predicted_px : (n, 2) float64, px
+        Stars projected by the solution.
     sigma_px : (n,) float64, px
-        Standard deviation per axis behind each weight.
+        Standard deviation per axis by which each star was weighted.
     error_floor_px : float, px
-        Standard deviation per axis that had to be added to every star's own so that the residuals are explained:
-        0 where they are without it.
+        Standard deviation per axis added in quadrature to that of every star to explain the residuals; 0 if they need
+        none.
     reduced_chi2 : float
         Chi-square over degrees of freedom without the floor.
     """
@@ -62,26 +65,26 @@ class AttitudeSolution(Value):
 
 
 class AttitudeMethod(StrEnum):
-    """How the attitude follows from stars that are identified."""
+    """Solver of the attitude from identified stars."""
 
     WEIGHTED = "weighted"
-    """Gauss-Newton on the pixels, from the q-method: the full covariance of centroid and catalog of every star."""
+    """Gauss-Newton on the pixels, started by the q-method: every star weighted with its full covariance."""
     Q_METHOD = "q_method"
-    """Davenport's q-method: one sigma a star."""
+    """Davenport's q-method: one sigma per star."""
     SVD = "svd"
-    """Singular value decomposition: one sigma a star."""
+    """Singular value decomposition: one sigma per star."""
     ESOQ2 = "esoq2"
-    """Axis and angle in closed form: one sigma a star."""
+    """Axis and angle in closed form: one sigma per star."""
 
 
 class Scale(IntEnum):
-    """How much of the camera model is estimated with the attitude; the value counts the parameters."""
+    """Parameters of the camera model estimated with the attitude; the value is their number."""
 
     FIXED = 0
     FOCAL_LENGTH = 1
     """One factor on fx and fy."""
     RADIAL = 2
-    """The same and k1."""
+    """The factor and the radial distortion k1."""
 
 
 def fit_attitude(
@@ -94,26 +97,27 @@ def fit_attitude(
     outlier_sigma: float = 4.0,
     method: AttitudeMethod = AttitudeMethod.WEIGHTED,
 ) -> AttitudeSolution | Failure:
-    """Attitude that puts stars where they were measured.
+    """Fit an attitude to identified stars by weighted least squares.
 
-    Every star is weighted with its full 2x2 covariance, or, by the methods that solve Wahba's problem, with the mean of
-    its variances along and across. Stars further off than ``outlier_sigma`` are left out, in
-    turns, with the scatter judged by its median. When the residuals of the rest are larger than their covariances
-    explain, an error floor common to all stars is added in quadrature until they do, so that the covariance of
-    the attitude stays honest and no bright star rules the fit.
+    Every star is weighted with its full 2x2 covariance or, by the methods that solve Wahba's problem, with the mean of
+    its variances along both axes. Stars with residuals beyond ``outlier_sigma`` are rejected in rounds, with the
+    scatter estimated by its median. If the remaining residuals exceed their covariances, an error floor common to all
+    stars is added in quadrature until chi-square equals its degrees of freedom: the covariance of the attitude then
+    includes the unmodeled error, and no bright star dominates the fit.
 
     Parameters
     ----------
     directions_inertial : (n, 3) float64, unitless, inertial
         Apparent unit vectors of the stars.
     points_px : (n, 2) float64, px
-        Where they were measured.
+        Centroids of the stars.
     covariance_px2 : (n, 2, 2) float64, px^2
-        Of measurement and catalog together, positive definite.
+        Of centroid and catalog together, positive definite.
     model : CameraModel
     scale : Scale
-        What of the model to estimate too; ``RADIAL`` needs a model with ``k1``.
+        Parameters of the model to estimate too; ``RADIAL`` needs a model with ``k1``.
     outlier_sigma : float
+        Rejection limit in standard deviations, default 4 as in :class:`~giantlike.stars.StarOptions`.
     method : AttitudeMethod
 
     Returns
@@ -124,7 +128,7 @@ def fit_attitude(
     Raises
     ------
     InputError
-        ``scale`` is to be estimated by a method that knows directions only.
+        The scale is to be estimated by a method other than ``weighted``.
 
     References
     ----------
@@ -153,7 +157,7 @@ def fit_attitude(
 
 @dataclass(frozen=True, slots=True)
 class _Stars:
-    """Directions (n, 3), measured places (n, 2) px, covariances (n, 2, 2) px^2."""
+    """Directions (n, 3), centroids (n, 2) px, covariances (n, 2, 2) px^2."""
 
     directions: Float
     points_px: Float
@@ -163,7 +167,7 @@ class _Stars:
         return _Stars(self.directions[which], self.points_px[which], self.covariance_px2[which])
 
     def inflated(self, floor_px: float) -> _Stars:
-        """With an error floor in every covariance."""
+        """Stars with an error floor added to every covariance."""
         return _Stars(self.directions, self.points_px, self.covariance_px2 + floor_px**2 * np.eye(2))
 
     def residuals(self, state: _State) -> Float:
@@ -179,7 +183,7 @@ class _State:
         return self.model.project(rotate(self.rotation, directions_inertial))
 
     def jacobian(self, directions_inertial: Float, scale: Scale) -> Float:
-        """(n, 2, 3 + scale) derivative of the pixels by the small rotation, the log of the focal length, and k1."""
+        """Derivatives (n, 2, 3 + scale) of the pixels by the small rotation, the log of the focal length, and k1."""
         vectors = rotate(self.rotation, directions_inertial)
         columns = [-self.model.project_jacobian(vectors) @ skew(vectors)]
         if scale:
@@ -209,7 +213,7 @@ Fitter: TypeAlias = Callable[[_State, _Stars, Scale], tuple[_State, Float] | Fai
 
 
 def _wahba(method: WahbaMethod, state: _State, stars: _Stars, _: Scale) -> tuple[_State, Float] | Failure:
-    """One solution of Wahba's problem; the state and the covariance of its rotation (3, 3)."""
+    """Solution of Wahba's problem: the state and the covariance (3, 3) of its rotation."""
     jacobian = state.model.unproject_jacobian(stars.points_px)
     variances = np.einsum("nij,njk,nik->n", jacobian, stars.covariance_px2, jacobian) / 2.0
     solved = solve_wahba(stars.directions, state.model.unproject(stars.points_px), np.sqrt(variances), method=method)
@@ -217,31 +221,31 @@ def _wahba(method: WahbaMethod, state: _State, stars: _Stars, _: Scale) -> tuple
 
 
 def _gauss_newton(state: _State, stars: _Stars, scale: Scale) -> tuple[_State, Float] | Failure:
-    """Weighted least squares; the state and the covariance of its parameters (3 + scale,) squared."""
+    """Weighted least squares: the state and the covariance (3 + scale, 3 + scale) of its parameters."""
     weights = np.linalg.inv(stars.covariance_px2)
     for _ in range(_MAX_STEPS):
         jacobian = state.jacobian(stars.directions, scale)
         residuals = stars.residuals(state)
         if not np.isfinite(residuals).all():
-            return Failure(Reason.NOT_CONVERGED, "a star left the region that the camera model can image")
+            return Failure(Reason.NOT_CONVERGED, "a star left the region that the camera model can project")
         weighted = np.swapaxes(jacobian, 1, 2) @ weights
         normal = np.sum(weighted @ jacobian, axis=0)
         gradient = np.sum(weighted @ residuals[..., None], axis=0)[:, 0]
         units = 1.0 / np.sqrt(np.diag(normal))
         scaled = normal * np.outer(units, units)
         if not np.linalg.cond(scaled) < 1e12:
-            return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(weights)} stars leave a parameter of the fit free")
+            return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(weights)} stars do not fix all parameters of the fit")
         step = np.linalg.solve(scaled, gradient * units) * units
         state = state.moved(step)
         if np.abs(step).max() < _STEP_RAD:
             return state, np.linalg.inv(scaled) * np.outer(units, units)
-    return Failure(Reason.NOT_CONVERGED, f"attitude fit of {len(weights)} stars still moves after {_MAX_STEPS} steps")
+    return Failure(Reason.NOT_CONVERGED, f"the fit of {len(weights)} stars did not converge in {_MAX_STEPS} steps")
 
 
 def _without_outliers(
     state: _State, stars: _Stars, used: Mask, scale: Scale, outlier_sigma: float, fit: Fitter
 ) -> tuple[_State, Mask] | Failure:
-    """Fit and leave out what lies further off than the median allows, until that changes nothing."""
+    """Fit and reject outliers in rounds, until the selection no longer changes."""
     for _ in range(_MAX_ROUNDS):
         chosen = stars.select(used)
         fitted = fit(state, chosen.inflated(_median_floor(chosen, state)), scale)
@@ -251,7 +255,7 @@ def _without_outliers(
         allowed = stars.inflated(_median_floor(chosen, state))
         keep = np.asarray(_squares(allowed.residuals(state), allowed.covariance_px2) <= outlier_sigma**2)
         if 2 * int(keep.sum()) < 4 + scale:
-            return Failure(Reason.NOT_CONVERGED, f"{int(keep.sum())} of {len(keep)} stars agree with one attitude")
+            return Failure(Reason.NOT_CONVERGED, f"only {int(keep.sum())} of {len(keep)} stars agree with one attitude")
         if np.array_equal(keep, used):
             break
         used = keep
@@ -259,7 +263,7 @@ def _without_outliers(
 
 
 def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitter) -> AttitudeSolution | Failure:
-    """Last fit, on the stars that are left: as they are weighted if chi-square allows, else with an error floor."""
+    """Last fit, of the stars kept: with their own covariances if chi-square allows, else with an error floor."""
     chosen = stars.select(used)
     freedom = 2 * int(used.sum()) - 3 - scale
     fitted = fit(state, chosen, scale)
@@ -287,24 +291,24 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
 
 
 def _squares(residuals: Float, covariance_px2: Float) -> Float:
-    """Squared residuals (n,) in units of their covariance; infinite where there is no prediction."""
+    """Squared residuals (n,) in units of their covariance; infinite for stars without a prediction."""
     squares = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance_px2), residuals)
     return np.where(np.isfinite(squares), squares, np.inf)
 
 
 def _median_floor(stars: _Stars, state: _State) -> float:
-    """Error floor, px, that brings the median of the squares to that of chi-square with two degrees of freedom."""
+    """Error floor, px, that makes the median of the squares that of chi-square with two degrees of freedom."""
     return _floor(stars, state, lambda squares: float(np.median(squares)) / _MEDIAN_CHI2)
 
 
-def _floor(stars: _Stars, state: _State, measure: Callable[[Float], float]) -> float:
-    """Error floor, px, at which ``measure`` of the squares falls to one; 0 where it is below without."""
+def _floor(stars: _Stars, state: _State, statistic: Callable[[Float], float]) -> float:
+    """Error floor, px, at which a statistic of the squares falls to one; 0 if it is below one without a floor."""
     residuals = stars.residuals(state)
     variances, axes = np.linalg.eigh(stars.covariance_px2)
     along = np.einsum("nji,nj->ni", axes, residuals) ** 2
 
     def excess(floor_px: float) -> float:
-        return measure(np.sum(along / (variances + floor_px**2), axis=1)) - 1.0
+        return statistic(np.sum(along / (variances + floor_px**2), axis=1)) - 1.0
 
     if excess(0.0) <= 0.0:
         return 0.0

@@ -1,4 +1,4 @@
-"""The sky of one image: which catalog stars its camera can see, and where they appear."""
+"""Catalog stars of one image: those that its camera can see, with their apparent directions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from giantlike.core.frames import rotate
 from giantlike.core.values import Value
 
 EPOCH_WHEN_UNKNOWN = 2016.0
-"""Julian epoch at which stars are put when an image has none: that of most positions in the default catalog."""
-_MARGIN = 1.05  # a little more sky than the camera sees: its model may still change
+"""Julian epoch of the stars for an image without time, years: that of most positions in the default catalog."""
+_MARGIN = 1.05  # radius of the sky looked up over that of the field of view: the focal length may still change by 5 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,7 +28,7 @@ class StarField(Value):
     stars : StarTable
         n stars.
     directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent.
+        Apparent unit vectors.
     sigma_rad : (n,) float64, rad
         Catalog error of the directions, per axis.
     """
@@ -60,20 +60,21 @@ class StarField(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sky(Value):
-    """A catalog as an observer sees it at one time.
+    """A star catalog as seen by an observer at one time.
 
     Parameters
     ----------
     catalog : StarCatalog
     et : float, s, optional
-        TDB seconds past J2000; without it stars are at ``EPOCH_WHEN_UNKNOWN``.
+        TDB seconds past J2000; default: stars at ``EPOCH_WHEN_UNKNOWN``.
     observer_position_km : (3,) float64, km, inertial, optional
-        With respect to the solar system barycenter; without it no parallax.
+        From the solar system barycenter; without it parallax is not applied.
     observer_velocity_km_s : (3,) float64, km/s, inertial, optional
-        Likewise; without it no aberration, which then goes into the attitude.
+        Relative to the solar system barycenter; without it aberration is not applied and becomes part of the attitude.
     max_magnitude : float, optional
+        Faintest star, in the band of the catalog.
     light_deflection : bool
-        By the Sun; only where the observer's position is known.
+        Apply the deflection by the Sun; only where the position of the observer is known.
     """
 
     catalog: StarCatalog
@@ -86,13 +87,41 @@ class Sky(Value):
     def field(
         self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0, count: int | None = None
     ) -> StarField:
-        """Stars within the field of view of a camera, and ``margin_px`` around it; the ``count`` brightest of them."""
+        """Stars in the field of view of a camera.
+
+        Parameters
+        ----------
+        camera : Camera
+        camera_from_inertial : Rotation
+        margin_px : float, px
+            Width of the border around the image to include.
+        count : int, optional
+            Number of brightest stars to return; default all.
+
+        Returns
+        -------
+        StarField
+        """
         axis = rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px))
         radius = _half_diagonal_rad(camera) * _MARGIN + margin_px / camera.model.focal_length_px
         return self.cone(axis / np.linalg.norm(axis), min(radius, np.pi), count=count)
 
     def cone(self, direction_inertial: ArrayLike, radius_rad: float, *, count: int | None = None) -> StarField:
-        """Stars within ``radius_rad`` of a unit vector (3,); the ``count`` brightest of them."""
+        """Stars in a cone.
+
+        Parameters
+        ----------
+        direction_inertial : (3,), unitless, inertial
+            Axis, a unit vector.
+        radius_rad : float, rad
+            Half opening angle.
+        count : int, optional
+            Number of brightest stars to return; default all.
+
+        Returns
+        -------
+        StarField
+        """
         stars = self.catalog.cone(direction_inertial, radius_rad, max_magnitude=self.max_magnitude)
         if count is not None and count < len(stars):
             stars = stars.select(np.arange(count))
@@ -108,7 +137,7 @@ class Sky(Value):
 
 
 def _half_diagonal_rad(camera: Camera) -> float:
-    """Angle from the image center to its corners; that of a pinhole where the model cannot see the corners."""
+    """Angle from the image center to its corners; that of a pinhole if the model cannot unproject the corners."""
     radius = camera.half_diagonal_rad
     if np.isfinite(radius):
         return radius

@@ -1,8 +1,8 @@
 """Star identification from the shapes of patterns: anywhere on the sky, or within the error of an a priori attitude.
 
 Triads of detections and the angles between them where the camera is calibrated, quads and their shape where its
-focal length is not known, are looked up in an index of the catalog; attitudes that many of them share are verified
-by matching and fitting all stars of the image. tetra3rs is asked where quads find nothing.
+focal length is not known, are looked up in an index of the catalog; attitudes shared by many of them are verified
+by matching and fitting all stars of the image. If quads find nothing, tetra3rs is tried.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from giantlike.stars.star_index import Pattern, StarIndex, build_index, caps, de
 from giantlike.stars.tetra import tetra_hypotheses
 
 _OTHER_SCALE = 0.2
-"""A focal length off by less than this is found when the stated one does not fit."""
-_SCALE_STEP = 0.015
-_TRIAD_PX, _QUAD = 2.0, 0.006  # error of an angle: px, and of the image width
-_TRIED, _TRIED_IN_ALL = 6, 30  # hypotheses of each search, and of an image
-_BRIGHTEST = 40
-_NARROW_RAD = math.radians(0.75)  # half a field of view: below, the catalog may have too few stars for it
-_SAMPLED_RAD = 0.3  # distance of the places where its stars are counted
-_BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # searches that find most images
-_GAINED = 3  # matches that a fit may add
-_FIRST_RADIUS = 0.008  # of the image width: distortion that a pinhole of the right focal length leaves
+"""Relative error of the stated focal length up to which a failure names the right one: the limit of ``scale_error``."""
+_SCALE_STEP = 0.015  # relative spacing of the focal lengths tried; only distortion and wide fields depend on it
+_TRIAD_PX, _QUAD = 2.0, 0.006  # tolerance of the distance of two stars: px, and share of the image width
+_TRIED, _TRIED_IN_ALL = 6, 30  # hypotheses verified, of each search and of an image: bounds the time of failures
+_BRIGHTEST = 40  # detections whose noise sets the tolerance, and spare stars of an index in a cone
+_NARROW_RAD = math.radians(0.75)  # half field of view below which the catalog may hold too few stars
+_SAMPLED_RAD = 0.3  # spacing of the directions in which catalog stars are counted: 140 over the sky
+_BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # number of searches that solve most images
+_GAINED = 3  # matches that a fit may add to those of a hypothesis
+_FIRST_RADIUS = 0.008  # first match radius over the image width: distortion left by a pinhole of the right focal length
 Bools = Mask
 
 
@@ -63,10 +63,11 @@ def identify_lost_in_space(
 
     Parameters
     ----------
-    points_px, covariance_px2 : (m, 2), (m, 2, 2) float64
+    points_px : (m, 2) float64, px
         Detections, brightest first.
+    covariance_px2 : (m, 2, 2) float64, px^2
     camera : Camera
-        With ``options.estimate_scale`` only its field of view matters, to ``options.scale_error``.
+        With ``options.estimate_scale`` only its field of view is used, known to ``options.scale_error``.
     sky : Sky
     options : StarOptions
 
@@ -84,7 +85,7 @@ def identify_lost_in_space(
     if len(points_px) < needed:
         return Failure(
             Reason.TOO_FEW_DETECTIONS,
-            f"{len(points_px)} detections, {needed} are needed: expose longer or lower the detection threshold",
+            f"{len(points_px)} detections, {needed} are needed: use a longer exposure or a lower detection threshold",
         )
     problem = _Problem(points_px, covariance_px2, camera, sky, options)
     return _solved_or_explained(problem)
@@ -101,33 +102,34 @@ def identify_in_cone(
 ) -> RefinedAttitude | Failure:
     """Find the attitude of an image within ``options.attitude_error_deg`` of an a priori one, about any axis.
 
-    The same search as on the whole sky, in an index made of the stars that such an image may show.
+    The same search as on the whole sky, in an index of the stars that such an image can show.
 
     Parameters
     ----------
-    points_px, covariance_px2 : (m, 2), (m, 2, 2) float64
+    points_px : (m, 2) float64, px
         Detections, brightest first.
+    covariance_px2 : (m, 2, 2) float64, px^2
     camera : Camera
     sky : Sky
     camera_from_inertial : Rotation
-        A priori.
+        A priori attitude.
     options : StarOptions
 
     Returns
     -------
     RefinedAttitude or Failure
-        Reasons as of :func:`identify_lost_in_space`.
+        Reasons as for :func:`identify_lost_in_space`.
     """
     needed = max(options.min_matches, 4)
     if len(points_px) < needed:
-        return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {needed} are needed")
+        return Failure(Reason.TOO_FEW_DETECTIONS, f"the image has {len(points_px)} detections, {needed} are needed")
     problem = _Problem(points_px, covariance_px2, camera, sky, options, camera_from_inertial)
     return _solved_or_explained(problem)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem(Value):
-    """What :func:`identify_lost_in_space` or :func:`identify_in_cone` was asked."""
+    """Search for the attitude of one image, on the whole sky or around an a priori attitude."""
 
     points_px: Float
     covariance_px2: Float
@@ -137,7 +139,7 @@ class _Problem(Value):
     apriori: Rotation | None = None
 
     def solve(self, *, brief: bool = False) -> RefinedAttitude | Failure:
-        """Try hypotheses until one is verified; ``brief`` stops where most images are solved."""
+        """Verify hypotheses until one passes; ``brief`` stops after the searches that solve most images."""
         refuted = 0
         for hypothesis in self.hypotheses(brief):
             outcome = self.verify(hypothesis)
@@ -148,8 +150,8 @@ class _Problem(Value):
         free = f" to {100 * self.options.scale_error:.3g} %" if self.options.estimate_scale else ""
         return Failure(
             Reason.NO_PATTERN_MATCH,
-            f"no pattern of {len(self.points_px)} detections is found {where} at a field of view of "
-            f"{self.camera.fov_deg:.4g} degrees{free} ({refuted} candidates were tried and refuted)",
+            f"no pattern of the {len(self.points_px)} detections was found {where} for a field of view of "
+            f"{self.camera.fov_deg:.4g} degrees{free} ({refuted} candidates were verified and refused)",
         )
 
     def verify(self, hypothesis: Hypothesis) -> RefinedAttitude | Failure:
@@ -202,7 +204,7 @@ class _Problem(Value):
         return Rotation.from_quat(davenport_quaternions(directions[None], seen[good][None], weights)[0])
 
     def hypotheses(self, brief: bool) -> Iterator[Hypothesis]:
-        """Attitudes that patterns suggest, lazily, none of them twice."""
+        """Hypotheses from patterns and then from tetra3rs, lazily and without repetitions."""
         seen: set[bytes] = set()
         for hypothesis in itertools.islice(self._from_patterns(brief), _TRIED_IN_ALL):
             key = hypothesis.star_ids.tobytes() + hypothesis.detection_indices.tobytes()
@@ -236,7 +238,7 @@ class _Problem(Value):
                 yield from itertools.islice(shared, _TRIED)
 
     def scope(self) -> Scope:
-        """Tolerances and focal lengths of the search."""
+        """Tolerances and focal lengths of the pattern search."""
         ifov = float(self.camera.ifov_rad())
         brightest = self.covariance_px2[:_BRIGHTEST]
         noise = 4.0 * float(np.sqrt(np.median(np.trace(brightest, axis1=1, axis2=2)) / 2.0))
@@ -251,14 +253,14 @@ class _Problem(Value):
         )
 
     def vectors(self, scope: Scope) -> Float:
-        """Lines of sight (s, m, 3) of the detections, at each focal length."""
+        """Lines of sight (s, m, 3) of the detections for each focal length, camera axes."""
         model = self.camera.model
         if len(scope.scales) == 1:
             return model.unproject(self.points_px)[None]
         return np.stack([scaled_model(model, float(scale)).unproject(self.points_px) for scale in scope.scales])
 
     def half_fov_rad(self) -> float:
-        """Half the smaller field of view, along x or y."""
+        """Half the smaller field of view, along x or y, rad."""
         middle, (right, bottom) = self.camera.center_px, (self.camera.columns - 0.5, self.camera.rows - 0.5)
         rays = self.camera.model.unproject([[right, middle[1]], [middle[0], bottom]])
         cosines = rays @ self.camera.model.unproject(middle)
@@ -266,7 +268,7 @@ class _Problem(Value):
         return float(angles.min(initial=_half_diagonal_rad(self.camera)))
 
     def index(self, pattern: Pattern, radius_rad: float) -> StarIndex:
-        """Index of the sky, or of the part that the a priori attitude leaves."""
+        """Index of the whole sky, or of the cone that the a priori attitude leaves."""
         catalog, limit = self.sky.catalog, self.sky.max_magnitude
         if self.apriori is None:
             return sky_index(catalog, pattern, radius_rad, max_magnitude=limit)
@@ -279,7 +281,7 @@ class _Problem(Value):
         return build_index(pattern, field.stars.ids, field.directions_inertial, radius_rad, axis=axis, reach_rad=reach)
 
     def stars_expected(self) -> float:
-        """How many catalog stars a field of view holds, on average over the sky or near the a priori attitude."""
+        """Mean number of catalog stars in a field of view, over the sky or near the a priori attitude."""
         half = self.half_fov_rad()
         if half > _NARROW_RAD:
             return math.inf
@@ -292,18 +294,18 @@ class _Problem(Value):
         return float(np.mean(found)) * 4.0 * half**2 / (2.0 * math.pi * (1.0 - math.cos(reach)))
 
     def reach_rad(self) -> float:
-        """How far from the a priori boresight a star of the image may be."""
+        """Largest angle between the a priori boresight and a star of the image, rad."""
         return min(_half_diagonal_rad(self.camera) + math.radians(self.options.attitude_error_deg), np.pi)
 
     def _near(self, matrices: Float) -> Bools:
-        """Which attitudes (k, 3, 3) lie within the error of the a priori one."""
+        """True (k,) for attitudes (k, 3, 3) within the error of the a priori one."""
         assert self.apriori is not None
         traces = np.einsum("kij,ij->k", matrices, self.apriori.as_matrix())
         allowed: Bools = traces >= 1.0 + 2.0 * math.cos(math.radians(self.options.attitude_error_deg))
         return allowed
 
     def trials(self, radius_px: float) -> float:
-        """How many attitudes (and cameras) there are to choose from."""
+        """Number of distinguishable attitudes (and cameras) in the search, for a match radius."""
         focal, half = self.camera.model.focal_length_px, float(np.hypot(self.camera.columns, self.camera.rows)) / 2.0
         error = self.options.scale_error if self.options.estimate_scale else 0.0
         if self.apriori is None:
@@ -325,7 +327,7 @@ def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
             Reason.NO_CATALOG_STARS,
             f"the catalog {problem.sky.catalog.name!r}{'' if limit is None else f' to magnitude {limit:g}'} has "
             f"{expected:.2g} stars in a field of view of {problem.camera.fov_deg:.3g} degrees, "
-            f"{problem.options.min_matches} are needed: give a deeper one",
+            f"{problem.options.min_matches} are needed: use a deeper catalog",
         )
     outcome = problem.solve()
     if isinstance(outcome, RefinedAttitude):
@@ -335,7 +337,7 @@ def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
 
 
 def _diagnosis(problem: _Problem) -> Failure | None:
-    """Why nothing was found, where that can be seen: a mirrored image, or another focal length."""
+    """Diagnosis of a failed search: a mirrored image or another focal length; None for neither."""
     if problem.apriori is None:
         flip = np.array([-1.0, 1.0])
         outcome = dataclasses.replace(
@@ -353,7 +355,7 @@ def _diagnosis(problem: _Problem) -> Failure | None:
 
 
 def _other_camera(problem: _Problem) -> Failure | None:
-    """The failure of an image whose stars fit another focal length or distortion."""
+    """Failure of an image whose stars fit another focal length or distortion; None if they do not."""
     camera = problem.camera
     free = dataclasses.replace(problem.options, estimate_scale=True, scale_error=_OTHER_SCALE)
     outcome = dataclasses.replace(problem, options=free).solve(brief=True)

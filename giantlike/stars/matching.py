@@ -1,4 +1,4 @@
-"""Pairs of catalog stars and detections in the image plane, and how likely chance makes them."""
+"""Matches of catalog stars and detections in the image plane, and the probability that they are due to chance."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from giantlike.core.frames import rotate
 from giantlike.core.values import Value
 
 BLEND_PX = 4.0
-"""Stars closer than this to each other pull each other's centroid."""
-_SHIFTS = 24
-_DISTORTION = 0.05  # of the image's half size: more than a fit of k1 may take up
+"""Distance below which two stars shift each other's centroid, px: five widths of a star of 0.8 px."""
+_SHIFTS = 24  # displacements at which chance matches are counted: 24 samples of every detection
+_DISTORTION = 0.05  # of the half size of the image: bound on the distortion that a fit of k1 can absorb
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Matches(Value):
-    """Pairs of a star and a detection, each of them at most once.
+    """Pairs of a star and a detection, each in at most one pair.
 
     Parameters
     ----------
@@ -69,7 +69,11 @@ def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, am
     radius_px : float, px
         Largest distance of a pair.
     ambiguous_px : float, px
-        Drop a pair when another star or detection is hardly further away than its partner: by less than this.
+        Drop a pair if another star or detection is further away than its partner by less than this.
+
+    Returns
+    -------
+    Matches
     """
     visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))
     none = np.zeros(0, dtype=np.intp)
@@ -86,7 +90,7 @@ def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, am
 
 
 def _two_nearest(among_px: Float, of_px: Float) -> tuple[Float, NDArray[np.intp]]:
-    """Distances and indices (n, 2) of the two nearest points; infinite where there is only one."""
+    """Distances and indices (n, 2) of the two nearest points; infinite for the second of only one."""
     distance, index = cKDTree(among_px).query(of_px, k=2)
     return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.intp)
 
@@ -94,8 +98,8 @@ def _two_nearest(among_px: Float, of_px: Float) -> tuple[Float, NDArray[np.intp]
 def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> float:
     """Probability that a detection has a star within ``radius_px`` by chance.
 
-    The larger of two estimates: from the mean density of stars, and counted with the stars moved bodily in
-    ``_SHIFTS`` directions, which knows how stars and detections crowd.
+    The larger of two estimates: from the mean density of stars, and from the matches counted after shifting all
+    detections by 24 displacements, which includes the clustering of stars and detections.
 
     Parameters
     ----------
@@ -105,7 +109,11 @@ def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, are
         Detections.
     radius_px : float, px
     area_px2 : float, px^2
-        Of the image.
+        Area of the image.
+
+    Returns
+    -------
+    float
     """
     stars = predicted_px[np.isfinite(predicted_px).all(axis=1)]
     if len(stars) == 0 or len(points_px) == 0:
@@ -125,9 +133,9 @@ def false_match_probability(n_matched: int, n_detected: int, chance: float, tria
     ----------
     n_matched, n_detected : int
     chance : float
-        Of one detection, from :func:`chance_of_match`.
+        Probability that one detection matches, from :func:`chance_of_match`.
     trials : float
-        How many attitudes there are that differ by more than the match radius.
+        Number of attitudes that differ by more than the match radius.
 
     Returns
     -------
@@ -139,14 +147,19 @@ def false_match_probability(n_matched: int, n_detected: int, chance: float, tria
 
 
 def log_chance(n_matched: NDArray[np.intp], n_detected: int, chance: Float) -> Float:
-    """Chernoff bound on the logarithm of the binomial tail: finite where the tail itself underflows.
+    """Chernoff bound of the logarithm of the binomial tail: finite where the tail itself underflows.
 
     Parameters
     ----------
     n_matched : (k,) int
     n_detected : int
     chance : (k,) float64
-        Of one detection.
+        Probability that one detection matches.
+
+    Returns
+    -------
+    (k,) float64
+        At most 0.
     """
     share = n_matched / n_detected
     exponent: Float = -n_detected * (rel_entr(share, chance) + rel_entr(1.0 - share, 1.0 - chance))
@@ -154,7 +167,7 @@ def log_chance(n_matched: NDArray[np.intp], n_detected: int, chance: Float) -> F
 
 
 def attitudes_of_sky(radius_px: float, focal_length_px: float, half_size_px: float, scale_error: float) -> float:
-    """Number of attitudes on the whole sky (times cameras) that differ by a match radius."""
+    """Number of attitudes on the whole sky (times cameras) that move stars by a match radius from each other."""
     directions = 4.0 * np.pi * (focal_length_px / radius_px) ** 2
     rolls = max(2.0 * np.pi * half_size_px / radius_px, 1.0)
     return float(directions * rolls * _cameras(radius_px, half_size_px, scale_error))
@@ -163,7 +176,7 @@ def attitudes_of_sky(radius_px: float, focal_length_px: float, half_size_px: flo
 def attitudes_within_angle(
     radius_px: float, focal_length_px: float, half_size_px: float, angle_rad: float, scale_error: float
 ) -> float:
-    """Number of attitudes (times cameras) that differ by a match radius, within ``angle_rad`` about every axis."""
+    """Number of attitudes (times cameras) within ``angle_rad`` about every axis, a match radius from each other."""
     directions = max(2.0 * angle_rad * focal_length_px / radius_px, 1.0) ** 2
     rolls = max(2.0 * angle_rad * half_size_px / radius_px, 1.0)
     return float(directions * rolls * _cameras(radius_px, half_size_px, scale_error))
@@ -177,14 +190,23 @@ def _cameras(radius_px: float, half_size_px: float, scale_error: float) -> float
 
 
 def attitudes_within(radius_px: float, max_pixel_distance: float) -> float:
-    """Number of attitudes that move no star by more than ``max_pixel_distance`` and differ by a match radius."""
+    """Number of attitudes that move no star by more than ``max_pixel_distance``, a match radius from each other."""
     return max(2.0 * max_pixel_distance / radius_px, 1.0) ** 3
 
 
 def confusion_px(predicted_px: Float, magnitudes: Float) -> Float:
-    """Shift (n,), px, that neighbors within ``BLEND_PX`` may give a star's centroid, at most.
+    """Largest shift of the centroids of stars by neighbors within ``BLEND_PX``.
 
-    A neighbor of flux ratio q at distance d pulls a blended centroid by d q / (1 + q).
+    A neighbor of flux ratio q at distance d shifts a blended centroid by d q / (1 + q).
+
+    Parameters
+    ----------
+    predicted_px : (n, 2) float64, px
+    magnitudes : (n,) float64
+
+    Returns
+    -------
+    (n,) float64, px
     """
     shift = np.zeros(len(predicted_px))
     visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))

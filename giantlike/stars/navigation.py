@@ -30,21 +30,21 @@ from giantlike.stars.matching import attitudes_within
 from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
-_DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # with an a priori attitude, fainter ones are noise or unlisted
-_LARGE_CHI = 5.0
-_LARGE_FLOOR_PX = 1.0
+_DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog star expected: fainter ones are noise
+_LARGE_CHI = 5.0  # root of the reduced chi-square above which residuals are large; no study yet
+_LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
 
 
 class StarNavigation:
-    """Detects, identifies and fits stars.
+    """Attitude of images from their stars: detection, identification and fit.
 
     Parameters
     ----------
     camera : Camera
     catalog : StarCatalog
-    options : StarOptions
-    detection : DetectionOptions
-        Of :func:`~giantlike.processing.detection.detect.detect_sources`.
+    options : StarOptions, optional
+    detection : DetectionOptions, optional
+        Options of :func:`~giantlike.processing.detect_sources`.
     """
 
     def __init__(
@@ -63,22 +63,24 @@ class StarNavigation:
     def solve(self, image: Image) -> AttitudeFix | Failure:
         """Estimate the attitude of an image.
 
-        The a priori attitude, if there is one, is tried first; the whole sky after that, if the options say so.
+        The a priori attitude, if there is one, is tried first, then the whole sky if the options allow it.
 
         Parameters
         ----------
         image : Image
-            Without epoch, stars are taken at J2016.0; without observer, as seen from the solar system barycenter at
-            rest, so that aberration (up to 20 arcsec from Earth) goes into the attitude. Provenance says which.
+            Without an epoch, stars are taken at J2016.0; without an observer, as seen from the solar system barycenter
+            at rest, so that aberration (up to 20 arcsec from Earth) becomes part of the attitude. The provenance of the
+            fix says which.
 
         Returns
         -------
         AttitudeFix or Failure
+            Reasons: those of :func:`~giantlike.processing.detect_sources` and of the identification.
 
         Raises
         ------
         InputError
-            The image has another size than the camera.
+            The image and the camera differ in size.
         """
         detections = self.detect(image)
         if isinstance(detections, Failure):
@@ -86,12 +88,20 @@ class StarNavigation:
         return self.solve_detections(image, detections)
 
     def detect(self, image: Image) -> Detections | Failure:
-        """Sources in an image, of whatever kind.
+        """Detect the point sources of an image.
+
+        Parameters
+        ----------
+        image : Image
+
+        Returns
+        -------
+        Detections or Failure
 
         Raises
         ------
         InputError
-            The image has another size than the camera.
+            The image and the camera differ in size.
         """
         self.camera.require_image(image)
         return detect_sources(
@@ -103,15 +113,20 @@ class StarNavigation:
         )
 
     def solve_detections(self, image: Image, detections: Detections) -> AttitudeFix | Failure:
-        """Estimate the attitude from detections that were made before; the image gives time, pose and name.
+        """Estimate the attitude of an image from its detections.
 
-        What looks like stars is tried first, then everything that is not extended: an undersampled star may
-        look like a hot pixel.
+        Detections without the flags of ``NOT_A_STAR`` are tried first, then all that are not extended, because
+        undersampled stars may be flagged as hot pixels.
 
         Parameters
         ----------
         image : Image
+            Time, a priori pose and name; the pixels are not used.
         detections : Detections
+
+        Returns
+        -------
+        AttitudeFix or Failure
         """
         measured = np.isfinite(detections.covariance_px2).all(axis=(1, 2))
         clean = measured & detections.clean
@@ -133,7 +148,7 @@ class StarNavigation:
         points, covariance = detections.points_px[usable], detections.covariance_px2[usable]
         sky = sky_of(image, self.catalog, self.options)
         outcome: RefinedAttitude | Failure = Failure(
-            Reason.NO_ATTITUDE, "the image has no a priori attitude: give one or allow the lost-in-space search"
+            Reason.NO_ATTITUDE, "the image has no a priori attitude: provide one or allow the lost-in-space search"
         )
         method = "a_priori"
         if image.camera_from_inertial is not None:
@@ -222,7 +237,18 @@ class StarNavigation:
 
 
 def sky_of(image: Image, catalog: StarCatalog, options: StarOptions) -> Sky:
-    """Return a catalog as the observer of an image sees it."""
+    """Sky of an image: the catalog as seen by its observer at its epoch.
+
+    Parameters
+    ----------
+    image : Image
+    catalog : StarCatalog
+    options : StarOptions
+
+    Returns
+    -------
+    Sky
+    """
     observer = image.observer
     return Sky(
         catalog=catalog,
@@ -235,13 +261,13 @@ def sky_of(image: Image, catalog: StarCatalog, options: StarOptions) -> Sky:
 
 
 def _unknowns(image: Image) -> Quality:
-    """What the directions of the stars could not take into account."""
+    """Flags for an unknown observer or epoch."""
     flags = Quality.NONE if image.observer is not None else Quality.OBSERVER_UNKNOWN
     return flags if image.epoch is not None else flags | Quality.EPOCH_UNKNOWN
 
 
 def _flags(solution: AttitudeSolution, detection_flags: NDArray[np.uint16]) -> Quality:
-    """Quality of a solution and of the detections that it used."""
+    """Flags of a solution and of the detections that it used."""
     flags = Quality.NONE
     together = DetectionFlag(int(np.bitwise_or.reduce(detection_flags)))
     if DetectionFlag.SATURATED in together:

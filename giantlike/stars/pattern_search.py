@@ -1,4 +1,4 @@
-"""From the shapes of detections to attitudes: patterns found in an index vote for where the camera looks."""
+"""Search for patterns of detections in an index of star patterns, and attitudes shared by many of them."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.patterns import describe_quads, describe_triads
 from giantlike.stars.star_index import Pattern, StarIndex, cap_radius_rad, caps, scattered, subsets
 
-_INSIDE = 0.9  # of the half field of view: caps of the index then lie in the image
+_INSIDE = 0.9  # radius of a cap over the half field of view: caps of the index then lie inside the image
 _PER_CAP = 16  # detections: a third of the brightest may be false and one in five stars missing
-_WIDER = 1.2  # image caps over index caps: a cap of the index lies inside wherever it is
-_LEAST = {Pattern.TRIAD: (16, 26), Pattern.QUAD: (16, 22)}  # detections of a narrow image, at first and later
-_CAPS_AT_ONCE, _CAPS_AT_MOST = 4, 32
-_NARROWEST = 0.1  # of the widest pattern: smaller ones say little
+_WIDER = 1.2  # radius of image caps over index caps: some image cap then contains any index cap
+_LEAST = {Pattern.TRIAD: (16, 26), Pattern.QUAD: (16, 22)}  # detections of a narrow image, first and second search
+_CAPS_AT_ONCE, _CAPS_AT_MOST = 4, 32  # caps of an image searched together, and in all: bounds the time of failures
+_NARROWEST = 0.1  # width of a pattern over that of the widest: the relative error of narrower ones is too large
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scope(Value):
-    """What is asked of a search for patterns.
+    """Tolerances and focal lengths of a search for patterns.
 
     Parameters
     ----------
     tolerance_rad : float, rad
-        By how much an angle between two stars may be off.
+        Largest error of the angle between two stars.
     half_size_rad : float, rad
-        From the middle of the image to its edge: how far a roll moves stars.
+        Angle from the center of the image to its edge: the lever arm of a roll error.
     scales : (s,) float64
-        Focal lengths to allow, over that of the camera, ascending; one of them where it is known.
+        Focal lengths to try, over that of the camera, ascending; a single 1 where it is known.
     """
 
     tolerance_rad: float
@@ -45,19 +45,20 @@ class Scope(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hypothesis(Value):
-    """An attitude that several patterns of detections have in common.
+    """An attitude shared by several patterns of detections.
 
     Parameters
     ----------
     camera_from_inertial : Rotation
-        For directions as the index has them.
+        For the directions of the index, which has neither aberration nor the epoch of the image.
     scale : float
-        Focal length, over that of the camera.
+        Focal length over that of the camera.
     star_ids : (k,) int64
+        Catalog identifiers.
     detection_indices : (k,) int
-        Which detections are these stars.
+        Detections of these stars.
     votes : int
-        How many patterns agree.
+        Number of patterns that agree.
     """
 
     camera_from_inertial: Rotation
@@ -69,7 +70,7 @@ class Hypothesis(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates(Value):
-    """Patterns of the image and of the index that look alike, and the attitudes that they suggest.
+    """Patterns of the image and patterns of the index that match, and the attitude of each match.
 
     ``detections`` and ``stars`` are (k, size); ``matrices`` (k, 3, 3) camera_from_inertial; ``scales`` (k,).
     """
@@ -83,7 +84,7 @@ class Candidates(Value):
         return len(self.matrices)
 
     def joined(self, other: Candidates) -> Candidates:
-        """These and others, each once."""
+        """Union with other candidates, each once."""
         both = Candidates(
             np.concatenate([self.detections, other.detections]),
             np.concatenate([self.stars, other.stars]),
@@ -94,12 +95,12 @@ class Candidates(Value):
         return both.select(np.sort(np.unique(number, return_index=True)[1]))
 
     def select(self, chosen: Mask | NDArray[np.intp]) -> Candidates:
-        """Those of a mask (k,) or of indices."""
+        """Candidates of a mask (k,) or of indices."""
         return Candidates(self.detections[chosen], self.stars[chosen], self.matrices[chosen], self.scales[chosen])
 
 
 def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> Candidates:
-    """Patterns among some detections that the index has too.
+    """Match patterns of detections with patterns of the index.
 
     Parameters
     ----------
@@ -107,8 +108,12 @@ def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], 
     vectors : (s, m, 3) float64, unitless, camera
         Lines of sight of m detections, for each of ``scope.scales``.
     chosen : (k,) int
-        Detections to make patterns of.
+        Detections to form patterns from.
     scope : Scope
+
+    Returns
+    -------
+    Candidates
     """
     sets = chosen[subsets(len(chosen), index.pattern.stars)]
     if index.pattern is Pattern.QUAD:
@@ -162,7 +167,7 @@ def _quads(index: StarIndex, vectors: Float, quads: NDArray[np.intp], scope: Sco
 
 
 def _quad_tolerance(scope: Scope, index: StarIndex) -> float:
-    """How far codes may be off: the error of an angle, over a pattern of middling width."""
+    """Tolerance of codes: the error of an angle over the width of a pattern of half the largest width."""
     return float(min(2.0 * scope.tolerance_rad / index.widest, 0.03))
 
 
@@ -180,7 +185,7 @@ def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
 def hypotheses(
     candidates: Candidates, index: StarIndex, vectors: Float, scope: Scope, *, least: int
 ) -> Iterator[Hypothesis]:
-    """Attitudes that candidates share, those of most candidates first, lazily, of four stars or more each.
+    """Attitudes shared by candidates, those of most candidates first, lazily, each with four stars or more.
 
     Parameters
     ----------
@@ -190,7 +195,11 @@ def hypotheses(
         As given to :func:`find_candidates`.
     scope : Scope
     least : int
-        How many candidates must agree.
+        Fewest candidates that must agree.
+
+    Yields
+    ------
+    Hypothesis
     """
     if len(candidates) == 0:
         return
@@ -217,7 +226,7 @@ def hypotheses(
 def _shared(
     candidates: Candidates, members: NDArray[np.intp], index: StarIndex, vectors: Float, scope: Scope
 ) -> Hypothesis:
-    """The pairs of some candidates, one star to a detection and the other way, and the attitude of all."""
+    """One-to-one pairs of stars and detections from candidates that agree, and the attitude of all pairs."""
     n = len(index.ids)
     pair, count = np.unique(candidates.detections[members] * n + candidates.stars[members], return_counts=True)
     pair = pair[np.argsort(-count, kind="stable")]
@@ -241,9 +250,13 @@ def _shared(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search(Value):
-    """Detections that make patterns, group by group, and the caps of the index to use.
+    """Groups of detections that form patterns, and the radius of the caps of the index to use.
 
-    Groups hold indices of detections, brightest first.
+    Parameters
+    ----------
+    radius_rad : float, rad
+    groups : tuple of (k,) int
+        Indices of detections, brightest first.
     """
 
     radius_rad: float
@@ -251,11 +264,11 @@ class Search(Value):
 
 
 def searches(vectors: Float, half_fov_rad: float, pattern: Pattern) -> Iterator[Search]:
-    """Searches for patterns, the likeliest to succeed first.
+    """Searches for patterns, the most likely to succeed first.
 
-    In a narrow image the brightest detections make patterns; then more of them; those of each half (trees, a planet
+    In a narrow image the brightest detections form patterns; then more of them; those of each half (trees, a planet
     or a limb may fill the other); and patterns of other sizes. In a wide image, and for patterns much smaller than it,
-    the brightest of every part of the image do, from the middle outwards.
+    the brightest detections of each part of the image form patterns, from the center outwards.
 
     Parameters
     ----------
@@ -264,6 +277,10 @@ def searches(vectors: Float, half_fov_rad: float, pattern: Pattern) -> Iterator[
     half_fov_rad : float, rad
         Half the smaller field of view.
     pattern : Pattern
+
+    Yields
+    ------
+    Search
     """
     seen = np.flatnonzero(np.isfinite(vectors).all(axis=1))
     at_first, later = _LEAST[pattern]
@@ -289,7 +306,7 @@ def _halves(vectors: Float, seen: NDArray[np.intp]) -> Iterator[NDArray[np.intp]
 
 
 def _in_parts(vectors: Float, seen: NDArray[np.intp], radius_rad: float) -> Iterator[Search]:
-    """The brightest detections of caps over the image, some caps at a time, from the middle outwards."""
+    """Searches of the brightest detections in caps of the image, several caps at a time, from the center outwards."""
     if not len(seen):
         return
     reach = np.arccos(np.clip(vectors[seen, 2].min(), -1.0, 1.0))

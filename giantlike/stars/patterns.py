@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Mask
 
 CODE_LOW, CODE_SPAN = 0.5 - np.sqrt(0.5), np.sqrt(2.0)
-"""The circle through (0, 0) and (1, 1) reaches from the first of these over a width of the second."""
+"""Lowest coordinate and diameter of the circle through (0, 0) and (1, 1) that contains C and D."""
 _PAIRS = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 _REST = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
 
 
 def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp], Mask]:
-    """Sides of triads of unit vectors, and their stars in an order that the sides alone decide.
+    """Sides of triads of unit vectors, with the stars ordered by them.
 
     The three interstar angles are the invariants of three directions under rotation [1]_; here as chords,
-    ``2 sin(angle / 2)``, which need no arc cosine. A mirror keeps them and turns the sense over.
+    ``2 sin(angle / 2)``, which need no arc cosine. A mirror image has the same chords and the opposite sense.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, ND
     ordered : (m, 3) int
         The same triads: star ``j`` lies opposite to side ``j``.
     right_handed : (m,) bool
-        Whether the ordered stars have a positive triple product.
+        True if the ordered stars have a positive triple product.
 
     References
     ----------
@@ -50,12 +50,11 @@ def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, ND
 
 
 def describe_quads(vectors: Float, quads: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp], NDArray[np.intp]]:
-    """Codes of quads of unit vectors: where two stars lie in the frame that the two outermost ones make.
+    """Codes of quads of unit vectors: the places of two stars in the frame of the two most distant ones.
 
-    The stars furthest apart, A and B, are put at (0, 0) and (1, 1) by a similarity of the plane that touches the
-    sphere at the middle of the quad; the places of the other two, C and D, are the code [1]_. Only quads whose C and
-    D lie in the circle over AB count. Of the two ways to name A and B the one is taken in which C and D lie nearer
-    to A, then C is the one of smaller first coordinate.
+    A similarity of the plane tangent to the sphere at the center of the quad takes the most distant stars, A and B, to
+    (0, 0) and (1, 1); the places of the other two, C and D, are the code [1]_. Only quads whose C and D lie in the
+    circle over AB are kept. A is the end to which C and D are closer, C the star of smaller first coordinate.
 
     Parameters
     ----------
@@ -67,9 +66,9 @@ def describe_quads(vectors: Float, quads: NDArray[np.intp]) -> tuple[Float, NDAr
     Returns
     -------
     codes : (k, 4) float64, unitless
-        C and D, brought from the circle's extent to [0, 1].
+        C and D, scaled from the extent of the circle to [0, 1].
     ordered : (k, 4) int
-        Indices of A, B, C and D of the quads that count.
+        Indices of A, B, C and D of the quads kept.
     which : (k,) int
         Their row in ``quads``.
 

@@ -1,4 +1,4 @@
-"""Angular rates, a gyro's for example, and the turns that they add up to."""
+"""Angular rates, of a gyro for example, and their integral over time."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _RATE = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AngularRates(Value):
-    """Rates of a camera with respect to inertial axes, linear in time between samples.
+    """Angular rates of a camera with respect to inertial axes, linear in time between samples.
 
     Parameters
     ----------
     et : (n,) float64, TDB seconds past J2000
         Increasing, n >= 2.
     rates_rad_s : (n, 3) float64, rad/s
-        About the camera axes, positive by the right hand: the sense in which the camera itself turns.
+        About the camera axes, right-handed: the sense in which the camera itself turns.
     """
 
     et: Float
@@ -41,19 +41,25 @@ class AngularRates(Value):
         Value.__post_init__(self)
 
     def turn(self, from_et: float, to_et: float) -> Rotation | Failure:
-        """Rotation ``camera(to_et) from camera(from_et)``: vectors in camera axes then to those in camera axes now.
+        """Integrate the rates to a rotation ``camera(to_et) from camera(from_et)``.
 
-        Each interval between samples turns about its mean rate, with the commutator of its ends (Magnus series to
+        Each interval between samples is integrated with its mean rate and the commutator of its ends (Magnus series to
         second order), so that the error falls with the fourth power of the interval.
+
+        Parameters
+        ----------
+        from_et, to_et : float, TDB seconds past J2000
+            In any order.
 
         Returns
         -------
         Rotation or Failure
-            ``NO_ATTITUDE`` where the samples do not reach both times.
+            Takes vectors in camera axes at ``from_et`` to camera axes at ``to_et``. ``NO_ATTITUDE`` if the samples do
+            not cover both times.
         """
         start, stop = min(from_et, to_et), max(from_et, to_et)
         if not (self.et[0] <= start and stop <= self.et[-1]):
-            detail = f"angular rates reach from et {self.et[0]:.3f} to {self.et[-1]:.3f}, not {start:.3f} to {stop:.3f}"
+            detail = f"angular rates cover et {self.et[0]:.3f} to {self.et[-1]:.3f}, needed {start:.3f} to {stop:.3f}"
             return Failure(Reason.NO_ATTITUDE, detail)
         inside = self.et[(self.et > start) & (self.et < stop)]
         times = np.concatenate([[start], inside, [stop]])
@@ -70,13 +76,20 @@ class AngularRates(Value):
 def read_rates(path: str | Path) -> AngularRates:
     """Read a table of angular rates, in any order of time.
 
-    Columns: ``epoch_utc`` or ``et`` (TDB seconds past J2000), and ``rate_x_rad_s``, ``rate_y_rad_s``, ``rate_z_rad_s``
-    about the camera axes.
+    Parameters
+    ----------
+    path : str or Path
+        CSV file with the columns ``epoch_utc`` or ``et`` (TDB seconds past J2000), and ``rate_x_rad_s``,
+        ``rate_y_rad_s``, ``rate_z_rad_s`` about the camera axes.
+
+    Returns
+    -------
+    AngularRates
 
     Raises
     ------
     DataError
-        The file is missing or damaged, has fewer than two rows, or two rows have one time.
+        The file is missing or damaged, has fewer than two rows, or two rows have the same time.
     """
     rows = sorted((_sample(row) for row in read_csv_rows(path, ("epoch_utc", "et", *_RATE), _RATE)), key=lambda s: s[0])
     et = np.array([time for time, _ in rows])

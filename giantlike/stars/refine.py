@@ -1,4 +1,4 @@
-"""From a first attitude to all stars of an image: match, fit, match again, and ask whether it could be chance."""
+"""Refinement of a first attitude with all stars of an image: matching, fitting, and a test against chance."""
 
 from __future__ import annotations
 
@@ -27,28 +27,29 @@ from giantlike.stars.matching import (
 )
 from giantlike.stars.options import StarOptions
 
-_MAX_ROUNDS = 8
-_STARS_FOR_FOCAL_LENGTH = 5
-_STARS_FOR_RADIAL = 12
+_MAX_ROUNDS = 8  # of matching and fitting; the matches usually settle after 3
+_STARS_FOR_FOCAL_LENGTH = 5  # 10 equations for 4 unknowns
+_STARS_FOR_RADIAL = 12  # 24 equations for 5 unknowns: k1 needs stars all over the field
 SMALLEST_GATE_PX = 0.5
-"""Matches are never held to be closer than this when chance is asked."""
+"""Smallest match radius, px, in the probability of chance matches: bounds the gain of a lucky close match."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RefinedAttitude(Value):
-    """An attitude, the stars that it rests on, and how likely chance would do as well.
+    """An attitude, its stars, and the probability that their matches are due to chance.
 
     Parameters
     ----------
     field : StarField
-        The stars offered.
+        Stars that detections could be matched with.
     solution : AttitudeSolution
-        Its arrays follow ``matches``.
+        Arrays in the order of ``matches``.
     matches : Matches
-        Indices into the star field and the detections; which were kept is in ``solution.used``.
+        Indices into the star field and the detections; ``solution.used`` is False for outliers.
     n_detections : int
-        How many were offered.
+        Number of detections that could be matched.
     false_match_probability : float
+        Upper bound of the probability that the matches are due to chance.
     """
 
     field: StarField
@@ -69,30 +70,30 @@ def refine_attitude(
     trials: Callable[[float], float],
     options: StarOptions,
 ) -> RefinedAttitude | Failure:
-    """Match every detection that a star explains and fit the attitude to the pairs, in turns.
+    """Refine an attitude by alternately matching stars with detections and fitting the matches.
 
-    How deep the catalog is used is decided by the evidence: as many of the brightest stars as make the
-    matches least likely to be chance.
+    The number of brightest stars used is the one that makes the matches least likely to be due to chance.
 
     Parameters
     ----------
     field : StarField
         Brightest first.
-    points_px, covariance_px2 : (m, 2), (m, 2, 2) float64
+    points_px : (m, 2) float64, px
         Detections.
+    covariance_px2 : (m, 2, 2) float64, px^2
     camera : Camera
     camera_from_inertial : Rotation
         First attitude.
     radius_px : float, px
         Match radius of the first round; ``options.inlier_px`` afterwards.
     trials : callable
-        Number of attitudes that a search could have tried, as a function of the match radius in px.
+        Number of distinguishable attitudes in the search, as a function of the match radius in px.
     options : StarOptions
 
     Returns
     -------
     RefinedAttitude or Failure
-        Reasons: too_few_matches, ambiguous (chance would do as well), and those of the fit.
+        Reasons: too_few_matches, ambiguous (the matches may be due to chance), and those of the fit.
     """
     refinement = _Refinement(field, points_px, covariance_px2, trials, options)
     rotation, radius = camera_from_inertial, radius_px
@@ -120,15 +121,21 @@ def refine_attitude(
 
 
 def significant_matches(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> Matches:
-    """Nearest-neighbor pairs with as many of the brightest stars as make chance least likely.
+    """Nearest-neighbor pairs with the number of brightest stars that makes them least likely to be due to chance.
 
     Parameters
     ----------
     predicted_px : (n, 2) float64, px
-        Stars, brightest first, NaN where not in the image.
+        Stars, brightest first; NaN for those outside the image.
     points_px : (m, 2) float64, px
-    radius_px, area_px2 : float
-        Match radius and area of the image.
+    radius_px : float, px
+        Match radius.
+    area_px2 : float, px^2
+        Area of the image.
+
+    Returns
+    -------
+    Matches
     """
     matches = match_nearest(predicted_px, points_px, radius_px)
     if len(matches) == 0:
@@ -144,7 +151,18 @@ def significant_matches(predicted_px: Float, points_px: Float, radius_px: float,
 
 
 def scaled_model(model: CameraModel, scale: float) -> CameraModel:
-    """The model with its focal lengths times ``scale``; a pinhole as a Brown model, whose ``k1`` can be estimated."""
+    """Scale the focal lengths of a camera model.
+
+    Parameters
+    ----------
+    model : CameraModel
+    scale : float
+
+    Returns
+    -------
+    CameraModel
+        Of the same type; a pinhole becomes a Brown model, whose ``k1`` can be estimated.
+    """
     values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     values |= {name: values[name] * scale for name in ("fx_px", "fy_px", "skew_px")}
     if isinstance(model, PinholeModel):
@@ -153,12 +171,23 @@ def scaled_model(model: CameraModel, scale: float) -> CameraModel:
 
 
 def depth_for(n_detections: int) -> int:
-    """How many catalog stars, brightest first, to hold against so many detections."""
+    """Number of brightest catalog stars to match with so many detections, of which some are false."""
     return 3 * n_detections + 100
 
 
 def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale:
-    """What of the camera model so many stars can determine."""
+    """Parameters of the camera model that so many stars can determine.
+
+    Parameters
+    ----------
+    n_matched : int
+    model : CameraModel
+    options : StarOptions
+
+    Returns
+    -------
+    Scale
+    """
     if not options.estimate_scale or n_matched < _STARS_FOR_FOCAL_LENGTH:
         return Scale.FIXED
     radial = n_matched >= _STARS_FOR_RADIAL and "k1" in model.parameter_names
@@ -167,7 +196,7 @@ def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Refinement(Value):
-    """Stars and detections of one image, and the test that a set of matches must pass."""
+    """Stars and detections of one image, and the test against chance."""
 
     field: StarField
     points_px: Float
@@ -192,7 +221,7 @@ class _Refinement(Value):
         )
 
     def accepted(self, matches: Matches, solution: AttitudeSolution, camera: Camera) -> RefinedAttitude | Failure:
-        """The refined attitude, or a failure if so many matches this close are likely enough by chance."""
+        """Refined attitude, or a failure if chance makes so many matches this close with too high a probability."""
         options, points_px, used = self.options, self.points_px, solution.used
         n_used = int(used.sum())
         residuals = points_px[matches.detection_indices[used]] - solution.predicted_px[used]

@@ -1,7 +1,7 @@
-"""An index of star patterns: which triads or quads of catalog stars have a given shape.
+"""Index of star patterns: triads or quads of catalog stars by their shape, made on demand and cached.
 
-The sky is covered with caps; the brightest stars of each cap make patterns. A pattern is a number for the cell of its
-code and the indices of its stars, sorted by cell: a few megabytes, whatever the field of view.
+The sky is covered with caps; the brightest stars of each cap form patterns. A pattern is stored as the cell of its
+code and the indices of its stars, sorted by cell: a few megabytes for any field of view.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from giantlike.core.values import Value
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN
 from giantlike.stars.patterns import describe_quads, describe_triads
 
-_FORMAT = 1  # of the files; raise it when patterns change
-_STEP = math.sqrt(2.0)
-_WIDEST_STEP = 9  # 22.6 degrees
-_NARROWEST_STEP = -7  # 0.088 degrees
-_FIRST_MAGNITUDE, _LAST_MAGNITUDE = 5.0, 22.0
-_KEPT = 8
-_CELLS = {3: 256, 4: 64}  # along each axis of the code
-_CHUNK = 1 << 16
+_FORMAT = 1  # of the files in the cache; raise it when patterns change
+_STEP = math.sqrt(2.0)  # ratio of neighboring cap radii: a cap holds at least half the stars of the radius wanted
+_WIDEST_STEP = 9  # largest radius: 22.6 degrees
+_NARROWEST_STEP = -7  # smallest radius: 0.088 degrees
+_FIRST_MAGNITUDE, _LAST_MAGNITUDE = 5.0, 22.0  # first and last limit tried: naked-eye stars, deepest catalogs
+_KEPT = 8  # indices in memory, each of a few megabytes
+_CELLS = {3: 256, 4: 64}  # cells along each axis of the code, by its dimension: 2^24 in all
+_CHUNK = 1 << 16  # patterns described at once: bounds the memory
 _MIX = np.array(
     [
         0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB, 0xD6E8FEB86659FD93,
@@ -54,21 +54,22 @@ _MIX = np.array(
 
 @dataclass(frozen=True, slots=True)
 class Density:
-    """How many patterns to make: caps ``spacing`` of their radii from each other, ``per_cap`` stars of each."""
+    """Density of patterns: spacing of the caps over their radius, and number of stars of each cap."""
 
     spacing: float
     per_cap: int
 
     def stars_wanted(self, radius_rad: float) -> int:
-        """How many stars of the whole sky fill the caps even where stars are few."""
+        """Number of stars of the whole sky that fill the caps even where stars are few."""
         return int(10.0 * self.per_cap / radius_rad**2)
 
 
+# By smallest cap radius in degrees: fewer patterns of each part of the sky where caps are small and many.
 _DENSITIES = ((2.5, Density(0.75, 9)), (0.9, Density(1.1, 8)), (0.4, Density(1.2, 7)), (0.0, Density(1.3, 7)))
 
 
 class Pattern(StrEnum):
-    """Kind of pattern: the value names files."""
+    """Kind of star pattern; the value is part of file names."""
 
     TRIAD = "triad"
     """Three stars and the angles between them: the camera is calibrated."""
@@ -83,17 +84,17 @@ class Pattern(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarIndex(Value):
-    """Patterns of stars, to be asked for by shape.
+    """Patterns of stars that can be looked up by shape.
 
     Parameters
     ----------
     pattern : Pattern
     radius_rad : float, rad
-        Of the caps; no pattern is wider than two of it.
+        Radius of the caps; no pattern is wider than twice as much.
     ids : (n,) int64
         Catalog identifiers of the stars in patterns.
     directions : (n, 3) float64, unitless, inertial
-        Where they are.
+        Unit vectors to the stars.
     patterns : (m, 3) or (m, 4) uint32
         Indices of stars, in the order of :func:`describe_triads` or :func:`describe_quads`.
     cells : (m,) uint32
@@ -112,21 +113,22 @@ class StarIndex(Value):
 
     @property
     def widest(self) -> float:
-        """Chord of the widest pattern, the unit of triad codes."""
+        """Chord of the widest pattern, unitless: the unit of triad codes."""
         return float(2.0 * np.sin(min(self.radius_rad, np.pi / 2.0)))
 
     def find(self, codes: Float, tolerance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Patterns in the cells that hold codes no further than ``tolerance`` along any axis, and some around.
+        """Look up patterns in all cells that contain codes within a tolerance along every axis.
 
         Parameters
         ----------
-        codes : (q, d) float64, in [0, 1]
+        codes : (q, d) float64
+            In [0, 1].
         tolerance : float
 
         Returns
         -------
         asked, found : (k,) int
-            Which code, and which pattern.
+            Index of the code, and index of the pattern; some patterns are outside the tolerance.
         """
         d = codes.shape[1]
         n = _CELLS[d]
@@ -145,7 +147,7 @@ class StarIndex(Value):
 
 
 def density_for(radius_rad: float) -> Density:
-    """Fewer patterns from each part of the sky where the caps are small and many."""
+    """Density of patterns for caps of a radius."""
     return next(density for limit_deg, density in _DENSITIES if np.degrees(radius_rad) >= limit_deg)
 
 
@@ -158,19 +160,23 @@ def build_index(
     axis: ArrayLike = (0.0, 0.0, 1.0),
     reach_rad: float = np.pi,
 ) -> StarIndex:
-    """Index of the patterns that the brightest stars of every cap make.
+    """Build the index of the patterns of the brightest stars of every cap.
 
     Parameters
     ----------
     pattern : Pattern
     ids : (n,) int64
     directions : (n, 3) float64, unitless, inertial
-        Of stars, brightest first.
+        Of the stars, brightest first.
     radius_rad : float, rad
-        Of the caps.
+        Radius of the caps.
     axis : (3,) float64, unitless, inertial
     reach_rad : float, rad
-        Caps are laid around ``axis`` so far; default: on the whole sky.
+        Caps are laid within this angle of ``axis``; default: on the whole sky.
+
+    Returns
+    -------
+    StarIndex
     """
     size, density = pattern.stars, density_for(radius_rad)
     centers = caps(density.spacing * radius_rad, axis, reach_rad)
@@ -198,17 +204,31 @@ def build_index(
 
 @lru_cache(maxsize=32)
 def subsets(n: int, size: int) -> NDArray[np.intp]:
-    """All subsets (m, size) of ``size`` of the numbers below n, each ascending."""
+    """All subsets (m, size) of the numbers below n, each ascending."""
     return np.array(list(itertools.combinations(range(n), size)), dtype=np.intp).reshape(-1, size)
 
 
 def scattered(rows: NDArray[np.intp]) -> NDArray[np.uint64]:
-    """A number (m,) for each row (m, up to 8): two different rows have the same with a chance of 1e-19."""
+    """Hash (m,) of each row (m, up to 8): two different rows collide with a probability of 1e-19."""
     return rows.astype(np.uint64) @ _MIX[: rows.shape[1]]
 
 
 def caps(spacing_rad: float, axis: ArrayLike = (0.0, 0.0, 1.0), reach_rad: float = np.pi) -> Float:
-    """Directions (n, 3) within ``reach_rad`` of a unit vector (3,), evenly spread (a Fibonacci lattice)."""
+    """Evenly spread directions within an angle of an axis (a Fibonacci lattice).
+
+    Parameters
+    ----------
+    spacing_rad : float, rad
+    axis : (3,), unitless
+        A unit vector.
+    reach_rad : float, rad
+        Largest angle to the axis; default: the whole sphere.
+
+    Returns
+    -------
+    (n, 3) float64, unitless
+        Unit vectors in the frame of the axis, the closest to it first.
+    """
     n = max(int(np.ceil(4.0 * np.pi / spacing_rad**2)), 12)
     count = min(n, int(np.ceil(n * (1.0 - np.cos(min(reach_rad, np.pi))) / 2.0)) + 1)
     number = np.arange(count)
@@ -220,7 +240,7 @@ def caps(spacing_rad: float, axis: ArrayLike = (0.0, 0.0, 1.0), reach_rad: float
 
 
 def rotation_to(axis: ArrayLike) -> Rotation:
-    """A rotation that takes +z to a unit vector (3,)."""
+    """Rotation that takes +z to a unit vector (3,)."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     turn = np.arctan2(y, x)
     return Rotation.from_rotvec(np.arctan2(np.hypot(x, y), z) * np.array([-np.sin(turn), np.cos(turn), 0.0]))
@@ -263,27 +283,31 @@ _memory: OrderedDict[tuple[int, Pattern, int, float | None], tuple[StarCatalog, 
 
 
 def cap_radius_rad(wanted_rad: float) -> float:
-    """The largest radius not above ``wanted_rad`` for which there are indices: they are a factor of 1.4 apart."""
+    """Largest cap radius of an index, rad, not above ``wanted_rad``; radii are a factor of sqrt(2) apart."""
     return math.radians(_STEP ** _step(wanted_rad))
 
 
 def sky_index(
     catalog: StarCatalog, pattern: Pattern, radius_rad: float, *, max_magnitude: float | None = None
 ) -> StarIndex:
-    """Index of a catalog's whole sky, from memory, the cache folder, or made now.
+    """Index of the whole sky of a catalog, from memory, from the cache folder, or made now.
 
     Making one takes well below a second for fields from 10 degrees up, and some 10 s at 1 degree, where it holds
-    half a million stars; a file of the cache is recognized by the stars themselves, so that a catalog that has
-    changed never meets the patterns of another.
+    half a million stars. The names of cached files contain a hash of the stars, so that the patterns of a changed
+    catalog are made again.
 
     Parameters
     ----------
     catalog : StarCatalog
     pattern : Pattern
     radius_rad : float, rad
-        Of the caps; see :func:`cap_radius_rad`.
+        Radius of the caps; see :func:`cap_radius_rad`.
     max_magnitude : float, optional
         Faintest star to use; default: as deep as the caps need.
+
+    Returns
+    -------
+    StarIndex
     """
     key = (id(catalog), pattern, _step(radius_rad), max_magnitude)
     held = _memory.get(key)
@@ -318,7 +342,7 @@ def _stored(catalog: StarCatalog, pattern: Pattern, radius_rad: float, max_magni
 
 
 def _brightest(catalog: StarCatalog, count: int, max_magnitude: float | None) -> StarTable:
-    """The ``count`` brightest stars of a catalog, or all that it has."""
+    """The ``count`` brightest stars of a catalog, or all its stars."""
     deepest = _LAST_MAGNITUDE if max_magnitude is None else max_magnitude
     limit = min(_FIRST_MAGNITUDE, deepest)
     while True:
@@ -330,7 +354,7 @@ def _brightest(catalog: StarCatalog, count: int, max_magnitude: float | None) ->
 
 
 def _read(path: Path, pattern: Pattern, radius_rad: float) -> StarIndex | None:
-    """The index of a file; None where there is none or it is damaged, so that it is made again."""
+    """Index from a file; None if the file is missing or damaged, so that it is made again."""
     try:
         with np.load(path, allow_pickle=False) as columns:
             return StarIndex(pattern=pattern, radius_rad=radius_rad, **{name: columns[name] for name in columns.files})

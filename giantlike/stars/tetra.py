@@ -1,4 +1,4 @@
-"""Attitudes that tetra3rs proposes: for identification only, each of them is verified here."""
+"""Attitudes proposed by tetra3rs, used for identification only: each of them is verified afterwards."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ from giantlike.stars.options import StarOptions
 from giantlike.stars.pattern_search import Hypothesis
 
 MIN_FOV_DEG = 1.0
-"""Narrower fields hold too few stars of the pattern catalog (Gaia to G = 10)."""
+"""Narrowest field of view, degrees: narrower ones hold too few stars of the pattern catalog (Gaia to G = 10)."""
 MAX_FOV_DEG = 70.0
+"""Widest field of view, degrees: of wider images the inner part is searched."""
 _STEP = 1.15  # ratio of neighboring fields of view: one database serves cameras within half a step
-_FORMAT = 1
-_MATCH_RADIUS = 0.01  # of the field of view, in tetra3rs
-_MATCH_THRESHOLD = 1e-3  # candidates may be weak: each is verified
-_MAX_PATTERNS = 2_000_000
-_MANY_PATTERN_STARS = _BRIGHTEST = 40
-_DISTORTED_EDGE_ERROR = 0.004  # ratio of pattern edges: a k1 of -0.4 over 14 degrees does so much
-_HALF_EDGE_ERROR = 0.002
-_MARGIN = 1.3  # of the frame in which patterns are looked for: distorted images reach over it
+_FORMAT = 1  # of the files in the cache; raise it when the settings of databases change
+_MATCH_RADIUS = 0.01  # match radius of tetra3rs over the field of view
+_MATCH_THRESHOLD = 1e-3  # false-match probability accepted by tetra3rs: high, because each candidate is verified
+_MAX_PATTERNS = 2_000_000  # checked in one attempt: bounds the time of failures
+_MANY_PATTERN_STARS = _BRIGHTEST = 40  # detections that form patterns in the last two attempts
+_DISTORTED_EDGE_ERROR = 0.004  # tolerance of edge ratios: the distortion by a k1 of -0.4 over 14 degrees
+_HALF_EDGE_ERROR = 0.002  # the same for patterns of half the image
+_MARGIN = 1.3  # half size of the region used over that of the pinhole image: distorted images are larger
 
 
 def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: StarOptions) -> Iterator[Hypothesis]:
-    """Attitudes that tetra3rs finds from the brightest detections, in several attempts, lazily.
+    """Attitudes found by tetra3rs from the brightest detections, in several attempts, lazily.
 
-    All detections with tight and with loose tolerance on the shape of patterns (an unknown lens distorts them),
-    those of each half of the image (trees, a planet or a limb may fill the other), the brightest alone (hundreds
-    of hot pixels drown a few stars), and patterns from more of all.
+    The attempts use all detections with tight and with loose tolerance of the shape of patterns (an unknown lens
+    distorts them), those of each half of the image (trees, a planet or a limb may fill the other), the brightest alone
+    (a few stars among hundreds of hot pixels), and patterns of more detections.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: Sta
     Yields
     ------
     Hypothesis
-        In single precision, without stars; none for fields of view out of reach, and of mirrored images.
+        In single precision, without stars. None for fields below ``MIN_FOV_DEG`` and for mirrored images.
     """
     fov_deg = _pattern_fov_deg(camera)
     if fov_deg < MIN_FOV_DEG:
@@ -91,7 +92,7 @@ def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: Sta
 
 @dataclass(frozen=True, slots=True)
 class _Attempt:
-    """Which detections form patterns, how many of them, and how far edge ratios may be off."""
+    """Detections that form patterns, their number, and the tolerance of edge ratios."""
 
     chosen: Mask
     pattern_stars: int = 24
@@ -111,7 +112,7 @@ def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
 
 
 def _pattern_fov_deg(camera: Camera) -> float:
-    """Field of view along x in which patterns are looked for, degrees: what the lens sees, or the inner part of it."""
+    """Field of view along x that is searched, degrees: that of the lens, at most ``MAX_FOV_DEG``."""
     middle = camera.center_px[1]
     left, right = camera.model.unproject([[-0.5, middle], [camera.columns - 0.5, middle]])
     seen = math.degrees(math.acos(float(np.clip(left @ right, -1.0, 1.0))))
@@ -119,9 +120,9 @@ def _pattern_fov_deg(camera: Camera) -> float:
 
 
 def _undistorted_px(points_px: Float, camera: Camera, fov_deg: float) -> Float:
-    """Where a pinhole of the same focal length would see the detections, from its principal point (m, 2).
+    """Pixels (m, 2) of the detections in a pinhole camera of the same focal length, from its principal point.
 
-    NaN well outside the field of view asked for, and of what lies behind the camera.
+    NaN well outside the field of view, and behind the camera.
     """
     vectors = camera.model.unproject(points_px)
     depth = np.where(vectors[:, 2] > 0, vectors[:, 2], np.nan)[:, None]
@@ -134,7 +135,7 @@ def _undistorted_px(points_px: Float, camera: Camera, fov_deg: float) -> Float:
 
 @dataclass(frozen=True, slots=True)
 class _Density:
-    """How many patterns to make; narrow fields need more of the sky's stars, so fewer patterns of each."""
+    """Settings of a database; narrow fields need more stars of the sky, so fewer patterns of each."""
 
     lattice_field_oversampling: int
     patterns_per_lattice_field: int
@@ -145,7 +146,7 @@ _DENSITIES = ((8.0, _Density(100, 50, 150)), (3.0, _Density(25, 25, 50)), (0.0, 
 
 
 def pattern_database(fov_deg: float) -> tetra3rs.SolverDatabase:
-    """Return a database for a field of view, from memory, the cache folder, or made now.
+    """Pattern database of tetra3rs for a field of view, from memory, from the cache folder, or made now.
 
     Making one takes 0.1 s (30 degrees) to 2.5 s (3 degrees) and 6 s (1 degree), 2 to 130 MB on disk.
 

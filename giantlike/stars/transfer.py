@@ -1,8 +1,7 @@
-"""From long exposures to short ones: the attitude of an image from its neighbors in time.
+"""Attitude transfer: the attitude of an image from star images close in time.
 
-A body bright enough to fill a short exposure leaves no stars in it, so navigation images come in pairs: a
-long exposure gives the attitude, a short one the body. What joins them is an assumption on how the camera
-turned in between, and the choice of that assumption is the method.
+Exposures short enough for a bright body show no stars, so navigation images come in pairs: a long exposure for the
+attitude, a short one for the body. The method is the model of the rotation of the camera between them.
 """
 
 from __future__ import annotations
@@ -24,32 +23,34 @@ from giantlike.stars.rates import AngularRates
 
 
 class TransferMethod(StrEnum):
-    """How the camera is taken to have turned between two images."""
+    """Model of the rotation of the camera between two images."""
 
     REPLACE = "replace"
-    """Not at all: the nearest star solution as it is."""
+    """No rotation: the nearest star solution is used as it is."""
     PROPAGATE = "propagate"
-    """As rates say (a gyro's), or else the a priori attitudes (a CK's): the nearest star solution, turned."""
+    """Rotation by angular rates (of a gyro) or by the a priori attitudes (of a CK), from the nearest star solution."""
     INTERPOLATE = "interpolate"
-    """At a constant rate between the star solutions before and after; the nearest where one side is missing."""
+    """Constant rate between the star solutions before and after; the nearest one if one side is missing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TransferOptions:
-    """How attitudes are carried from star images to the others.
+    """Options of the transfer of attitudes from star images to other images.
 
     Parameters
     ----------
     method : TransferMethod
+        Default ``interpolate``: it needs neither rates nor a priori attitudes.
     max_gap_s : float, s
-        Star images further away in time are not used.
+        Star images further away in time are not used. Default: no limit; the drift widens the covariance instead.
     drift_arcsec_per_sqrt_s : float, arcsec/s^0.5
-        Random walk per axis of the motion that the method does not model. It is pinned at every star
-        solution that is used, so between two of them it grows and shrinks again. The default is that of a quiet
-        platform, so that nothing claims star accuracy over a gap; set it to the spacecraft's own.
+        Random walk per axis of the rotation that the method does not model. It is zero at every star solution used,
+        so between two of them it grows and shrinks again. Default 0.1: a quiet platform, 1 arcsec in 100 s; set it to
+        that of the spacecraft.
     max_disagreement_deg : float, deg
-        Where a priori attitudes exist, the largest difference between the turn they tell and the turn that
-        the method assumes. A slew between two images is caught by this. 180 turns the check off.
+        Where a priori attitudes exist, the largest angle between the rotation by them and the rotation assumed by the
+        method: it detects slews between two images. Default 1: above the error of most a priori attitudes; 180 turns
+        the check off.
     """
 
     method: TransferMethod = TransferMethod.INTERPOLATE
@@ -69,7 +70,7 @@ class TransferOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarAttitude(Value):
-    """A star solution and when it was made.
+    """A star solution and its time.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ class StarAttitude(Value):
     covariance_rad2 : (3, 3), rad^2
         Of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
     apriori : Rotation, optional
-        ``camera_from_inertial`` as it was known before.
+        A priori ``camera_from_inertial``.
     """
 
     et: float
@@ -94,16 +95,15 @@ class StarAttitude(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransferredAttitude(Value):
-    """An attitude that came from neighbors.
+    """An attitude transferred from star images.
 
     Parameters
     ----------
     camera_from_inertial : Rotation
     covariance_rad2 : (3, 3), rad^2
-        Of the small rotation about the camera axes: the solutions' own errors through the transfer, and the
-        drift of the options.
+        Of the small rotation about the camera axes: the propagated errors of the star solutions, and the drift.
     used : tuple of int
-        Which star solutions (indices into what was given), one or two.
+        Indices of the star solutions used, one or two.
     gap_s : float, s
         Time to the nearest of them.
     """
@@ -132,15 +132,16 @@ def transfer_attitude(
         In any order.
     apriori : Rotation, optional
         A priori ``camera_from_inertial`` at ``et``; ``propagate`` needs it unless there are rates, and every method
-        checks against it.
+        is checked against it.
     rates : AngularRates, optional
-        ``propagate`` turns the camera by them instead of by the a priori attitudes.
+        Used by ``propagate`` instead of the a priori attitudes.
+    options : TransferOptions
 
     Returns
     -------
     TransferredAttitude or Failure
-        ``NO_ATTITUDE`` where no star solution is near enough, where ``propagate`` lacks a priori attitudes or the rates
-        do not reach, or where a priori attitudes tell another turn than the method assumes.
+        ``NO_ATTITUDE`` if no star solution is near enough, if ``propagate`` lacks a priori attitudes or the rates do
+        not cover the time, or if the a priori attitudes contradict the rotation that the method assumes.
 
     Notes
     -----
@@ -156,7 +157,7 @@ def transfer_attitude(
     """
     propagate = options.method is TransferMethod.PROPAGATE and rates is None
     if propagate and apriori is None:
-        return Failure(Reason.NO_ATTITUDE, "transfer 'propagate' needs rates, or an a priori attitude of this image")
+        return Failure(Reason.NO_ATTITUDE, "method 'propagate' needs rates or an a priori attitude of this image")
     usable = [
         index
         for index, star in enumerate(stars)
@@ -181,13 +182,13 @@ def transfer_attitude(
 def _relative(
     et: float, star: StarAttitude, apriori: Rotation | None, rates: AngularRates | None, options: TransferOptions
 ) -> Rotation | Failure:
-    """How the camera turned since a star solution, as the method assumes."""
+    """Rotation of the camera since a star solution, as the method assumes."""
     if options.method is TransferMethod.PROPAGATE:
         if rates is not None:
             return rates.turn(star.et, et)
         if apriori is not None and star.apriori is not None:
-            told: Rotation = apriori * star.apriori.inv()
-            return told
+            result: Rotation = apriori * star.apriori.inv()
+            return result
     return Rotation.identity()
 
 
@@ -251,24 +252,24 @@ def _disagreement(
         star = stars[index]
         if star.apriori is None:
             continue
-        told = apriori * star.apriori.inv()
+        expected = apriori * star.apriori.inv()
         assumed = result.camera_from_inertial * star.camera_from_inertial.inv()
-        angle_deg = float((told * assumed.inv()).magnitude()) / RAD_PER_DEG
+        angle_deg = float((expected * assumed.inv()).magnitude()) / RAD_PER_DEG
         if angle_deg > options.max_disagreement_deg:
             return Failure(
                 Reason.NO_ATTITUDE,
-                f"the a priori attitudes differ by {angle_deg:.3g} deg from the turn that transfer "
-                f"'{options.method}' assumes (limit {options.max_disagreement_deg:g}): use 'propagate', or raise "
-                "max_disagreement_deg where the a priori attitudes are that poor",
+                f"the rotation by the a priori attitudes differs by {angle_deg:.3g} deg from that of transfer method "
+                f"'{options.method}' (limit {options.max_disagreement_deg:g}): use 'propagate', or raise "
+                "max_disagreement_deg if the a priori attitudes have such errors",
             )
     return None
 
 
 def _nothing_near(et: float, stars: Sequence[StarAttitude], options: TransferOptions, *, needs_apriori: bool) -> str:
     if not stars:
-        return "no star image of this run has a solution to take the attitude from"
+        return "no star image of this run has an attitude solution"
     gaps = [abs(star.et - et) for star in stars if not (needs_apriori and star.apriori is None)]
     if not gaps:
-        return "transfer 'propagate' needs rates, or a priori attitudes of the star images"
+        return "method 'propagate' needs rates or a priori attitudes of the star images"
     nearest = min(gaps)
-    return f"the nearest star solution is {nearest:.6g} s away, further than max_gap_s = {options.max_gap_s:g}"
+    return f"the nearest star solution is {nearest:.6g} s away, max_gap_s allows {options.max_gap_s:g} s"
