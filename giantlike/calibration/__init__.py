@@ -10,6 +10,7 @@ from giantlike.calibration.observations import ImageObservations, collimator_dir
 from giantlike.calibration.options import CalibrationOptions
 from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import calibrate_stars, identify_first, observations_of_fix
+from giantlike.core.deprecation import renamed
 
 __all__ = [
     "AlignmentResult",
@@ -26,3 +27,5 @@ __all__ = [
     "interlock",
     "observations_of_fix",
 ]
+
+__getattr__ = renamed(__name__, {"AlignmentFix": "AlignmentResult", "CalibrationFix": "CalibrationResult"}, until="0.3")

@@ -1,4 +1,4 @@
-"""How one sensor lies with respect to another: the mean of many rotations, and its drift with temperature."""
+"""Alignment of one sensor with respect to another: the mean of many rotations, and its drift with temperature."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 
-_STEPS = 20
-_SMALL_RAD = 1e-14
-_NOISE_EXPLAINS = 0.9999
+_STEPS = 20  # of Gauss-Newton and rejection, which converge in 3 to 6
+_SMALL_RAD = 1e-14  # last step, rad (or rad/Celsius): the rounding of float64
+_NOISE_EXPLAINS = 0.9999  # chi-square probability up to which noise explains the residuals: 1 false alarm in 10,000
 _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
 
 
@@ -39,9 +39,9 @@ class AlignmentResult(Value):
     residuals_rad : (n, 3) float64, rad
         Observed minus fitted, axes of the second sensor.
     used : (n,) bool
-        False for what disagrees.
+        False for outliers.
     reduced_chi2 : float
-        Of those used. Where it is more than noise explains, the covariances have been scaled with it.
+        Of the measurements used. If it is more than noise explains, the covariances are scaled with it.
     first, second : str
         Names of the two frames; empty when unknown.
     """
@@ -88,7 +88,12 @@ class AlignmentResult(Value):
         return FrameRotation(rotation=self.rotation_at(temperature_c), target=self.second, source=self.first)
 
     def unwrap(self) -> AlignmentResult:
-        """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        """Return the alignment itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.
+
+        Returns
+        -------
+        AlignmentResult
+        """
         return self
 
 
@@ -108,9 +113,10 @@ def align(
     covariances_rad2 : (n, 3, 3), rad^2
         Of the small rotation about the axes of the second sensor.
     temperatures_c : (n,), Celsius, optional
-        With them the drift is estimated too.
+        If given, the drift is estimated too.
     outlier_sigma : float
-        Measurements further off, in units of their covariance times the robust spread of all, are left out.
+        Rejection limit of measurements, in units of their sigma times the robust spread of all. Default 5: of 1,000
+        good measurements, a three-dimensional normal error exceeds it once in 65 alignments.
 
     Returns
     -------
@@ -128,11 +134,11 @@ def align(
     require(outlier_sigma > 0, f"outlier_sigma must be > 0, got {outlier_sigma}")
     drifts = temperatures_c is not None
     if count < (needed := 1 + 2 * drifts):
-        return Failure(Reason.TOO_FEW_MATCHES, f"{count} rotations, {needed} are needed")
+        return Failure(Reason.TOO_FEW_MATCHES, f"{count} rotations were given, {needed} are needed")
     reference = float(temperatures.mean())
     offsets: Float = temperatures - reference
     if drifts and not np.ptp(temperatures) > 0:
-        detail = f"all rotations are of {reference:g} C: leave out temperatures_c for a static fit"
+        detail = f"all rotations were measured at {reference:g} C: omit temperatures_c for a static alignment"
         return Failure(Reason.DEGENERATE_GEOMETRY, detail)
     weights = np.asarray(np.linalg.inv(covariances), dtype=np.float64)
     rotation, rate, used = _converged(rotations, weights, offsets, drifts, outlier_sigma)
@@ -209,7 +215,7 @@ def _named(attitudes: FrameRotation | Rotation) -> FrameRotation:
 def _converged(
     rotations: Rotation, weights: Float, offsets_c: Float, drifts: bool, outlier_sigma: float
 ) -> tuple[Rotation, Float, Mask]:
-    """Rotation at the reference temperature, rate, and which measurements agree with them."""
+    """Rotation at the reference temperature, rate, and mask (n,) of the measurements that agree with them."""
     used: Mask = np.ones(len(rotations), dtype=bool)
     rotation: Rotation = rotations.mean()
     rate: Float = np.zeros(3)

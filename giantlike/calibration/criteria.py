@@ -9,27 +9,27 @@ import numpy as np
 from giantlike.calibration.result import CalibrationResult
 from giantlike.core.arrays import require
 
-_PARTS = 3  # of the field along each axis
+_PARTS = 3  # parts of the field along each axis: center, edges and corners
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationCriteria:
-    """What a calibration must reach; each is checked, and one that is missed is named with both numbers.
+    """Acceptance criteria of a calibration; the defaults are for stars with centroids of some 0.1 px.
 
     Parameters
     ----------
     max_residual_px : float, px
-        Radial residual rms of the observations kept.
+        Largest radial residual rms of the observations kept. Default 0.5: real frames have 0.11 to 0.17.
     max_image_residual_px : float, px
-        The same of every single image.
+        Largest residual rms of a single image. Default 1: twice that of all.
     max_rejected : float
-        Share of observations thrown out.
+        Largest share of observations rejected. Default a quarter; no study yet.
     max_map_sigma_px : float, px
-        Uncertainty of the camera map (radial, modulo a rotation), worst place of the field.
+        Largest uncertainty of the camera map over the field (radial, modulo a rotation). Default 0.5, as the residuals.
     min_observations_per_parameter : float
-        Observations kept over parameters of the camera.
+        Smallest number of observations kept per parameter of the camera. Default 3, six equations.
     min_covered : float
-        Share of the field (nine equal parts) in which anything was observed.
+        Smallest share of nine equal parts of the field with observations. Default 0.6: six of nine.
 
     Raises
     ------

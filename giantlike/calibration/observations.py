@@ -1,4 +1,4 @@
-"""What a calibration is made from: known directions, and where the camera saw them."""
+"""Observations for a calibration: known directions or points, and their pixels."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageObservations(Value):
-    """Known targets in one image (or in one composite of images taken with one orientation of the camera).
+    """Known targets in one image, or in a composite of images taken with one orientation of the camera.
 
     Parameters
     ----------
     name : str
-        How reports call the image.
+        Name of the image in reports.
     targets : (n, 3) float64
         Unit vectors in a reference frame (stars: apparent directions, inertial axes), or points of a board in the
         board's own axes where ``finite``, in any unit of length.
     points_px : (n, 2) float64, px
-        Where they were seen.
+        Measured pixels of the targets.
     sigma_px : (n,) float64, px
-        Standard deviation per axis; a scalar is taken for all.
+        Standard deviation per axis; a scalar applies to all.
     camera_from_reference : Rotation, optional
-        A priori orientation; None: found from the targets and the starting model (directions only).
+        A priori orientation; by default estimated from the targets and the starting model (directions only).
     attitude_sigma_rad : float, rad, optional
-        Standard deviation per axis of that a priori orientation; None: it is a start and carries no weight.
+        Standard deviation per axis of the a priori orientation; by default it is only a start and has no weight.
     position_reference : (3,) float64, optional
-        For ``finite`` targets: vector from the camera to the origin of the board, camera axes, a start.
+        For ``finite`` targets: start of the vector from the camera to the origin of the board, camera axes.
     finite : bool
-        Targets are points at a distance, not directions.
+        True if the targets are points at a finite distance, False if they are directions.
     temperature_c : float, Celsius
         Of the camera.
     labels : (n,) int64
-        Names of the targets: catalog identifiers, corner numbers. Default: counted from 0.
+        Labels of the targets: catalog identifiers, corner numbers. Default: 0, 1, 2, ...
     magnitudes : (n,) float64
-        NaN where there is none.
+        Default NaN.
 
     Raises
     ------
@@ -95,23 +95,30 @@ class ImageObservations(Value):
 
 
 def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Float:
-    """Directions (n, 3) of a fixed collimator in the axes of the gimbal's stage that carries the camera.
+    """Directions of a fixed collimator in the axes of the gimbal stage that carries the camera.
 
     The stage turns about its vertical axis (azimuth, toward +x) and then about its horizontal axis (elevation,
     toward -y, up in an image); at zero the collimator is on its +z axis. Seen from the stage the collimator moves
-    the other way. All images of a grid make one composite: one :class:`ImageObservations` whose
-    ``camera_from_reference`` is how the camera sits on the stage.
+    the other way. All images of a grid form one composite: one :class:`ImageObservations` whose
+    ``camera_from_reference`` is the orientation of the camera on the stage.
 
     Parameters
     ----------
     azimuth_rad, elevation_rad : (n,) float64, rad
-        Commanded angles, exact as read from the encoders.
+        Angles read from the encoders.
+
+    Returns
+    -------
+    (n, 3) float64, unitless
+        Unit vectors in the axes of the stage.
 
     References
     ----------
     .. [1] Holt, D'Souza and Saley, Orion Optical Navigation Progress Toward Exploration Mission 1, III.A: 99 images in
        steps of 2 degrees, made one composite.
 
+    Examples
+    --------
     >>> collimator_directions([0.1], [0.0]).round(3).tolist()
     [[-0.1, 0.0, 0.995]]
     """

@@ -10,14 +10,14 @@ import numpy as np
 
 from giantlike.core.arrays import Float, require
 
-_HUBER_SQUARE = 1.345**2 * 2.0  # two axes: 95 % efficient for Gaussian residuals, near enough
-_CAUCHY_SQUARE = 2.385**2 * 2.0
+_HUBER_SQUARE = 1.345**2 * 2.0  # Huber's constant of 95 % efficiency for one normal residual, here for two axes
+_CAUCHY_SQUARE = 2.385**2 * 2.0  # the same constant of the Cauchy loss
 
 
 class Loss(StrEnum):
-    """What a squared residual (two axes, in units of its variance) costs.
+    """Loss function of the squared residual of an observation (two axes, in units of the variance).
 
-    ``linear`` is least squares; ``huber`` grows with the distance beyond two sigma, ``cauchy`` with its logarithm.
+    ``linear`` is least squares; beyond two sigma ``huber`` grows with the distance, ``cauchy`` with its logarithm.
     """
 
     LINEAR = "linear"
@@ -25,7 +25,7 @@ class Loss(StrEnum):
     CAUCHY = "cauchy"
 
     def cost(self, squares: Float) -> Float:
-        """Cost (n,) of squared residuals (n,): equal to them where they are small."""
+        """Cost (n,) of squared residuals (n,), unitless; equal to them if they are small."""
         if self is Loss.HUBER:
             beyond = 2.0 * np.sqrt(_HUBER_SQUARE * squares) - _HUBER_SQUARE
             return np.where(squares <= _HUBER_SQUARE, squares, beyond)
@@ -35,7 +35,7 @@ class Loss(StrEnum):
         return squares
 
     def weight(self, squares: Float) -> Float:
-        """Derivative (n,) of the cost: the factor on the weight in iteratively reweighted least squares."""
+        """Derivative (n,) of the cost by the square: the weight in iteratively reweighted least squares."""
         if self is Loss.HUBER:
             return np.sqrt(_HUBER_SQUARE / np.maximum(squares, _HUBER_SQUARE))
         if self is Loss.CAUCHY:
@@ -51,17 +51,18 @@ class CalibrationOptions:
     Parameters
     ----------
     prior_sigma : mapping of str to float
-        Standard deviation that the starting value of a parameter has, in its unit: an a priori weight. A narrow
-        field cannot tell the principal point from the attitude; give it one here, or leave it out of what is
-        estimated (it then stays where it is).
+        Standard deviation of the starting value of a parameter, in its unit: an a priori weight. In a narrow field the
+        principal point is degenerate with the attitude: give it an a priori sigma here, or do not estimate it.
     loss : Loss
-        Of the last fit. The fits before, which look for outliers, use Huber's at least.
+        Loss of the last fit; the fits before, which search for outliers, use at least that of Huber. Default: least
+        squares, whose covariance is exact once outliers are rejected.
     false_rejections : float
-        How many good observations a whole calibration may be expected to lose as outliers.
+        Expected number of good observations that a whole calibration rejects as outliers. Default 0.01: one
+        calibration in a hundred loses one.
     max_rounds : int
-        Rounds of fit and rejection.
+        Rounds of fit and rejection. Default 10; they usually settle after 2 to 4.
     max_steps : int
-        Of Levenberg-Marquardt, per round.
+        Levenberg-Marquardt steps per round. Default 200: a bound for failures, fits converge in 5 to 30.
 
     Raises
     ------

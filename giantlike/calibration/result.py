@@ -1,4 +1,4 @@
-"""The result of a calibration, as a value."""
+"""Result of a calibration."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class ImageCalibration(Value):
     covariance_rad2 : (3, 3) float64, rad^2
         Of the small rotation about the camera axes, the uncertainty of the camera included.
     position_reference : (3,) float64
-        Vector to the board, where targets are finite; else zero.
+        Vector from the camera to the board, camera axes, if the targets are finite; else zero.
     n_used, n_rejected : int
     rms_px : float, px
         Radial; NaN where nothing was kept.
     influence_px : float, px
-        How far the camera map moves (rms over the field, modulo a rotation) when this image is left out; infinite
-        when the others leave a parameter free.
+        Shift of the camera map (rms over the field, modulo a rotation) when this image is left out; infinite if the
+        other images do not determine a parameter.
     influence : float
-        The same in units of the covariance: squared shift of the parameters over their number. Above 1, one image
-        rules the result.
+        Squared shift of the parameters in units of their covariance, over their number (Cook's distance). Above 1, one
+        image dominates the result.
     """
 
     name: str
@@ -53,10 +53,22 @@ class ImageCalibration(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RejectedObservation:
-    """An observation thrown out: image, label of the target, where it was seen and expected, and how far in sigma.
+    """A rejected observation.
 
-    ``cause`` is ``outlier``, ``not_imaged`` (the model cannot image the target) or ``image`` (so little of the image
-    agrees that all of it was left out).
+    Parameters
+    ----------
+    image : str
+        Name of the image.
+    label : int
+        Label of the target.
+    observed_px, predicted_px : (float, float), px
+    distance_px : float, px
+        NaN if the model cannot project the target.
+    sigmas : float
+        Distance over the sigma of the observation.
+    cause : str
+        ``outlier``, ``not_imaged`` (the model cannot project the target) or ``image`` (the whole image was rejected,
+        because too few of its observations agree).
     """
 
     image: str
@@ -70,25 +82,25 @@ class RejectedObservation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationResult(Value):
-    """A calibrated camera model with its covariance and everything needed to judge it.
+    """A calibrated camera model with its covariance, residuals and diagnostics.
 
     Parameters
     ----------
     model : CameraModel
     start : CameraModel
-        Where the fit began.
+        Model from which the fit started.
     columns, rows : int
     estimated : tuple of str
         Names of the k parameters estimated; the others have the values of ``start``.
     covariance : (k, k) float64
-        Of those parameters, their units. Includes ``covariance_scale``.
+        Of those parameters, in their units. Includes ``covariance_scale``.
     covariance_scale : float
-        Factor put on the covariance because the residuals are larger than the given sigmas explain; 1 if they do.
+        Factor on the covariance for residuals larger than the given sigmas explain; 1 if these explain them.
     images : tuple of ImageCalibration
     image_index : (n,) int
-        Which image each observation is of; the arrays below hold all observations, used or not.
+        Image of each observation; the arrays below contain all observations, used or not.
     observed_px, predicted_px : (n, 2) float64, px
-        Prediction: by the result, NaN where it cannot be imaged.
+        The prediction is that of the calibrated model, NaN for targets that it cannot project.
     sigma_px, magnitudes : (n,) float64
     labels : (n,) int64
     used : (n,) bool
@@ -100,11 +112,11 @@ class CalibrationResult(Value):
     condition_number : float
         Of the scaled information of the parameters.
     support : tuple of ParameterSupport
-        What the observations say of each parameter.
+        Verdict on each parameter.
     map_points_px, map_sigma_px : (g, 2), (g,) float64, px
         Uncertainty of the camera map over the field, radial, modulo a rotation.
     problems : tuple of str
-        Criteria that were missed, each with what was needed and what came; empty when accepted.
+        Criteria that were missed, each with the limit and the value; empty if accepted.
     steps, rounds : int
         Levenberg-Marquardt steps in all, and rounds of rejection.
     provenance : mapping of str to str
@@ -139,7 +151,7 @@ class CalibrationResult(Value):
 
     @property
     def accepted(self) -> bool:
-        """Whether every criterion is met."""
+        """True if every criterion is met."""
         return not self.problems
 
     @property
@@ -159,7 +171,7 @@ class CalibrationResult(Value):
 
     @property
     def n_rejected(self) -> int:
-        """Number of observations thrown out."""
+        """Number of observations rejected."""
         return len(self.rejected)
 
     @property
@@ -170,5 +182,10 @@ class CalibrationResult(Value):
         return result
 
     def unwrap(self) -> CalibrationResult:
-        """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        """Return the calibration itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.
+
+        Returns
+        -------
+        CalibrationResult
+        """
         return self

@@ -92,7 +92,7 @@ def test_rates_that_do_not_reach_give_no_attitude() -> None:
     outcome = transfer_attitude(100.5, [_star(0.0, START)], rates=rates, options=OPTIONS)
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.NO_ATTITUDE
-    assert "reach from et 0.000 to 100.000" in outcome.detail
+    assert "cover et 0.000 to 100.000" in outcome.detail
 
 
 def test_a_table_of_rates_is_read_in_any_order(tmp_path: Path) -> None:
