@@ -462,7 +462,7 @@ def test_a_static_alignment_of_scattered_attitudes_has_their_scatter() -> None:
     assert fix.covariance_rad2[0, 0] == pytest.approx(1e-8 / 50, rel=0.7)
     failure = align(rotations, np.tile(np.eye(3), (50, 1, 1)), temperatures_c=np.full(50, 3.0))
     assert isinstance(failure, Failure)
-    assert "leave out temperatures_c" in failure.detail
+    assert "omit temperatures_c" in failure.detail
 
 
 def test_misuse_is_refused() -> None:
