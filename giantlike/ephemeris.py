@@ -1,8 +1,8 @@
-"""Where bodies and the spacecraft are: ephemerides from SPICE, from a table, or fixed.
+"""Ephemerides of bodies and of the spacecraft: from SPICE, from a table, or fixed.
 
 Two kinds are kept apart so that nothing is corrected twice. An :class:`Ephemeris` is geometric: true
 positions with respect to an origin, to which :class:`~giantlike.scene.Scene` applies light time and
-stellar aberration. An :class:`ApparentGeometry` already holds what the camera sees.
+stellar aberration. An :class:`ApparentGeometry` has both applied already.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from giantlike.io.ephemeris_table import EphemerisSamples, read_ephemeris_table
 from giantlike.io.spice import orientation, spk_state
 
 BARYCENTER = "SOLAR SYSTEM BARYCENTER"
+"""NAIF name of the default origin of positions."""
 
 
 @runtime_checkable
@@ -31,15 +32,35 @@ class Ephemeris(Protocol):
 
     @property
     def origin(self) -> str:
-        """Name of the point that positions count from; ephemerides of one scene must share it."""
+        """NAIF name of the origin of positions; the ephemerides of a scene must have the same."""
         ...
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position (3,), km, and velocity (3,), km/s, at ``et``, with respect to :attr:`origin`."""
+        """Position and velocity with respect to :attr:`origin`.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        position_km : (3,) float64, km, ICRF axes
+        velocity_km_s : (3,) float64, km/s, ICRF axes
+        """
         ...
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation of the body-fixed axes at ``et``."""
+        """Orientation of the body-fixed axes.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        scipy Rotation
+            ``inertial_from_body``.
+        """
         ...
 
 
@@ -52,9 +73,9 @@ class SpiceEphemeris:
     body : str
         NAIF name or number as text.
     frame : str, optional
-        Body-fixed frame; default that of the body. Only needed where the orientation is asked for.
+        Body-fixed frame; default: that of the body. Used for the orientation only.
     origin : str
-        NAIF name that positions count from.
+        NAIF name of the origin of positions.
     """
 
     body: str
@@ -62,24 +83,56 @@ class SpiceEphemeris:
     origin: str = BARYCENTER
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position (3,), km, and velocity (3,), km/s; raises ``DataError`` where kernels do not cover ``et``."""
+        """Position and velocity with respect to :attr:`origin`.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        position_km : (3,) float64, km, ICRF axes
+        velocity_km_s : (3,) float64, km/s, ICRF axes
+
+        Raises
+        ------
+        DataError
+            The loaded kernels do not cover ``et``.
+        """
         return spk_state(self.body, et, observer=self.origin)
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation at ``et`` from PCK or CK; raises ``DataError`` where kernels lack it."""
+        """Orientation of the body-fixed axes.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        scipy Rotation
+            ``inertial_from_body``.
+
+        Raises
+        ------
+        DataError
+            The loaded PCK and CK kernels do not cover ``et``.
+        """
         return orientation(self.frame or self.body, et)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedEphemeris(Value):
-    """A body that stays where it is.
+    """A body at rest.
 
     Parameters
     ----------
     position_km : (3,), km, ICRF
+        Position with respect to ``origin``.
     orientation : Rotation
         ``inertial_from_body``.
     origin : str
+        NAIF name of the origin of positions.
     """
 
     position_km: Float = field(default_factory=lambda: np.zeros(3))
@@ -91,22 +144,43 @@ class FixedEphemeris(Value):
         Value.__post_init__(self)
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Return the fixed position, km, and no velocity, at any ``et``."""
+        """Position and velocity with respect to :attr:`origin`.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        position_km : (3,) float64, km, ICRF axes
+        velocity_km_s : (3,) float64, km/s, ICRF axes
+        """
         return self.position_km.copy(), np.zeros(3)
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Return the fixed orientation, at any ``et``."""
+        """Orientation of the body-fixed axes.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        scipy Rotation
+            ``inertial_from_body``.
+        """
         return self.orientation
 
 
 class TableEphemeris:
-    """A body given by samples, interpolated: cubic Hermite with velocities, cubic spline without, slerp.
+    """A body interpolated between samples: cubic Hermite with velocities, else cubic spline; slerp for orientations.
 
     Parameters
     ----------
     samples : EphemerisSamples
         At least two epochs, increasing.
     origin : str
+        NAIF name of the origin of positions.
 
     Raises
     ------
@@ -128,16 +202,65 @@ class TableEphemeris:
 
     @classmethod
     def load(cls, path: str | Path, *, origin: str = BARYCENTER) -> TableEphemeris:
-        """Read a CSV ephemeris; see :func:`giantlike.io.ephemeris_table.read_ephemeris_table`."""
+        """Read a CSV ephemeris; see :func:`giantlike.io.ephemeris_table.read_ephemeris_table`.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        origin : str
+            NAIF name of the origin of positions.
+
+        Returns
+        -------
+        TableEphemeris
+
+        Raises
+        ------
+        DataError
+            The file is missing or damaged.
+        InputError
+            It has fewer than two epochs.
+        """
         return cls(read_ephemeris_table(path), origin=origin)
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position (3,), km, and velocity (3,), km/s; raises ``InputError`` outside the table."""
+        """Position and velocity with respect to :attr:`origin`.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        position_km : (3,) float64, km, ICRF axes
+        velocity_km_s : (3,) float64, km/s, ICRF axes
+
+        Raises
+        ------
+        InputError
+            ``et`` lies outside the table.
+        """
         self._check(et)
         return np.asarray(self._position(et)), np.asarray(self._velocity(et))
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation at ``et``; raises ``InputError`` outside the table or when it has no quaternions."""
+        """Orientation of the body-fixed axes.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        scipy Rotation
+            ``inertial_from_body``.
+
+        Raises
+        ------
+        InputError
+            ``et`` lies outside the table, or the table has no quaternions.
+        """
         self._check(et)
         if self._orientation is None:
             raise InputError("the table ephemeris has no quaternion columns, so no orientation")
@@ -150,16 +273,21 @@ class TableEphemeris:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ApparentGeometry(Value):
-    """What the camera sees of a body at one image: light time and stellar aberration are already in.
+    """Apparent geometry of a body in one image, with light time and stellar aberration applied.
 
     Parameters
     ----------
     position_inertial_km : (3,), km, ICRF
-        From camera to body center.
+        Position of the body center from the camera.
     inertial_from_body : Rotation
-        At the time the light left the body.
+        Orientation at the time the light left the body.
     sun_direction_inertial : (3,), unitless, ICRF, optional
-        Unit vector from body to Sun; where absent the light of the scene gives it.
+        Unit vector from body to Sun (other lengths are normalized); without it the light of the scene gives it.
+
+    Raises
+    ------
+    InputError
+        A vector is zero, not finite or of another shape.
     """
 
     position_inertial_km: Float
@@ -168,7 +296,10 @@ class ApparentGeometry(Value):
 
     def __post_init__(self) -> None:
         position = as_finite(self.position_inertial_km, (3,), "position_inertial_km")
-        require(float(np.linalg.norm(position)) > 0, "position_inertial_km must not be zero: the camera is in the body")
+        require(
+            float(np.linalg.norm(position)) > 0,
+            "position_inertial_km must not be zero: the camera is at the body center",
+        )
         object.__setattr__(self, "position_inertial_km", position)
         if self.sun_direction_inertial is not None:
             object.__setattr__(self, "sun_direction_inertial", _unit3(self.sun_direction_inertial))
@@ -182,7 +313,12 @@ class DistantLight(Value):
     Parameters
     ----------
     direction_inertial : (3,), ICRF
-        From the bodies to the light; normalized.
+        Direction from the bodies to the light; other lengths are normalized.
+
+    Raises
+    ------
+    InputError
+        The direction is zero, not finite or of another shape.
     """
 
     direction_inertial: Float

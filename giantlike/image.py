@@ -1,4 +1,4 @@
-"""An image and what is known of it: pixels, time, pose."""
+"""Images: pixels with mask, epoch, attitude and observer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["AttitudeSource", "Image", "ObserverState"]
 
 
 class AttitudeSource(StrEnum):
-    """Where the attitude on an image comes from; the values are those of ``attitudes.csv``."""
+    """Source of the attitude of an image; the values are those of ``attitudes.csv``."""
 
     NONE = "none"
     A_PRIORI = "a_priori"
@@ -38,7 +38,7 @@ class AttitudeSource(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Image(Value):
-    """One image as a value: a better attitude gives a new image.
+    """One image as an immutable value; :meth:`with_attitude` returns a new one.
 
     Parameters
     ----------
@@ -49,18 +49,22 @@ class Image(Value):
     epoch : astropy Time, optional
         Mid-exposure.
     exposure_s : float, s, optional
+        Exposure time.
     camera_from_inertial : scipy Rotation, optional
         Attitude, a priori or improved.
     attitude_source : AttitudeSource, optional
         Default: ``a_priori`` when there is an attitude, else ``none``.
     attitude_covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
+        Covariance of the small rotation about the camera axes; see
+        :class:`~giantlike.core.outcomes.AttitudeFix`.
     observer : ObserverState, optional
         Spacecraft state, for parallax and aberration.
     metadata : mapping
         Header values as read.
     name : str
-        How tables and messages call the image.
+        Name in tables and messages.
     path : Path, optional
+        The file.
     sha256 : str
         SHA-256 of the file, for provenance.
     camera_name : str
@@ -114,12 +118,17 @@ class Image(Value):
         Parameters
         ----------
         path : path-like
+            The file.
         hdu : int or str, optional
             Number or name of the FITS extension; the first with an image by default.
         bottom_up : bool
-            Turn the rows around on reading, for files whose first row is the bottom of the picture (telescope images
-            often are): as stored they show the sky mirrored, and no attitude can say so. Pixel coordinates then count
-            in the image as it is turned.
+            True to reverse the rows on reading, for files whose first row is the bottom of the picture, as in many
+            telescope images: as stored they show the sky mirrored, which no attitude can represent. Pixel coordinates
+            then refer to the reversed image.
+
+        Returns
+        -------
+        Image
 
         Raises
         ------
@@ -152,7 +161,7 @@ class Image(Value):
 
     @property
     def et(self) -> float | None:
-        """Mid-exposure in TDB seconds past J2000, where the epoch is known."""
+        """Mid-exposure in TDB seconds past J2000; None where the epoch is not known."""
         return None if self.epoch is None else et_from_time(self.epoch)
 
     def with_attitude(

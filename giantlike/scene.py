@@ -1,4 +1,4 @@
-"""What stands before the camera: targets, a light, and the steps from true to apparent geometry."""
+"""Scenes: targets, a light, and the steps from true to apparent geometry."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ from giantlike.image import Image
 from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
 from giantlike.shapes import Shape
 
-_MASK_DIRECTIONS = 720
-_SUBPIXEL_BITS = 4
-_SUBPIXELS, _FAR_SUBPIXELS = 1 << _SUBPIXEL_BITS, 1 << 24
-_LIGHT_TIME_STEPS = 5  # each gains a factor v/c: three suffice for the solar system
+_MASK_DIRECTIONS = 720  # points of an outline, every half degree: 3 px apart on a limb of 300 px radius
+_SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 1/16 px
+_SUBPIXELS = 1 << _SUBPIXEL_BITS
+_FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int32 arithmetic overflows beyond
+_LIGHT_TIME_STEPS = 5  # fixed-point iterations; each gains a factor v/c, and three suffice for the solar system
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,10 +36,13 @@ class Target(Value):
     Parameters
     ----------
     name : str
+        Name in tables and messages.
     shape : Shape
-        In body axes; its origin is the center that estimators report.
+        Shape in body axes; its origin is the center that estimators report.
     ephemeris : Ephemeris or ApparentGeometry
+        Position and orientation, geometric or already apparent.
     reflectance : Reflectance
+        Reflectance law of the surface; McEwen by default.
     """
 
     name: str
@@ -49,15 +53,16 @@ class Target(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TargetGeometry(Value):
-    """A target as seen by one image, a priori.
+    """Predicted geometry of a target in one image.
 
     Parameters
     ----------
     target : Target
+        The body.
     position_camera_km : (3,), km, camera axes
-        From camera to the origin of the shape, apparent.
+        Apparent position of the origin of the shape, from the camera.
     camera_from_body : Rotation
-        At the time the light left the body.
+        Orientation at the time the light left the body.
     sun_direction_camera : (3,), unitless, camera axes
         Unit vector from body to Sun.
     """
@@ -79,7 +84,17 @@ class TargetGeometry(Value):
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def body(self, position_camera_km: Float | None = None) -> Body:
-        """What the ray tracer needs, at the predicted or at another position (3,), km, camera axes."""
+        """Return the body for the ray tracer.
+
+        Parameters
+        ----------
+        position_camera_km : (3,) float64, km, camera axes, optional
+            Position; the predicted one by default.
+
+        Returns
+        -------
+        Body
+        """
         position = self.position_camera_km if position_camera_km is None else position_camera_km
         return Body(
             shape=self.target.shape,
@@ -91,26 +106,27 @@ class TargetGeometry(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene(Value):
-    """Targets, the light on them, and where the camera is.
+    """Targets, the light on them, and the position of the camera.
 
     Parameters
     ----------
     targets : sequence of Target
+        Bodies that may be in the image.
     observer : Ephemeris, optional
-        The spacecraft; where absent the state on the image is used.
+        The spacecraft; without it the observer of the image is used.
     light : Ephemeris or DistantLight, optional
-        The Sun; may be absent where every target's geometry brings its own Sun direction.
+        The Sun; not needed where the geometry of every target has a Sun direction.
     light_time : bool
-        Show geometric targets where and how they were when the light left them.
+        True to take geometric targets at the time the light left them.
     stellar_aberration : bool
-        Shift geometric targets by the motion of the observer (with respect to the common origin).
+        True to shift geometric targets by the motion of the observer with respect to the common origin.
 
     Raises
     ------
     InputError
-        Two targets have one name, or there is none.
+        Two targets have the same name, or there is none.
     FrameMismatchError
-        Ephemerides do not count from the same origin.
+        Ephemerides have different origins.
     """
 
     targets: tuple[Target, ...]
@@ -131,12 +147,21 @@ class Scene(Value):
         Value.__post_init__(self)
 
     def target(self, name: str | None = None) -> Target:
-        """Return a target by name; without a name the only one.
+        """Return a target by name.
+
+        Parameters
+        ----------
+        name : str, optional
+            May be left out when there is only one target.
+
+        Returns
+        -------
+        Target
 
         Raises
         ------
         InputError
-            There is no such target, or several and no name.
+            There is no such target, or there are several and no name was given.
         """
         if name is None:
             if len(self.targets) > 1:
@@ -148,19 +173,25 @@ class Scene(Value):
         raise InputError(f"no target {name!r} in the scene; there is {self._names()}")
 
     def geometry(self, image: Image, target: str | None = None) -> TargetGeometry | Failure:
-        """Where a target should appear in an image.
+        """Predict the geometry of a target in an image.
 
         Parameters
         ----------
         image : Image
             Needs an attitude; for geometric ephemerides also an epoch.
         target : str, optional
-            May be left out when there is only one.
+            Name of the target; may be left out when there is only one.
+
+        Returns
+        -------
+        TargetGeometry or Failure
+            Reasons: no_attitude, no_epoch, no_geometry (the position of the spacecraft or the direction of the Sun is
+            not known).
 
         Raises
         ------
         InputError
-            No such target, or an ephemeris table does not cover the epoch.
+            There is no such target, or an ephemeris table does not cover the epoch.
         DataError
             SPICE kernels do not cover the epoch.
         """
@@ -187,10 +218,29 @@ class Scene(Value):
         )
 
     def apparent(self, image: Image, target: Target) -> ApparentGeometry | Failure:
-        """Apparent geometry of a target in inertial axes: the explicit steps from true to seen.
+        """Compute the apparent geometry of a target in inertial axes.
 
-        1. observer at mid-exposure; 2. target when the light left it; 3. its orientation then; 4. the Sun as
-        seen from the target then; 5. stellar aberration by the observer's velocity.
+        The steps: 1. observer at mid-exposure; 2. target when the light left it; 3. its orientation then; 4. the Sun
+        as seen from the target then; 5. stellar aberration by the velocity of the observer.
+
+        Parameters
+        ----------
+        image : Image
+            Gives the epoch and, where the scene has no observer, the observer.
+        target : Target
+            One of the targets.
+
+        Returns
+        -------
+        ApparentGeometry or Failure
+            Reasons: no_epoch, no_geometry.
+
+        Raises
+        ------
+        InputError
+            An ephemeris table does not cover the epoch.
+        DataError
+            SPICE kernels do not cover the epoch.
         """
         ephemeris = target.ephemeris
         if isinstance(ephemeris, ApparentGeometry):
@@ -202,18 +252,11 @@ class Scene(Value):
         if observer is None:
             return Failure(Reason.NO_GEOMETRY, f"{image.name}: position of the spacecraft is not known")
         observer_km, observer_km_s = observer
-        vector, emission = (
-            light_path(ephemeris, et, observer_km) if self.light_time else _straight(ephemeris, et, observer_km)
-        )
+        path = light_path if self.light_time else _straight
+        vector, emission = path(ephemeris, et, observer_km)
         sun = None
         if isinstance(self.light, Ephemeris):
-            at_target = observer_km + vector
-            to_sun = (
-                light_path(self.light, emission, at_target)
-                if self.light_time
-                else _straight(self.light, emission, at_target)
-            )
-            sun = unit(to_sun[0])
+            sun = unit(path(self.light, emission, observer_km + vector)[0])
         if self.stellar_aberration:
             vector = aberrate(vector, observer_km_s)
         return ApparentGeometry(
@@ -238,16 +281,18 @@ class Scene(Value):
 
 
 def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 5.0) -> Mask | Failure:
-    """Pixels that the bodies of a scene cover, for a search of stars beside them.
+    """Mask of the pixels that the bodies of a scene cover, for a search of stars around them.
 
     Parameters
     ----------
     scene : Scene
+        Bodies.
     image : Image
-        Needs an attitude, and what the geometry of the targets needs.
+        Needs what :meth:`Scene.geometry` needs.
     camera : Camera
+        Camera of the image.
     margin_px : float, px
-        Around the outlines: for the error of the attitude, and for light scattered near a bright limb.
+        Margin around the outlines, for the error of the attitude and for light scattered near a bright limb.
 
     Returns
     -------
@@ -284,9 +329,25 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
 
 
 def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:
-    """Vector (3,), km, from an observer at reception ``et`` to a source at emission, and the emission ``et``.
+    """Vector from an observer to the place where a source was when its light left it.
 
     Solves ``|source(et - t) - observer| = c t`` by fixed-point iteration, as SPICE does for ``CN``.
+
+    Parameters
+    ----------
+    source : Ephemeris
+        Body that emits or reflects the light.
+    et : float, TDB seconds past J2000
+        Time of reception.
+    observer_km : (3,) float64, km, ICRF axes
+        Position of the observer at reception, from the origin of ``source``.
+
+    Returns
+    -------
+    vector_km : (3,) float64, km, ICRF axes
+        From the observer to the source.
+    emission_et : float, TDB seconds past J2000
+        Time of emission.
     """
     emission = et
     vector = source.state(et)[0] - observer_km

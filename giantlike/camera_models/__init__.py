@@ -1,7 +1,7 @@
-"""Camera models: how directions in camera axes become pixels and back, with analytic Jacobians.
+"""Camera models: projection of directions in camera axes to pixels and back, with analytic Jacobians.
 
 ``CameraModel`` is the interface; a model is a frozen value and its type name is in ``MODELS``. ``convert``,
-``resample``, ``misalignment`` and ``grid.fit_grid`` work on any of them.
+``resample`` and ``grid.fit_grid`` work on any of them.
 """
 
 from giantlike.camera_models.base import CameraModel, ifov_rad

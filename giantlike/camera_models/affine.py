@@ -1,4 +1,4 @@
-"""What every lens has in common: the step from a unit focal plane to pixels, temperature, binning and windows."""
+"""Base of all lens models: the affine step from a unit focal plane to pixels, temperature, binning and windows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from giantlike.core.arrays import Float, as_finite, as_floats, require
 
 AFFINE_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "skew_px")
 TEMPERATURE_NAMES = ("a1_per_c", "a2_per_c2", "a3_per_c3")
-_BLOCK = 8192  # points at a time: temporaries stay in the processor's cache
+_BLOCK = 8192  # points per block: its temporaries (64 kB each) stay in the processor's cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,20 +82,40 @@ class AffineModel(ABC):
         return np.array([getattr(self, name) for name in self.parameter_names])
 
     def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same model with other parameter values (k,)."""
+        """Return the same model with other parameter values.
+
+        Parameters
+        ----------
+        values : (k,) array_like
+            Values in the order and units of :attr:`parameter_names`.
+
+        Returns
+        -------
+        model of the same type
+        """
         names = self.parameter_names
         numbers = as_finite(values, (len(names),), "camera model parameters")
         return dataclasses.replace(self, **dict(zip(names, numbers.tolist(), strict=True)))
 
     @property
     def lens_coefficients(self) -> tuple[float, ...]:
-        """The parameters of the lens alone: what is neither affine nor a temperature term."""
+        """Parameters of the lens alone: all but the affine and the temperature terms."""
         names = self.parameter_names[len(AFFINE_NAMES) : -len(TEMPERATURE_NAMES)]
         return tuple([getattr(self, name) for name in names])
 
     @classmethod
     def unit_lens(cls, coefficients: tuple[float, ...]) -> Self:
-        """Return the lens with these :attr:`lens_coefficients` before pixels of unit focal length."""
+        """Return the model with these lens coefficients, unit focal lengths and the principal point at zero.
+
+        Parameters
+        ----------
+        coefficients : tuple of float
+            As :attr:`lens_coefficients` has them.
+
+        Returns
+        -------
+        model of this type
+        """
         names = cls.parameter_names[len(AFFINE_NAMES) : -len(TEMPERATURE_NAMES)]
         return cls(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **dict(zip(names, coefficients, strict=True)))
 
@@ -105,15 +125,47 @@ class AffineModel(ABC):
         return self.fx_px
 
     def project(self, points_camera: ArrayLike) -> Float:
-        """Pixels (..., 2) of points (..., 3) in camera axes; NaN where the lens images nothing."""
+        """Project points to pixels.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2) float64, px
+            NaN where the lens images nothing.
+        """
         return blockwise(self._project_block, as_floats(points_camera, (3,), "points_camera"), (2,))
 
     def unproject(self, points_px: ArrayLike) -> Float:
-        """Unit vectors (..., 3) in camera axes of pixels (..., 2); NaN where no direction maps there."""
+        """Return the directions of pixels.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3) float64, unitless, camera axes
+            Unit vectors; NaN where no direction maps to the pixel.
+        """
         return blockwise(self._unproject_block, as_floats(points_px, (2,), "points_px"), (3,))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative (..., 2, 3) of ``project`` with respect to the point, px per its unit."""
+        """Derivative of :meth:`project` with respect to the point.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2, 3) float64, px per unit of the points
+        """
 
         def block(points: Float) -> Float:
             return self._pixels_of(self._lens_jacobian(*np.ascontiguousarray(points.T)))
@@ -121,14 +173,33 @@ class AffineModel(ABC):
         return blockwise(block, as_floats(points_camera, (3,), "points_camera"), (2, 3))
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative (..., 3, 2) of ``unproject`` with respect to the pixel, 1/px."""
+        """Derivative of :meth:`unproject` with respect to the pixel.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3, 2) float64, 1/px
+        """
         return inverse_on_the_sphere(self.project_jacobian(self.unproject(points_px)))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative (..., 2, k) of the pixels at a temperature with respect to the parameters, (..., 2, k).
+        """Derivative of the pixels of ``at_temperature(temperature_c).project`` with respect to :attr:`parameters`.
 
-        The pixels are those of ``at_temperature(temperature_c).project``; the columns are all parameters, the
-        temperature terms too (their columns are zero at 0 degrees).
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        (..., 2, k) float64, px per unit of each parameter
+            Columns in the order of :attr:`parameter_names`; those of the temperature terms are zero at 0 degrees.
         """
         points = as_floats(points_camera, (3,), "points_camera")
         scale = self._magnification(temperature_c)
@@ -147,12 +218,21 @@ class AffineModel(ABC):
         return blockwise(block, points, (2, len(self.parameter_names)))
 
     def at_temperature(self, temperature_c: float) -> Self:
-        """Return the model at a temperature in degrees Celsius: scaled, without temperature terms.
+        """Return the model at a temperature: focal lengths and shear scaled, without temperature terms.
+
+        Parameters
+        ----------
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        model of the same type
 
         Raises
         ------
         InputError
-            The terms make the focal length vanish there: they were fitted at other temperatures.
+            The focal length would not be positive there: the terms were fitted at other temperatures.
         """
         scale = self._magnification(temperature_c)
         require(
@@ -164,7 +244,17 @@ class AffineModel(ABC):
         return dataclasses.replace(self, **scaled, **dict.fromkeys(TEMPERATURE_NAMES, 0.0))
 
     def binned(self, factor: int) -> Self:
-        """Return the model of an image whose pixels are ``factor`` by ``factor`` of these, first block first."""
+        """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels.
+
+        Parameters
+        ----------
+        factor : int
+            Pixels along one side of a block, at least 1.
+
+        Returns
+        -------
+        model of the same type
+        """
         require(factor >= 1, f"a binning factor must be >= 1, got {factor}")
         middle = (factor - 1) / 2  # of the first block
         return dataclasses.replace(
@@ -177,7 +267,17 @@ class AffineModel(ABC):
         )
 
     def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window whose first pixel is (``x0_px``, ``y0_px``) here."""
+        """Return the model of a window of the image.
+
+        Parameters
+        ----------
+        x0_px, y0_px : float, px
+            First pixel of the window.
+
+        Returns
+        -------
+        model of the same type
+        """
         return dataclasses.replace(self, cx_px=self.cx_px - x0_px, cy_px=self.cy_px - y0_px)
 
     @abstractmethod
@@ -218,14 +318,20 @@ class AffineModel(ABC):
 
 
 def blockwise(function: Callable[[Float], Float], values: Float, last: tuple[int, ...]) -> Float:
-    """Apply a function from (n, m) to (n, ...) to values (..., m), some thousands at a time.
+    """Apply a function from (n, m) to (n, ...) to values (..., m), a block of points at a time.
 
     Parameters
     ----------
     function : callable
+        Vectorized over the first axis.
     values : (..., m) float64
+        Arguments.
     last : tuple of int
-        Trailing shape of what the function returns.
+        Trailing shape of the result of the function.
+
+    Returns
+    -------
+    (..., *last) float64
     """
     flat = values.reshape(-1, values.shape[-1])
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -238,9 +344,9 @@ def blockwise(function: Callable[[Float], Float], values: Float, last: tuple[int
 
 
 def inverse_on_the_sphere(project_jacobian: Float) -> Float:
-    """(..., 3, 2) derivative of a unit vector by its pixel, from that (..., 2, 3) of the pixel by the vector.
+    """Derivative (..., 3, 2) of a unit vector by its pixel, from that (..., 2, 3) of the pixel by the vector.
 
-    Lengthening a vector moves no pixel, so the derivative by the pixel, which keeps the length, is the
+    The length of a vector does not change its pixel, so the derivative by the pixel, which keeps the length, is the
     pseudo-inverse.
     """
     transposed = np.swapaxes(project_jacobian, -1, -2)

@@ -1,4 +1,4 @@
-"""Lenses symmetric about their axis that act on the angle from it, so that they can see behind themselves."""
+"""Base of lenses that map the angle from their axis to a radius, and so can image more than a half space."""
 
 from __future__ import annotations
 
@@ -11,18 +11,16 @@ import numpy as np
 from giantlike.camera_models.affine import AffineModel
 from giantlike.core.arrays import Float
 
-_MAX_NEWTON_STEPS = 30
-_LAST_STEP = 1e-7  # relative; the error left is its square
+_MAX_NEWTON_STEPS = 30  # a few suffice from a tabulated start; near the limit steps are halved
+_LAST_STEP = 1e-7  # relative step at which Newton's method stops; the error left is its square, below float64 rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxialModel(AffineModel):
     """A camera whose lens maps the angle from its axis to a radius in the focal plane.
 
-    It images directions up to :attr:`max_angle_rad`, which may lie behind it; beyond, points give NaN, and so do
-    pixels outside the radius that belongs to this angle.
-
-    A subclass supplies the radius of an angle and back.
+    It images directions up to :attr:`max_angle_rad`, which may exceed 90 degrees; points beyond give NaN, and so do
+    pixels outside the radius of this angle. A subclass supplies the radius of an angle and the angle of a radius.
     """
 
     @property
@@ -80,14 +78,14 @@ class AxialModel(AffineModel):
 
 
 def _azimuth(x: Float, y: Float) -> tuple[Float, Float, Float]:
-    """Cosine and sine of the azimuth (zero on the axis) and the distance from the axis."""
+    """Cosine and sine of the azimuth (zeros on the axis) and the distance from the axis."""
     across = np.sqrt(x * x + y * y)
     inverse = 1.0 / np.where(across == 0, np.inf, across)
     return x * inverse, y * inverse, across
 
 
 def _angle_from_axis(across: Float, z: Float) -> Float:
-    """Angle from the axis; NaN straight behind, where the azimuth is lost, and for the zero vector."""
+    """Angle from the axis, rad; NaN straight behind, where the azimuth is undefined, and for the zero vector."""
     return np.where((across > 0) | (z > 0), np.arctan2(across, z), np.nan)
 
 
@@ -100,7 +98,10 @@ def solve_increasing(
     ----------
     residual_and_slope : callable
         Takes arguments and targets; the residual is zero at the solution and grows with the argument.
-    target, start : (n,) float64
+    target : (n,) float64
+        Values to solve for.
+    start : (n,) float64
+        First guesses of the arguments.
     limit : float
         Largest argument.
 

@@ -16,7 +16,7 @@ from giantlike.core.arrays import Float
 
 @runtime_checkable
 class CameraModel(Protocol):
-    """A map between directions in camera axes and pixels; an immutable value.
+    """A map between directions in camera axes and pixels, as an immutable value.
 
     Leading axes are free everywhere; coordinates are last. Points that a model cannot image (behind
     the camera, beyond the radius where its polynomial folds over) give NaN, never a wrong pixel.
@@ -36,7 +36,17 @@ class CameraModel(Protocol):
         ...
 
     def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same model with other parameter values (k,)."""
+        """Return the same model with other parameter values.
+
+        Parameters
+        ----------
+        values : (k,) array_like
+            Values in the order and units of :attr:`parameter_names`.
+
+        Returns
+        -------
+        model of the same type
+        """
         ...
 
     @property
@@ -45,32 +55,109 @@ class CameraModel(Protocol):
         ...
 
     def project(self, points_camera: ArrayLike) -> Float:
-        """Pixels (..., 2) of points or directions (..., 3) in camera axes, any length unit."""
+        """Project points to pixels.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2) float64, px
+            NaN where the lens images nothing.
+        """
         ...
 
     def unproject(self, points_px: ArrayLike) -> Float:
-        """Unit vectors (..., 3) in camera axes of pixels (..., 2)."""
+        """Return the directions of pixels.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3) float64, unitless, camera axes
+            Unit vectors; NaN where no direction maps to the pixel.
+        """
         ...
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative (..., 2, 3) of :meth:`project` with respect to the point, px per its unit."""
+        """Derivative of :meth:`project` with respect to the point.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2, 3) float64, px per unit of the points
+        """
         ...
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative (..., 3, 2) of :meth:`unproject` with respect to the pixel, 1/px."""
+        """Derivative of :meth:`unproject` with respect to the pixel.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3, 2) float64, 1/px
+        """
         ...
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative (..., 2, k) of the pixels at a temperature with respect to :attr:`parameters`."""
+        """Derivative of the pixels at a temperature with respect to :attr:`parameters`.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        (..., 2, k) float64, px per unit of each parameter
+            Columns in the order of :attr:`parameter_names`; those of the temperature terms are zero at 0 degrees.
+        """
         ...
 
     def at_temperature(self, temperature_c: float) -> Self:
-        """Return the model at a temperature in degrees Celsius, its temperature terms applied and cleared."""
+        """Return the model at a temperature, with its temperature terms applied and cleared.
+
+        Parameters
+        ----------
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        model of the same type
+        """
         ...
 
 
 def ifov_rad(model: CameraModel, points_px: ArrayLike) -> Float:
-    """Geometric-mean angle (...,) in radians that one pixel subtends at pixels (..., 2)."""
+    """Return the geometric-mean angle that one pixel subtends.
+
+    Parameters
+    ----------
+    model : CameraModel
+        Any camera model.
+    points_px : (..., 2) array_like, px
+        Pixels.
+
+    Returns
+    -------
+    (...,) float64, rad
+    """
     jacobian = model.unproject_jacobian(points_px)
     gram = np.swapaxes(jacobian, -1, -2) @ jacobian
     result: Float = np.linalg.det(gram) ** 0.25

@@ -1,4 +1,4 @@
-"""One lens model written as another, with what is lost."""
+"""Conversion of a lens model to another type, with the residuals of the fit."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 
-_MAX_STEPS = 100
-_LEAST_GAIN = 1e-9  # of the sum of squares, relative
-_EXACT_PX = 1e-9  # rms, below which nothing is left to gain
-_NODES = 41  # along the longer side of the frame
-_WIDEST_PLANE = 20.0  # image-plane radius, 87 degrees: a gnomonic model is not fitted beyond
+_MAX_STEPS = 100  # of Levenberg-Marquardt; refused steps, which raise the damping tenfold, are counted too
+_LEAST_GAIN = 1e-9  # relative decrease of the sum of squares at which the fit stops
+_EXACT_PX = 1e-9  # px rms at which the fit stops: the rounding of pixel coordinates of a few thousand is 1e-12
+_NODES = 41  # nodes along the longer side of the frame
+_WIDEST_PLANE = 20.0  # image-plane radius, 87 degrees from the axis, beyond which no gnomonic model is fitted
 WIDE_START: Mapping[str, Mapping[str, float]] = {"scaramuzza": {"b2": -1 / 3, "b4": -1 / 45}}
-"""Where a lens starts that shall see behind itself: m / tan m, equidistant."""
+"""Start of the fit of a lens with a wide field: the first terms of m / tan m, the equidistant projection."""
 _SAME_LETTERS = frozenset({"pinhole", "brown", "opencv"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conversion(Value):
-    """A camera model of another type, and how far it is from the one it stands for.
+    """A camera model of another type, with its residuals against the original.
 
     Parameters
     ----------
     model : AffineModel
         The fitted model; temperature terms are those of the original.
     points_px : (rows, columns, 2) float64, px
-        Grid of pixels at which both are compared.
+        Grid of pixels at which the two are compared.
     residuals_px : (rows, columns, 2) float64, px
         Pixel of the fitted model minus that of the original, for the same direction; NaN where one of them has none.
     """
@@ -65,11 +65,11 @@ def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> C
     Parameters
     ----------
     model : CameraModel
-        What is to be represented.
+        The original.
     type_name : str
         A key of :data:`~giantlike.camera_models.MODELS`.
     columns, rows : int
-        Frame over which both shall agree.
+        Frame over which the two should agree.
 
     Returns
     -------
@@ -100,7 +100,19 @@ def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> C
 
 
 def frame_grid(columns: int, rows: int, *, nodes: int) -> Float:
-    """Pixels (m, n, 2) evenly spread over a frame, its outer edges included, ``nodes`` along the longer side."""
+    """Return a regular grid of pixels over a frame, its outer edges included.
+
+    Parameters
+    ----------
+    columns, rows : int
+        Size of the frame.
+    nodes : int
+        Nodes along the longer side.
+
+    Returns
+    -------
+    (m, n, 2) float64, px
+    """
     step = max(columns, rows) / (nodes - 1)
     x = np.linspace(-0.5, columns - 0.5, max(2, round(columns / step) + 1))
     y = np.linspace(-0.5, rows - 0.5, max(2, round(rows / step) + 1))
@@ -108,7 +120,7 @@ def frame_grid(columns: int, rows: int, *, nodes: int) -> Float:
 
 
 def _start(model: CameraModel, type_name: str) -> AffineModel:
-    """Affine pixels and temperature terms of the original; its distortion too where the letters mean the same."""
+    """Start of the fit: affine and temperature terms of the original, and its distortion where the names agree."""
     known = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     kind = MODELS[type_name]
     alike = type_name == model.type_name or {type_name, model.type_name} <= _SAME_LETTERS
@@ -125,7 +137,13 @@ def fit_lens(model: AffineModel, directions: Float, points_px: Float) -> AffineM
     model : AffineModel
         Start; it must image every direction. A step that loses one is refused.
     directions : (n, 3) float64, camera axes
+        Directions to fit.
     points_px : (n, 2) float64, px
+        Their pixels.
+
+    Returns
+    -------
+    AffineModel
     """
     free = np.array([name not in TEMPERATURE_NAMES for name in model.parameter_names])
     residuals = points_px - model.project(directions)

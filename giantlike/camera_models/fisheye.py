@@ -18,13 +18,14 @@ from giantlike.core.arrays import Float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FisheyeModel(AxialModel):
-    """An ideal fisheye radius e and its correction: ``e (1 + k1 e^2 + k2 e^4 + k3 e^6 + k4 e^8)``.
+    """Base of fisheye lenses: an ideal radius e times ``1 + k1 e^2 + k2 e^4 + k3 e^6 + k4 e^8``.
 
     Parameters
     ----------
     fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
         See :class:`~giantlike.camera_models.affine.AffineModel`.
     k1, k2, k3, k4 : float
+        Coefficients of the powers 2, 4, 6, 8 of the ideal radius.
     """
 
     parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_NAMES, "k1", "k2", "k3", "k4", *TEMPERATURE_NAMES)
@@ -83,7 +84,7 @@ class FisheyeModel(AxialModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EquidistantModel(FisheyeModel):
-    """Fisheye whose ideal radius is the angle itself: OpenCV's fisheye model, seen behind 90 degrees too.
+    """Equidistant fisheye, whose ideal radius is the angle itself: OpenCV's fisheye model, beyond 90 degrees too.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ class EquidistantModel(FisheyeModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EquisolidModel(FisheyeModel):
-    """Fisheye whose ideal radius is twice the sine of half the angle: equal solid angles have equal areas.
+    """Equisolid fisheye, whose ideal radius is twice the sine of half the angle: equal solid angles have equal areas.
 
     Parameters
     ----------

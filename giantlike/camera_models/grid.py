@@ -1,4 +1,4 @@
-"""A smooth correction on a grid of pixels, for what no lens formula fits."""
+"""Lens model with a smooth correction on a grid of pixels, for distortion that no formula fits."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models.affine import AffineModel, blockwise, inverse_on_the_sphere
-from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require
+from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require, require_number
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 
-_MAX_STEEPNESS = 0.5  # px per px: half of what would fold
-_MAX_TURNS = 60  # each at least halves the error
-_LEFT_PX = 1e-10
+_MAX_STEEPNESS = 0.5  # px per px: half of the steepness that would fold; the inversion then gains a bit per iteration
+_MAX_ITERATIONS = 60  # each at least halves the error, so a correction of 1e8 px would still converge to 1e-10 px
+_INVERSION_ERROR_PX = 1e-10  # px, at which the inversion stops: far below the 1e-3 px of the best centroids
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,11 +33,11 @@ class GridCorrectedModel(Value):
     base : AffineModel
         Any lens model.
     corner_px : (2,) float64, px
-        Where the spline begins.
+        Corner of the frame that the spline covers.
     step_px : float, px
-        Distance of the controls.
+        Spacing of the control values.
     dx_px, dy_px : (rows, columns) float64, px
-        Control values, at least 4 by 4.
+        Control values of the displacement, at least 4 by 4.
 
     Raises
     ------
@@ -59,64 +59,170 @@ class GridCorrectedModel(Value):
         require(len(shape) == 2 and min(shape) >= 4, f"dx_px must be at least 4 by 4 control values, got {shape}")
         for name in ("dx_px", "dy_px"):
             object.__setattr__(self, name, frozen(as_finite(getattr(self, name), shape, name)))
-        require(np.isfinite(self.step_px) and self.step_px > 0, f"step_px must be > 0, got {self.step_px}")
+        require_number(self.step_px, "step_px", above=0.0)
         steepness = self._steepness()
         require(
             steepness <= _MAX_STEEPNESS,
-            f"the grid correction changes by {steepness:.3g} px per px, at most {_MAX_STEEPNESS} is sure to be "
-            "invertible: give the base model more of the distortion",
+            f"the grid correction changes by {steepness:.3g} px per px, but only {_MAX_STEEPNESS} is sure to be "
+            "invertible: fit more of the distortion with the base model",
         )
         Value.__post_init__(self)
 
+    @classmethod
+    def flat(cls, base: AffineModel, columns: int, rows: int, *, step_px: float) -> Self:
+        """Return a model without correction, whose grid covers a frame.
+
+        Parameters
+        ----------
+        base : AffineModel
+            Any lens model.
+        columns, rows : int
+            Size of the frame.
+        step_px : float, px
+            Spacing of the control values: for a fit, not less than that of neighboring measurements, all images
+            together.
+
+        Returns
+        -------
+        GridCorrectedModel
+        """
+        zero = np.zeros((int(np.ceil(rows / step_px)) + 3, int(np.ceil(columns / step_px)) + 3))
+        return cls(base=base, corner_px=np.array([-0.5, -0.5]), step_px=step_px, dx_px=zero, dy_px=zero)
+
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters of the base."""
+        """Names of the parameters of the base model."""
         return self.base.parameter_names
 
     @property
     def parameters(self) -> Float:
-        """Parameter values (k,) of the base."""
+        """Parameter values (k,) of the base model."""
         return self.base.parameters
 
     def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same correction of a base with other parameter values (k,)."""
+        """Return the same correction of a base model with other parameter values.
+
+        Parameters
+        ----------
+        values : (k,) array_like
+            Values in the order and units of :attr:`parameter_names`.
+
+        Returns
+        -------
+        model of the same type
+        """
         return dataclasses.replace(self, base=self.base.with_parameters(values))
 
     @property
     def focal_length_px(self) -> float:
-        """Focal length along x of the base, px."""
+        """Focal length along x of the base model, px."""
         return self.base.focal_length_px
 
     def project(self, points_camera: ArrayLike) -> Float:
-        """Pixels (..., 2) of points (..., 3) in camera axes; NaN where the base images nothing."""
+        """Project points to pixels.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2) float64, px
+            NaN where the lens images nothing.
+        """
         pixels = self.base.project(points_camera)
         return pixels + self.correction(pixels)
 
     def unproject(self, points_px: ArrayLike) -> Float:
-        """Unit vectors (..., 3) in camera axes of pixels (..., 2); NaN where no direction maps there."""
+        """Return the directions of pixels.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3) float64, unitless, camera axes
+            Unit vectors; NaN where no direction maps to the pixel.
+        """
         return self.base.unproject(blockwise(self._uncorrected, as_floats(points_px, (2,), "points_px"), (2,)))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative (..., 2, 3) of ``project`` with respect to the point, px per its unit."""
+        """Derivative of :meth:`project` with respect to the point.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2, 3) float64, px per unit of the points
+        """
         result: Float = self._slope(self.base.project(points_camera)) @ self.base.project_jacobian(points_camera)
         return result
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative (..., 3, 2) of ``unproject`` with respect to the pixel, 1/px."""
+        """Derivative of :meth:`unproject` with respect to the pixel.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3, 2) float64, 1/px
+        """
         return inverse_on_the_sphere(self.project_jacobian(self.unproject(points_px)))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative (..., 2, k) of the pixels at a temperature with respect to the parameters of the base."""
+        """Derivative of the pixels at a temperature with respect to the parameters of the base model.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        (..., 2, k) float64, px per unit of each parameter
+            Columns in the order of :attr:`parameter_names`; those of the temperature terms are zero at 0 degrees.
+        """
         pixels = self.base.at_temperature(temperature_c).project(points_camera)
         result: Float = self._slope(pixels) @ self.base.parameter_jacobian(points_camera, temperature_c)
         return result
 
     def at_temperature(self, temperature_c: float) -> Self:
-        """Return the model at a temperature in degrees Celsius: the base scaled, the correction as it is."""
+        """Return the model at a temperature: the base model scaled, the correction unchanged.
+
+        Parameters
+        ----------
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        model of the same type
+        """
         return dataclasses.replace(self, base=self.base.at_temperature(temperature_c))
 
     def binned(self, factor: int) -> Self:
-        """Return the model of an image whose pixels are ``factor`` by ``factor`` of these, first block first."""
+        """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels.
+
+        Parameters
+        ----------
+        factor : int
+            Pixels along one side of a block, at least 1.
+
+        Returns
+        -------
+        model of the same type
+        """
         return dataclasses.replace(
             self,
             base=self.base.binned(factor),
@@ -127,13 +233,33 @@ class GridCorrectedModel(Value):
         )
 
     def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window whose first pixel is (``x0_px``, ``y0_px``) here."""
+        """Return the model of a window of the image.
+
+        Parameters
+        ----------
+        x0_px, y0_px : float, px
+            First pixel of the window.
+
+        Returns
+        -------
+        model of the same type
+        """
         return dataclasses.replace(
             self, base=self.base.windowed(x0_px, y0_px), corner_px=self.corner_px - [x0_px, y0_px]
         )
 
     def correction(self, base_px: ArrayLike) -> Float:
-        """Displacement (..., 2), px, of pixels (..., 2) of the base."""
+        """Displacement by the spline.
+
+        Parameters
+        ----------
+        base_px : (..., 2) array_like, px
+            Pixels of the base model.
+
+        Returns
+        -------
+        (..., 2) float64, px
+        """
         return blockwise(self._correction_block, as_floats(base_px, (2,), "base_px"), (2,))
 
     def _correction_block(self, pixels: Float) -> Float:
@@ -143,7 +269,7 @@ class GridCorrectedModel(Value):
     def _spline_sum(
         self, cell: NDArray[np.int64], weights_x: list[Float], weights_y: list[Float]
     ) -> NDArray[np.complex128]:
-        """Weighted sum of controls, dx as the real and dy as the imaginary part: each is looked up once."""
+        """Weighted sum of the control values, dx as real and dy as imaginary part, so that each is looked up once."""
         controls = (self.dx_px + 1j * self.dy_px).ravel()
         result = np.zeros(len(cell), dtype=np.complex128)
         for j, across in enumerate(weights_y):
@@ -156,7 +282,7 @@ class GridCorrectedModel(Value):
         return result
 
     def _weights(self, pixels: Float, slope: int | None = None) -> tuple[NDArray[np.int64], list[Float], list[Float]]:
-        """First control of each pixel and its four weights along x and y, their derivative along one axis."""
+        """First control of each pixel, and its four weights along x and y, or their derivative along one axis."""
         rows, columns = self.dx_px.shape
         cells, weights = [], []
         for axis, count in enumerate((columns, rows)):
@@ -173,7 +299,7 @@ class GridCorrectedModel(Value):
         return cells[0] + columns * cells[1], weights[0], weights[1]
 
     def _slope(self, base_px: Float) -> Float:
-        """(..., 2, 2) derivative of the corrected pixel by that of the base."""
+        """Derivative (..., 2, 2) of the corrected pixel by that of the base model."""
 
         def block(pixels: Float) -> Float:
             result = np.broadcast_to(np.eye(2), (len(pixels), 2, 2)).copy()
@@ -186,66 +312,56 @@ class GridCorrectedModel(Value):
         return blockwise(block, base_px, (2, 2))
 
     def _steepness(self) -> float:
-        """Bound on how far the correction of two pixels differs, per distance of the pixels."""
+        """Lipschitz bound of the correction, px per px."""
         return max(
             sum(float(np.abs(np.diff(values, axis=axis)).max()) for values in (self.dx_px, self.dy_px)) / self.step_px
             for axis in (0, 1)
         )
 
     def _uncorrected(self, pixels: Float) -> Float:
-        """Pixels of the base: a fixed point, which every turn comes nearer to by the steepness of the correction."""
+        """Pixels of the base model by fixed-point iteration, whose error shrinks by the steepness of the correction."""
         base, nearer = pixels, self._steepness()
-        for _ in range(_MAX_TURNS):
+        for _ in range(_MAX_ITERATIONS):
             before, base = base, pixels - self._correction_block(base)
-            if not np.nanmax(np.abs(base - before), initial=0.0) * nearer / (1.0 - nearer) > _LEFT_PX:
+            if not np.nanmax(np.abs(base - before), initial=0.0) * nearer / (1.0 - nearer) > _INVERSION_ERROR_PX:
                 break
         return base
 
 
 def _spline(f: Float) -> list[Float]:
-    """Weights of the four controls around a place in a cell, by the uniform cubic B-spline."""
+    """Weights of the four control values around a point in a cell: the uniform cubic B-spline."""
     g = 1.0 - f
     ff, gg = f * f, g * g
     return [gg * g / 6, 2 / 3 - ff * (1 + g) / 2, 2 / 3 - gg * (1 + f) / 2, ff * f / 6]
 
 
 def _spline_slope(f: Float) -> list[Float]:
-    """Derivative of :func:`_spline` by the place."""
+    """Derivative of :func:`_spline` by the point."""
     g = 1.0 - f
     return [-g * g / 2, f * (3 * f - 4) / 2, -g * (3 * g - 4) / 2, f * f / 2]
 
 
 def fit_grid(
-    base: AffineModel,
-    points_camera: ArrayLike,
-    points_px: ArrayLike,
-    *,
-    columns: int,
-    rows: int,
-    step_px: float,
-    smoothing: float = 1e-3,
+    start: GridCorrectedModel, points_camera: ArrayLike, points_px: ArrayLike, *, smoothing: float = 1e-3
 ) -> GridCorrectedModel | Failure:
-    """Fit the correction that takes what a base model predicts to what was measured (linear least squares).
+    """Fit the correction that takes the pixels of the base model to measured ones (linear least squares).
 
     Parameters
     ----------
-    base : AffineModel
-    points_camera : (n, 3) float64, camera axes
+    start : GridCorrectedModel
+        Base model and grid, such as :meth:`GridCorrectedModel.flat` makes; its control values are not used.
+    points_camera : (n, 3) array_like, camera axes
         Known points or directions.
-    points_px : (n, 2) float64, px
-        Where they were measured.
-    columns, rows : int
-        Frame that the grid covers.
-    step_px : float, px
-        Distance of the controls: not less than that of neighboring measurements, all images together.
+    points_px : (n, 2) array_like, px
+        Their measured pixels.
     smoothing : float
-        Weight of the squared second differences of the controls against the squared residuals; it also carries the
-        correction smoothly over cells without measurements.
+        Weight of the squared second differences of the control values against the squared residuals; it also
+        continues the correction smoothly over cells without measurements.
 
     Returns
     -------
     GridCorrectedModel or Failure
-        ``TOO_FEW_MATCHES`` with fewer than three measurements that the base can image.
+        ``TOO_FEW_MATCHES`` with fewer than three measurements that the base model can image.
 
     Raises
     ------
@@ -255,24 +371,22 @@ def fit_grid(
     from scipy import sparse
     from scipy.sparse.linalg import spsolve
 
-    require(smoothing > 0, f"smoothing must be > 0, got {smoothing}")
+    require_number(smoothing, "smoothing", above=0.0)
     measured = as_floats(points_px, (2,), "points_px")
-    predicted = base.project(points_camera)
+    predicted = start.base.project(points_camera)
     seen = np.isfinite(predicted).all(axis=-1) & np.isfinite(measured).all(axis=-1)
     if np.count_nonzero(seen) < 3:
-        return Failure(Reason.TOO_FEW_MATCHES, f"a grid needs 3 measurements, the base images {np.count_nonzero(seen)}")
-    shape = (int(np.ceil(rows / step_px)) + 3, int(np.ceil(columns / step_px)) + 3)
-    empty = GridCorrectedModel(
-        base=base, corner_px=np.array([-0.5, -0.5]), step_px=step_px, dx_px=np.zeros(shape), dy_px=np.zeros(shape)
-    )
-    cell, weights_x, weights_y = empty._weights(predicted[seen])
+        detail = f"a grid needs 3 measurements, the base model images {np.count_nonzero(seen)}"
+        return Failure(Reason.TOO_FEW_MATCHES, detail)
+    shape = start.dx_px.shape
+    cell, weights_x, weights_y = start._weights(predicted[seen])
     at = [cell + j * shape[1] + i for j in range(4) for i in range(4)]
     values = [across * along for across in weights_y for along in weights_x]
     lines = np.tile(np.arange(len(cell)), 16)
     design = sparse.csr_array((np.concatenate(values), (lines, np.concatenate(at))), shape=(len(cell), np.prod(shape)))
     normal = sparse.csc_array(design.T @ design + smoothing * _roughness(shape))
     fitted = np.asarray(spsolve(normal, design.T @ (measured - predicted)[seen]))
-    return dataclasses.replace(empty, dx_px=fitted[:, 0].reshape(shape), dy_px=fitted[:, 1].reshape(shape))
+    return dataclasses.replace(start, dx_px=fitted[:, 0].reshape(shape), dy_px=fitted[:, 1].reshape(shape))
 
 
 def _roughness(shape: tuple[int, int]) -> Any:

@@ -1,4 +1,4 @@
-"""Lenses that distort the gnomonic image plane: what they share, and where they can be inverted."""
+"""Base of lenses that distort the gnomonic image plane, and the region in which they can be inverted."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from giantlike.core.arrays import Float
 Slopes = tuple[Float, Float, Float, Float]
 """du/dx, du/dy, dv/dx, dv/dy of a map of the plane."""
 
-_MAX_NEWTON_STEPS = 40
-_LAST_STEP = 1e-8  # relative; the error left is its square times a curvature
-_STEP_PER_ERROR = 1e-2  # next to a pole steps are short, however far the goal is
-_AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-_WIDEST_RAD = np.radians(89.9)  # how far folds are looked for
+_MAX_NEWTON_STEPS = 40  # a few suffice inside; near the edge of the invertible region steps are halved
+_LAST_STEP = 1e-8  # relative step at which Newton's method stops; the error left is its square times a curvature
+_STEP_PER_ERROR = 1e-2  # least step per distance from the goal to stop: next to a pole, steps are short far from it
+_AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)  # rad, every 5 degrees
+_WIDEST_RAD = np.radians(89.9)  # largest angle from the axis at which folds are looked for; at 90 degrees r is infinite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ class PlaneModel(AffineModel):
 
     @abstractmethod
     def _is_radial(self) -> bool:
-        """Whether the distortion is the same at every azimuth."""
+        """True if the distortion is the same at every azimuth."""
 
     def _plane(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:
         """Gnomonic coordinates; NaN behind the camera and beyond the fold."""
@@ -112,7 +112,7 @@ class PlaneModel(AffineModel):
         return x, y
 
     def _newton(self, x: Float, y: Float, u: Float, v: Float) -> tuple[Float, Float, Float]:
-        """Next place, and how far the distorted place was from its goal."""
+        """Next point of Newton's method, and the distance of the last one from its goal."""
         at_u, at_v = self._distort(x, y)
         ux, uy, vx, vy = self._slopes(x, y)
         inverse = 1.0 / (ux * vy - uy * vx)
@@ -127,7 +127,7 @@ def radial_slopes(x: Float, y: Float, radial: Float, growth: Float) -> Slopes:
 
 
 def decentering(x: Float, y: Float, p1: float, p2: float) -> tuple[Float, Float]:
-    """Displacement by decentering, in OpenCV's words tangential distortion.
+    """Displacement by decentering distortion, which OpenCV calls tangential.
 
     References
     ----------
@@ -175,14 +175,14 @@ def _least_slope(model: PlaneModel, radii: Float) -> Float:
 
 
 def _radial_start(model: PlaneModel, distorted: Float) -> Float:
-    """Factor on distorted points that undoes the distortion at the mean over azimuth; what is left lies inside."""
+    """Factor on distorted points that removes the mean of the distortion over azimuth."""
     mapped, radii = _radial_table(type(model), model.lens_coefficients)
     return np.interp(distorted, mapped, radii) / np.where(distorted > 0, distorted, 1.0)
 
 
 @lru_cache(maxsize=256)
 def _radial_table(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> tuple[Float, Float]:
-    """Distorted radii, mean over azimuth, and the radii they come from."""
+    """Distorted radii, averaged over azimuth, and the undistorted radii of them."""
     model = kind.unit_lens(coefficients)
     widest = min(np.arctan(model.max_radius), np.radians(80.0)) * (1.0 - 1e-6)  # short of a pole
     radii = np.tan(np.linspace(0.0, widest, 256))

@@ -1,23 +1,29 @@
-"""Where a polynomial first vanishes: what bounds the region in which a lens can be inverted."""
+"""Smallest positive root of a polynomial, which bounds the region in which a lens can be inverted."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_FARTHEST = 1e12
+_FARTHEST = 1e12  # larger roots count as none: squared image-plane radii beyond it are 90 degrees from the axis
 
 
 def smallest_positive_root(*coefficients: float) -> float:
     """Smallest positive root of ``1 + c1 t + c2 t^2 + ...``; infinite where there is none.
 
-    The largest root of the reversed polynomial is looked for, whose leading coefficient is one, so that
-    coefficients of any size, zero too, do no harm.
+    Computed as the reciprocal of the largest root of the reversed polynomial, whose leading coefficient is one, so
+    that tiny and zero coefficients are harmless.
 
     Parameters
     ----------
-    coefficients : float
+    *coefficients : float
         ``c1``, ``c2``, ...
 
+    Returns
+    -------
+    float
+
+    Examples
+    --------
     >>> smallest_positive_root(-1.0, -2.0)
     0.5
     """

@@ -1,4 +1,4 @@
-"""Images as another camera model would have taken them, first of all without distortion."""
+"""Resampling of images to another camera model, such as one without distortion."""
 
 from __future__ import annotations
 
@@ -11,27 +11,36 @@ from giantlike.core.arrays import Float, Mask, require
 
 
 def pinhole_of(model: CameraModel) -> PinholeModel:
-    """Pinhole with the focal lengths, principal point and shear of a model: its picture without distortion."""
+    """Return the pinhole with the focal lengths, principal point and shear of a model: the model without distortion.
+
+    Parameters
+    ----------
+    model : CameraModel
+
+    Returns
+    -------
+    PinholeModel
+    """
     known = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     return PinholeModel(**{name: known[name] for name in PinholeModel.parameter_names})
 
 
 def resampling_map(model: CameraModel, target: CameraModel, *, columns: int, rows: int) -> Float:
-    """Where each pixel of a new image lies in the old one.
+    """Map of the pixels of a new image to pixels of the old one.
 
     Parameters
     ----------
     model : CameraModel
-        Of the image that exists.
+        Model of the existing image.
     target : CameraModel
-        Of the new image, in the same camera axes.
+        Model of the new image, in the same camera axes.
     columns, rows : int
         Size of the new image.
 
     Returns
     -------
     (rows, columns, 2) float64, px
-        Pixels of the old image; NaN where it shows nothing of the direction.
+        Pixels of the old image; NaN for directions that it does not show.
     """
     pixels = np.stack(np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float)), axis=-1)
     return model.project(target.unproject(pixels))
@@ -40,19 +49,20 @@ def resampling_map(model: CameraModel, target: CameraModel, *, columns: int, row
 def resample(
     image: NDArray[np.float64], model: CameraModel, target: CameraModel | None = None, *, fill: float = np.nan
 ) -> Float:
-    """Image as another camera model would have taken it, bilinear.
+    """Resample an image to another camera model by bilinear interpolation.
 
-    For measurements use the image as it is and the model: resampling blurs and correlates noise.
+    For measurements use the original image with its model: resampling blurs, and correlates noise.
 
     Parameters
     ----------
     image : (rows, columns) float64
+        Pixels.
     model : CameraModel
-        Of the image.
+        Model of the image.
     target : CameraModel, optional
-        Of the new image; default :func:`pinhole_of` the model, an undistorted image.
+        Model of the new image; default: :func:`pinhole_of` the model, an undistorted image.
     fill : float
-        Where the image shows nothing.
+        Value of pixels whose direction the image does not show.
 
     Returns
     -------
@@ -61,11 +71,11 @@ def resample(
     Raises
     ------
     InputError
-        The image is no two-dimensional array.
+        The image is not a two-dimensional array.
 
     Notes
     -----
-    OpenCV's ``remap`` interpolates on places given in float32: to some 1e-4 px over 2,000 px.
+    OpenCV's ``remap`` takes positions in float32, which are good to about 1e-4 px over 2,000 px.
     """
     import cv2
 

@@ -13,13 +13,13 @@ from giantlike.camera_models.axial import AxialModel, solve_increasing
 from giantlike.camera_models.polynomial import smallest_positive_root
 from giantlike.core.arrays import Float
 
-_WIDEST_RADIUS = 1000.0  # of the table where the angle grows without end
-_TABLE = 4096
+_WIDEST_RADIUS = 1000.0  # focal lengths, end of the table of a lens whose angle grows without limit
+_TABLE = 4096  # nodes of the table of radii by angle from which Newton's method starts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScaramuzzaModel(AxialModel):
-    """A camera that is a polynomial from the pixel to the direction.
+    """Scaramuzza's omnidirectional camera: a polynomial from the pixel to the direction.
 
     The focal-plane point (u, v) at radius m is the image of the direction ``(u, v, 1 + b2 m^2 + b3 m^3 + b4 m^4)``.
     With the plane at unit distance the published a0 is the focal length: :meth:`from_polynomial`.
@@ -60,11 +60,16 @@ class ScaramuzzaModel(AxialModel):
         Parameters
         ----------
         a0_px, a2, a3, a4 : float
-            Per power of a pixel; ``a0_px`` positive (a toolbox whose z points into the camera has all signs turned).
+            Coefficients in powers of a pixel; ``a0_px`` positive (a toolbox whose z axis points into the camera has
+            all signs reversed).
         cx_px, cy_px : float, px
             Center of the image circle.
         stretch : float
-            Pixels along x per pixel along y of the image circle.
+            Width over height of the image circle.
+
+        Returns
+        -------
+        ScaramuzzaModel
         """
         return cls(
             fx_px=a0_px * stretch,

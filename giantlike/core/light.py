@@ -1,4 +1,4 @@
-"""How directions change because light takes time and the observer moves."""
+"""Stellar aberration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 
 
 def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
-    """Apparent directions for a moving observer: stellar aberration by the Lorentz boost.
+    """Compute the apparent directions for a moving observer: stellar aberration by the Lorentz boost.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the spacecraft is and how it moves."""
+"""State of the spacecraft."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ class ObserverState(Value):
     Parameters
     ----------
     position_km : (3,) float64, km
+        Position.
     velocity_km_s : (3,) float64, km/s
+        Velocity.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What an estimate can end in: a fix with an honest covariance, or a failure with a reason."""
+"""Results of estimators: a fix with its covariance, or a failure with a reason."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import NoReturn
+from typing import NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from giantlike.core.values import Value
 
 
 class Reason(StrEnum):
-    """Why an estimate failed; the values are what the tables and JSON hold."""
+    """Reason of a failure; the values are those of tables and JSON."""
 
     UNREADABLE_IMAGE = "unreadable_image"
     NO_SIGNAL = "no_signal"
@@ -47,21 +47,21 @@ class Reason(StrEnum):
 
 
 class Quality(enum.Flag):
-    """Flags on a fix. ``SUSPECT`` says which of them make the status ``suspect``."""
+    """Quality flags of a fix; those in ``SUSPECT`` make its status ``suspect``."""
 
     NONE = 0
     SATURATED = enum.auto()
-    """Saturated pixels lie on what was measured."""
+    """Saturated pixels lie in the measured region."""
     MASKED = enum.auto()
-    """Bad pixels lie on what was measured."""
+    """Bad pixels lie in the measured region."""
     CUT_BY_FRAME = enum.auto()
     """The body reaches over the edge of the image."""
     APRIORI_ATTITUDE = enum.auto()
-    """No star solution: the attitude is the one that came with the image."""
+    """The attitude is the a priori one of the image: there is no star solution."""
     INTERPOLATED_ATTITUDE = enum.auto()
     """The attitude comes from neighboring star images."""
     SHAPE_APPROXIMATED = enum.auto()
-    """The estimator replaced the shape by a simpler one (a mesh by its ellipsoid)."""
+    """The estimator replaced the shape by a simpler one, such as a mesh by its ellipsoid."""
     SHORT_ARC = enum.auto()
     """Less than a quarter of the limb was used."""
     LOW_SCORE = enum.auto()
@@ -86,23 +86,29 @@ class Quality(enum.Flag):
 
     @property
     def suspect(self) -> bool:
-        """Whether a named check objects to the fix."""
+        """True if a flag of ``SUSPECT`` is set."""
         return bool(self & Quality.SUSPECT)
 
     def names(self) -> tuple[str, ...]:
-        """Lower-case names of the single flags that are set, in order of definition."""
+        """Return the lower-case names of the flags that are set, in order of definition.
+
+        Returns
+        -------
+        tuple of str
+        """
         return tuple(str(flag.name).lower() for flag in Quality if flag in self and flag.value.bit_count() == 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """No fix, and why. False in a condition, so ``if fix:`` reads as it should.
+    """A failed estimate and its reason; False in a condition, so that ``if fix:`` works.
 
     Parameters
     ----------
     reason : Reason
+        Kind of failure.
     detail : str
-        What was needed, what came and what to do; one line.
+        One line: what was needed, what was found, and what to do.
     """
 
     reason: Reason
@@ -112,7 +118,13 @@ class Failure:
         return False
 
     def unwrap(self) -> NoReturn:
-        """Raise :class:`~giantlike.core.errors.EstimationError` with this failure's text."""
+        """Raise with the text of this failure, where a caller needs the fix.
+
+        Raises
+        ------
+        EstimationError
+            Always.
+        """
         raise EstimationError(f"{self.reason}: {self.detail}")
 
 
@@ -130,7 +142,7 @@ class AttitudeFix(Value):
     star_ids : (n,) int64
         Catalog identifiers of the stars used.
     detection_indices : (n,) int64
-        Which detections they are.
+        Indices of the matched detections.
     observed_px, predicted_px : (n, 2) float64, px
         Measured centroids; catalog stars projected with the fixed attitude and the camera model.
     sigma_px : (n,) float64, px
@@ -188,32 +200,39 @@ class AttitudeFix(Value):
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
     def unwrap(self) -> AttitudeFix:
-        """Return the fix itself (a :class:`Failure` raises instead)."""
+        """Return the fix itself (a :class:`Failure` raises instead).
+
+        Returns
+        -------
+        the fix
+        """
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CenterFix(Value):
-    """Where the center of a body (the origin of its shape model) appears in an image.
+    """Position of the center of a body (the origin of its shape model) in an image.
 
     Parameters
     ----------
     estimator, target : str
         Names as in the tables.
     center_px : (2,) float64, px
-        In the distorted image.
+        Measured center, in the distorted image.
     covariance_px2 : (2, 2) float64, px^2
-        Of the image measurement alone, attitude uncertainty not included.
+        Covariance of the image measurement alone, without the attitude uncertainty.
     predicted_px : (2,) float64, px
-        Where the a priori geometry puts the center.
+        Center predicted from the a priori geometry.
     residuals : (n,) float64
         Post-fit residuals in the estimator's own unit (px for limbs, relative brightness for templates).
     n_used, n_rejected : int
         Observations (pixels, limb points, detections) kept and thrown out.
     score : float
-        The estimator's measure of fit; its docstring says which.
+        Goodness of fit, as defined by the estimator.
     flags : Quality
+        Quality flags.
     provenance : mapping of str to str
+        Versions and hashes of everything that the fix was made from.
     """
 
     estimator: str
@@ -228,23 +247,28 @@ class CenterFix(Value):
     flags: Quality = Quality.NONE
     provenance: Mapping[str, str] = field(default_factory=dict)
 
-    def unwrap(self) -> CenterFix:
-        """Return the fix itself (a :class:`Failure` raises instead)."""
+    def unwrap(self) -> Self:
+        """Return the fix itself (a :class:`Failure` raises instead).
+
+        Returns
+        -------
+        the fix
+        """
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PositionFix(CenterFix):
-    """A :class:`CenterFix` that also knows the range: the full relative position of a body.
+    """A :class:`CenterFix` with the range: the full relative position of a body.
 
     Parameters
     ----------
     position_camera_km : (3,) float64, km, camera axes
-        From the camera to the origin of the shape model, apparent (light time and aberration still in).
+        Apparent position of the origin of the shape model from the camera: light time and aberration not removed.
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-        Of the image measurement alone.
+        Covariance of the image measurement alone.
     limb_px : (n, 2) float64, px
-        The image points used, for overlays.
+        Image points used, for overlays.
     """
 
     position_camera_km: Float
@@ -261,7 +285,3 @@ class PositionFix(CenterFix):
         """Standard deviation of :attr:`range_km`, km."""
         direction = self.position_camera_km / self.range_km
         return float(np.sqrt(direction @ self.covariance_camera_km2 @ direction))
-
-    def unwrap(self) -> PositionFix:
-        """Return the fix itself (a :class:`Failure` raises instead)."""
-        return self

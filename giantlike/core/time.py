@@ -11,7 +11,7 @@ from giantlike.core.units import SECONDS_PER_DAY
 if TYPE_CHECKING:
     from astropy.time import Time
 
-_J2000_JD = 2451545.0
+_J2000_JD = 2451545.0  # Julian date of J2000, 2000-01-01 12:00 TDB
 
 
 def time_from_utc(text: str) -> Time:
