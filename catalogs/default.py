@@ -25,6 +25,7 @@ References
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import version
@@ -49,6 +50,8 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import direction_from_radec
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
+
+_LOG = logging.getLogger("giantlike.catalogs")
 
 MATCH_RADIUS_ARCSEC = 3.0
 """Gaia and Hipparcos positions of one star agree to this; 99.9 % of the pairs do to 1 arcsec."""
@@ -83,6 +86,7 @@ def default_catalog() -> MemoryCatalog:
     try:
         return open_catalog(cache_folder() / name)
     except DataError:  # absent, damaged or of an older form: made again and replaced
+        _LOG.info("merging the catalog packages, once for %s", cache_folder())
         built = MemoryCatalog(build_default_stars(), name="default", band="Gaia G", version=text)
     if write_to_cache(name, lambda path: save_catalog(built, path)):
         return open_catalog(cache_folder() / name)  # rounded, so that the first use gives what all later ones give

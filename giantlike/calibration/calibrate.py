@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +24,8 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.processing.geometry.wahba import solve_wahba
+
+_LOG = logging.getLogger("giantlike.calibration")
 
 _MEDIAN_CHI2 = 2.0 * math.log(2.0)  # two degrees of freedom
 _NOISE_EXPLAINS = 0.9999
@@ -142,13 +145,14 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
     guard = Loss.HUBER if options.loss is Loss.LINEAR else options.loss
     kept_images: Mask = np.ones(len(data.offsets) - 1, dtype=bool)
     steps = rounds = 0
-    for rounds in range(1, options.max_rounds + 1):  # noqa: B007 - told in the result
+    for rounds in range(1, options.max_rounds + 1):
         minimum = minimize(state, data, used, guard, max_steps=_LOOKING_STEPS, rough=True)
         if isinstance(minimum, Failure):
             return minimum
         state, steps = minimum.state, steps + minimum.steps
         before = used
         used, kept_images = _agreeing(state, data, used, options)
+        _LOG.debug("round %d: %d of %d observations agree, %d steps", rounds, int(used.sum()), len(used), steps)
         if int(used.sum()) * 2 <= len(data.estimated) + 3 * int(kept_images.sum()):
             return Failure(Reason.TOO_FEW_MATCHES, f"{int(used.sum())} of {len(used)} observations agree with a camera")
         if np.array_equal(used, before):

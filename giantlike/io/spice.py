@@ -8,6 +8,7 @@ aberration are the caller's.
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 import struct
@@ -24,6 +25,8 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError
 from giantlike.core.reading import file_sha256, library_message, reads
 from giantlike.core.time import time_from_et, utc_text
+
+_LOG = logging.getLogger("giantlike.io")
 
 Answer = TypeVar("Answer")
 
@@ -164,6 +167,7 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
             SpiceKernels(tuple(loaded)).unload()
             raise DataError(path, f"SPICE cannot load this kernel: {library_message(error)}") from error
         loaded.append(path)
+        _LOG.debug("loaded the kernel %s", path)
     return SpiceKernels(tuple(loaded))
 
 

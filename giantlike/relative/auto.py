@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -21,6 +22,8 @@ from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.shapes import Ellipsoid
+
+_LOG = logging.getLogger("giantlike.relative")
 
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions in which the limb in view is measured
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
@@ -202,6 +205,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
         """Choose, estimate and check."""
         choice = self._choice(inputs)
+        _LOG.debug("%s: %s: %s, because %s", inputs.image.name, self.name, ", ".join(choice.estimators), choice.because)
         outcomes = dict[str, CenterFix | Failure]()
 
         def outcome(name: str) -> CenterFix | Failure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Mapping
 
@@ -30,6 +31,7 @@ from giantlike.stars.matching import attitudes_within
 from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
+_LOG = logging.getLogger("giantlike.stars")
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog star expected: fainter ones are noise
 _LARGE_CHI = 5.0  # root of the reduced chi-square above which residuals are large; no study yet
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
@@ -154,13 +156,17 @@ class StarNavigation:
         if image.camera_from_inertial is not None:
             outcome = self._from_apriori(image.camera_from_inertial, points, covariance, sky)
         if isinstance(outcome, Failure) and self.options.lost_in_space:
+            _LOG.debug("%s: searching the whole sky, because %s", image.name, outcome.detail)
             first, method = outcome, "lost_in_space"
             outcome = identify_lost_in_space(points, covariance, self.camera, sky, options=self.options)
             if isinstance(outcome, Failure) and first.reason is not Reason.NO_ATTITUDE:
                 outcome = Failure(outcome.reason, f"{outcome.detail}; with the a priori attitude: {first.detail}")
         if isinstance(outcome, Failure):
+            _LOG.info("%s: no attitude: %s: %s", image.name, outcome.reason, outcome.detail)
             return outcome
-        return self._fix(image, detections, usable, outcome, method)
+        fix = self._fix(image, detections, usable, outcome, method)
+        _LOG.info("%s: attitude from %d of %d sources (%s)", image.name, fix.n_used, len(detections), method)
+        return fix
 
     def _from_apriori(
         self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky

@@ -5,6 +5,7 @@ Shared by ``ellipsoid_cra`` and ``sigmoid_limb``, which turn what the cells say 
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 
@@ -24,6 +25,8 @@ from giantlike.relative.horizon.rings import Rings
 from giantlike.relative.limb.fix import LimbSearch, SettledLimb
 from giantlike.relative.limb.lines import LimbLines
 from giantlike.relative.limb.observation import EdgeModel, LimbObservation
+
+_LOG = logging.getLogger("giantlike.relative")
 
 _COARSE_POINTS = 120
 _MIN_BRIGHTNESS = 0.1  # of the brightest horizon: darker one tells little beside the rest
@@ -193,6 +196,7 @@ def settle_horizon(
         known = inputs.psf_sigma_px is not None
         step, shared = _step(view, stiff=known and iteration < _STIFF_STEPS)
         moved_px = float(np.max(np.abs(view.design[view.keep] @ step)))
+        _LOG.debug("%s: horizon moved by %.3g px in iteration %d", inputs.image.name, moved_px, iteration + 1)
         settled = moved_px**2 < search.tolerance_px or moved_px < _worst_sigma_px(view, step)
         if iteration > _PATIENCE:
             step, shared = 0.5 * step, 0.5 * shared

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, replace
 
@@ -15,6 +16,8 @@ from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
 from giantlike.relative.limb.observation import LimbObservation, LimbScanOptions, locate_limb, observe_limb
 from giantlike.relative.quality import QualityChecks
+
+_LOG = logging.getLogger("giantlike.relative")
 
 _FIRST_SEARCH_PX = 3.0
 _FIRST_LINES, _FIRST_RAYS = 100, 2  # the rough place needs no more
@@ -150,6 +153,7 @@ def settle_limb(
         step, keep = robust_solution(observation.shift_px, design, observation.sigma_px, outlier_mad=search.outlier_mad)
         step = _limited(step, position) * (1.0 if iteration <= _PATIENCE else 0.5)
         before_px, moved_px = moved_px, float(np.max(np.abs(design[keep] @ step)))
+        _LOG.debug("%s: limb moved by %.3g px in iteration %d", inputs.image.name, moved_px, iteration + 1)
         position = position + step
         settled = next_motion_px(before_px, moved_px) < search.tolerance_px + _RELIEF_TOLERANCE * search.relief_px
         if settled or (iteration >= _PATIENCE and moved_px < _motion_sigma_px(observation, design, keep)):

@@ -8,6 +8,7 @@ depend on the way derivatives are taken.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,8 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, VarianceModel, larger, robust_fit
+
+_LOG = logging.getLogger("giantlike.relative")
 
 FIT_BORDER_PX = 4
 """Pixels over the frame that a fitted box should reach: derivatives take that many neighbors."""
@@ -257,6 +260,7 @@ def fit_template(
         photometry, errors = solution.parameters[_GAIN:], solution.errors
         damping = 1.0 if iteration <= _DAMPED_AFTER else 0.5
         stepped, moved_px = _stepped(state, solution.parameters * damping, problem.reach_px, options)
+        _LOG.debug("template moved by %.3g px in render %d", moved_px, iteration)
         settled = fine and moved_px < options.tolerance_px
         if settled or (iteration == options.max_iterations and moved_px < _FLICKER_PX):
             flicker = solution.parameters[: _RANGE + 1] * (0.0 if settled else 1.0)
