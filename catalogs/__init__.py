@@ -1,4 +1,4 @@
-"""Where stars are: catalogs, epochs, and how stars appear to an observer."""
+"""Star catalogs, epochs, and the directions in which an observer sees stars."""
 
 from __future__ import annotations
 
@@ -38,6 +38,10 @@ def load_catalog(name: str | Path = "default", *, band: str | Band | None = None
         ``giantlike catalog build`` made, or of a CSV file with the columns of :class:`StarTable`.
     band : str or Band, optional
         Give magnitudes in this band; see :meth:`MemoryCatalog.in_band`.
+
+    Returns
+    -------
+    MemoryCatalog
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where stars appear: space motion, parallax, light deflection and aberration."""
+"""Apparent directions of stars: space motion, parallax, light deflection and aberration."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from giantlike.catalogs.table import StarTable, julian_year
 from giantlike.core.arrays import Float, as_finite, require, unit
-from giantlike.core.frames import direction_from_radec
+from giantlike.core.frames import direction_from_radec, east_north
 from giantlike.core.light import aberrate
 from giantlike.core.time import time_from_et
 from giantlike.core.units import (
@@ -21,7 +21,7 @@ from giantlike.core.units import (
 SUN_SCHWARZSCHILD_AU = 1.97412574336e-8
 """2 G M / c^2 of the Sun, in au: the value that ERFA uses (``ERFA_SRS`` in erfam.h)."""
 _LIGHT_YEARS_PER_AU = AU_KM / SPEED_OF_LIGHT_KM_S / SECONDS_PER_JULIAN_YEAR
-_SMALLEST_PARALLAX_RAD = 5e-7 * RAD_PER_ARCSEC
+_SMALLEST_PARALLAX_RAD = 5e-7 * RAD_PER_ARCSEC  # taken for stars of unknown distance, as ERFA's pmsafe does (PXMIN)
 _SLOWEST_PARALLAX = 326.0 * RAD_PER_ARCSEC  # over proper motion per year: more would be 1 % of the speed of light
 _ITERATIONS = 20  # the slowest, a radial velocity of a third of light's, gains half a digit in each
 
@@ -122,8 +122,18 @@ def deflected(directions: Float, from_sun_km: ArrayLike) -> Float:
 
 
 def sun_position_km(et: float) -> Float:
-    """Position of the Sun (3,), km, ICRF axes, with respect to the solar system barycenter.
+    """Position of the Sun with respect to the solar system barycenter.
 
+    Parameters
+    ----------
+    et : float, TDB seconds past J2000
+
+    Returns
+    -------
+    (3,) float64, km, inertial (ICRF)
+
+    Notes
+    -----
     From the analytic ephemeris of ERFA, ``epv00``, that astropy has built in: no kernel is needed. Good to tens of
     kilometers from 1900 to 2100, where light deflection asks for some thousand.
     """
@@ -133,18 +143,10 @@ def sun_position_km(et: float) -> Float:
     return np.asarray(place.xyz.to_value("km"), dtype=np.float64)
 
 
-def tangent_axes(stars: StarTable) -> tuple[Float, Float]:
-    """Unit vectors east and north (n, 3) each, inertial, at the catalog positions."""
-    ra, dec = np.radians(stars.ra_deg), np.radians(stars.dec_deg)
-    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
-    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
-    return east, north
-
-
 def _positions(stars: StarTable, years: Float, position_au: Float) -> Float:
     """Vectors (n, 3) from the observer to the stars, in units of each star's distance at its catalog epoch."""
     radial = direction_from_radec(stars.ra_deg, stars.dec_deg)
-    east, north = tangent_axes(stars)
+    east, north = east_north(stars.ra_deg, stars.dec_deg)
     seen = (stars.pm_ra_mas_yr[:, None] * east + stars.pm_dec_mas_yr[:, None] * north) * RAD_PER_MAS
     pace = np.hypot(stars.pm_ra_mas_yr, stars.pm_dec_mas_yr) * RAD_PER_MAS
     parallax = stars.parallax_mas * RAD_PER_MAS
@@ -162,7 +164,7 @@ def _positions(stars: StarTable, years: Float, position_au: Float) -> Float:
 
 
 def _true_motion(radial_seen: Float, across_seen: Float) -> tuple[Float, Float]:
-    """How much faster stars move across the sky than they seem to, and how fast away, in units of light's speed.
+    """True motion of stars: stretch of the proper motion, and radial velocity in units of light's speed.
 
     Parameters
     ----------

@@ -27,9 +27,11 @@ _BP_RP_OF_BV = (0.0168, 1.3774, -0.3363, 0.4844, -0.6262, 0.2528)
 """Fitted to 97,000 stars of the default catalog that have both colors: scatter 0.03 mag, 0.06 at the red end."""
 _BV_OF_BP_RP = (-0.0039, 0.7133, -0.0424, 0.2764, -0.1097, -0.0022)
 """Likewise, the other way round."""
-_BV_RANGE = (-0.3, 1.6)
-_BP_RP_RANGE = (-0.4, 2.2)
-_TYPICAL = MappingProxyType({"color_bp_rp": 1.15, "color_bv": 0.95})
+_BV_RANGE, _BP_RP_RANGE = (
+    (-0.3, 1.6),
+    (-0.4, 2.2),
+)  # mag; colors are clipped to these before the polynomials are applied
+_TYPICAL = MappingProxyType({"color_bp_rp": 1.15, "color_bv": 0.95})  # mag, medians of the default catalog
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,13 +44,13 @@ class Band:
     base : str
         The band that it rests on: ``"Gaia G"``, ``"V"`` or the band of the catalog.
     coefficients : tuple of float
-        Of ascending powers of the color: magnitude in this band minus magnitude in ``base``.
+        Polynomial coefficients, ascending powers of the color: magnitude in this band minus magnitude in ``base``.
     color : str
         ``"color_bp_rp"`` (Gaia BP-RP) or ``"color_bv"`` (Johnson B-V).
     color_range : (float, float)
         Bluer and redder stars are taken as of the bluest and the reddest color here.
     typical_color : float, optional
-        Of stars whose colors are all unknown; default the median of the default catalog.
+        Color of stars whose colors are all unknown; default the median of the default catalog.
 
     Raises
     ------
@@ -79,7 +81,19 @@ class Band:
         return f"{self.name} = {self.base} + ({numbers}) in {self.color.removeprefix('color_')}"
 
     def magnitude(self, base_magnitude: Float, *, color_bp_rp: Float, color_bv: Float) -> Float:
-        """Magnitudes (n,) in this band of stars with magnitudes (n,) in ``base`` and colors (n,), NaN unknown."""
+        """Magnitudes of stars in this band.
+
+        Parameters
+        ----------
+        base_magnitude : (n,) float64, mag
+            Magnitudes in ``base``.
+        color_bp_rp, color_bv : (n,) float64, mag
+            Gaia BP-RP and Johnson B-V, NaN where unknown.
+
+        Returns
+        -------
+        (n,) float64, mag
+        """
         if self.color == "color_bp_rp":
             own, other = color_bp_rp, _polynomial(np.clip(color_bv, *_BV_RANGE), _BP_RP_OF_BV)
         else:
@@ -93,6 +107,7 @@ class Band:
 _G_MINUS_HP = (-0.0223, -0.4303, 0.0992, -0.0747)
 """Fitted to the stars that are in Gaia and Hipparcos: scatter 0.03 mag, 0.1 for B-V > 1.4."""
 _V_MINUS_G = (0.02704, -0.01424, 0.2156, -0.01426)
+"""Table 5.9 of [1]_ of this module."""
 BANDS: Mapping[tuple[str, str], Band] = MappingProxyType(
     {
         ("Gaia G", "V"): Band(name="V", base="Gaia G", coefficients=_V_MINUS_G),
@@ -102,12 +117,23 @@ BANDS: Mapping[tuple[str, str], Band] = MappingProxyType(
         ),
     }
 )
-"""Relations that are known, by the band that they start from and the one that they give."""
+"""Known relations, by the band that they start from and the one that they give."""
 _OTHER_NAMES = MappingProxyType({"G": "Gaia G", "Johnson V": "V"})
 
 
 def band_between(have: str, need: str | Band) -> tuple[Band, ...]:
-    """Steps from one band to another, none where they are the same.
+    """Relations that lead from one band to another.
+
+    Parameters
+    ----------
+    have : str
+        Name of the band to start from.
+    need : str or Band
+
+    Returns
+    -------
+    tuple of Band
+        In the order in which they are to be applied; empty where the bands are the same.
 
     Raises
     ------

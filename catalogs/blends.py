@@ -1,4 +1,4 @@
-"""Stars that a camera cannot tell apart."""
+"""Blends: stars that a camera does not resolve, merged into one."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from giantlike.catalogs.astrometry import apparent_directions
-from giantlike.catalogs.table import COLUMN_TYPES, StarTable, julian_year
+from giantlike.catalogs.table import StarTable, julian_year
 from giantlike.core.arrays import Float, require
 from giantlike.core.frames import radec_from_direction
 from giantlike.core.units import RAD_PER_MAS
 
-_MAGNITUDE = 2.5 / np.log(10.0)
+_MAGNITUDE = 2.5 / np.log(10.0)  # magnitudes by the natural logarithm of a ratio of fluxes (Pogson)
 
 
 def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
@@ -65,7 +65,7 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
         sums: Float = np.bincount(leader, weights=weight * values, minlength=len(stars)).astype(np.float64)
         return sums
 
-    columns = {name: np.array(getattr(stars, name)) for name in COLUMN_TYPES}
+    columns = stars.columns()
     center = np.stack([mean(component) for component in directions.T], axis=-1)
     ra, dec = radec_from_direction(center[mixed])
     columns["ra_deg"][mixed], columns["dec_deg"][mixed] = ra, dec
@@ -82,13 +82,19 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 
 
 def blend_leaders(directions: Float, radius_rad: float) -> NDArray[np.intp]:
-    """Which star (n,) each star is merged into, itself if it stays; stars come brightest first.
+    """Number of the star that each star is merged into.
 
     Parameters
     ----------
     directions : (n, 3) float64, unitless
-        Unit vectors.
+        Unit vectors, those of the brightest stars first.
     radius_rad : float, rad
+        Stars nearer than this are merged.
+
+    Returns
+    -------
+    (n,) int
+        The star itself if it stays.
     """
     count = len(directions)
     leader = np.arange(count)

@@ -1,4 +1,4 @@
-"""The user's cache folder: things that are slow to make and can always be made again."""
+"""The user's cache folder, for files that are slow to make and can always be made again."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ def cache_folder() -> Path:
     """Folder for derived files: ``GIANTLIKE_CACHE``, else ``XDG_CACHE_HOME/giantlike``, else ``~/.cache/giantlike``.
 
     The folder need not exist or be writable: everything in it is only a saving of time.
+
+    Returns
+    -------
+    Path
     """
     own = os.environ.get("GIANTLIKE_CACHE")
     if own:

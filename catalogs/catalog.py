@@ -1,8 +1,9 @@
-"""What a star catalog is, and one that keeps its stars in arrays."""
+"""Protocol of star catalogs, and a catalog that keeps its stars in arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,16 +16,16 @@ from giantlike.catalogs.table import COLUMN_TYPES, StarTable
 from giantlike.core.arrays import as_unit, require
 
 Column = NDArray[Any] | float | bool
-"""The values (n,) of a column, in any precision, or the value that all stars have in common."""
+"""Values (n,) of a column, in any precision, or the one value that all stars have."""
 
 
 @runtime_checkable
 class StarCatalog(Protocol):
-    """Stars that can be asked for by direction."""
+    """Stars that are found by direction."""
 
     @property
     def name(self) -> str:
-        """What the user calls it."""
+        """Name of the catalog, for people."""
         ...
 
     @property
@@ -40,7 +41,20 @@ class StarCatalog(Protocol):
     def cone(
         self, direction_inertial: ArrayLike, radius_rad: float, *, max_magnitude: float | None = None
     ) -> StarTable:
-        """Stars within ``radius_rad`` of a unit vector (3,), brightest first; see :class:`MemoryCatalog`."""
+        """Return the stars within an angle of a direction, brightest first.
+
+        Parameters
+        ----------
+        direction_inertial : (3,), unitless, inertial
+            Unit vector.
+        radius_rad : float, rad
+        max_magnitude : float, optional
+            Faintest magnitude, in :attr:`band`.
+
+        Returns
+        -------
+        StarTable
+        """
         ...
 
 
@@ -63,7 +77,20 @@ class MemoryCatalog:
     def of_columns(
         cls, columns: Mapping[str, Column], index: SkyIndex, *, name: str, band: str, version: str
     ) -> MemoryCatalog:
-        """Return the catalog of columns that already are in the order of an index; nothing is copied."""
+        """Make a catalog of columns that already are in the order of an index; nothing is copied.
+
+        Parameters
+        ----------
+        columns : mapping of str to (n,) array or number
+            Columns of a :class:`StarTable`.
+        index : SkyIndex
+        name, band, version : str
+            As in :class:`StarCatalog`.
+
+        Returns
+        -------
+        MemoryCatalog
+        """
         catalog = cls.__new__(cls)
         catalog._columns, catalog._index = columns, index
         catalog._name, catalog._band, catalog._version = name, band, version
@@ -71,7 +98,7 @@ class MemoryCatalog:
 
     @property
     def name(self) -> str:
-        """What the user calls it."""
+        """Name of the catalog, for people."""
         return self._name
 
     @property
@@ -81,7 +108,7 @@ class MemoryCatalog:
 
     @property
     def version(self) -> str:
-        """Text for provenance."""
+        """Text for provenance: sources with their versions or hashes."""
         return self._version
 
     @property
@@ -91,7 +118,7 @@ class MemoryCatalog:
 
     @property
     def index(self) -> SkyIndex:
-        """Where on the sky the stars are."""
+        """Index of the stars by direction."""
         return self._index
 
     @property
@@ -100,7 +127,18 @@ class MemoryCatalog:
         return self._table(np.arange(len(self)))
 
     def column(self, name: str) -> NDArray[Any]:
-        """The values (n,) of one column of all stars, in the order of :attr:`index` and as they are kept."""
+        """Values of one column of all stars, in the order of :attr:`index`.
+
+        Parameters
+        ----------
+        name : str
+            Column of a :class:`StarTable`.
+
+        Returns
+        -------
+        (n,) array
+            In the precision in which the column is kept.
+        """
         return np.broadcast_to(np.asarray(self._columns[name]), len(self))
 
     def __len__(self) -> int:
@@ -109,7 +147,7 @@ class MemoryCatalog:
     def cone(
         self, direction_inertial: ArrayLike, radius_rad: float, *, max_magnitude: float | None = None
     ) -> StarTable:
-        """Stars within an angle of a direction, brightest first.
+        """Return the stars within an angle of a direction, brightest first.
 
         The cone is a little wider, so that none is missed that is inside at some epoch within 125 years of its own,
         from an observer within 100 au, with aberration up to 45 km/s (``catalogs.cells``). A faster observer adds
@@ -122,6 +160,10 @@ class MemoryCatalog:
             In (0, pi].
         max_magnitude : float, optional
             Faintest magnitude, in :attr:`band`.
+
+        Returns
+        -------
+        StarTable
 
         Raises
         ------
@@ -148,10 +190,14 @@ class MemoryCatalog:
         band : str or Band
             The name of a band in ``catalogs.BANDS``, or a band of the user's own, which may rest on one of those.
 
+        Returns
+        -------
+        MemoryCatalog
+
         Raises
         ------
         InputError
-            No way leads from the band of this catalog to the one asked for.
+            No relation is known between the band of this catalog and the one asked for.
         """
         steps = band_between(self._band, band)
         if not steps:
@@ -163,13 +209,7 @@ class MemoryCatalog:
             magnitude = step.magnitude(magnitude, color_bp_rp=bp_rp, color_bv=bv)
         rank = np.empty(len(self), dtype=np.int32)
         rank[np.argsort(magnitude, kind="stable")] = np.arange(len(self), dtype=np.int32)
-        index = SkyIndex(
-            directions=self._index.directions,
-            rank=rank,
-            starts=self._index.starts,
-            slow_margin_rad=self._index.slow_margin_rad,
-            fast_margin_rad=self._index.fast_margin_rad,
-        )
+        index = replace(self._index, rank=rank)
         text = " ".join([self._version, *(f"in {step.text}" for step in steps)])
         return self.of_columns(
             dict(self._columns) | {"magnitude": magnitude}, index, name=self._name, band=steps[-1].name, version=text

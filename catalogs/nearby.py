@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.catalogs.table import COLUMN_TYPES, StarTable
+from giantlike.catalogs.table import StarTable
 from giantlike.core.arrays import Float
 
 SIGMA_PM_GAIA_MAS_YR = 0.05
@@ -34,13 +34,13 @@ SIGMA_PM_GAIA_MAS_YR = 0.05
 
 @dataclass(frozen=True, slots=True)
 class NearbyStar:
-    """What is known better of one star; None keeps the value of the catalog.
+    """Better values of one star; None keeps the value of the catalog.
 
     Parameters
     ----------
     name : str
     star_id : int
-        As in the default catalog: Gaia DR3, or minus the Hipparcos number.
+        Identifier in the default catalog: Gaia DR3, or minus the Hipparcos number.
     radial_velocity_km_s : float, km/s
     motion_mas_yr : (float, float), mas/yr, optional
         Proper motion in right ascension (with cos(dec)) and declination.
@@ -97,14 +97,35 @@ NEARBY: Sequence[NearbyStar] = (
 
 
 def radial_velocities(ids: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]]) -> Float:
-    """Radial velocities (n,), km/s, of stars of the default catalog, 0 where none is known here."""
+    """Radial velocities of stars of the default catalog.
+
+    Parameters
+    ----------
+    ids : (n,) int
+        Identifiers.
+
+    Returns
+    -------
+    (n,) float64, km/s
+        0 where :data:`NEARBY` has none.
+    """
     known = {star.star_id: star.radial_velocity_km_s for star in NEARBY}
     return np.array([known.get(int(number), 0.0) for number in ids], dtype=np.float64)
 
 
 def with_nearby(stars: StarTable) -> StarTable:
-    """Return the stars with the values of :data:`NEARBY` where they have one of these."""
-    columns = {name: np.array(getattr(stars, name)) for name in COLUMN_TYPES}
+    """Replace values of stars by those of :data:`NEARBY`.
+
+    Parameters
+    ----------
+    stars : StarTable
+        Of the default catalog.
+
+    Returns
+    -------
+    StarTable
+    """
+    columns = stars.columns()
     order = np.argsort(stars.ids)
     for star in NEARBY:
         place = np.searchsorted(stars.ids, star.star_id, sorter=order)

@@ -1,4 +1,4 @@
-"""The file that a built catalog is kept in, mapped into memory when it is opened.
+"""Files of built catalogs, mapped into memory when they are opened.
 
 Form of a catalog file (``.stars``), little endian throughout:
 
@@ -30,7 +30,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +40,14 @@ from giantlike.catalogs.cells import ZONES, SkyIndex
 from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError
+from giantlike.core.reading import reads
 
 SUFFIX = ".stars"
-FORMAT = 2
+FORMAT = 2  # version of the format above; raise it when that changes
 _MAGIC = b"GLSTARS\0"
-_ALIGN = 64
+_START = 16  # bytes before the header: magic and length
+_ALIGN = 64  # bytes: the widest SIMD registers, and the usual line of a processor's cache
+_NOT_YET = 10**15  # placeholder for offsets while the length of the header is found: as many digits as any offset
 _DOUBLE = ("ra_deg", "dec_deg", "epoch_jyear")
 _DTYPES: Mapping[str, str] = MappingProxyType(
     {name: "<f8" if name in _DOUBLE else "<f4" for name in COLUMN_TYPES}
@@ -57,7 +60,7 @@ _MENDED = "build the catalog again with `giantlike catalog build`"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """A file that a catalog was made of.
+    """One of the files that a catalog was made of.
 
     Parameters
     ----------
@@ -70,23 +73,62 @@ class Source:
     sha256: str
 
 
+class StoredColumn(TypedDict):
+    """Column of a catalog file: name, numpy type, shape, and offset from the start of the file, bytes."""
+
+    name: str
+    dtype: str
+    shape: list[int]
+    offset: int
+
+
+class CatalogHeader(TypedDict):
+    """Header of a catalog file; see :mod:`giantlike.catalogs.stored` for the keys."""
+
+    format: int
+    name: str
+    band: str
+    version: str
+    count: int
+    zones: int
+    slow_margin_rad: float
+    sources: list[dict[str, str]]
+    sha256: str
+    size: int
+    constants: dict[str, float | bool | None]
+    columns: list[StoredColumn]
+
+
+@reads("a star catalog")
 def is_catalog_file(path: Path) -> bool:
-    """Whether a file begins as a built catalog does.
+    """Return True if a file begins as a built catalog does.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
 
     Raises
     ------
     DataError
         The file cannot be read.
     """
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(_MAGIC)) == _MAGIC
-    except OSError as error:
-        raise DataError(path, f"cannot be read as a star catalog: {error.strerror or error}") from error
+    with path.open("rb") as stream:
+        return stream.read(len(_MAGIC)) == _MAGIC
 
 
 def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[Source] = ()) -> None:
     """Write a catalog into one file, whole or not at all.
+
+    Parameters
+    ----------
+    catalog : MemoryCatalog
+    path : path-like
+    sources : sequence of Source
+        Files that the catalog was made of.
 
     Raises
     ------
@@ -94,17 +136,17 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
         The file cannot be written.
     """
     arrays, constants = _stored(catalog)
-    header: dict[str, Any] = {
+    header: CatalogHeader = {
         "format": FORMAT, "name": catalog.name, "band": catalog.band, "version": catalog.version,
         "count": len(catalog), "zones": ZONES, "slow_margin_rad": catalog.index.slow_margin_rad,
         "sources": [{"name": source.name, "sha256": source.sha256} for source in sources],
-        "sha256": "0" * 64, "size": 10**15, "constants": constants,
+        "sha256": "0" * 64, "size": _NOT_YET, "constants": constants,
         "columns": [
-            {"name": name, "dtype": _DTYPES[name], "shape": list(array.shape), "offset": 10**15}
+            {"name": name, "dtype": _DTYPES[name], "shape": list(array.shape), "offset": _NOT_YET}
             for name, array in arrays.items()
         ],
     }  # fmt: skip
-    start = _aligned(16 + len(_encoded(header)))
+    start = _aligned(_START + len(json.dumps(header)))
     offset = start
     for entry, array in zip(header["columns"], arrays.values(), strict=True):
         entry["offset"] = offset
@@ -114,7 +156,7 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
     for block in _blocks(arrays):
         digest.update(block)
     header["sha256"] = digest.hexdigest()
-    text = _encoded(header).ljust(start - 16)
+    text = json.dumps(header).encode().ljust(start - _START)
     with replacing(path) as part, part.open("wb") as stream:
         stream.write(_MAGIC + len(text).to_bytes(8, "little") + text)
         for block in _blocks(arrays):
@@ -124,10 +166,18 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
 def open_catalog(path: str | Path) -> MemoryCatalog:
     """Open a built catalog; its columns stay in the file until a cone asks for them.
 
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    MemoryCatalog
+
     Raises
     ------
     DataError
-        The file is missing, none of these, of another format, or damaged.
+        The file is missing, no such catalog, of another format, or damaged.
     """
     header, raw = _opened(Path(path))
     arrays = _arrays(Path(path), header, raw)
@@ -144,14 +194,18 @@ def open_catalog(path: str | Path) -> MemoryCatalog:
     return MemoryCatalog.of_columns(columns, index, name=header["name"], band=header["band"], version=header["version"])
 
 
-def catalog_header(path: str | Path, *, check: bool = False) -> Mapping[str, Any]:
-    """Return what a built catalog says of itself; see the module for the keys.
+def catalog_header(path: str | Path, *, check: bool = False) -> CatalogHeader:
+    """Return the header of a built catalog.
 
     Parameters
     ----------
     path : path-like
     check : bool
         Read all of the file and compare its hash.
+
+    Returns
+    -------
+    CatalogHeader
 
     Raises
     ------
@@ -160,17 +214,17 @@ def catalog_header(path: str | Path, *, check: bool = False) -> Mapping[str, Any
     """
     header, raw = _opened(Path(path))
     if check:
-        start = 16 + int.from_bytes(raw[8:16].tobytes(), "little")
+        start = _START + int.from_bytes(raw[8:_START].tobytes(), "little")
         found = hashlib.sha256(raw[start:].data).hexdigest()
         if found != header["sha256"]:
             raise DataError(path, f"is damaged: sha256 is {found}, the header says {header['sha256']}; {_MENDED}")
-    return MappingProxyType(header)
+    return header
 
 
-def _stored(catalog: MemoryCatalog) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def _stored(catalog: MemoryCatalog) -> tuple[dict[str, NDArray[Any]], dict[str, float | bool | None]]:
     """Columns as arrays of the types of the file, and those whose values are all equal."""
     arrays: dict[str, NDArray[Any]] = {}
-    constants: dict[str, Any] = {}
+    constants: dict[str, float | bool | None] = {}
     for name, column in catalog.columns.items():
         values = np.asarray(column, dtype=_DTYPES[name])
         first = values.flat[0] if values.size else np.zeros(1, values.dtype)[0]
@@ -192,30 +246,31 @@ def _blocks(arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
     return blocks
 
 
-def _opened(path: Path) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-    """The header, checked for what the reader relies on, and all bytes of the file."""
+def _opened(path: Path) -> tuple[CatalogHeader, NDArray[np.uint8]]:
+    """Header, checked for the keys that the reader relies on, and all bytes of the file."""
     if not is_catalog_file(path):
         raise DataError(path, f"is no built star catalog (it does not begin with GLSTARS); {_MENDED}")
     size = path.stat().st_size
     raw = np.memmap(path, dtype=np.uint8, mode="r")
-    length = int.from_bytes(raw[8:16].tobytes(), "little") if size >= 16 else size
-    if 16 + length > size:
+    length = int.from_bytes(raw[8:_START].tobytes(), "little") if size >= _START else size
+    if _START + length > size:
         raise DataError(path, f"is cut off within its header, after {size} bytes; {_MENDED}")
     try:
-        header = json.loads(raw[16 : 16 + length].tobytes())
-        found = header["format"]
-        expected = header["size"]
-        needed = [header[key] for key in ("name", "band", "version", "count", "slow_margin_rad", "sha256", "zones")]
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(path, f"has a damaged header ({type(error).__name__}: {error}); {_MENDED}") from error
-    if found != FORMAT or needed[-1] != ZONES:
-        raise DataError(path, f"is of format {found}, this version reads format {FORMAT}; {_MENDED}")
-    if size != expected:
-        raise DataError(path, f"has {size} bytes where its header says {expected}; {_MENDED}")
-    return header, np.asarray(raw)
+        header = json.loads(raw[_START : _START + length].tobytes())
+        missing = [key for key in CatalogHeader.__annotations__ if key not in header]
+    except (ValueError, TypeError) as error:
+        raise DataError(path, f"has a damaged header ({error}); {_MENDED}") from error
+    if missing:
+        raise DataError(path, f"has a damaged header (no {missing[0]}); {_MENDED}")
+    if header["format"] != FORMAT or header["zones"] != ZONES:
+        raise DataError(path, f"is of format {header['format']}, this version reads format {FORMAT}; {_MENDED}")
+    if size != header["size"]:
+        raise DataError(path, f"has {size} bytes where its header says {header['size']}; {_MENDED}")
+    return cast(CatalogHeader, header), np.asarray(raw)
 
 
-def _arrays(path: Path, header: Mapping[str, Any], raw: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+def _arrays(path: Path, header: CatalogHeader, raw: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+    """Columns and index by name, checked against each other."""
     arrays: dict[str, NDArray[Any]] = {}
     try:
         count = int(header["count"])
@@ -236,10 +291,6 @@ def _arrays(path: Path, header: Mapping[str, Any], raw: NDArray[np.uint8]) -> di
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(path, f"has a damaged header ({error}); {_MENDED}") from error
     return arrays
-
-
-def _encoded(header: Mapping[str, Any]) -> bytes:
-    return json.dumps(header).encode()
 
 
 def _aligned(offset: int) -> int:

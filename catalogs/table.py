@@ -1,10 +1,11 @@
-"""A table of stars, one array per column."""
+"""Tables of stars, one array for each column, and Julian epochs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,15 +83,39 @@ class StarTable(Value):
     def __len__(self) -> int:
         return int(self.ids.size)
 
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return copies of the columns (n,), by name."""
+        return {name: np.array(getattr(self, name)) for name in COLUMN_TYPES}
+
     def select(self, index: ArrayLike) -> StarTable:
-        """The stars of a mask (n,) or of integer indices (k,), in that order."""
+        """Return some of the stars.
+
+        Parameters
+        ----------
+        index : (n,) bool or (k,) int
+            Mask, or indices in the order of the result.
+
+        Returns
+        -------
+        StarTable
+        """
         chosen = np.asarray(index)
         if chosen.size == 0 and chosen.dtype != np.bool_:
             chosen = chosen.astype(np.intp)
         return StarTable(**{name: getattr(self, name)[chosen] for name in COLUMN_TYPES})
 
     def sigma_rad(self, et: float) -> Float:
-        """Standard deviation (n,) per axis, rad, of the directions at ``et``: position and proper motion."""
+        """Standard deviations of the directions at an epoch, from those of position and proper motion.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        (n,) float64, rad
+            Per axis.
+        """
         years = julian_year(et) - self.epoch_jyear
         sigma: Float = np.hypot(self.sigma_mas, self.sigma_pm_mas_yr * years) * RAD_PER_MAS
         return sigma
@@ -103,14 +128,35 @@ COLUMN_TYPES: Mapping[str, type[np.generic]] = MappingProxyType(
 
 
 def joined(tables: Sequence[StarTable]) -> StarTable:
-    """The stars of several tables, one after the other."""
+    """Concatenate star tables.
+
+    Parameters
+    ----------
+    tables : sequence of StarTable
+        At least one.
+
+    Returns
+    -------
+    StarTable
+    """
     require(len(tables) > 0, "joined needs at least one star table")
     return StarTable(**{name: np.concatenate([getattr(table, name) for table in tables]) for name in COLUMN_TYPES})
 
 
 def julian_year(et: float) -> float:
-    """Julian epoch of TDB seconds past J2000.
+    """Julian epoch of a time.
 
+    Parameters
+    ----------
+    et : float, TDB seconds past J2000
+
+    Returns
+    -------
+    float
+        Julian years.
+
+    Examples
+    --------
     >>> julian_year(504921600.0)
     2016.0
     """
@@ -118,8 +164,19 @@ def julian_year(et: float) -> float:
 
 
 def et_of_julian_year(year: float) -> float:
-    """TDB seconds past J2000 of a Julian epoch.
+    """Time of a Julian epoch.
 
+    Parameters
+    ----------
+    year : float
+        Julian years.
+
+    Returns
+    -------
+    float, TDB seconds past J2000
+
+    Examples
+    --------
     >>> et_of_julian_year(2016.0)
     504921600.0
     """
