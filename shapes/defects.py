@@ -1,4 +1,4 @@
-"""What is wrong with a surface: holes, double facets, facets without area, wrong winding, stray vertices."""
+"""Defects of a surface: holes, double facets, facets without area, wrong winding, stray vertices."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.shapes.mesh import Faces
-from giantlike.shapes.surface import Surface, coincident_names
+from giantlike.shapes.surface import Surface, coincident_names, connected_labels
 
 FLAT = 1e-20
 """Facets with less area, over the square of the extent of the body, count as without area, as for a mesh."""
@@ -20,7 +18,7 @@ FLAT = 1e-20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Defects:
-    """How many of each defect a surface has; all zero is a clean closed surface.
+    """Numbers of the defects of a surface, by kind; all zero is a clean closed surface.
 
     Coincident vertices are merged before anything that has to do with edges is counted: they are the normal state
     of an STL file. Edges are those of the facets that remain without invalid, degenerate and duplicate ones.
@@ -62,11 +60,17 @@ class Defects:
 
     @property
     def watertight(self) -> bool:
-        """Whether every edge belongs to exactly two facets."""
+        """True if every edge belongs to exactly two facets."""
         return self.boundary_edges == 0 and self.nonmanifold_edges == 0
 
     def text(self) -> str:
-        """Name what is not zero, such as ``3 boundary edges, 1 holes``; empty for a clean surface."""
+        """List the kinds that are not zero.
+
+        Returns
+        -------
+        str
+            Such as ``3 boundary edges, 1 holes``; empty for a clean surface.
+        """
         counts = ((field.name.replace("_", " "), getattr(self, field.name)) for field in fields(self))
         return ", ".join(f"{count} {name}" for name, count in counts if count)
 
@@ -82,9 +86,9 @@ class Edges(Value):
     of_side : (3 m,) int64
         The edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k.
     forward : (3 m,) bool
-        Whether a side runs from the smaller vertex number to the larger.
+        True if a side runs from the smaller vertex number to the larger.
     facets : (e,) int64
-        How many facets an edge has.
+        Number of facets at an edge.
     """
 
     ends: Faces
@@ -101,7 +105,17 @@ class Edges(Value):
 
 
 def edges_of(faces: Faces) -> Edges:
-    """All edges of facets (m, 3) with three different corners each."""
+    """Find the edges of facets.
+
+    Parameters
+    ----------
+    faces : (m, 3) int64
+        Three different corners each.
+
+    Returns
+    -------
+    Edges
+    """
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
     base = int(faces.max(initial=0)) + 1
@@ -117,7 +131,11 @@ def defects_of(surface: Surface) -> Defects:
     Parameters
     ----------
     surface : Surface
-        As :func:`giantlike.shapes.read_surface` gives it.
+        As :func:`~giantlike.shapes.load.read_surface` returns it.
+
+    Returns
+    -------
+    Defects
     """
     valid = surface.valid_faces
     names = coincident_names(surface.vertices)
@@ -141,7 +159,18 @@ def defects_of(surface: Surface) -> Defects:
 
 
 def flat_facets(vertices: Float, faces: Faces) -> Mask:
-    """Which valid facets (m,) have no area."""
+    """Mask of the facets without area.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    faces : (m, 3) int64
+        Valid ones.
+
+    Returns
+    -------
+    (m,) bool
+    """
     if faces.size == 0:
         return np.zeros(len(faces), dtype=bool)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -153,7 +182,16 @@ def flat_facets(vertices: Float, faces: Faces) -> Mask:
 
 
 def duplicate_facets(faces: Faces) -> Mask:
-    """Which facets (m,) have the corners of one before them."""
+    """Mask of the facets with the corners of one before them.
+
+    Parameters
+    ----------
+    faces : (m, 3) int64
+
+    Returns
+    -------
+    (m,) bool
+    """
     corners = np.sort(faces, axis=1)
     order = np.lexsort(corners.T)
     same = np.zeros(len(faces), dtype=bool)
@@ -163,9 +201,5 @@ def duplicate_facets(faces: Faces) -> Mask:
 
 def _pieces(rims: Faces) -> int:
     """Number of connected pieces of edges (b, 2)."""
-    if len(rims) == 0:
-        return 0
     ends, numbers = np.unique(rims, return_inverse=True)
-    start, end = numbers.reshape(-1, 2).T
-    graph = coo_array((np.ones(len(rims)), (start, end)), shape=(ends.size, ends.size))
-    return int(connected_components(graph, directed=False)[0])
+    return int(connected_labels(ends.size, *numbers.reshape(-1, 2).T).max(initial=-1)) + 1

@@ -1,11 +1,9 @@
-"""Landmarks: places on a body that an image can be matched with, each a local map, and catalogs of them in files."""
+"""Landmarks: local maps of places on a body, to be matched with images, and catalogs of them in files."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-import zipfile
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,15 +16,16 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, frozen, require
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.reading import reads
 from giantlike.core.values import Value
 from giantlike.shapes.files.maplet import read_maplet
+from giantlike.shapes.files.npz import archive_arrays
 from giantlike.shapes.local_map import LocalMap
 from giantlike.shapes.mesh import TriangleMesh
 
 CATALOG_SUFFIX = ".npz"
 MAPLET_SUFFIX = ".map"
 _FORMAT, _VERSION = "giantlike landmarks", 1
-_DAMAGE = (ValueError, LookupError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +37,8 @@ class Landmark(Value):
     map : LocalMap
         Heights, and albedo if it is known; its z axis is the normal of the place.
     texture : float
-        How much there is to match: rms tilt of the surface, rad, off an even bend, and rms relative albedo, added in
-        squares.
+        Contrast to match with: rms tilt of the surface, rad, about an even bend, and rms relative albedo, added in
+        quadrature.
     """
 
     map: LocalMap
@@ -56,17 +55,17 @@ class Landmark(Value):
 
     @cached_property
     def point_body_km(self) -> Float:
-        """The landmark's place (3,), km, body axes: over the middle of the map, at its mean height."""
+        """Position of the landmark (3,), km, body axes: over the middle of the map, at its mean height."""
         return frozen(self.map.to_body(np.array([0.0, 0.0, float(np.nanmean(self.map.heights_km))])))
 
     @cached_property
     def normal_body(self) -> Float:
-        """Unit normal (3,) of the place, body axes."""
+        """Unit normal (3,) of the map, body axes."""
         return frozen(self.map.body_from_map.as_matrix()[:, 2].copy())
 
     @cached_property
     def mesh(self) -> TriangleMesh:
-        """The map as an open surface in body axes: one object, so that its tracer is kept."""
+        """Map as an open surface in body axes: always the same object, whose tracer is cached."""
         return self.map.mesh()
 
     @property
@@ -75,7 +74,17 @@ class Landmark(Value):
         return 2.0 * min(self.map.half_extent_km)
 
     def grid_body_km(self, count: int) -> Float:
-        """Points (k, 3), km, body axes, of the surface: at most ``count`` by ``count`` spread over the map."""
+        """Points of the surface, spread over the map.
+
+        Parameters
+        ----------
+        count : int
+            Largest number of points along each side.
+
+        Returns
+        -------
+        (k, 3) float64, km, body
+        """
         rows, columns = (
             np.unique(np.linspace(0, n - 1, min(count, n)).round().astype(np.int64)) for n in self.map.heights_km.shape
         )
@@ -94,7 +103,7 @@ class LandmarkCatalog(Value):
     ----------
     landmarks : tuple of Landmark
     body_name : str
-        What body they are of; empty where nobody said.
+        Name of the body; empty where it is not known.
     shape_sha256 : str
         Hash of the shape that they were taken from; empty for maps from elsewhere.
 
@@ -138,6 +147,10 @@ def load_landmarks(path: Path) -> LandmarkCatalog:
     path : Path
         A catalog (.npz) that :func:`save_landmarks` wrote, an SPC maplet (.MAP), or a folder of maplets.
 
+    Returns
+    -------
+    LandmarkCatalog
+
     Raises
     ------
     InputError
@@ -155,13 +168,7 @@ def load_landmarks(path: Path) -> LandmarkCatalog:
         return LandmarkCatalog((landmark_of(read_maplet(path)),))
     if path.suffix.lower() != CATALOG_SUFFIX:
         raise InputError(f"{path}: landmarks are a {CATALOG_SUFFIX} catalog, a .MAP file or a folder of them")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return _catalog_of(archive)
-    except FileNotFoundError as error:
-        raise DataError(path, "there is no such file") from error
-    except _DAMAGE as error:
-        raise DataError(path, f"damaged catalog of landmarks: {' '.join(str(error).split())[:200]}") from error
+    return _read_catalog(path)
 
 
 def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = False) -> None:
@@ -212,7 +219,16 @@ def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = Fa
 
 
 def landmark_of(local: LocalMap) -> Landmark:
-    """A map as a landmark, with its texture measured."""
+    """Make a landmark of a map and measure its texture.
+
+    Parameters
+    ----------
+    local : LocalMap
+
+    Returns
+    -------
+    Landmark
+    """
     tilts = np.arctan(np.stack([np.gradient(local.heights_km, local.spacing_km, axis=axis) for axis in (0, 1)]))
     known = np.isfinite(tilts).all(axis=0)
     rows, columns = np.nonzero(known)
@@ -225,12 +241,9 @@ def landmark_of(local: LocalMap) -> Landmark:
     return Landmark(local, math.sqrt(roughness + contrast))
 
 
-def _catalog_of(archive: Any) -> LandmarkCatalog:
-    """Landmarks of an open archive; whatever is wrong with it raises."""
-    if "format" not in archive or str(archive["format"]) != _FORMAT:
-        raise ValueError("the archive holds no landmarks")
-    if (version := int(archive["version"])) != _VERSION:
-        raise ValueError(f"needed version {_VERSION} of the format, got {version}: update giantlike")
+@reads("a catalog of landmarks")
+def _read_catalog(path: Path) -> LandmarkCatalog:
+    archive = archive_arrays(path, _FORMAT, _VERSION)
     shapes: NDArray[np.int64] = archive["shapes"].astype(np.int64)
     sizes, painted = np.prod(shapes, axis=1), archive["has_albedo"].astype(bool)
     heights = np.split(archive["heights_km"].astype(np.float64), np.cumsum(sizes)[:-1])

@@ -1,8 +1,7 @@
-"""Read shape models of every format to one mesh in km, and say what unit was taken."""
+"""Shape models of every format as one mesh in km."""
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +10,16 @@ import numpy as np
 
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.reading import file_sha256
 from giantlike.shapes.files.formats import read_file
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
 _KM_PER_UNIT = {"km": 1.0, "m": 1e-3}
-_MAX_OPENNESS = 0.01
+_MAX_OPENNESS = 0.01  # sum of the area vectors over the area: a flat hole of 1 % of the area gives this
 _SURELY_KM, _SURELY_M = 30.0, 3000.0
-_LARGEST_KM = 1e30
-"""Far beyond any body, far below where sixth powers overflow."""
+"""A radius below the first is taken as km, above the second as m: between them are Bennu, 290 m, and Vesta, 290 km."""
+_LARGEST_KM = 1e30  # far beyond any body, far below where sixth powers overflow
 
 
 class UnitsWarning(UserWarning):
@@ -42,8 +42,8 @@ def load_shape(path: str | Path, *, units: str = "km") -> TriangleMesh:
     Returns
     -------
     TriangleMesh
-        In km, named after the file and carrying its SHA-256; coincident vertices are merged, facets without area
-        dropped and normals turned outward. What else may be wrong :func:`defects_of` tells.
+        In km, with the name and the SHA-256 of the file; coincident vertices are merged, facets without area dropped
+        and normals turned outward. For other defects see :func:`~giantlike.shapes.defects.defects_of`.
 
     Raises
     ------
@@ -66,17 +66,21 @@ def load_shape(path: str | Path, *, units: str = "km") -> TriangleMesh:
 
 
 def read_surface(path: str | Path, *, units: str = "km") -> Surface:
-    """Read what a shape file holds, however broken, in km: for looking at it and for repair.
+    """Read the surface of a shape file, however broken, in km: for looking at it and for repair.
 
     Parameters
     ----------
     path, units
         As for :func:`load_shape`.
 
+    Returns
+    -------
+    Surface
+
     Raises
     ------
     InputError, DataError
-        As :func:`load_shape`, but for what is wrong with the surface.
+        As for :func:`load_shape`, but defects of the surface are not errors.
 
     Warns
     -----
@@ -96,7 +100,18 @@ def read_surface(path: str | Path, *, units: str = "km") -> Surface:
 
 
 def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
-    """The closed mesh of a surface in km that was read from a file.
+    """Make a closed mesh of a surface that was read from a file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file, for name and hash.
+    surface : Surface
+        In km.
+
+    Returns
+    -------
+    TriangleMesh
 
     Raises
     ------
@@ -110,7 +125,7 @@ def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
     if surface.faces.size and surface.valid_faces.all() and surface.finite_vertices.all():
         surface = surface.merged()
     try:
-        mesh = TriangleMesh(surface.vertices, surface.faces, path.stem, _sha256(path), surface.albedo)
+        mesh = TriangleMesh(surface.vertices, surface.faces, path.stem, file_sha256(path), surface.albedo)
     except InputError as error:
         raise DataError(path, f"not a usable triangle mesh: {error}") from error
     if mesh.openness > _MAX_OPENNESS:
@@ -123,7 +138,19 @@ def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
 
 
 def guessed_units(path: Path, surface: Surface) -> tuple[str, str]:
-    """Unit of a file by its largest finite radius, and a remark for people that it was guessed.
+    """Guess the unit of a file from its largest finite radius.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    surface : Surface
+
+    Returns
+    -------
+    units : {"km", "m"}
+    remark : str
+        Sentence for people that it was guessed.
 
     Raises
     ------
@@ -136,8 +163,3 @@ def guessed_units(path: Path, surface: Surface) -> tuple[str, str]:
     units = "km" if radius <= _SURELY_KM else "m"
     remark = f"{path}: took the coordinates as {units}, for a largest radius of {radius:.4g}; state units to be sure"
     return units, remark
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,19 +1,17 @@
-"""Mend a surface on request: leave out what is broken, wind facets alike and outward, close small holes."""
+"""Repair of surfaces: broken facets left out, the others wound alike and outward, small holes closed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from giantlike.core.arrays import Mask, require
 from giantlike.core.values import Value
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.defects import Defects, defects_of, duplicate_facets, edges_of, flat_facets
 from giantlike.shapes.mesh import Faces
-from giantlike.shapes.surface import Surface
+from giantlike.shapes.surface import Surface, connected_labels
 
 _SAME_PLACE = 1e-9
 """Vertices nearer than this fraction of the extent are one: poles and seams of grids, computed twice."""
@@ -21,13 +19,13 @@ _SAME_PLACE = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Repair(Value):
-    """A mended surface and what was done to it.
+    """A repaired surface and the changes made.
 
     Parameters
     ----------
     surface : Surface
     before, after : Defects
-        What was found, and what could not be mended.
+        Defects that were found, and those that remain.
     facets_turned : int
         Facets that were wound the other way.
     holes_filled, facets_added : int
@@ -42,7 +40,7 @@ class Repair(Value):
 
 
 def repaired(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
-    """Mend what can be mended without guessing at the shape.
+    """Repair a surface as far as possible without guessing at the shape.
 
     In order: facets that are invalid, without area or doubled are left out; vertices that coincide to 1e-9 of the
     extent are merged and unreferenced ones left out; the facets of each connected piece are wound alike, and outward
@@ -55,7 +53,11 @@ def repaired(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
     surface : Surface
     max_hole_width : float
         Width of the widest hole to close over the largest extent of the surface; 0 leaves all open but those of
-        three edges. What is wider is no slip but missing surface.
+        three edges. A wider hole is missing surface, not a slip of a program.
+
+    Returns
+    -------
+    Repair
 
     Raises
     ------
@@ -104,7 +106,7 @@ def _neighbors(faces: Faces) -> tuple[Faces, Faces, Mask]:
 
 
 def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
-    """Faces of which all neighbors are wound alike, and which (m,) were turned for it.
+    """Faces of which all neighbors are wound alike, and the mask (m,) of those that were turned for it.
 
     Each facet is two nodes of a graph, as it is and turned; neighbors join the nodes that agree. The component that
     holds the first facet of a piece as it is says how the others must be. Where both nodes of a facet are in
@@ -115,22 +117,19 @@ def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
     other = np.where(alike, right, right + count)
     mirrored = np.where(alike, right + count, right)
     rows, columns = np.concatenate([left, left + count]), np.concatenate([other, mirrored])
-    graph = coo_array((np.ones(rows.size, dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count))
-    labels = connected_components(graph, directed=False)[1]
+    labels = connected_labels(2 * count, rows, columns)
     as_is, turned = labels[:count], labels[count:]
     smaller_first = as_is > turned  # labels rise with the first node: the first facet of a piece keeps its winding
     return _turned(surface.faces, smaller_first), smaller_first
 
 
 def _outward(surface: Surface) -> tuple[Faces, Mask]:
-    """Faces of which every connected piece encloses a positive volume, and which (m,) were turned for it."""
+    """Faces whose connected pieces all enclose a positive volume, and the mask (m,) of those turned for it."""
     left, right, _ = _neighbors(surface.faces)
-    count = len(surface.faces)
-    graph = coo_array((np.ones(left.size, dtype=np.int8), (left, right)), shape=(count, count))
-    pieces, piece = connected_components(graph, directed=False)
+    piece = connected_labels(len(surface.faces), left, right)
     corners = surface.vertices[surface.faces] - surface.vertices.mean(axis=0)
     volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    inward = np.bincount(piece, weights=volumes, minlength=pieces)[piece] < 0.0
+    inward = np.bincount(piece, weights=volumes)[piece] < 0.0
     return _turned(surface.faces, inward), inward
 
 

@@ -1,4 +1,4 @@
-"""Write shape models: the whole file or none, and never over another one unasked."""
+"""Shape models written to files: the whole file or none, and never over another one unasked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from giantlike.shapes.files.formats import DSK_SUFFIXES, WRITERS
 from giantlike.shapes.mesh import TriangleMesh
 
 _KEPT_ALBEDO = MappingProxyType({".npz": (FacetAlbedo, VertexAlbedo), ".icq": (VertexAlbedo,), ".txt": (VertexAlbedo,)})
-"""What albedo a format has room for, by the end of its name; none in the others."""
+"""Kinds of albedo that a format can hold, by the end of the file name; none in the others."""
 
 
 def save_shape(
@@ -31,7 +31,7 @@ def save_shape(
         ``.dsk`` need ``dsk``. Albedo by facet and by vertex is kept in ``.npz``, by vertex in an ICQ model, and
         nowhere else.
     overwrite : bool
-        Whether an existing file may be replaced.
+        True to replace an existing file.
     dsk : DskIdentity, optional
         Body, frame and surface that a DSK must name.
 
@@ -59,6 +59,16 @@ def save_shape(
 
 
 def keeps_albedo(mesh: TriangleMesh, path: str | Path) -> bool:
-    """Whether :func:`save_shape` leaves nothing of the albedo out in the format that the file name says."""
+    """Return True if :func:`save_shape` writes all of the albedo in the format that the file name says.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    path : path-like
+
+    Returns
+    -------
+    bool
+    """
     kept = _KEPT_ALBEDO.get(Path(path).suffix.lower(), ())
     return mesh.albedo is None or isinstance(mesh.albedo, kept)

@@ -1,4 +1,4 @@
-"""A surface as a file holds it: nothing merged, dropped or turned over yet, and not checked."""
+"""Surfaces as files hold them: nothing merged, dropped or turned over yet, and not checked."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Surface(Value):
     faces : (m, 3) int64
         Corners of each triangle, from 0; may point at vertices that do not exist.
     in_km : bool
-        Whether the vertices are known to be in km.
+        True if the vertices are known to be in km.
     albedo : VertexAlbedo or FacetAlbedo, optional
         Relative albedo, where the file has one.
 
@@ -53,7 +53,19 @@ class Surface(Value):
         Value.__post_init__(self)
 
     def kept(self, vertices: Mask, faces: Mask) -> Surface:
-        """Only some of the vertices (n,) and facets (m,), renumbered; a facet that is kept keeps its vertices."""
+        """Return the surface of some of the vertices and facets, renumbered.
+
+        Parameters
+        ----------
+        vertices : (n,) bool
+            Vertices to keep, among them all those of the facets to keep.
+        faces : (m,) bool
+            Facets to keep.
+
+        Returns
+        -------
+        Surface
+        """
         number = np.cumsum(vertices) - 1
         chosen = vertices if isinstance(self.albedo, VertexAlbedo) else faces
         albedo = None if self.albedo is None else type(self.albedo)(self.albedo.values[chosen])
@@ -62,9 +74,16 @@ class Surface(Value):
         )
 
     def merged(self, distance: float = 0.0) -> Surface:
-        """The same surface with vertices merged to the first of each cluster; all faces must be valid.
+        """Merge vertices to the first of each cluster; all faces must be valid.
 
-        Vertices with equal coordinates are merged, and those nearer to each other than ``distance``.
+        Parameters
+        ----------
+        distance : float
+            Vertices nearer to each other than this are merged, and always those with equal coordinates.
+
+        Returns
+        -------
+        Surface
         """
         names = coincident_names(self.vertices) if distance == 0.0 else close_names(self.vertices, distance)
         first = names == np.arange(len(names))
@@ -74,13 +93,13 @@ class Surface(Value):
 
     @property
     def finite_vertices(self) -> Mask:
-        """Which vertices (n,) have three finite coordinates."""
+        """Mask (n,) of the vertices with three finite coordinates."""
         finite: Mask = np.isfinite(np.abs(self.vertices).max(axis=1))
         return finite
 
     @property
     def valid_faces(self) -> Mask:
-        """Which facets (m,) have three vertices that exist and are finite."""
+        """Mask (m,) of the facets with three vertices that exist and are finite."""
         valid: Mask = (self.faces.min(axis=1) >= 0) & (self.faces.max(axis=1) < len(self.vertices))
         finite = self.finite_vertices
         if not finite.all():
@@ -90,13 +109,18 @@ class Surface(Value):
 
 
 def split_polygons(corners: Faces) -> Faces:
-    """Triangles (k, 3) of triangles and quadrilaterals, in their order.
+    """Split quadrilaterals into triangles.
 
     Parameters
     ----------
     corners : (m, 3) or (m, 4) int64
         In the four-column form a triangle has -1 in the last column. A quadrilateral a, b, c, d becomes the
         triangles a, b, c and a, c, d.
+
+    Returns
+    -------
+    (k, 3) int64
+        In the order of the polygons.
     """
     if corners.shape[1] == 3:
         return corners
@@ -107,7 +131,17 @@ def split_polygons(corners: Faces) -> Faces:
 
 
 def coincident_names(vertices: Float) -> Faces:
-    """For each vertex (n,) the number of the first one with equal coordinates; NaN equals nothing."""
+    """Number of the first vertex with equal coordinates, for each vertex.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+
+    Returns
+    -------
+    (n,) int64
+        NaN equals nothing.
+    """
     order = np.lexsort(vertices.T)  # stable: the first of equals stays first
     ordered = vertices[order]
     new = np.ones(len(vertices), dtype=bool)
@@ -118,11 +152,40 @@ def coincident_names(vertices: Float) -> Faces:
 
 
 def close_names(vertices: Float, distance: float) -> Faces:
-    """For each vertex (n,) the number of the first one that a chain of steps up to ``distance`` reaches."""
+    """Number of the first vertex that a chain of short steps reaches, for each vertex.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    distance : float
+        Longest step.
+
+    Returns
+    -------
+    (n,) int64
+    """
     pairs = cKDTree(vertices).query_pairs(distance, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2)
-    count, labels = connected_components(graph, directed=False)
-    first = np.full(count, len(vertices))
+    labels = connected_labels(len(vertices), pairs[:, 0], pairs[:, 1])
+    first = np.full(labels.max(initial=-1) + 1, len(vertices))
     np.minimum.at(first, labels, np.arange(len(vertices)))
     names: Faces = first[labels]
     return names
+
+
+def connected_labels(count: int, first: Faces, second: Faces) -> Faces:
+    """Label the connected components of a graph.
+
+    Parameters
+    ----------
+    count : int
+        Number of nodes.
+    first, second : (p,) int64
+        Nodes at the ends of each edge.
+
+    Returns
+    -------
+    (count,) int64
+        Number of the component of each node; it rises with the first node of the component.
+    """
+    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

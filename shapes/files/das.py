@@ -1,4 +1,4 @@
-"""A look at the skeleton of a DAS file, which a DSK is, before CSPICE opens it.
+"""Check of the directories of a DAS file, the container of a DSK, before CSPICE opens it.
 
 CSPICE trusts the pointers of a DAS file: a damaged one can end the whole process instead of giving an error. The file
 is made of records of 1024 bytes: the file record, reserved and comment records, then directories, each of which
@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+# Layout of a DAS file, bytes and words from 0: NAIF, "DAS Required Reading", sections on file and directory records.
 _RECORD_BYTES = 1024
 _COUNTS_AT, _FORMAT_AT = 68, 84
 _BYTE_ORDER = {b"LTL-IEEE": "<i4", b"BIG-IEEE": ">i4"}
@@ -22,6 +23,10 @@ _WORDS_PER_RECORD = np.array([1024, 128, 256])  # characters, reals, integers
 
 def require_whole_das(path: Path) -> None:
     """Check identity, length and directories of a DAS file.
+
+    Parameters
+    ----------
+    path : Path
 
     Raises
     ------
@@ -47,6 +52,7 @@ def require_whole_das(path: Path) -> None:
 
 
 def _record(file: BinaryIO, number: int, records: int, order: str) -> NDArray[np.int64]:
+    """Words (256,) of a record."""
     if number >= records:
         raise ValueError(f"its directory should be record {number + 1}, but it has {records}: is it cut short?")
     file.seek(number * _RECORD_BYTES)
@@ -56,7 +62,7 @@ def _record(file: BinaryIO, number: int, records: int, order: str) -> NDArray[np
 def _checked(
     directory: NDArray[np.int64], number: int, before: int, records: int, last_words: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Last address of each type after a directory (record ``number`` from 0) whose predecessor is ``before``."""
+    """Last address (3,) of each type after a directory, record ``number`` from 0, whose predecessor is ``before``."""
     backward, after = directory[:2].tolist()
     ranges = directory[_RANGES_AT:_TYPE_AT].reshape(3, 2)
     kind, of_type, used = int(directory[_TYPE_AT]), np.zeros(3, dtype=np.int64), 0

@@ -11,25 +11,27 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
+from giantlike.core.reading import library_message
 from giantlike.core.units import SECONDS_PER_JULIAN_YEAR
 from giantlike.shapes.files.das import require_whole_das
 from giantlike.shapes.mesh import Faces, TriangleMesh
 from giantlike.shapes.surface import Surface
 
+# Codes of NAIF's "DSK Required Reading": segment type, data classes, coordinate system.
 _DSK_TYPE = 2
-_SINGLE_VALUED, _GENERAL = 1, 2  # data classes of a DSK
+_SINGLE_VALUED, _GENERAL = 1, 2
 _LATITUDINAL = 1
-_VALID_YEARS = 100.0
+_VALID_YEARS = 100.0  # before and after J2000: a DSK must state times; shape models have none, and missions are within
 _FINE_SCALE, _COARSE_SCALE = 5.0, 4  # voxel over mean plate extent, coarse voxel over fine voxel
-_MOST_VOXELS = 3_000_000
+_MOST_VOXELS = 3_000_000  # bounds the memory of the spatial index, which has several integers of 32 bit for each
 _INDEX_HEADER = 100_008  # integers that come before the lists of a spatial index (SPICE_DSK02_IXIFIX)
-_CELLS_PER_PLATE = 30
-_BYTES_PER_VERTEX, _BYTES_PER_PLATE = 24, 12
+_CELLS_PER_PLATE = 30  # entries of the voxel lists that are allocated; a plate of mean size meets a few voxels
+_BYTES_PER_VERTEX, _BYTES_PER_PLATE = 24, 12  # three float64, three 32 bit integers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DskIdentity:
-    """What a DSK says of itself besides its plates.
+    """Identity that a DSK states besides its plates.
 
     Parameters
     ----------
@@ -38,7 +40,7 @@ class DskIdentity:
     frame : str
         Body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``.
     surface : int
-        Number of the surface: whatever tells several shapes of one body apart.
+        Number of the surface, which tells several shapes of one body apart.
     """
 
     center: int
@@ -55,23 +57,27 @@ class DskIdentity:
 def read_dsk(path: Path) -> Surface:
     """Read all segments of a DSK as one surface, in km.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Surface
+
     Raises
     ------
-    ValueError
+    ValueError, SpiceyError
         CSPICE finds the file damaged, a segment is not of type 2, or its counts cannot be true.
     """
     import spiceypy
-    from spiceypy.utils.exceptions import SpiceyError
 
     require_whole_das(path)
+    handle = spiceypy.dasopr(str(path))
     try:
-        handle = spiceypy.dasopr(str(path))
-        try:
-            segments = _segments(spiceypy, handle, path.stat().st_size)
-        finally:
-            spiceypy.dascls(handle)
-    except SpiceyError as error:
-        raise ValueError(_telling_line(error)) from error
+        segments = _segments(spiceypy, handle, path.stat().st_size)
+    finally:
+        spiceypy.dascls(handle)
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in segments])
     faces = [plates + start for (_, plates), start in zip(segments, starts, strict=False)]
     vertices = np.concatenate([vertices for vertices, _ in segments])
@@ -108,6 +114,12 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
 
     The data class is 1 (single-valued) where every ray from the origin meets one plate, else 2.
 
+    Parameters
+    ----------
+    path : Path
+    mesh : TriangleMesh
+    identity : DskIdentity
+
     Raises
     ------
     InputError
@@ -132,18 +144,11 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
         finally:
             spiceypy.dskcls(handle, True)
     except SpiceyError as error:
-        raise InputError(f"SPICE does not write this DSK: {_telling_line(error)}") from error
-
-
-def _telling_line(error: BaseException) -> str:
-    """The telling lines of a SPICE message, which it frames with rules and a traceback."""
-    lines = [line.strip() for line in str(error).splitlines()]
-    telling = [line for line in lines if line and not line.startswith(("===", "Toolkit version")) and "-->" not in line]
-    return " ".join(telling)
+        raise InputError(f"SPICE does not write this DSK: {library_message(error)}") from error
 
 
 def _data_class(mesh: TriangleMesh) -> int:
-    """Whether each ray from the origin meets the surface once: all facets face away from the origin."""
+    """Class 1 if each ray from the origin meets the surface once, which is when all facets face away from it."""
     return _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL
 
 

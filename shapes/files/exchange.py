@@ -1,10 +1,8 @@
-"""OBJ, PLY and STL: read through trimesh, but for the usual binary PLY; OBJ written so that it keeps float64."""
+"""OBJ, PLY and STL files: read through trimesh, but for the usual binary PLY; OBJ is written with all digits."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BytesIO, StringIO
 from pathlib import Path
 
@@ -15,16 +13,25 @@ from giantlike.shapes.files.text import write_rows
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
-_STL_HEADER_BYTES, _STL_FACET_BYTES = 80, 50
+_STL_HEADER_BYTES, _STL_FACET_BYTES = 80, 50  # of binary STL: comment; 12 float32 and an attribute of 16 bit
 _COMMENT = "written by giantlike, coordinates in km"
 
 
 def read_exchange(path: Path) -> Surface:
     """Read OBJ, PLY or STL; polygons are split into triangles, materials and textures left out.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Surface
+        In the unit of the file.
+
     Raises
     ------
-    ValueError and what else a parser stumbles over
+    ValueError, exceptions of trimesh
         The file is damaged.
     """
     kind = path.suffix.lower().removeprefix(".")
@@ -32,7 +39,8 @@ def read_exchange(path: Path) -> Surface:
         return surface
     import trimesh
 
-    with path.open("rb") as file, _quiet("trimesh.util"):
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs what its exceptions say as well
+    with path.open("rb") as file:
         source = file if kind == "ply" else _text_or_binary(file.read(), kind)
         mesh = trimesh.load(source, file_type=kind, force="mesh", process=False, skip_materials=True)
         vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
@@ -50,24 +58,25 @@ def _text_or_binary(content: bytes, kind: str) -> StringIO | BytesIO:
     return BytesIO(content)
 
 
-@contextmanager
-def _quiet(name: str) -> Iterator[None]:
-    """Keep a library from logging what an exception tells as well."""
-    logger = logging.getLogger(name)
-    before, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = before
-
-
 def write_obj(path: Path, mesh: TriangleMesh) -> None:
-    """Write ``v`` and ``f`` rows in km, float64 to the last bit."""
+    """Write an OBJ file with ``v`` and ``f`` rows in km, float64 to the last bit.
+
+    Parameters
+    ----------
+    path : Path
+    mesh : TriangleMesh
+    """
     write_rows(path, f"# {_COMMENT}\n", [("v ", mesh.vertices_km), ("f ", mesh.faces + 1)])
 
 
 def write_stl(path: Path, mesh: TriangleMesh) -> None:
-    """Write binary STL in km: the format knows single precision only, 6e-8 of each coordinate."""
+    """Write binary STL in km; the format has single precision only, 6e-8 of each coordinate.
+
+    Parameters
+    ----------
+    path : Path
+    mesh : TriangleMesh
+    """
     facets = np.zeros(len(mesh.faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     facets["normal"], facets["corners"] = mesh.normals, mesh.vertices_km[mesh.faces]
     with path.open("wb") as file:

@@ -1,18 +1,16 @@
-"""Which format a shape file has, and one kind of error whatever the parser stumbles over."""
+"""Formats of shape files by the ends of their names, and one border at which damaged ones become a DataError."""
 
 from __future__ import annotations
 
-import struct
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from giantlike.core.errors import DataError, InputError, OpNavError
+from giantlike.core.errors import InputError
+from giantlike.core.reading import reads
 from giantlike.shapes.files.dsk import read_dsk
 from giantlike.shapes.files.exchange import read_exchange, write_obj, write_stl
 from giantlike.shapes.files.icq import is_icq, read_icq, write_icq
@@ -22,32 +20,37 @@ from giantlike.shapes.files.ply import write_ply
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
-_PARSER_ERRORS = (
-    ValueError, LookupError, TypeError, AttributeError, EOFError, NotImplementedError, AssertionError, ArithmeticError,
-    NameError, MemoryError, RecursionError, struct.error, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-
 
 def read_text(path: Path) -> Surface:
-    """Read a text file that is either an ICQ model or a plate table."""
+    """Read a text file that is either an ICQ model or a plate table.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Surface
+        In the unit of the file.
+    """
     return read_icq(path) if is_icq(path) else read_plate_table(path)
 
 
 READERS: Mapping[str, tuple[str, Callable[[Path], Surface]]] = MappingProxyType(
     {
-        ".obj": ("OBJ file", read_exchange),
-        ".ply": ("PLY file", read_exchange),
-        ".stl": ("STL file", read_exchange),
-        ".tab": ("plate table", read_text),
-        ".plt": ("plate table", read_plate_table),
-        ".txt": ("plate table", read_text),
-        ".icq": ("ICQ model", read_icq),
-        ".bds": ("DSK file", read_dsk),
-        ".dsk": ("DSK file", read_dsk),
-        ".npz": ("shape archive", read_npz),
+        ".obj": ("an OBJ file", read_exchange),
+        ".ply": ("a PLY file", read_exchange),
+        ".stl": ("an STL file", read_exchange),
+        ".tab": ("a plate table", read_text),
+        ".plt": ("a plate table", read_plate_table),
+        ".txt": ("a plate table", read_text),
+        ".icq": ("an ICQ model", read_icq),
+        ".bds": ("a DSK file", read_dsk),
+        ".dsk": ("a DSK file", read_dsk),
+        ".npz": ("a shape archive", read_npz),
     }
 )
-"""What a file is called and who reads it, by the end of its name."""
+"""Name and reader of each format, by the end of the file name."""
 
 DSK_SUFFIXES = (".bds", ".dsk")
 
@@ -63,11 +66,20 @@ WRITERS: Mapping[str, Callable[[Path, TriangleMesh], None]] = MappingProxyType(
         ".npz": write_npz,
     }
 )
-"""Who writes a file, by the end of its name; a DSK needs its identity as well."""
+"""Writer of each format, by the end of the file name; a DSK needs its identity as well."""
 
 
 def read_file(path: Path) -> Surface:
     """Read a shape file as it is.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Surface
+        In the unit of the file.
 
     Raises
     ------
@@ -80,16 +92,13 @@ def read_file(path: Path) -> Surface:
     if known is None:
         raise InputError(f"{path}: shape files end in {', '.join(sorted(READERS))}, not {path.suffix!r}")
     what, read = known
-    try:
+
+    @reads(what)
+    def surface_of(path: Path) -> Surface:
         if path.stat().st_size == 0:
-            raise DataError(path, "the shape file is empty")
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            return read(path)
-    except OpNavError:
-        raise
-    except OSError as error:
-        raise DataError(path, f"cannot read the shape file: {error.strerror or error}") from error
-    except _PARSER_ERRORS as error:
-        text = " ".join(str(error).split())[:200] or type(error).__name__
-        raise DataError(path, f"damaged {what}: {text}") from error
+            raise ValueError("the file is empty")
+        return read(path)
+
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        return surface_of(path)

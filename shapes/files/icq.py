@@ -24,13 +24,22 @@ from giantlike.shapes.files.text import numbers, text_rows, write_rows
 from giantlike.shapes.mesh import Faces, TriangleMesh
 from giantlike.shapes.surface import Surface, split_polygons
 
-_LARGEST_Q = 2048
+_LARGEST_Q = 2048  # 50 million facets: bounds the memory that a damaged first row can ask for
 _COPY_TOLERANCE = 1e-3
-"""By how much copies of a vertex may differ, over the largest coordinate: they are rounded text of one number."""
+"""Largest difference of copies of a vertex, over the largest coordinate: they are rounded text of one number."""
 
 
 def is_icq(path: Path) -> bool:
-    """Whether a text file begins as an ICQ model: one number Q in the first row, 6 (Q + 1)^2 rows after it."""
+    """Return True if a text file begins as an ICQ model: one number Q in the first row, 6 (Q + 1)^2 rows after it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
     with path.open(encoding="ascii", errors="replace") as file:
         try:
             q = int(next(file, ""))
@@ -41,6 +50,15 @@ def is_icq(path: Path) -> bool:
 
 def read_icq(path: Path) -> Surface:
     """Read an ICQ model; a fourth column is the relative albedo of the vertices.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Surface
+        In the unit of the file.
 
     Raises
     ------
@@ -66,6 +84,11 @@ def read_icq(path: Path) -> Surface:
 
 def write_icq(path: Path, mesh: TriangleMesh) -> None:
     """Write an ICQ model in km, float64 to the last bit; albedo by vertex becomes a fourth column.
+
+    Parameters
+    ----------
+    path : Path
+    mesh : TriangleMesh
 
     Raises
     ------

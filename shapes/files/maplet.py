@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.reading import reads
 from giantlike.shapes.local_map import LocalMap
 
-_RECORD = 72
-_ALBEDO_STEP = 0.01
-_MAX_HALF_SIZE = 4096
+_RECORD = 72  # bytes before the pixels [1]_ of read_maplet
+_ALBEDO_STEP = 0.01  # of the stored albedo, same source
+_MAX_HALF_SIZE = 4096  # bounds the memory that a damaged header can ask for
 _SKEW = 1e-3  # axes in single precision are square to 1e-7; what is worse than this is damage
 
 
+@reads("an SPC maplet")
 def read_maplet(path: Path) -> LocalMap:
     """Read an SPC maplet.
 
@@ -49,47 +50,35 @@ def read_maplet(path: Path) -> LocalMap:
     .. [2] Palmer: SPC-Web-tools, phasei.f (reads and writes maplets), https://github.com/ericepalmer/SPC-Web-tools.
     .. [3] NASA GIANT: giant/utilities/stereophotoclinometry.py, which takes pixels in the same order.
     """
-    content = _read(path)
+    content = path.read_bytes()
+    if len(content) < _RECORD:
+        raise ValueError(f"needed at least {_RECORD} bytes, got {len(content)}")
+    if content.startswith(b"DOUBLE"):
+        raise ValueError("it is in double precision by its first bytes: maplets are in single precision")
     (scale_km,) = struct.unpack_from(">f", content, 6)
     (half,) = struct.unpack_from("<H", content, 10)
     numbers = np.array(struct.unpack_from(">13f", content, 15))
     center, axes, step = numbers[:3], numbers[3:12].reshape(3, 3).T, float(numbers[12])
     if not (np.isfinite(numbers).all() and np.isfinite(scale_km) and scale_km > 0.0 and 1 <= half <= _MAX_HALF_SIZE):
-        raise DataError(path, f"no maplet: scale {scale_km:g} km, half size {half}, or a number that is not finite")
+        raise ValueError(f"no maplet has a scale of {scale_km:g} km, half size {half}, or a number that is not finite")
     if np.abs(axes.T @ axes - np.eye(3)).max() > _SKEW or np.linalg.det(axes) < 0.0:
-        raise DataError(path, "the axes of the maplet are not three unit vectors square to each other, right-handed")
-    grid = _pixels(path, content, 2 * half + 1)
-    there = grid["albedo"] > 0
-    try:
-        return LocalMap(
-            center_body_km=center,
-            body_from_map=Rotation.from_matrix(axes),
-            heights_km=np.where(there, grid["height"].astype(np.float64) * step * scale_km, np.nan),
-            spacing_km=float(scale_km),
-            albedo=np.where(there, grid["albedo"] * _ALBEDO_STEP, 1.0),
-            name=path.stem,
-        )
-    except InputError as error:
-        raise DataError(path, str(error)) from error
+        raise ValueError("its axes are not three orthogonal unit vectors, right-handed")
+    grid = _pixels(content, 2 * half + 1)
+    known = grid["albedo"] > 0
+    return LocalMap(
+        center_body_km=center,
+        body_from_map=Rotation.from_matrix(axes),
+        heights_km=np.where(known, grid["height"].astype(np.float64) * step * scale_km, np.nan),
+        spacing_km=float(scale_km),
+        albedo=np.where(known, grid["albedo"] * _ALBEDO_STEP, 1.0),
+        name=path.stem,
+    )
 
 
-def _read(path: Path) -> bytes:
-    """Content of a file that holds a first record at least."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(path, f"cannot read the maplet: {error.strerror or error}") from error
-    if len(content) < _RECORD:
-        raise DataError(path, f"needed a maplet of at least {_RECORD} bytes, got {len(content)}")
-    if content[:6] == b"DOUBLE":
-        raise DataError(path, "the maplet says that it is in double precision: SPC knows single precision only")
-    return content
-
-
-def _pixels(path: Path, content: bytes, side: int) -> NDArray[np.void]:
+def _pixels(content: bytes, side: int) -> NDArray[np.void]:
     """Heights and albedo (side, side): rows along y = Uy, columns along x = Ux."""
     needed = _RECORD + 3 * side * side
     if len(content) < needed:
-        raise DataError(path, f"needed {side} x {side} pixels, {needed} bytes, got {len(content)}")
+        raise ValueError(f"needed {side} x {side} pixels, {needed} bytes, got {len(content)}")
     pixels = np.frombuffer(content, dtype=[("height", ">i2"), ("albedo", "u1")], count=side * side, offset=_RECORD)
     return pixels.reshape(side, side).T

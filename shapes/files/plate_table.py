@@ -19,6 +19,15 @@ from giantlike.shapes.surface import Surface, split_polygons
 def read_plate_table(path: Path) -> Surface:
     """Read a plate table.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Surface
+        In the unit of the file.
+
     Raises
     ------
     ValueError
@@ -26,8 +35,8 @@ def read_plate_table(path: Path) -> Surface:
 
     Notes
     -----
-    Whether plates number the vertices from 0 or from 1 is told by the indices: 0 occurs, or the number of
-    vertices does. Where neither does, the numbering with the shorter edges is taken.
+    Plates number the vertices from 0 where 0 occurs, and from 1 where the number of vertices does. Where neither
+    does, the numbering with the shorter edges is taken.
     """
     rows = text_rows(path)
     if rows and rows[0][0] in "vVfF":
@@ -39,7 +48,13 @@ def read_plate_table(path: Path) -> Surface:
 
 
 def write_plate_table(path: Path, mesh: TriangleMesh) -> None:
-    """Write ``v`` and ``f`` rows in km, plates numbering the vertices from 1, float64 to the last bit."""
+    """Write ``v`` and ``f`` rows in km, plates numbering the vertices from 1, float64 to the last bit.
+
+    Parameters
+    ----------
+    path : Path
+    mesh : TriangleMesh
+    """
     write_rows(path, "", [("v ", mesh.vertices_km), ("f ", mesh.faces + 1)])
 
 
@@ -90,7 +105,7 @@ def _corners(rows: list[str], *, skip: int = 0) -> Faces:
 
 
 def _first_number(vertices: Float, faces: Faces) -> int:
-    """0 or 1: how the plates call the first vertex."""
+    """Number of the first vertex in the plates, 0 or 1."""
     if faces.size == 0 or faces.min() <= 0:
         return 0
     if faces.max() >= len(vertices):

@@ -1,4 +1,4 @@
-"""Binary PLY, read straight into arrays: large models come this way, and a general parser takes a gigabyte for them."""
+"""Binary PLY files, read straight into arrays: a general parser takes a gigabyte for a large model."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _TYPES = {
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-_LONGEST_HEADER = 200
+_LONGEST_HEADER = 200  # lines, and bytes of a line; files with more are left to trimesh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Element:
-    """An element of the header: how many, and the words of its property rows."""
+    """An element of the header: name, count, and the words of its property rows."""
 
     name: str
     count: int
@@ -32,7 +32,16 @@ class _Element:
 
 
 def read_binary_ply(path: Path) -> Surface | None:
-    """Read a binary PLY of vertices and of facets with three or four corners; None for what is more than that.
+    """Read a binary PLY of vertices and of facets with three or four corners.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Surface or None
+        In the unit of the file; None for a file of another kind, which trimesh can read.
 
     Raises
     ------
@@ -52,7 +61,13 @@ def read_binary_ply(path: Path) -> Surface | None:
 
 
 def write_ply(path: Path, mesh: TriangleMesh) -> None:
-    """Write binary little-endian PLY in km, vertices in float64."""
+    """Write binary little-endian PLY in km, vertices in float64.
+
+    Parameters
+    ----------
+    path : Path
+    mesh : TriangleMesh
+    """
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment written by giantlike, coordinates in km\n"
         f"element vertex {len(mesh.vertices_km)}\nproperty double x\nproperty double y\nproperty double z\n"
@@ -128,7 +143,7 @@ def _mixed_corners(data: bytes, count: np.dtype[Any], index: np.dtype[Any], face
 
 
 def _array(file: BinaryIO, row: np.dtype[np.void], count: int) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    """So many rows from where the file stands."""
+    """The next ``count`` rows of the file."""
     needed = row.itemsize * count
     if (there := _bytes_left(file)) < needed:
         raise ValueError(f"needed {count} rows of {row.itemsize} bytes, found {there} bytes: is it cut short?")

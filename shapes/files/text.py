@@ -1,4 +1,4 @@
-"""What the text formats share: rows of numbers, fast, and refused with the row that is wrong."""
+"""Rows of numbers in text files: read fast, refused with the row that is wrong, and written."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.shapes.mesh import Faces
 
-_LARGEST_INDEX = 2.0**53
+_LARGEST_INDEX = 2.0**53  # float64 holds all whole numbers below it
 
 
 def text_rows(path: Path) -> list[str]:
     """Rows of an ASCII file without blank lines and comments (#); commas count as blanks, Fortran's D as E.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    list of str
 
     Raises
     ------
@@ -27,7 +35,17 @@ def text_rows(path: Path) -> list[str]:
 
 
 def numbers(rows: Sequence[str], columns: tuple[int, ...]) -> Float:
-    """Float64 numbers (n, k) of rows that all hold k of them, where ``columns`` lists the k that are right.
+    """Convert rows of text that all hold the same number of numbers.
+
+    Parameters
+    ----------
+    rows : sequence of str
+    columns : tuple of int
+        Allowed numbers of columns.
+
+    Returns
+    -------
+    (n, k) float64
 
     Raises
     ------
@@ -43,7 +61,15 @@ def numbers(rows: Sequence[str], columns: tuple[int, ...]) -> Float:
 
 
 def whole_numbers(table: Float) -> Faces:
-    """The same numbers as int64.
+    """Convert a table of vertex numbers to int64.
+
+    Parameters
+    ----------
+    table : (m, k) float64
+
+    Returns
+    -------
+    (m, k) int64
 
     Raises
     ------
@@ -57,7 +83,15 @@ def whole_numbers(table: Float) -> Faces:
 
 
 def write_rows(path: Path, header: str, tables: Sequence[tuple[str, Float | Faces]]) -> None:
-    """Write a header and then tables of numbers, each row after its own prefix; float64 to the last bit."""
+    """Write a header and then tables of numbers, float64 to the last bit.
+
+    Parameters
+    ----------
+    path : Path
+    header : str
+    tables : sequence of (str, (n, k) array)
+        Each with the prefix of its rows.
+    """
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write(header)
         for prefix, table in tables:

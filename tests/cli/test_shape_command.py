@@ -243,7 +243,7 @@ def test_mistakes_end_in_one_line(tmp_path: Path, egg: Path) -> None:
     assert "--size" in refusal(shape("render", egg, picture, "--size", "0"))
     assert "reflectance model" in refusal(shape("render", egg, picture, "--reflectance", "velvet"))
     assert "shape files end in" in refusal(shape("convert", egg, tmp_path / "egg.blend"))
-    assert "No such file" in refusal(shape("convert", tmp_path / "nowhere.obj", tmp_path / "new.obj"))
+    assert "no such file" in refusal(shape("convert", tmp_path / "nowhere.obj", tmp_path / "new.obj"))
     assert "parsec" in shape("info", egg, "--units", "parsec").stderr
     assert not picture.exists()
 

@@ -150,7 +150,7 @@ def test_landmarks_from_a_file_of_the_same_shape_give_the_same_answer(tmp_path: 
     with pytest.raises(InputError, match="there is no"):
         with_files_found(SurfaceFeaturesOptions(landmarks=Path("none.npz")), tmp_path, "options")
     (tmp_path / "bad.npz").write_bytes(b"nothing")
-    with pytest.raises(DataError, match="damaged"):
+    with pytest.raises(DataError, match="cannot be read as a catalog of landmarks"):
         refused(one, SurfaceFeaturesOptions(landmarks=tmp_path / "bad.npz"))
 
 

@@ -247,7 +247,7 @@ def test_binary_ply_of_either_byte_order_and_with_more_columns_is_read(
     assert len(mesh.faces) == 12
     assert_allclose(mesh.volume_km3, 8.0, rtol=FLOAT64)
     path.write_bytes(path.read_bytes()[:-3])
-    with pytest.raises(DataError, match="damaged PLY"):
+    with pytest.raises(DataError, match="cannot be read as a PLY"):
         load_shape(path)
 
 

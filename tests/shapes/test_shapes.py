@@ -130,12 +130,12 @@ def test_exchange_formats_written_by_trimesh_come_back_with_shared_vertices(tmp_
     ("file", "content", "needle"),
     [
         ("empty.obj", "", "empty"),
-        ("no_faces.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "damaged|facet"),
+        ("no_faces.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "cannot be read|facet"),
         ("out_of_range.tab", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n", "indices"),
         ("nan.tab", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "not finite"),
-        ("words.tab", "v one two three\n", "damaged plate table"),
+        ("words.tab", "v one two three\n", "cannot be read as a plate table"),
         ("short.tab", "4\n0 0 0\n1 0 0\n", "plates after 4 vertices"),
-        ("binary.tab", "\x00\x01 junk", "damaged plate table"),
+        ("binary.tab", "\x00\x01 junk", "cannot be read as a plate table"),
         ("flat.tab", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 0 1 2\n", "area"),
         ("sheet.tab", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "not closed"),
         ("text.bds", "this is no DSK", "DSK"),
@@ -155,7 +155,7 @@ def test_a_damaged_shape_file_ends_in_one_line_that_names_it(
 
 
 def test_a_missing_file_and_an_unknown_type_are_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"nowhere\.obj.*No such file"):
+    with pytest.raises(DataError, match=r"nowhere\.obj.*no such file"):
         load_shape(tmp_path / "nowhere.obj")
     with pytest.raises(DataError, match=r"nowhere\.bds"):
         load_shape(tmp_path / "nowhere.bds")
