@@ -9,13 +9,15 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, f
 
 from giantlike.camera import Camera
-from giantlike.camera_models import BrownModel
+from giantlike.camera_models import BrownModel, CameraModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
+from giantlike.processing.correlated_fit import generalized_solution
 from giantlike.ray_tracing import Body, McEwen, Reflectance, RenderOptions, Template, render
+from giantlike.relative.horizon.geometry import CraMethod, Figure, cone_weights, horizon_residuals
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
 from tests.tolerances import RARE
@@ -140,3 +142,21 @@ def assert_sound(case: BodyImage, fix: PositionFix, *, sigma_px: float, sigma_ra
     assert case.nees(fix) < NEES_LIMIT, (case.image.name, case.error_px(fix), stated_px)
     assert stated_px < sigma_px, (case.image.name, stated_px)
     assert stated_range < sigma_range, (case.image.name, stated_range)
+
+
+def horizon_covariance(
+    points_px: Float,
+    model: CameraModel,
+    figure: Figure,
+    position_km: Float,
+    *,
+    sigma_px: Float | float,
+    method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD,
+) -> Float:
+    """Covariance of a position from horizon points with independent errors, as ``fit_horizon`` states it."""
+    weights = None
+    if method is not CraMethod.MAXIMUM_LIKELIHOOD:
+        weights = cone_weights(points_px, model, figure, position_km)
+    residuals, design, _ = horizon_residuals(points_px, model, figure, position_km)
+    noise = np.diag(np.broadcast_to(sigma_px, len(points_px)) ** 2.0)
+    return generalized_solution(residuals, design, noise, weights=weights)[1]

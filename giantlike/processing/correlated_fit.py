@@ -118,12 +118,33 @@ def generalized_solution(
     covariance : (k, k) float64
         Of the solution as it was weighted.
     """
+    gain = solution_gain(design, residual_covariance, weights=weights)
+    covariance: Float = gain @ residual_covariance @ gain.T
+    return gain @ residuals, covariance
+
+
+def solution_gain(design: Float, residual_covariance: Float, *, weights: Float | None = None) -> Float:
+    """Matrix that takes residuals to the solution of :func:`generalized_solution`.
+
+    With it goes what each part of the covariance of the residuals does to the solution: ``gain @ part @ gain.T``.
+
+    Parameters
+    ----------
+    design : (n, k) float64
+    residual_covariance : (n, n) float64
+        Not used where there are weights.
+    weights : (n,) float64, optional
+        Weights of an ordinary weighted solution; by default the inverse covariance, which is the best.
+
+    Returns
+    -------
+    (k, n) float64
+    """
     scale = np.linalg.norm(design, axis=0)
     x = design / scale
     weighted = np.linalg.solve(residual_covariance, x) if weights is None else x * weights[:, None]
-    gain = np.linalg.solve(weighted.T @ x, weighted.T) / scale[:, None]
-    covariance: Float = gain @ residual_covariance @ gain.T
-    return gain @ residuals, covariance
+    gain: Float = np.linalg.solve(weighted.T @ x, weighted.T) / scale[:, None]
+    return gain
 
 
 def correlated_solution(

@@ -12,6 +12,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution, robust_solution
+from giantlike.processing.limb.measurement import PredictedLimb
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
@@ -22,7 +23,7 @@ from giantlike.processing.limb.scan import (
     scan_lines,
     step_profile,
 )
-from giantlike.processing.limb.search import search_limb
+from giantlike.processing.limb.search import OutlineSearch, search_limb
 from tests.tolerances import FLOAT64_SUM
 
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
@@ -47,6 +48,15 @@ def circle(count: int, *, radius_px: float = RADIUS_PX, center_px: Float = CENTE
     angles = (np.arange(count) + 0.37) * 2.0 * np.pi / count
     normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return center_px + radius_px * normals, normals
+
+
+def limb_of(points: Float, normals: Float) -> PredictedLimb:
+    return PredictedLimb(
+        points_px=points,
+        points_camera_km=np.zeros((len(points), 3)),
+        normals_px=normals,
+        brightness=np.ones(len(points)),
+    )
 
 
 def scans_of(image: Float, points: Float, normals: Float, reach_px: float = 10.0) -> Scans:
@@ -158,13 +168,9 @@ def test_an_outline_is_found_far_from_its_prediction(moved_px: tuple[float, floa
     coarse = search_limb(
         image,
         np.ones(image.shape, dtype=bool),
-        points[lit],
-        normals[lit],
-        np.ones(int(lit.sum())),
+        limb_of(points[lit], normals[lit]),
         CENTER_PX,
-        search_px=40.0,
-        search_scale=0.03,
-        noise_dn=5.0,
+        OutlineSearch(search_px=40.0, search_range=0.03, noise_dn=5.0),
     )
     limb_error = normals[lit] @ (coarse.shift_px - moved_px) + radius * (coarse.scale - grown)
     assert np.abs(limb_error).max() < 2.0
@@ -177,13 +183,9 @@ def test_noise_has_no_outline() -> None:
     coarse = search_limb(
         image,
         np.ones(image.shape, dtype=bool),
-        points,
-        normals,
-        np.ones(120),
+        limb_of(points, normals),
         CENTER_PX,
-        search_px=30.0,
-        search_scale=0.03,
-        noise_dn=5.0,
+        OutlineSearch(search_px=30.0, search_range=0.03, noise_dn=5.0),
     )
     assert coarse.contrast < 0.2
 

@@ -18,19 +18,18 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import Body, trace_silhouette
 from giantlike.relative import ESTIMATORS, Estimator
+from giantlike.relative.horizon.cell_scan import HorizonScan
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions, relief_sigma_km
 from giantlike.relative.horizon.geometry import (
     CraMethod,
     Figure,
     christian_robinson,
     cone_weights,
-    horizon_covariance,
     horizon_residuals,
 )
-from giantlike.relative.horizon.scan import HorizonScan
-from giantlike.relative.limb.observation import EdgeModel
+from giantlike.relative.limb.fix import EdgeModel
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid
-from tests.limb_images import BodyImage, assert_sound, body_image, mean_nees_band
+from tests.limb_images import BodyImage, assert_sound, body_image, horizon_covariance, mean_nees_band
 from tests.numerical import numerical_jacobian
 from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SETTLED
 

@@ -19,10 +19,10 @@ from giantlike.relative.horizon.geometry import (
     Figure,
     altitude_design,
     christian_robinson,
-    horizon_covariance,
     horizon_residuals,
 )
 from giantlike.shapes import Ellipsoid
+from tests.limb_images import horizon_covariance
 from tests.numerical import numerical_jacobian
 
 EXACT_RELATIVE = 1e-6  # of the range: silhouettes are traced to 1e-6 px of a radius of some hundred

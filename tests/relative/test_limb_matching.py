@@ -23,14 +23,14 @@ from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.io.image_files import read_image_file
+from giantlike.processing.limb.measurement import limb_design
 from giantlike.ray_tracing import Body, Lambert, McEwen, Reflectance, trace_silhouette
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.relative.estimator import gather
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
-from giantlike.relative.limb.fix import limb_design
+from giantlike.relative.limb.fix import LimbView
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
-from giantlike.relative.limb.lines import plan_lines
-from giantlike.relative.limb.observation import LimbScanOptions, observe_limb
+from giantlike.relative.limb.line_scan import LimbScanOptions, LineScan, Outline, lay_lines
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, sphere
 from tests.limb_images import CAMERA, NEES_LIMIT, BodyImage, assert_sound, body_image, mean_nees_band
@@ -236,8 +236,10 @@ def test_the_whole_limb_is_used_at_opposition(phase_deg: float, law: Reflectance
     case = body_image(body(), 47, phase_deg=phase_deg, law=law, radius_px=50.0).believed(**OFF)  # type: ignore[arg-type]
     inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
     assert not isinstance(inputs, Failure)
-    lines = plan_lines(inputs, inputs.geometry.body(), max_lines=300, spacing_px=1.5, reach_px=0.0)
-    assert not isinstance(lines, Failure)
+    view = LimbView.of(inputs)
+    outline = Outline.traced(view, inputs.geometry.body())
+    lines = lay_lines(view.image, outline, max_lines=300, spacing_px=1.5, margin_px=0.0)
+    assert lines is not None
     assert lines.angles_rad.size * lines.spacing_px > 0.97 * lines.perimeter_px
     fix = fixed(case)
     assert fix.n_used > 0.9 * lines.angles_rad.size
@@ -413,17 +415,22 @@ def test_the_limb_moves_with_the_body_as_the_design_says() -> None:
 
 def test_the_limb_of_a_mesh_moves_with_it_as_the_design_says() -> None:
     case = body_image(body(), 51, phase_deg=60.0)
-    observations = []
+    inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
+    assert not isinstance(inputs, Failure)
+    view, options, shape = LimbView.of(inputs), LimbMatchingOptions(), inputs.geometry.body()
+    measured = []
     for shift_px in (0.0, 0.5):
-        moved = case.believed(off_px=(shift_px, 0.0))
-        inputs = gather(moved.image, moved.camera, moved.scene, None, estimator="test", options=None)
-        assert not isinstance(inputs, Failure)
-        observation = observe_limb(inputs, inputs.geometry.body(), LimbScanOptions())
-        assert not isinstance(observation, Failure)
-        observations.append(observation)
-    here, there = observations
-    jacobian = case.camera.model.project_jacobian(there.limb_camera_km)
-    predicted = limb_design(there.normals_px, jacobian) @ (here.position_camera_km - there.position_camera_km)
+        position = case.believed(off_px=(shift_px, 0.0)).scene.geometry(case.image)
+        assert not isinstance(position, Failure)
+        placed = shape.at(position.position_camera_km)
+        lines = lay_lines(view.image, Outline.traced(view, placed), max_lines=400, spacing_px=1.5, margin_px=7.0)
+        assert lines is not None
+        scan = LineScan(view=view, body=shape, lines=lines, search=options, options=options.scan)
+        limb = scan.measured(placed.position_camera_km)
+        assert not isinstance(limb, Failure)
+        measured.append(limb)
+    here, there = measured
+    predicted = there.design @ (here.position_camera_km - there.position_camera_km)
     assert abs(np.median(here.shift_px)) < 0.02
     assert np.median(np.abs(there.shift_px - predicted)) < 0.06  # the same points, with rays through other places
 

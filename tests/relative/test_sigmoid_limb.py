@@ -24,13 +24,23 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.io.image_files import read_image_file
 from giantlike.io.spice import load_kernels, orientation
-from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
+from giantlike.ray_tracing import (
+    Body,
+    FocalPlane,
+    Lambert,
+    LommelSeeliger,
+    McEwen,
+    Reflectance,
+    RenderOptions,
+    Template,
+    render,
+)
 from giantlike.relative import ESTIMATORS, EllipsoidCRA, EllipsoidCRAOptions, Estimator, SigmoidLimb, SigmoidLimbOptions
+from giantlike.relative.horizon.cell_scan import HorizonScan
 from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, horizon_arc, profile_table
 from giantlike.relative.horizon.rings import Rings
-from giantlike.relative.horizon.scan import HorizonScan
-from giantlike.relative.limb.observation import EdgeModel
+from giantlike.relative.limb.fix import EdgeModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid
 from tests.limb_images import CAMERA, BodyImage, assert_sound, body_image, mean_nees_band
@@ -43,6 +53,10 @@ STEP_PX, STEP_RANGE = 1.0, 0.01  # a plain sigmoid knows no law: the limb of a c
 
 SHAPES = (Ellipsoid(radii_km=np.array([0.3, 0.26, 0.22])), Ellipsoid(radii_km=np.array([0.26, 0.26, 0.24])))
 PHASES_DEG = (20.0, 45.0, 70.0, 95.0, 120.0, 60.0)
+
+
+def plane_of(camera: Camera) -> FocalPlane:
+    return FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows)
 
 
 def fixed(case: BodyImage, options: SigmoidLimbOptions | None = None) -> PositionFix:
@@ -211,7 +225,7 @@ def test_rings_are_not_taken_for_a_limb() -> None:
     geometry = case.scene.geometry(case.image)
     assert not isinstance(geometry, Failure)
     rings = Rings(0.36, 0.65)
-    area = rings.cover(case.camera, true, geometry.camera_from_body, widened_px=0.0)
+    area = rings.cover(plane_of(case.camera), true, geometry.camera_from_body, widened_px=0.0)
     assert area.mean() > 0.01
     pixels = np.where(area, 2200, case.image.pixels).astype(np.uint16)
     ringed = replace(case, image=replace(case.image, pixels=pixels))
@@ -443,6 +457,8 @@ def test_the_rings_of_saturn_are_not_taken_for_its_limb(data_dir: Path) -> None:
     range_km = float(np.linalg.norm(position))
     assert abs(fix.range_km / range_km - 1.0) < 0.02
     assert fix.score < 1.5
-    covered = Rings(*rings).cover(camera, fix.position_camera_km, Rotation.from_matrix(matrix) * turn, widened_px=0.0)
+    covered = Rings(*rings).cover(
+        plane_of(camera), fix.position_camera_km, Rotation.from_matrix(matrix) * turn, widened_px=0.0
+    )
     columns, rows = np.rint(fix.limb_px).astype(int).T
     assert not covered[rows, columns].any()

@@ -7,6 +7,7 @@ profile with the profile expected there.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,8 +18,9 @@ from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.statistics import MAD_TO_SIGMA
+from giantlike.core.statistics import MAD_TO_SIGMA, robust_sigma
 from giantlike.core.values import Value
+from giantlike.processing.limb.measurement import in_frame
 
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
 """Variance of the cubic B-spline through which lines are sampled: it widens every edge by so much."""
@@ -29,6 +31,8 @@ _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axi
 _RIVAL_PX = 2.0
 _RIVAL_CORRELATION = 0.98
 _REFINEMENTS = 2
+_MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
+_LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
@@ -98,6 +102,16 @@ class ProfileMatch(Value):
     at_border: Mask
     rivalled: Mask
 
+    def brightness_error_px(self, good: Mask) -> float:
+        """Shift of the whole limb by a wrong reflectance law, px.
+
+        Freeing the slope of the brightness moves a limb whose brightness is not as expected by about as much. Of that
+        motion, median over the lines that are ``good`` (n,), what chance explains is taken off.
+        """
+        typical, scatter = float(np.median(self.without_slope_px[good])), robust_sigma(self.without_slope_px[good])
+        chance = _MEDIAN_SIGMA * scatter / math.sqrt(max(np.count_nonzero(good) / _LINES_ALIKE, 1.0))
+        return math.sqrt(max(typical**2 - chance**2, 0.0))
+
 
 def line_offsets(reach_px: float, step_px: float) -> Float:
     """Places (m,) along a line from ``-reach_px`` to ``reach_px``, zero among them.
@@ -132,7 +146,9 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     clean = usable
     if not usable.all():
         clean = cv2.erode(usable.view(np.uint8), np.ones((5, 5), np.uint8), borderValue=1).view(np.bool_)
-    return Scans(points_px, normals_px, offsets_px, values, _inside(places, usable.shape, 1.0) & _at(clean, places))
+    return Scans(
+        points_px, normals_px, offsets_px, values, in_frame(places, usable.shape, margin_px=1.5) & _at(clean, places)
+    )
 
 
 def step_profile(offsets_px: Float, width_px: float) -> Float:
@@ -233,14 +249,6 @@ def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], windo
     found = np.isfinite(np.array(misfit)).any(axis=0)
     require(bool(found.any()), "no line holds an edge whose width could be measured")
     return float(np.median(_WIDTHS_PX[best[found]]))
-
-
-def _inside(places_px: Float, shape: tuple[int, ...], margin_px: float = 0.0) -> Mask:
-    rows, columns = shape
-    result: Mask = np.all(
-        (places_px >= margin_px) & (places_px <= np.array([columns, rows]) - 1.0 - margin_px), axis=-1
-    )
-    return result
 
 
 def _at(mask: Mask, places_px: Float) -> Mask:

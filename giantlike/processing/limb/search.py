@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
+from giantlike.processing.limb.measurement import LimbImage, PredictedLimb
 
 _COARSE_BLUR_PX = 1.0
 _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # of the radius
@@ -18,6 +20,7 @@ _SKY_STEP = 5  # pixels from one to the next that the level of the sky is found 
 _COARSE_OFFSET_PX = 1.5
 _COARSE_POINTS = 80  # that the first step needs
 _COARSE_NOISE_SIGMAS = 4.0
+_MARGIN_PX = 8  # about the outline, for the blur
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,72 +42,122 @@ class CoarseLimb(Value):
     contrast: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlineSearch:
+    """Reach and limits of a search for a whole outline.
+
+    Parameters
+    ----------
+    search_px : float, px
+        Largest shift, in both coordinates.
+    search_range : float
+        Largest relative change of size: 0.03 means 3 %.
+    noise_dn : float, DN
+        Standard deviation of a dark pixel: contrasts below a few times this count little.
+    min_contrast : float
+        Contrast below which :func:`find_limb` finds no limb.
+    """
+
+    search_px: float
+    search_range: float
+    noise_dn: float
+    min_contrast: float = 0.0
+
+
 def search_limb(
-    pixels_dn: Float,
-    usable: Mask,
-    points_px: Float,
-    normals_px: Float,
-    weights: Float,
-    center_px: Float,
-    *,
-    search_px: float,
-    search_scale: float,
-    noise_dn: float,
+    pixels_dn: Float, usable: Mask, limb: PredictedLimb, center_px: Float, search: OutlineSearch
 ) -> CoarseLimb:
     """Find shift and size of a whole outline by the contrast across it.
 
     Parameters
     ----------
-    pixels_dn : (rows, columns) float64
+    pixels_dn : (rows, columns) float64, DN
     usable : (rows, columns) bool
-    points_px, normals_px : (n, 2) float64
-        Predicted lit limb.
-    weights : (n,) float64
-        How bright each point should be, in any unit.
+    limb : PredictedLimb
+        Its brightness is the weight of each point.
     center_px : (2,) float64, px
-        About which the outline grows.
-    search_px : float, px
-        Largest shift, in both coordinates.
-    search_scale : float
-        Largest change of size: 0.03 means 3 %.
-    noise_dn : float, DN
-        Noise of a dark pixel: contrasts below a few times this count little.
+        Point about which the outline grows.
+    search : OutlineSearch
 
     Returns
     -------
     CoarseLimb
-        To about a pixel.
+        Good to about a pixel.
     """
+    points_px = limb.points_px
     radius_px = float(np.max(np.linalg.norm(points_px - center_px, axis=1)))
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
-    coarsest, grown = step, 1.0 + search_scale
-    low = np.floor(np.min(center_px + grown * (points_px - center_px), axis=0) - search_px - 8.0)
-    high = np.ceil(np.max(center_px + grown * (points_px - center_px), axis=0) + search_px + 8.0)
-    rows, columns = pixels_dn.shape
-    x0, y0 = np.clip(low, 0, [columns - 1, rows - 1]).astype(int)
-    x1, y1 = np.clip(high, 0, [columns - 1, rows - 1]).astype(int) + 1
-    corner = np.array([x0, y0])
-    crop, good = pixels_dn[y0:y1, x0:x1], usable[y0:y1, x0:x1]
+    coarsest = step
+    corner, crop, good = _around_outline(pixels_dn, usable, limb, center_px, search)
     sky = float(np.percentile(crop[good][::_SKY_STEP], 1.0)) if good.any() else 0.0
     dark_sky = np.where(good, crop - sky, 0.0).astype(np.float32)
-    pad = int(np.ceil(search_px)) + 8
-    scales = _around(1.0, search_scale, int(np.ceil(search_scale * radius_px / step)))
+    scales = _around(1.0, search.search_range, int(np.ceil(search.search_range * radius_px / step)))
     best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
-    shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
-    scale_step = search_scale / max(scales.size // 2, 1)
+    shifts = _around(0.0, search.search_px, int(np.ceil(search.search_px / step)))
+    scale_step = search.search_range / max(scales.size // 2, 1)
     while True:
         blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32)
         offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
         thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
-        arms = points_px[thin] - corner, normals_px[thin], weights[thin], center_px - corner
-        search = _ContrastSearch(blurred, good, *arms, offset_px, noise_dn, pad)
-        found = search.best(best.shift_px, shifts, scales, steepest=step < coarsest)
+        contrasts = _ContrastSearch(
+            blurred,
+            good,
+            arms=points_px[thin] - center_px,
+            steps=offset_px * limb.normals_px[thin],
+            weights=limb.brightness[thin],
+            reach=search,
+        )
+        found = contrasts.best(center_px - corner, best.shift_px, shifts, scales, steepest=step < coarsest)
         best = found if step == coarsest else replace(found, contrast=best.contrast)
         if step <= _LEAST_STEP_PX:
             return best
         shifts = _around(0.0, step, _FINER)
-        scales = np.clip(_around(best.scale, scale_step, _FINER), 1.0 - search_scale, 1.0 + search_scale)
+        scales = np.clip(_around(best.scale, scale_step, _FINER), 1.0 - search.search_range, 1.0 + search.search_range)
         scales, scale_step, step = np.unique(scales), scale_step / _FINER, step / _FINER
+
+
+def find_limb(image: LimbImage, limb: PredictedLimb, center_px: Float, search: OutlineSearch) -> CoarseLimb | Failure:
+    """Find a whole outline, or tell that there is none.
+
+    Parameters
+    ----------
+    image : LimbImage
+    limb : PredictedLimb
+    center_px : (2,) float64, px
+        Point about which the outline grows.
+    search : OutlineSearch
+
+    Returns
+    -------
+    CoarseLimb or Failure
+        ``NO_LIMB`` where the contrast across the best outline is too small; ``OUT_OF_FRAME`` where the camera model
+        images nothing there.
+    """
+    found = search_limb(image.pixels_dn, image.usable, limb, center_px, search)
+    if found.contrast < search.min_contrast:
+        return Failure(
+            Reason.NO_LIMB,
+            f"no limb within {search.search_px:g} px of the predicted one: the best contrast across "
+            f"{len(limb.points_px)} lit limb points is {found.contrast:.3f}, needed {search.min_contrast:g}; the "
+            f"brightest good pixel holds {float(image.pixels_dn[image.usable].max()):.4g} DN over bias, noise in the "
+            f"dark is {search.noise_dn:.3g} DN",
+        )
+    if not np.isfinite(image.model.unproject(center_px + found.shift_px)).all():
+        return Failure(Reason.OUT_OF_FRAME, "the limb was found where the camera model images nothing")
+    return found
+
+
+def _around_outline(
+    pixels_dn: Float, usable: Mask, limb: PredictedLimb, center_px: Float, search: OutlineSearch
+) -> tuple[Float, Float, Mask]:
+    """Corner (2,) of the part of an image where the outline can be, its pixels and which of them are usable."""
+    grown = center_px + (1.0 + search.search_range) * (limb.points_px - center_px)
+    low = np.floor(np.min(grown, axis=0) - search.search_px - _MARGIN_PX)
+    high = np.ceil(np.max(grown, axis=0) + search.search_px + _MARGIN_PX)
+    last = np.array(pixels_dn.shape[::-1]) - 1
+    x0, y0 = np.clip(low, 0, last).astype(int)
+    x1, y1 = np.clip(high, 0, last).astype(int) + 1
+    return np.array([x0, y0], dtype=np.float64), pixels_dn[y0:y1, x0:x1], usable[y0:y1, x0:x1]
 
 
 def _around(middle: float, reach: float, steps: int) -> Float:
@@ -119,44 +172,41 @@ class _ContrastSearch:
         self,
         image: NDArray[np.float32],
         good: Mask,
-        points: Float,
-        normals: Float,
+        *,
+        arms: Float,
+        steps: Float,
         weights: Float,
-        center: Float,
-        offset_px: float,
-        noise_dn: float,
-        pad: int,
+        reach: OutlineSearch,
     ) -> None:
-        self._pad = pad
-        self._values, self._good = np.pad(image, pad).ravel(), np.pad(good, pad).ravel()
-        self._size = np.array(image.shape[::-1]) + 2 * pad
-        self._arms, self._normals, self._center = points - center, normals * offset_px, center
+        self._pad = int(np.ceil(reach.search_px)) + _MARGIN_PX
+        self._values, self._good = np.pad(image, self._pad).ravel(), np.pad(good, self._pad).ravel()
+        self._size = np.array(image.shape[::-1]) + 2 * self._pad
+        self._arms, self._steps = arms, steps
         self._weights = (weights / weights.mean()).astype(np.float32)
-        self._floor = np.float32(_COARSE_NOISE_SIGMAS * noise_dn + 1e-6)
+        self._floor = np.float32(_COARSE_NOISE_SIGMAS * reach.noise_dn + 1e-6)
 
-    def best(self, about_px: Float, shifts_px: Float, scales: Float, *, steepest: bool) -> CoarseLimb:
-        """The place of highest contrast among a square of shifts about one, for every scale.
+    def best(self, center_px: Float, about_px: Float, shifts_px: Float, scales: Float, *, steepest: bool) -> CoarseLimb:
+        """Find the highest contrast among a square of shifts about one, for every scale.
 
-        Or of the largest difference across, which is sharper but rises with every bright edge.
+        Or the largest difference across, which is sharper but rises with every bright edge.
         """
         x, y = np.meshgrid(shifts_px, shifts_px)
         shifts = about_px + np.stack([x.ravel(), y.ravel()], axis=-1)
         found = []
         for scale in scales:
-            contrast, difference = self._contrast(shifts, float(scale))
+            contrast, difference = self._contrast(center_px + float(scale) * self._arms, shifts)
             value = difference if steepest else contrast
             winner = int(np.argmax(value))
             found.append((float(value[winner]), float(scale), winner, float(contrast[winner])))
         _, scale_best, winner, contrast_best = max(found)
         return CoarseLimb(shift_px=shifts[winner], scale=scale_best, contrast=contrast_best)
 
-    def _contrast(self, shifts: Float, scale: float) -> tuple[Float, Float]:
-        """Mean contrast (k,) at shifts (k, 2), and mean difference, DN.
+    def _contrast(self, middle: Float, shifts: Float) -> tuple[Float, Float]:
+        """Mean contrast (k,) across points (n, 2) at shifts (k, 2), and mean difference, DN.
 
         Outlines that lie mostly outside the image count as if half inside.
         """
-        middle = self._center + scale * self._arms
-        inner, outer = self._index(middle - self._normals, shifts), self._index(middle + self._normals, shifts)
+        inner, outer = self._index(middle - self._steps, shifts), self._index(middle + self._steps, shifts)
         valid = self._good[inner] & self._good[outer]
         light, dark = self._values[inner], self._values[outer]
         difference = light - dark

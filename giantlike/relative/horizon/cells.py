@@ -8,7 +8,7 @@ used cell by cell (the Christian-Robinson algorithm) or added up over all of the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -102,6 +102,10 @@ class CellFits(Value):
         """Shift (c,) with blur and law as assumed."""
         result: Float = self.pull[:, 0] / self.information[:, 0, 0]
         return result
+
+    def only(self, chosen: Mask) -> CellFits:
+        """Return the cells that are ``chosen`` (c,)."""
+        return CellFits(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
     def about_shared(self, keep: Mask) -> tuple[Float, Float]:
         """Information (2, 2) on blur and law of the cells in ``keep``, every shift free, and their pull (2,)."""

@@ -1,43 +1,101 @@
-"""Ellipse fit: center and apparent diameter of a body from the edge of its lit limb, and its position from both."""
+"""Ellipse fit: position of a body from an ellipse through the edges of its lit limb, without a reflectance law."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.camera import Camera
-from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask, unit
-from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
+from giantlike.camera_models import CameraModel, ifov_rad
+from giantlike.core.arrays import Float, Mask, require, unit
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
+from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
-from giantlike.image import Image
-from giantlike.processing.correlated_fit import generalized_solution, robust_solution
+from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.geometry.conic_fit import ConicFit, conic_matrix, fit_ellipse
-from giantlike.relative.estimator import EstimatorInputs, apparent_radius_px, center_of_position, gather
-from giantlike.relative.horizon.ellipse_edges import EllipseFitOptions, LimbEdges, figure_of, limb_edges
-from giantlike.relative.horizon.ellipsoid_cra import RELIEF_LENGTH, relief_of
+from giantlike.processing.limb.edges import EdgePoints, scan_edges
+from giantlike.processing.limb.measurement import LimbImage, LimbMeasurement, SmoothError, too_few
+from giantlike.processing.limb.segmentation import Background, background_of
+from giantlike.processing.limb.zernike import zernike_edges
+from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.horizon.ellipsoid_cra import EllipsoidStandIn
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
-from giantlike.relative.quality import QualityChecks
-from giantlike.scene import Scene
-from giantlike.shapes import PlacedEllipsoid
+from giantlike.relative.light.phase_correction import sunlight_px
+from giantlike.relative.limb.fix import LimbSearch, LimbSolution, LimbView, limb_fix
 
 __all__ = ["EllipseFit", "EllipseFitOptions", "position_of_cone"]
 
-
 _ROUNDS = 3
-_CORRELATION_PX = 2.0  # windows of neighboring edges share pixels
-_GROWTH_ERROR = 0.4  # of what was taken off for changing brightness
-_MAX_RANGE_SIGMA = 0.25
+"""Rounds of fit and rejection; the points used stand still after two."""
+_CORRELATION_PX = 2.0
+"""Correlation length of the noise of edges: windows of neighbors share pixels."""
 _STEP = 1e-4
+"""Step of numerical derivatives, in standard deviations."""
+_LIGHT_SIGMAS, _LIGHT_SHARE = 5.0, 0.1
+"""Light is what exceeds the background by so many sigmas and by so much of the brightness of the body."""
+_SKY_STEP, _MIN_SKY = 4, 60
+"""Pixels from one sample of the sky to the next; and least number of samples for its level and noise."""
+_MIN_COSINE = 0.2
+"""Cosine between sunlight and the normal of an edge below which the limb goes over into the terminator."""
+_MAX_TURN_RAD = 0.5
+"""Angle between the normals of edge and prediction, rad."""
+_MIN_CONTRAST = 0.25
+"""Contrast of an edge over that of the median edge."""
+_GROWTH = 2.5
+"""Error of an edge in 5 x 5 pixels by brightness that changes inside, over how much more it is in 7 x 7.
+
+That brightness goes with the cosine of emission, the root of the distance from the limb. On spheres under the laws of
+Lambert, Lommel-Seeliger and McEwen, at 20 to 110 degrees, it takes 0.05-0.2 px of error down to 0.06 px and less.
+"""
+_GROWTH_ERROR = 0.4
+"""Error of that correction over the correction itself, along a radian; from the same spheres."""
 
 
-class EllipseFit:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EllipseFitOptions(LimbSearch):
+    """Options of :class:`EllipseFit`.
+
+    Parameters
+    ----------
+    search_px : float, px
+        Largest error of the predicted center.
+    search_range : float
+        Largest relative error of the predicted range.
+    max_relief : float
+        Meshes that depart from their best-fit ellipsoid by more than this (root mean square over mean radius) are
+        refused.
+    min_edges : int
+        Fewer edges than this are no limb.
+    max_edges : int
+        Of longer limbs every second, third ... edge is taken.
+    outlier_mad : float
+        Edges beyond so many robust sigmas are left out.
+    large_rms_px : float, px
+        Larger residuals, beyond what relief explains, get a flag.
+    """
+
+    search_range: float = 0.05
+    max_relief: float = 0.08
+    min_edges: int = 20
+    max_edges: int = 300
+
+    def __post_init__(self) -> None:
+        LimbSearch.__post_init__(self)
+        require(
+            math.isfinite(self.max_relief) and self.max_relief > 0, f"max_relief must be > 0, got {self.max_relief}"
+        )
+        require(
+            8 <= self.min_edges <= self.max_edges <= 1000,
+            f"edges must be 8 <= min_edges <= max_edges <= 1000, got {self.min_edges} and {self.max_edges}",
+        )
+
+
+class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
     """Position of a body from an ellipse through the edges of its lit limb.
 
     Edges are found by a scan along the sunlight, measured by Zernike moments, and taken through the camera model to the
@@ -50,6 +108,9 @@ class EllipseFit:
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are distances across the ellipse,
     px, positive outside.
+
+    Failures are ``WRONG_SHAPE`` for a body that is no ellipsoid, ``NO_LIMB``, ``SATURATED``, and
+    ``DEGENERATE_GEOMETRY`` where the arc does not fix an ellipse.
 
     Parameters
     ----------
@@ -65,43 +126,18 @@ class EllipseFit:
     name: ClassVar[str] = "ellipse_fit"
 
     def __init__(self, options: EllipseFitOptions | None = None) -> None:
-        self.options = options or EllipseFitOptions()
+        super().__init__(options or EllipseFitOptions())
 
-    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> PositionFix | Failure:
-        """Find a target of ``scene`` in ``image``; ``target`` may be left out when there is only one.
-
-        Returns
-        -------
-        PositionFix or Failure
-            ``WRONG_SHAPE`` for a body that is no ellipsoid; ``NO_LIMB``, ``OUT_OF_FRAME``, ``SATURATED``,
-            ``DEGENERATE_GEOMETRY`` where the arc does not fix an ellipse, and what ``gather`` fails for.
-
-        Raises
-        ------
-        InputError
-            The image has another size than the camera, or there is no such target.
-        DataError
-            SPICE kernels do not cover the epoch.
-        """
-        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
-        if isinstance(inputs, Failure):
-            return inputs
-        shape = inputs.geometry.target.shape
-        if not shape.mean_radius_km > 0.0:
-            return inputs.fail(Reason.WRONG_SHAPE, "the target is a point: it has no limb")
-        placed = shape.best_fit_ellipsoid
-        relief_km = relief_of(shape, placed)
-        if relief_km > self.options.max_relief * shape.mean_radius_km:
-            return inputs.fail(
-                Reason.WRONG_SHAPE,
-                f"the shape departs from its best-fit ellipsoid by {relief_km / shape.mean_radius_km:.1%} of its "
-                f"radius (rms), allowed {self.options.max_relief:.1%}",
-            )
-        limb = limb_edges(inputs, placed, self.options)
-        if isinstance(limb, Failure):
-            return limb
-        relief_px = apparent_radius_px(camera, inputs.predicted_px, relief_km, inputs.geometry.range_km)
-        return _fix(inputs, placed, limb, relief_px, self.options)
+    def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
+        stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)
+        if isinstance(stand_in, Failure):
+            return stand_in
+        view = LimbView.of(inputs)
+        measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)
+        solved = measured if isinstance(measured, Failure) else fit_limb_ellipse(measured, view, stand_in, self.options)
+        if isinstance(solved, Failure):
+            return solved
+        return limb_fix(inputs, *solved, self.options)
 
 
 def position_of_cone(cone: Float, figure: Figure) -> Float | None:
@@ -164,43 +200,203 @@ class _Plane(Value):
         return result
 
 
-def _fix(
-    inputs: EstimatorInputs, placed: PlacedEllipsoid, limb: LimbEdges, relief_px: float, options: EllipseFitOptions
-) -> PositionFix | Failure:
-    """Fit the ellipse, take it to a position, and judge it."""
-    model, edges = inputs.camera.model, limb.edges
-    figure, center_km = figure_of(inputs, placed)
-    plane = _Plane.touching(unit(center_km))
-    points = plane.points(model, limb.points_px)
-    scale = plane.scale(model, limb.points_px, edges.normals_px)
-    kept = _agreeing(points, np.hypot(edges.sigma_px, relief_px) * scale, options)
+def limb_edges(
+    view: LimbView, stand_in: EllipsoidStandIn, sunlight: Float, options: EllipseFitOptions
+) -> LimbMeasurement | Failure:
+    """Measure the edges of the lit limb near the predicted one.
+
+    Parameters
+    ----------
+    view : LimbView
+    stand_in : EllipsoidStandIn
+    sunlight : (2,) float64, unitless
+        Unit vector along which sunlight travels in the image; zero where it has no direction.
+    options : EllipseFitOptions
+
+    Returns
+    -------
+    LimbMeasurement or Failure
+        ``NO_LIMB`` or ``SATURATED``. Distances are from the ellipsoid where it is predicted, corrected for what
+        brightness that changes inside the limb does to edges.
+    """
+    if not sunlight.any():
+        return Failure(Reason.NO_LIMB, "the Sun stands behind the camera: sunlight has no direction in the image")
+    image = view.image
+    sky = _sky(image, stand_in, options.search_px)
+    if isinstance(sky, Failure):
+        return sky
+    background, body_dn = sky
+    threshold = background.level_dn + max(_LIGHT_SIGMAS * background.sigma_dn, _LIGHT_SHARE * body_dn)
+    blur_px = UNKNOWN_PSF_SIGMA_PX if image.psf_sigma_px is None else image.psf_sigma_px
+    seeds = scan_edges(image.pixels_dn, image.usable, sunlight, threshold_dn=threshold, blur_sigma_px=blur_px)
+    both = []
+    for size in (5, 7):
+        found = zernike_edges(
+            image.pixels_dn - background.level_dn,
+            image.usable,
+            seeds,
+            variance_dn2=image.detector.variance_dn2,
+            blur_sigma_px=blur_px,
+            size=size,
+            curvature_px=1.0 / view.radius_px,
+        )
+        both.append(_near_prediction(view, found, stand_in, sunlight, options))
+    small, large = _paired(*both)
+    if len(small) < options.min_edges:
+        everywhere, good = np.ones(image.usable.shape, dtype=bool), np.arange(max(len(seeds), len(small))) < len(small)
+        elsewhere = {"not like the predicted limb in place, direction or contrast": len(seeds) - len(small)}
+        return too_few(image, everywhere, good, elsewhere, needed=options.min_edges)
+    shift = np.einsum("ij,ij->i", large.points_px - small.points_px, small.normals_px)
+    correction = _GROWTH * _smooth(shift, small.normals_px, options.outlier_mad)
+    points = small.points_px - correction[:, None] * small.normals_px
+    away_px, design, _ = horizon_residuals(points, image.model, stand_in.figure, stand_in.position_camera_km)
+    area = np.zeros(image.usable.shape, dtype=bool)
+    area[small.pixels_px[:, 1], small.pixels_px[:, 0]] = True
+    growth = _GROWTH_ERROR * float(np.sqrt(np.mean(correction**2)))
+    return LimbMeasurement(
+        predicted_px=points - away_px[:, None] * small.normals_px,
+        normals_px=small.normals_px,
+        design=design,
+        shift_px=away_px,
+        sigma_px=small.sigma_px,
+        keep=np.ones(len(small), dtype=bool),
+        common_px=np.zeros((len(small), 0)),
+        smooth_errors=(SmoothError(name="brightness", sigma_px=growth, length_px=view.radius_px),),
+        position_camera_km=stand_in.position_camera_km,
+        spacing_px=1.0,
+        perimeter_px=2.0 * math.pi * view.radius_px,
+        cut_by_frame=False,
+        rejected={},
+        area=area,
+        relief=stand_in.relief,
+        n_elsewhere=len(seeds) - len(small),
+    )
+
+
+def fit_limb_ellipse(
+    measured: LimbMeasurement, view: LimbView, stand_in: EllipsoidStandIn, options: EllipseFitOptions
+) -> tuple[LimbMeasurement, LimbSolution] | Failure:
+    """Fit an ellipse to edges of a limb and take it to a position.
+
+    Parameters
+    ----------
+    measured : LimbMeasurement
+    view : LimbView
+    stand_in : EllipsoidStandIn
+    options : EllipseFitOptions
+
+    Returns
+    -------
+    (LimbMeasurement, LimbSolution) or Failure
+        The points that lie on the ellipse, and the position of the origin of the shape. ``NO_LIMB`` or
+        ``DEGENERATE_GEOMETRY``.
+    """
+    model, observed_px = view.image.model, measured.observed_px
+    plane = _Plane.touching(unit(stand_in.position_camera_km))
+    points = plane.points(model, observed_px)
+    scale = plane.scale(model, observed_px, measured.normals_px)
+    kept = _agreeing(points, np.hypot(measured.sigma_px, measured.relief_px) * scale, options)
     if isinstance(kept, Failure):
-        return inputs.fail(kept.reason, kept.detail)
-    step = math.ceil(np.count_nonzero(kept) / options.max_edges)
+        return kept
     order = np.argsort(np.arctan2(*(points[kept] - points[kept].mean(axis=0)).T))
-    used = np.flatnonzero(kept)[order][::step]
-    typical = float(np.median(scale))
-    fit = fit_ellipse(points[used], sigma=(edges.sigma_px * scale)[used], correlation_length=_CORRELATION_PX * typical)
+    used = np.flatnonzero(kept)[order][:: math.ceil(np.count_nonzero(kept) / options.max_edges)]
+    length = _CORRELATION_PX * float(np.median(scale))
+    fit = fit_ellipse(points[used], sigma=(measured.sigma_px * scale)[used], correlation_length=length)
     if isinstance(fit, Failure):
-        return inputs.fail(fit.reason, fit.detail)
-    solved = _position(fit, plane, figure)
+        return fit
+    solved = _position(fit, plane, stand_in.figure)
     if isinstance(solved, Failure):
-        return inputs.fail(solved.reason, solved.detail)
+        return solved
     position_km, covariance_km2 = solved
-    covariance_km2 = covariance_km2 + _systematic(
-        inputs, limb.points_px[used], limb.correction_px[used], edges.sigma_px[used], figure, position_km, relief_px
-    )
-    return _judged(
-        inputs,
-        limb,
-        used,
-        n_used=int(kept.sum()),
-        position_km=position_km - (center_km - inputs.geometry.position_camera_km),
-        covariance_km2=covariance_km2,
+    _, design, normals = horizon_residuals(observed_px[used], model, stand_in.figure, position_km)
+    by_ellipse = np.concatenate([design, _free_shape(normals)], axis=1)
+    systematic = _smooth_covariances(measured, used, by_ellipse)
+    return replace(measured, keep=kept), LimbSolution(
+        position_camera_km=position_km - stand_in.offset_camera_km,
+        covariances_km2={"scatter": covariance_km2, **systematic},
         residuals_px=fit.residuals / scale[used],
-        relief_px=relief_px,
-        options=options,
+        limb_px=observed_px[used],
     )
+
+
+def _smooth_covariances(measured: LimbMeasurement, used: NDArray[np.intp], by_ellipse: Float) -> dict[str, Float]:
+    """Covariances (3, 3) of the position, km^2, by brightness and relief, which the free shape takes up in part."""
+    relief = () if measured.relief is None else (measured.relief,)
+    points, weights = measured.observed_px[used], 1.0 / measured.sigma_px[used] ** 2
+    return {
+        error.name: error.solution_covariance(points, by_ellipse, weights)[:3, :3]
+        for error in (*measured.smooth_errors, *relief)
+    }
+
+
+def _sky(image: LimbImage, stand_in: EllipsoidStandIn, search_px: float) -> tuple[Background, float] | Failure:
+    """Background beside the predicted body, and brightness of the body above it (upper quartile)."""
+    rows, columns = (np.arange(0, size, _SKY_STEP) for size in image.usable.shape)
+    x, y = (part.ravel() for part in np.meshgrid(columns, rows))
+    directions = image.model.unproject(np.stack([x, y], axis=-1).astype(np.float64))
+    keep = image.usable[y, x] & np.isfinite(directions).all(axis=1)
+    directions, values = directions[keep], image.pixels_dn[y[keep], x[keep]]
+    center_px = np.clip(image.model.project(stand_in.position_camera_km), 0, [columns[-1], rows[-1]])
+    slack = search_px * float(ifov_rad(image.model, center_px))
+    outward = _horizon_angle(directions, stand_in.figure, stand_in.position_camera_km)
+    sky, body = values[outward > slack], values[outward < -slack]
+    if sky.size < _MIN_SKY:
+        return Failure(
+            Reason.NO_LIMB, f"no sky in the frame beside the body, as predicted and {search_px:g} px around it"
+        )
+    background = background_of(sky)
+    sigma_dn = max(background.sigma_dn, 0.1 * image.dark_noise_dn)
+    bright = float(np.percentile(body, 75.0)) - background.level_dn if body.size else 0.0
+    return Background(level_dn=background.level_dn, sigma_dn=sigma_dn), max(bright, 0.0)
+
+
+def _horizon_angle(directions: Float, figure: Figure, center_km: Float) -> Float:
+    """Roughly how far outside the horizon directions (n, 3) lie, rad."""
+    mapped = directions @ figure.to_sphere.T
+    normal = figure.to_sphere @ center_km
+    distance = float(np.linalg.norm(normal))
+    cosine = np.clip(mapped @ normal / np.linalg.norm(mapped, axis=1) / distance, -1.0, 1.0)
+    result: Float = (np.arccos(cosine) / math.asin(1.0 / distance) - 1.0) * (
+        float(np.cbrt(np.prod(figure.radii_km))) / float(np.linalg.norm(center_km))
+    )
+    return result
+
+
+def _near_prediction(
+    view: LimbView, found: EdgePoints, stand_in: EllipsoidStandIn, sunlight: Float, options: EllipseFitOptions
+) -> EdgePoints:
+    """Edges that sunlight meets first and that lie and look as the predicted limb, but for the errors allowed."""
+    if not len(found):
+        return found
+    model, figure = view.image.model, stand_in.figure
+    known = np.isfinite(model.unproject(found.points_px)).all(axis=1)
+    found = found.select(np.flatnonzero(known))
+    away_px, _, normals = horizon_residuals(found.points_px, model, figure, stand_in.position_camera_km)
+    longest_px = view.radius_px * float(figure.radii_km.max() / np.cbrt(np.prod(figure.radii_km)))
+    reach = options.search_px + options.search_range * longest_px
+    good: Mask = np.isfinite(away_px) & (np.abs(away_px) < reach)
+    good &= found.normals_px @ -sunlight > _MIN_COSINE
+    turn = _MAX_TURN_RAD + reach / view.radius_px
+    good &= np.einsum("ij,ij->i", normals, found.normals_px) > math.cos(min(turn, 1.4))
+    typical_dn = float(np.median(found.contrast_dn[good])) if good.any() else 0.0
+    strong: Mask = found.contrast_dn > _MIN_CONTRAST * typical_dn
+    return found.select(np.flatnonzero(good & strong))
+
+
+def _paired(small: EdgePoints, large: EdgePoints) -> tuple[EdgePoints, EdgePoints]:
+    """Edges that both windows measured about the same pixel, in one order."""
+    width = 1 + max(int(found.pixels_px.max(initial=0)) for found in (small, large))
+    keys = [found.pixels_px[:, 1] * width + found.pixels_px[:, 0] for found in (small, large)]
+    _, first, second = np.intersect1d(keys[0], keys[1], return_indices=True)
+    return small.select(first), large.select(second)
+
+
+def _smooth(values: Float, normals: Float, outlier_mad: float) -> Float:
+    """What of values (n,) along a limb is even or goes with the direction (n, 2) of its normal."""
+    design = np.concatenate([np.ones((len(values), 1)), normals], axis=1)
+    solution, _ = robust_solution(values, design, np.full(len(values), 1e-3), outlier_mad=outlier_mad)
+    result: Float = design @ solution
+    return result
 
 
 def _agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask | Failure:
@@ -249,85 +445,7 @@ def _position(fit: ConicFit, plane: _Plane, figure: Figure) -> tuple[Float, Floa
     return position, spread.T @ spread
 
 
-def _systematic(
-    inputs: EstimatorInputs,
-    points_px: Float,
-    correction_px: Float,
-    sigma_px: Float,
-    figure: Figure,
-    position_km: Float,
-    relief_px: float,
-) -> Float:
-    """Covariance (3, 3), km^2, by relief, and by what the correction for changing brightness leaves along a radian."""
-    _, design, normals = horizon_residuals(points_px, inputs.camera.model, figure, position_km)
-    by_ellipse = np.concatenate([design, _free_shape(normals)], axis=1)
-    apart = np.linalg.norm(points_px[:, None] - points_px[None], axis=-1)
-    left = _GROWTH_ERROR * float(np.sqrt(np.mean(correction_px**2)))
-    shared = left**2 * np.exp(-apart / inputs.radius_px)
-    shared += relief_px**2 * np.exp(-apart / (RELIEF_LENGTH * inputs.radius_px))
-    covariance = generalized_solution(np.zeros(len(points_px)), by_ellipse, shared, weights=1.0 / sigma_px**2)[1]
-    result: Float = covariance[:3, :3]
-    return result
-
-
 def _free_shape(normals: Float) -> Float:
     """The two ways (n, 2) in which the outline is free besides center and size: flattening along two directions."""
     x, y = normals.T
     return np.stack([x * x - y * y, 2 * x * y], axis=-1)
-
-
-def _judged(
-    inputs: EstimatorInputs,
-    limb: LimbEdges,
-    used: NDArray[np.intp],
-    *,
-    n_used: int,
-    position_km: Float,
-    covariance_km2: Float,
-    residuals_px: Float,
-    relief_px: float,
-    options: EllipseFitOptions,
-) -> PositionFix | Failure:
-    """The fix with its flags, or why there is none."""
-    center_px, covariance_px2 = center_of_position(inputs.camera.model, position_km, covariance_km2)
-    range_km = float(np.linalg.norm(position_km))
-    sight = position_km / range_km
-    sigma_range = math.sqrt(float(sight @ covariance_km2 @ sight)) / range_km
-    sigma_px = math.sqrt(float(np.linalg.eigvalsh(covariance_px2)[-1]))
-    if not (sigma_range < _MAX_RANGE_SIGMA and sigma_px < inputs.radius_px):
-        return inputs.fail(
-            Reason.DEGENERATE_GEOMETRY,
-            f"{n_used} edges do not fix an ellipse: sigma {sigma_px:.1f} px across and {sigma_range:.1%} of range",
-        )
-    area = np.zeros(inputs.usable.shape, dtype=bool)
-    area[limb.edges.pixels_px[:, 1], limb.edges.pixels_px[:, 0]] = True
-    rms_px = float(np.sqrt(np.mean(residuals_px**2)))
-    checks = QualityChecks(
-        off_px=center_px - inputs.predicted_px,
-        search_px=options.search_px,
-        range_ratio=inputs.geometry.range_km / range_km,
-        search_range=options.search_range,
-        n_used=n_used,
-        n_offered=len(limb.edges),
-        residuals=rms_px / (options.large_rms_px + 1.5 * relief_px),
-        outline_share=n_used / (2.0 * math.pi * inputs.radius_px),
-    )
-    flags = inputs.flags_at(area) | checks.flags
-    if relief_px > 0.0:
-        flags |= Quality.SHAPE_APPROXIMATED
-    return PositionFix(
-        estimator=inputs.estimator,
-        target=inputs.target_name,
-        center_px=center_px,
-        covariance_px2=covariance_px2,
-        predicted_px=inputs.predicted_px,
-        residuals=residuals_px,
-        n_used=n_used,
-        n_rejected=limb.n_found - n_used,
-        score=rms_px,
-        flags=flags,
-        provenance=inputs.provenance,
-        position_camera_km=position_km,
-        covariance_camera_km2=covariance_km2,
-        limb_px=limb.points_px[used],
-    )

@@ -1,11 +1,9 @@
-"""The horizon of an ellipsoid in the image: position from horizon points, and what noise does to it.
-
-Pure algebra on image points; where the points come from is the business of ``limb_observation``.
-"""
+"""The horizon of an ellipsoid in the image: position from points on it, and what their errors do to the position."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -17,8 +15,13 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
+from giantlike.processing.correlated_fit import correlated_solution, solution_gain
+from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.relative.limb.fix import LimbSolution
 
 MIN_POINTS = 4
+_EXPLAINED_SIGMAS = 2.5
+"""Scatter of points, and the product of neighbors, that pixel noise reaches once in a hundred times."""
 _FOOT_STEPS, _NEAR_STEPS = 4, 2
 _MAX_STEPS = 25
 _STEP_PX = 1e-7
@@ -106,8 +109,39 @@ class Altitude:
         )
 
     def above(self, figure: Figure) -> Figure:
-        """The ellipsoid that is seen in place of a body."""
+        """Return the ellipsoid that is seen in place of a body."""
         return Figure(radii_km=figure.radii_km + self.altitude_km, camera_from_axes=figure.camera_from_axes)
+
+    def after(self, left: Float, design: Float, covariance: Float, lift: Float) -> Altitude:
+        """Estimate the altitude from a fit of the position; it stays as before where the range takes up all of it.
+
+        Parameters
+        ----------
+        left : (n,) float64, px
+            Residuals.
+        design : (n, 3) float64, px/km
+            Motion of the points with the position.
+        covariance : (n, n) float64, px^2
+            Of the residuals, that by the altitude in it.
+        lift : (n,) float64, px/km
+            Motion of the points with the altitude.
+
+        Returns
+        -------
+        Altitude
+        """
+        variance = self.sigma_km**2
+        if variance == 0.0:
+            return self
+        weighted = np.linalg.solve(covariance, np.column_stack([lift, design]))
+        gain = weighted[:, 0] - weighted[:, 1:] @ np.linalg.solve(design.T @ weighted[:, 1:], weighted[:, 1:].T @ lift)
+        known = variance - variance**2 * float(gain @ lift)
+        return Altitude(self.altitude_km + variance * float(gain @ left), math.sqrt(max(known, 0.0)))
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Both numbers for the provenance of a fix."""
+        return {"limb_altitude_km": f"{self.altitude_km:.6g}", "altitude_sigma_km": f"{self.sigma_km:.6g}"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,45 +305,6 @@ def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, po
     return result
 
 
-def horizon_covariance(
-    points_px: ArrayLike,
-    model: CameraModel,
-    figure: Figure,
-    position_camera_km: ArrayLike,
-    *,
-    sigma_px: ArrayLike,
-    method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD,
-) -> Float:
-    """Covariance (3, 3), km^2, camera axes, of a position from horizon points with independent errors.
-
-    Parameters
-    ----------
-    points_px : (n, 2), px
-    model : CameraModel
-    figure : Figure
-    position_camera_km : (3,), km, camera axes
-    sigma_px : (n,) or float, px
-        Standard deviations of the points, per axis (equally: along the normal of the horizon).
-    method : CraMethod
-        Least squares and total least squares do not weight by ``sigma_px``; their covariance knows that.
-
-    References
-    ----------
-    .. [1] Thrasher et al., eqs. 14-20; here with the pixel covariance carried through the distorted model
-       instead of eq. 16, which holds for a pinhole camera with square pixels.
-    """
-    points = _points(points_px)
-    sigma = np.broadcast_to(as_floats(sigma_px, (), "sigma_px"), len(points))
-    _, jacobian, _ = horizon_residuals(points, model, figure, position_camera_km)
-    if method is CraMethod.MAXIMUM_LIKELIHOOD:
-        weights = 1.0 / sigma**2
-    else:
-        weights = cone_weights(points, model, figure, position_camera_km)
-    gain = np.linalg.solve(jacobian.T @ (jacobian * weights[:, None]), (jacobian * weights[:, None]).T)
-    result: Float = (gain * sigma**2) @ gain.T
-    return result
-
-
 def cone_weights(points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike) -> Float:
     """How much each point (n,) counts in the unweighted equations of the cone, 1/px^2."""
     points = _points(points_px)
@@ -323,6 +318,87 @@ def cone_weights(points_px: ArrayLike, model: CameraModel, figure: Figure, posit
     gradient = np.einsum("ni,ij,njk->nk", across, figure.to_sphere, model.unproject_jacobian(points))
     result: Float = np.sum(gradient**2, axis=1)
     return result
+
+
+def fit_horizon(
+    measured: LimbMeasurement,
+    model: CameraModel,
+    figure: Figure,
+    start_km: Float,
+    altitude: Altitude,
+    *,
+    weights: Float | None = None,
+) -> LimbSolution:
+    """Move an ellipsoid to where the points of a measured limb want it, all of them together.
+
+    Parameters
+    ----------
+    measured : LimbMeasurement
+    model : CameraModel
+    figure : Figure
+        As seen: with the altitude on its radii.
+    start_km : (3,) float64, km, camera axes
+        Near the solution.
+    altitude : Altitude
+    weights : (n,) float64, optional
+        With these the position is taken as it is, and its covariance is that of a solution so weighted.
+
+    Returns
+    -------
+    LimbSolution
+        Its position is that of the ellipsoid's center.
+
+    Notes
+    -----
+    The points err by pixel noise; by what neighbors share (albedo, relief), found from their scatter where noise does
+    not explain that; by the blur and the law, which all of them share; and by the altitude.
+    """
+    points, keep = measured.observed_px[measured.keep], measured.keep
+    residuals, design, _ = horizon_residuals(points, model, figure, start_km)
+    lift = altitude_design(points, model, figure, start_km)
+    causes = {
+        "scatter": _scatter_px2(measured, residuals, design),
+        "common": measured.common_px[keep] @ measured.common_px[keep].T,
+        "altitude": altitude.sigma_km**2 * np.outer(lift, lift),
+    }
+    covariance = np.sum(list(causes.values()), axis=0)
+    gain = solution_gain(design, covariance, weights=weights)
+    step = gain @ residuals if weights is None else np.zeros(3)
+    left = residuals - design @ step
+    seen = altitude.after(left, design, covariance, lift)
+    return LimbSolution(
+        position_camera_km=start_km + step,
+        covariances_km2={
+            **{cause: gain @ part @ gain.T for cause, part in causes.items()},
+            **measured.smooth_covariances(),
+        },
+        residuals_px=left,
+        limb_px=points,
+        provenance={} if seen == Altitude() else seen.provenance,
+    )
+
+
+def _scatter_px2(measured: LimbMeasurement, residuals: Float, design: Float) -> Float:
+    """Covariance (n, n) of the points' own errors: pixel noise, and more where relief, their scatter or its waves are.
+
+    Relief is that of the shape or, where larger, that of the residuals.
+    """
+    sigma, points = measured.sigma_px[measured.keep], measured.observed_px[measured.keep]
+    noise = np.diag(sigma**2)
+    if measured.relief is not None:
+        shown = float(np.sqrt(np.mean(residuals**2)))
+        return noise + replace(measured.relief, sigma_px=max(measured.relief.sigma_px, shown)).covariance_px2(points)
+    whitened = design / sigma[:, None]
+    basis, _ = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0))
+    left = residuals / sigma
+    left = left - basis @ (basis.T @ left)
+    freedom = left.size - 3
+    scatter = (float(left @ left) / freedom - 1.0) / np.sqrt(2.0 / freedom)
+    waves = float(left[1:] @ left[:-1]) / np.sqrt(left.size)
+    if max(scatter, waves) < _EXPLAINED_SIGMAS:
+        return noise
+    fit = correlated_solution(residuals, design, sigma, points, min_length=measured.spacing_px)
+    return fit.residual_covariance(sigma, points)
 
 
 def _points(points_px: ArrayLike) -> Float:

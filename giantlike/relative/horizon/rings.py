@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate
+from giantlike.ray_tracing import FocalPlane
 
 _TURNS = 720
 _NEAREST = 1e-3  # of the distance to the body: rings nearer to the camera's plane than this are not drawn
@@ -46,13 +46,13 @@ class Rings:
         toward_sun = rotate(to_axes, sun_direction_camera)
         return self._crossed(points, toward_camera) | self._crossed(points, np.broadcast_to(toward_sun, points.shape))
 
-    def cover(self, camera: Camera, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
+    def cover(self, plane: FocalPlane, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
         """Pixels (rows, columns) of the camera on which the rings lie, before or behind the body, and a margin."""
         turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
         circle = np.stack([np.cos(turns), np.sin(turns), np.zeros(_TURNS)], axis=-1)
-        area = np.zeros((camera.rows, camera.columns), dtype=np.uint8)
+        area = np.zeros((plane.rows, plane.columns), dtype=np.uint8)
         edges = [center_km + rotate(camera_from_axes, radius * circle) for radius in (self.inner_km, self.outer_km)]
-        inner, outer = (camera.model.project(np.where(e[:, 2:] > _NEAREST * center_km[2], e, np.nan)) for e in edges)
+        inner, outer = (plane.model.project(np.where(e[:, 2:] > _NEAREST * center_km[2], e, np.nan)) for e in edges)
         for start in range(_TURNS):
             corners = np.stack([inner[start], outer[start], outer[start - 1], inner[start - 1]])
             if np.isfinite(corners).all() and np.abs(corners).max() < 1e5:

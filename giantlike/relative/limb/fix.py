@@ -1,36 +1,54 @@
-"""From a limb to a position: the iteration and the judgement that all estimators on limbs share."""
+"""From a limb to a position: the options, the iteration and the fix that all estimators on limbs share."""
 
 from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
-from giantlike.processing.correlated_fit import generalized_solution, robust_solution
-from giantlike.ray_tracing import Body
+from giantlike.processing.correlated_fit import robust_solution
+from giantlike.processing.limb.measurement import LimbImage, LimbMeasurement
+from giantlike.processing.limb.search import OutlineSearch
+from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
-from giantlike.relative.limb.observation import LimbObservation, LimbScanOptions, locate_limb, observe_limb
 from giantlike.relative.quality import QualityChecks
 
 _LOG = logging.getLogger("giantlike.relative")
 
-_FIRST_SEARCH_PX = 3.0
-_FIRST_LINES, _FIRST_RAYS = 100, 2  # the rough place needs no more
-_PATIENCE = 3
-"""Iterations after which steps are halved, and one that noise explains ends the fit: the lines used can alternate."""
-_RELIEF_TOLERANCE = 0.1
+Measured = TypeVar("Measured", bound=LimbMeasurement)
+
+PATIENCE = 3
+"""Iterations with full steps; later ones are halved, because the points that are used can alternate."""
 _MAX_RANGE_STEP = 0.1
+"""Largest step over the range: the outline is linear in the position to a few percent over so much."""
 _MAX_RANGE_SIGMA = 0.25
+"""Standard deviation of the range over the range beyond which a position is none: linear errors end there."""
+LEAST_PSF_PX2 = 0.01
+"""Least variance of a point spread function that is estimated, px^2: a tenth of that of a pixel."""
+_RELIEF_RMS, _RELIEF_LARGE_RMS = 2.0, 1.5
+"""Residuals in units of the relief that are allowed, and that are not yet large; no study yet."""
+
+
+class EdgeModel(StrEnum):
+    """Brightness that is expected across a limb."""
+
+    TEMPLATE = "template"
+    """That of the body with its reflectance law and the point spread function."""
+    STEP = "step"
+    """That of a blurred step: no photometric model is needed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimbSearch:
-    """How far, how long and how strictly a limb is searched.
+    """Options of all estimators on limbs: how far limbs are searched and which points and fixes are believed.
 
     Parameters
     ----------
@@ -38,137 +56,223 @@ class LimbSearch:
         Largest error of the predicted center, in both coordinates.
     search_range : float
         Largest relative error of the predicted range.
-    max_iterations : int
-        Times that the template is rendered and the limb measured.
-    tolerance_px : float, px
-        The fit has settled when the limb would move less than this in another iteration.
     outlier_mad : float
         Limb points beyond so many robust sigmas are left out.
-    max_rms_px : float, px
-        Larger residuals are a failure.
     large_rms_px : float, px
-        Larger residuals get a flag.
-    relief_px : float, px
-        How much the true outline departs from that of the body that is matched, root mean square.
+        Larger residuals, beyond what relief explains, get a flag.
     """
 
-    search_px: float
-    search_range: float
-    max_iterations: int
-    tolerance_px: float
-    outlier_mad: float
-    max_rms_px: float
-    large_rms_px: float
-    relief_px: float = 0.0
+    search_px: float = 40.0
+    search_range: float = 0.03
+    outlier_mad: float = 4.0
+    large_rms_px: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("search_px", "tolerance_px", "outlier_mad", "max_rms_px", "large_rms_px"):
+        for name in ("search_px", "outlier_mad", "large_rms_px"):
             value = getattr(self, name)
             require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
         require(self.search_px <= 500, f"search_px must be <= 500, got {self.search_px}")
         require(0.0 <= self.search_range <= 0.3, f"search_range must be in [0, 0.3], got {self.search_range}")
+
+    def allowed_rms_px(self, relief_px: float) -> float:
+        """Largest residuals, px, of a position that is believed, on a body of some relief, px."""
+        del relief_px
+        return math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IteratedSearch(LimbSearch):
+    """Options of the estimators that measure a limb again and again until it stands still.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Largest number of measurements.
+    tolerance_px : float, px
+        The fit has settled when the limb would move less than this in another iteration.
+    max_rms_px : float, px
+        Larger residuals, beyond what relief explains, are a failure.
+    """
+
+    max_iterations: int = 8
+    tolerance_px: float = 0.01
+    max_rms_px: float = 5.0
+
+    def __post_init__(self) -> None:
+        LimbSearch.__post_init__(self)
+        for name in ("tolerance_px", "max_rms_px"):
+            value = getattr(self, name)
+            require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
         whole = isinstance(self.max_iterations, int) and 1 <= self.max_iterations <= 50
         require(whole, f"max_iterations must be a whole number in [1, 50], got {self.max_iterations}")
 
-    @property
-    def allowed_rms_px(self) -> float:
-        """Largest residuals of a position that is believed, px."""
-        return self.max_rms_px + 2.0 * self.relief_px
+    def allowed_rms_px(self, relief_px: float) -> float:
+        """Largest residuals, px, of a position that is believed, on a body of some relief, px."""
+        return self.max_rms_px + _RELIEF_RMS * relief_px
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SettledLimb(Value):
-    """A limb measured across a prediction that no longer moves.
+class LimbView(Value):
+    """What is known before the limb of a body is measured.
 
     Parameters
     ----------
-    observation : LimbObservation
-    design : (n, 3) float64, px/km
-        Outward motion of its points with the position of the body.
+    image : LimbImage
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
+    radius_px : float, px
+        Predicted apparent radius.
+    """
+
+    image: LimbImage
+    sun_direction_camera: Float
+    radius_px: float
+
+    @classmethod
+    def of(cls, inputs: EstimatorInputs) -> LimbView:
+        """Take what an estimator on limbs needs from what was gathered for it."""
+        camera = inputs.camera
+        return cls(
+            image=LimbImage(
+                pixels_dn=inputs.pixels_dn,
+                usable=inputs.usable,
+                saturated=inputs.saturated,
+                detector=camera.detector,
+                plane=FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=camera.psf),
+            ),
+            sun_direction_camera=inputs.geometry.sun_direction_camera,
+            radius_px=inputs.radius_px,
+        )
+
+    def outline_search(self, search: LimbSearch, min_contrast: float) -> OutlineSearch:
+        """How far and how strictly the outline as a whole is searched."""
+        return OutlineSearch(
+            search_px=search.search_px,
+            search_range=search.search_range,
+            min_contrast=min_contrast,
+            noise_dn=self.image.dark_noise_dn,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbState(Value):
+    """State of the iteration.
+
+    Parameters
+    ----------
+    position_camera_km : (3,) float64, km, camera axes
+        Position of the body.
+    psf_px2 : float, px^2
+        Variance of the point spread function, for scans that estimate it.
+    iteration : int
+        Number of measurements made before.
+    moved_px : float, px
+        Largest motion of the limb in the step before; infinite at the start.
+    """
+
+    position_camera_km: Float
+    psf_px2: float = LEAST_PSF_PX2
+    iteration: int = 0
+    moved_px: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbStep(Value):
+    """Step of the iteration.
+
+    Parameters
+    ----------
+    position_km : (3,) float64, km, camera axes
     keep : (n,) bool
-        Points that agree with one position.
+        Points that agree on it.
+    psf_px2 : float, px^2
+        Change of the variance of the point spread function.
     """
 
-    observation: LimbObservation
-    design: Float
+    position_km: Float
     keep: Mask
+    psf_px2: float = 0.0
 
 
-def limb_design(normals_px: Float, projection_jacobian: Float) -> Float:
-    """Outward motion of limb points in the image (n, 3), px/km, with the position of the body.
+class LimbScan(Protocol[Measured]):
+    """A way to measure the limb of a body where it is thought to be."""
+
+    @property
+    def closest_km(self) -> float:
+        """Distance, km, from the center of the body that the camera cannot go below."""
+        ...
+
+    @property
+    def min_points(self) -> int:
+        """Number of good points below which there is no limb."""
+        ...
+
+    def measure(self, state: LimbState) -> Measured | Failure:
+        """Measure the limb across the body in a state; all of its points are kept."""
+        ...
+
+    def step(self, measured: Measured, state: LimbState) -> LimbStep:
+        """Find the step to where the points want the body."""
+        ...
+
+    def settled(self, measured: Measured, step: LimbStep, moved_px: float, state: LimbState) -> bool:
+        """Return True if another measurement is not needed, the limb moving by ``moved_px`` in the shortened step."""
+        ...
+
+    def finish(self, measured: Measured, step: LimbStep) -> LimbMeasurement:
+        """Return the measurement for the solution that comes after the last step, which is not taken."""
+        ...
+
+
+def settle_limb(scan: LimbScan[Measured], start: LimbState, search: IteratedSearch) -> LimbMeasurement | Failure:
+    """Measure a limb and move the body until the limb stands still.
 
     Parameters
     ----------
-    normals_px : (n, 2) float64, unitless
-        Outward normals of the limb.
-    projection_jacobian : (n, 2, 3) float64, px/km
-        Of the camera model at the limb points in space.
-
-    Notes
-    -----
-    A limb point that slides along the surface as the view changes slides along the limb too, so to first order only
-    its own motion counts across the limb.
-    """
-    design: Float = np.einsum("ni,nij->nj", normals_px, projection_jacobian)
-    return design
-
-
-def settle_limb(
-    inputs: EstimatorInputs, body: Body, *, search: LimbSearch, scan: LimbScanOptions
-) -> SettledLimb | Failure:
-    """Find the limb as a whole, then measure it and move the body until it stands still.
-
-    Parameters
-    ----------
-    inputs : EstimatorInputs
-    body : Body
-        At the predicted position.
-    search : LimbSearch
-    scan : LimbScanOptions
+    scan : LimbScan
+    start : LimbState
+        Good to a few pixels.
+    search : IteratedSearch
 
     Returns
     -------
-    SettledLimb or Failure
-        ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
+    LimbMeasurement or Failure
+        What ``scan`` fails for, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
     """
-    located = locate_limb(inputs, body, search_px=search.search_px, search_range=search.search_range, options=scan)
-    if isinstance(located, Failure):
-        return located
-    position = located.position_camera_km
-    moved_px = math.inf
-    for iteration in range(search.max_iterations):
-        first = iteration == 0
-        extra_px = 3.0 * search.relief_px + (_FIRST_SEARCH_PX if first else 0.0)
-        observation = observe_limb(
-            inputs,
-            body.at(position),
-            replace(scan, rays_per_pixel_side=_FIRST_RAYS) if first else scan,
-            lines=located.lines.thinned(_FIRST_LINES) if first else located.lines,
-            extra_px=extra_px,
-            relief=search.relief_px > 0.0,
+    state = start
+    for _ in range(search.max_iterations):
+        measured = scan.measure(state)
+        if isinstance(measured, Failure):
+            return measured
+        step = scan.step(measured, state)
+        share = _share(step, state)
+        moved_px = share * float(np.max(np.abs(measured.design[step.keep] @ step.position_km)))
+        _LOG.debug("limb moved by %.3g px in iteration %d", moved_px, state.iteration + 1)
+        if scan.settled(measured, step, moved_px, state):
+            return _agreed(scan.finish(measured, step), scan.min_points)
+        state = LimbState(
+            position_camera_km=state.position_camera_km + share * step.position_km,
+            psf_px2=max(state.psf_px2 + share * step.psf_px2, LEAST_PSF_PX2) if step.psf_px2 else state.psf_px2,
+            iteration=state.iteration + 1,
+            moved_px=moved_px,
         )
-        if isinstance(observation, Failure):
-            return observation
-        design = limb_design(observation.normals_px, inputs.camera.model.project_jacobian(observation.limb_camera_km))
-        step, keep = robust_solution(observation.shift_px, design, observation.sigma_px, outlier_mad=search.outlier_mad)
-        step = _limited(step, position) * (1.0 if iteration <= _PATIENCE else 0.5)
-        before_px, moved_px = moved_px, float(np.max(np.abs(design[keep] @ step)))
-        _LOG.debug("%s: limb moved by %.3g px in iteration %d", inputs.image.name, moved_px, iteration + 1)
-        position = position + step
-        settled = next_motion_px(before_px, moved_px) < search.tolerance_px + _RELIEF_TOLERANCE * search.relief_px
-        if settled or (iteration >= _PATIENCE and moved_px < _motion_sigma_px(observation, design, keep)):
-            return _agreed(inputs, SettledLimb(observation=observation, design=design, keep=keep), scan)
-        if not float(np.linalg.norm(position)) > body.shape.circumscribing_radius_km:
+        if not float(np.linalg.norm(state.position_camera_km)) > scan.closest_km:
             break
-    return inputs.fail(
+    return Failure(
         Reason.NOT_CONVERGED,
-        f"the limb still moved by {moved_px:.2g} px after {iteration + 1} iterations, "
-        f"needed {search.tolerance_px:g} px",
+        f"the limb still moved by {moved_px:.2g} px after {state.iteration} iterations, tolerance_px is "
+        f"{search.tolerance_px:g}",
     )
 
 
+def agreeing_step(measured: LimbMeasurement, outlier_mad: float) -> LimbStep:
+    """Robust least-squares step of the position, km, and the points that agree on it."""
+    step, keep = robust_solution(measured.shift_px, measured.design, measured.sigma_px, outlier_mad=outlier_mad)
+    return LimbStep(position_km=step, keep=keep)
+
+
 def next_motion_px(before_px: float, moved_px: float) -> float:
-    """How far the limb would move in one more iteration after moving ``before_px`` and then ``moved_px``.
+    """Predict the motion of the limb in one more iteration after moving ``before_px`` and then ``moved_px``.
 
     The iteration converges by about the same factor each time; after the first step nothing is known of it.
 
@@ -178,129 +282,113 @@ def next_motion_px(before_px: float, moved_px: float) -> float:
     return moved_px * min(moved_px / before_px, 1.0) if math.isfinite(before_px) else moved_px
 
 
-def brightness_covariance(inputs: EstimatorInputs, limb: SettledLimb) -> Float:
-    """Covariance (3, 3), km^2, of a position by what a wrong reflectance law does to the whole limb.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbSolution(Value):
+    """Position of a body from its limb.
 
-    Such an error changes slowly along the limb, over about a radian, and leaves hardly any residuals. Its size comes
-    from the profiles: see ``LimbObservation.brightness_error_px``.
+    Parameters
+    ----------
+    position_camera_km : (3,) float64, km, camera axes
+        Of the origin of the shape.
+    covariances_km2 : mapping of str to (3, 3) float64, km^2, camera axes
+        Covariance by each cause; they add up.
+    residuals_px : (m,) float64, px
+        Of the points used, positive outward.
+    limb_px : (m, 2) float64, px
+        Those points in the image.
+    provenance : mapping of str to str
+        What else there is to say.
     """
-    points = limb.observation.predicted_px[limb.keep]
-    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    shared = limb.observation.brightness_error_px**2 * np.exp(-apart / inputs.radius_px)
-    return generalized_solution(np.zeros(len(points)), limb.design[limb.keep], shared, weights=np.ones(len(points)))[1]
+
+    position_camera_km: Float
+    covariances_km2: Mapping[str, Float]
+    residuals_px: Float
+    limb_px: Float
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def covariance_camera_km2(self) -> Float:
+        """Covariance (3, 3) of the position by all causes, km^2, camera axes."""
+        total: Float = np.sum(list(self.covariances_km2.values()), axis=0)
+        return total
 
 
-def position_fix(
-    inputs: EstimatorInputs,
-    limb: SettledLimb,
-    *,
-    position_camera_km: Float,
-    covariance_camera_km2: Float,
-    residuals_px: Float,
-    search: LimbSearch,
-    flags: Quality = Quality.NONE,
+def limb_fix(
+    inputs: EstimatorInputs, measured: LimbMeasurement, solution: LimbSolution, search: LimbSearch
 ) -> PositionFix | Failure:
-    """Put a position from a limb into a :class:`PositionFix`, or tell why it is none.
+    """Judge a position from a limb and put it into a :class:`PositionFix`.
 
     Parameters
     ----------
     inputs : EstimatorInputs
-    limb : SettledLimb
-    position_camera_km : (3,) float64, km, camera axes
-        Of the origin of the shape.
-    covariance_camera_km2 : (3, 3) float64, km^2
-        By the scatter of the points; that of :func:`brightness_covariance` is added.
-    residuals_px : (n,) float64, px
-        Of the points kept, positive outward.
+    measured : LimbMeasurement
+    solution : LimbSolution
     search : LimbSearch
-    flags : Quality
-        Those that the estimator adds.
 
     Returns
     -------
     PositionFix or Failure
         ``LARGE_RESIDUALS`` or ``DEGENERATE_GEOMETRY``.
     """
-    observation, n_used = limb.observation, int(limb.keep.sum())
-    covariance_camera_km2 = covariance_camera_km2 + brightness_covariance(inputs, limb)
-    range_km = float(np.linalg.norm(position_camera_km))
-    direction = position_camera_km / range_km
-    sigma_range = float(np.sqrt(direction @ covariance_camera_km2 @ direction)) / range_km
-    rms_px = float(np.sqrt(np.mean(residuals_px**2)))
-    if rms_px > search.allowed_rms_px:
-        return inputs.fail(
+    position_km, covariance_km2 = solution.position_camera_km, solution.covariance_camera_km2
+    rms_px, allowed_px = float(np.sqrt(np.mean(solution.residuals_px**2))), search.allowed_rms_px(measured.relief_px)
+    if rms_px > allowed_px:
+        return Failure(
             Reason.LARGE_RESIDUALS,
-            f"residuals of {n_used} limb points are {rms_px:.2f} px rms, allowed {search.allowed_rms_px:.3g}: wrong "
+            f"residuals of {measured.n_used} limb points are {rms_px:.2f} px rms, allowed {allowed_px:.3g}: wrong "
             "shape, orientation or Sun direction, or not this body",
         )
-    center_px, covariance_px2 = center_of_position(inputs.camera.model, position_camera_km, covariance_camera_km2)
+    center_px, covariance_px2 = center_of_position(inputs.camera.model, position_km, covariance_km2)
     sigma_px = float(np.sqrt(np.linalg.eigvalsh(covariance_px2)[-1]))
+    range_km = float(np.linalg.norm(position_km))
+    sigma_range = float(np.sqrt(position_km @ covariance_km2 @ position_km)) / range_km**2
     if not (sigma_range < _MAX_RANGE_SIGMA and sigma_px < inputs.radius_px):
-        return inputs.fail(
+        return Failure(
             Reason.DEGENERATE_GEOMETRY,
-            f"{n_used} limb points on {observation.limb_share:.0%} of the outline do not fix the position: sigma "
-            f"{sigma_px:.1f} px across and {sigma_range:.1%} of range",
+            f"{measured.n_used} limb points on {measured.outline_share:.0%} of the outline do not fix the position: "
+            f"sigma {sigma_px:.1f} px across and {sigma_range:.1%} of range",
         )
-    return PositionFix(
-        estimator=inputs.estimator,
-        target=inputs.target_name,
-        center_px=center_px,
-        covariance_px2=covariance_px2,
-        predicted_px=inputs.predicted_px,
-        residuals=residuals_px,
-        n_used=n_used,
-        n_rejected=observation.n_lines - n_used,
-        score=rms_px,
-        flags=flags | _flags(inputs, limb, center_px, range_km, rms_px, search),
-        provenance=inputs.provenance,
-        position_camera_km=position_camera_km,
-        covariance_camera_km2=covariance_camera_km2,
-        limb_px=observation.observed_px[limb.keep],
-    )
-
-
-def _agreed(inputs: EstimatorInputs, limb: SettledLimb, scan: LimbScanOptions) -> SettledLimb | Failure:
-    n_kept = int(limb.keep.sum())
-    if n_kept >= scan.min_lines:
-        return limb
-    return inputs.fail(
-        Reason.LARGE_RESIDUALS,
-        f"only {n_kept} of {limb.keep.size} limb points agree with one position, needed {scan.min_lines}",
-    )
-
-
-def _motion_sigma_px(observation: LimbObservation, design: Float, keep: Mask) -> float:
-    """How uncertain the limb is where it is fixed worst, px, by the scatter of the points alone."""
-    scatter = np.sqrt(np.mean(observation.sigma_px[keep] ** 2) + np.var(observation.shift_px[keep]))
-    leverage = np.linalg.qr(design[keep])[0]
-    return float(scatter * np.max(np.linalg.norm(leverage, axis=1)))
-
-
-def _limited(step_km: Float, position_km: Float) -> Float:
-    """A step (3,) of a position (3,) cut to a tenth of the range."""
-    most = _MAX_RANGE_STEP * float(np.linalg.norm(position_km))
-    return step_km * min(1.0, most / max(float(np.linalg.norm(step_km)), 1e-300))
-
-
-def _flags(
-    inputs: EstimatorInputs,
-    limb: SettledLimb,
-    center_px: Float,
-    range_km: float,
-    rms_px: float,
-    search: LimbSearch,
-) -> Quality:
-    observation, keep = limb.observation, limb.keep
-    flags = inputs.flags_at(observation.area)
     checks = QualityChecks(
         off_px=center_px - inputs.predicted_px,
         search_px=search.search_px,
         range_ratio=inputs.geometry.range_km / range_km,
         search_range=search.search_range,
-        n_used=int(keep.sum()),
-        n_offered=observation.n_lines,
-        residuals=rms_px / (search.large_rms_px + 1.5 * search.relief_px),
-        outline_share=observation.limb_share * float(keep.mean()),
-        cut_by_frame=observation.lines.cut_by_frame,
+        n_used=measured.n_used,
+        n_offered=measured.n_offered,
+        residuals=rms_px / (search.large_rms_px + _RELIEF_LARGE_RMS * measured.relief_px),
+        outline_share=measured.outline_share,
+        cut_by_frame=measured.cut_by_frame,
     )
-    return flags | checks.flags
+    replaced = Quality.SHAPE_APPROXIMATED if measured.relief_px > 0.0 else Quality.NONE
+    identity = inputs.identity
+    identity["provenance"] = {**inputs.provenance, **solution.provenance}
+    return PositionFix(
+        **identity,
+        center_px=center_px,
+        covariance_px2=covariance_px2,
+        residuals=solution.residuals_px,
+        n_used=measured.n_used,
+        n_rejected=measured.n_offered + measured.n_elsewhere - measured.n_used,
+        score=rms_px,
+        flags=inputs.flags_at(measured.area) | checks.flags | replaced,
+        position_camera_km=position_km,
+        covariance_camera_km2=covariance_km2,
+        limb_px=solution.limb_px,
+    )
+
+
+def _agreed(measured: LimbMeasurement, min_points: int) -> LimbMeasurement | Failure:
+    """The measurement, or a failure where too few of its points agree."""
+    if measured.n_used >= min_points:
+        return measured
+    return Failure(
+        Reason.LARGE_RESIDUALS,
+        f"only {measured.n_used} of {measured.keep.size} limb points agree with one position, needed {min_points}",
+    )
+
+
+def _share(step: LimbStep, state: LimbState) -> float:
+    """Share of a step that is taken: half of it after some iterations, and at most a tenth of the range."""
+    most = _MAX_RANGE_STEP * float(np.linalg.norm(state.position_camera_km))
+    limit = most / max(float(np.linalg.norm(step.position_km)), 1e-300)
+    return min(1.0, limit) * (1.0 if state.iteration <= PATIENCE else 0.5)

@@ -5,23 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from giantlike.camera import Camera
 from giantlike.core.arrays import require
 from giantlike.core.outcomes import Failure, PositionFix, Reason
-from giantlike.image import Image
 from giantlike.processing.correlated_fit import correlated_solution
-from giantlike.relative.estimator import EstimatorInputs, gather
-from giantlike.relative.limb.fix import LimbSearch, SettledLimb, position_fix, settle_limb
-from giantlike.relative.limb.observation import LimbScanOptions
-from giantlike.scene import Scene
+from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, LimbView, limb_fix
+from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
 
 _LONGEST_WAVES, _LEAST_WAVES_PX = 1.0 / 3.0, 15.0
 """Correlation length of errors along the limb that residuals show, over the radius and at least; more is brightness."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LimbMatchingOptions:
-    """How limbs are matched.
+class LimbMatchingOptions(IteratedSearch):
+    """Options of :class:`LimbMatching`.
 
     Parameters
     ----------
@@ -41,40 +39,20 @@ class LimbMatchingOptions:
         Larger residuals get a flag.
     min_diameter_px : float, px
         Smaller bodies (by the predicted size of the sphere of the same volume) are a failure: a limb of a few dozen
-        pixels tells the range to 0.2 % at best, and ``cross_correlation`` and ``unresolved``, which use all of the
+        pixels gives the range to 0.2 % at best, and ``cross_correlation`` and ``unresolved``, which use all of the
         light, do better. Lower it to have such limbs nevertheless.
     scan : LimbScanOptions
     """
 
-    search_px: float = 40.0
-    search_range: float = 0.03
-    max_iterations: int = 8
-    tolerance_px: float = 0.01
-    outlier_mad: float = 4.0
-    max_rms_px: float = 5.0
-    large_rms_px: float = 1.0
     min_diameter_px: float = 40.0
     scan: LimbScanOptions = field(default_factory=LimbScanOptions)
 
     def __post_init__(self) -> None:
-        _ = self.search  # checks the values
+        IteratedSearch.__post_init__(self)
         require(self.min_diameter_px >= 0.0, f"min_diameter_px must be >= 0, got {self.min_diameter_px}")
 
-    @property
-    def search(self) -> LimbSearch:
-        """The part of the options that every estimator on limbs has."""
-        return LimbSearch(
-            search_px=self.search_px,
-            search_range=self.search_range,
-            max_iterations=self.max_iterations,
-            tolerance_px=self.tolerance_px,
-            outlier_mad=self.outlier_mad,
-            max_rms_px=self.max_rms_px,
-            large_rms_px=self.large_rms_px,
-        )
 
-
-class LimbMatching:
+class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
     """Full position of a body from its lit limb.
 
     The outline is found as a whole, then the body is rendered where it seems to be, the image compared with it line
@@ -84,6 +62,9 @@ class LimbMatching:
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside that of the body.
+
+    Failures are ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED``, ``LARGE_RESIDUALS`` and
+    ``DEGENERATE_GEOMETRY``. The width of an unknown point spread function is measured on the limb.
 
     Parameters
     ----------
@@ -97,65 +78,48 @@ class LimbMatching:
     name: ClassVar[str] = "limb_matching"
 
     def __init__(self, options: LimbMatchingOptions | None = None) -> None:
-        self.options = options or LimbMatchingOptions()
+        super().__init__(options or LimbMatchingOptions())
 
-    def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> PositionFix | Failure:
-        """Find a target of ``scene`` in ``image``.
-
-        Parameters
-        ----------
-        image : Image
-        camera : Camera
-            Without a psf, its width is measured on the limb.
-        scene : Scene
-        target : str, optional
-            May be left out when there is only one.
-
-        Returns
-        -------
-        PositionFix or Failure
-            ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED``, ``LARGE_RESIDUALS`` or
-            ``DEGENERATE_GEOMETRY``, and what ``gather`` fails for.
-
-        Raises
-        ------
-        InputError
-            The image has another size than the camera, or there is no such target.
-        DataError
-            SPICE kernels do not cover the epoch.
-        """
-        inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
-        if isinstance(inputs, Failure):
-            return inputs
+    def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
         diameter_px, least_px = 2.0 * inputs.radius_px, self.options.min_diameter_px
         if diameter_px < least_px:
             advice = "use cross_correlation or unresolved, or lower min_diameter_px"
-            return inputs.fail(
+            return Failure(
                 Reason.NO_LIMB, f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}"
             )
-        limb = settle_limb(inputs, inputs.geometry.body(), search=self.options.search, scan=self.options.scan)
-        if isinstance(limb, Failure):
-            return limb
-        return _fix(inputs, limb, self.options)
+        view = LimbView.of(inputs)
+        measured = measure_by_lines(view, inputs.geometry.body(), self.options, self.options.scan)
+        if isinstance(measured, Failure):
+            return measured
+        return limb_fix(inputs, measured, solve_limb(measured, view.radius_px), self.options)
 
 
-def _fix(inputs: EstimatorInputs, limb: SettledLimb, options: LimbMatchingOptions) -> PositionFix | Failure:
-    """The last step of the iteration, with the covariance of the residuals."""
-    observation, keep = limb.observation, limb.keep
-    shift_px, design = observation.shift_px[keep], limb.design[keep]
+def solve_limb(measured: LimbMeasurement, radius_px: float) -> LimbSolution:
+    """Take the last step of the iteration, with the covariance that the residuals show.
+
+    Parameters
+    ----------
+    measured : LimbMeasurement
+    radius_px : float, px
+        Apparent radius of the body.
+
+    Returns
+    -------
+    LimbSolution
+    """
+    keep, points = measured.keep, measured.predicted_px[measured.keep]
+    shift_px, design = measured.shift_px[keep], measured.design[keep]
     fit = correlated_solution(
         shift_px,
         design,
-        observation.sigma_px[keep],
-        observation.predicted_px[keep],
-        min_length=options.scan.spacing_px,
-        max_length=max(_LONGEST_WAVES * inputs.radius_px, _LEAST_WAVES_PX),
+        measured.sigma_px[keep],
+        points,
+        min_length=measured.spacing_px,
+        max_length=max(_LONGEST_WAVES * radius_px, _LEAST_WAVES_PX),
     )
-    return position_fix(
-        inputs,
-        limb,
-        position_camera_km=observation.position_camera_km + fit.solution,
-        covariance_camera_km2=fit.covariance,
+    return LimbSolution(
+        position_camera_km=measured.position_camera_km + fit.solution,
+        covariances_km2={"scatter": fit.covariance, **measured.smooth_covariances()},
         residuals_px=shift_px - design @ fit.solution,
-        search=options.search,
+        limb_px=measured.observed_px[keep],
     )

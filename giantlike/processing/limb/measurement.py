@@ -1,0 +1,440 @@
+"""A lit limb measured in an image: its points with their errors, and the checks that all methods share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.detector import Detector
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
+from giantlike.processing.correlated_fit import generalized_solution
+from giantlike.ray_tracing import FocalPlane
+
+MIN_BRIGHTNESS = 0.1
+"""Brightness of limb that is used over that of the brightest; darker limb adds hardly any information."""
+GAIN_RANGE = (0.2, 5.0)
+"""Brightness of good points over that expected, in medians of all: albedo differs by less on one body (Iapetus: 10).
+
+Points outside are on something else: another body, rings, the terminator of a crescent.
+"""
+_SATURATED_SHARE = 0.2
+"""Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbImage(Value):
+    """Pixels and what is known of how they were recorded.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns) float64, DN
+        Bias taken off.
+    usable : (rows, columns) bool
+        Neither bad nor saturated.
+    saturated : (rows, columns) bool
+    detector : Detector
+        Noise model.
+    plane : FocalPlane
+        Camera model and point spread function, None where unknown.
+    """
+
+    pixels_dn: Float
+    usable: Mask
+    saturated: Mask
+    detector: Detector
+    plane: FocalPlane
+
+    @property
+    def model(self) -> CameraModel:
+        """Camera model."""
+        return self.plane.model
+
+    @property
+    def psf_sigma_px(self) -> float | None:
+        """Standard deviation of the point spread function, px; None when unknown."""
+        return None if self.plane.psf is None else self.plane.psf.sigma_px
+
+    @property
+    def dark_noise_dn(self) -> float:
+        """Standard deviation of a dark pixel, DN."""
+        return math.sqrt(float(self.detector.variance_dn2(np.zeros(1))[0]))
+
+    def contains(self, points_px: Float, *, margin_px: float = 0.0) -> Mask:
+        """Return which of the points (..., 2), px, lie on the detector, at least ``margin_px`` from its edge."""
+        return in_frame(points_px, self.usable.shape, margin_px=margin_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedLimb(Value):
+    """Points of a predicted limb that are lit and in the frame.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+    points_camera_km : (n, 3) float64, km, camera axes
+        The same points in space.
+    normals_px : (n, 2) float64, unitless
+        Outward unit normals of the outline in the image.
+    brightness : (n,) float64
+        Just inside the outline, in any unit.
+    """
+
+    points_px: Float
+    points_camera_km: Float
+    normals_px: Float
+    brightness: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothError:
+    """An error of the limb that changes slowly along it and so leaves hardly any residuals.
+
+    Its covariance between two points is ``sigma_px^2 exp(-distance / length_px)``.
+
+    Parameters
+    ----------
+    name : str
+        What causes it.
+    sigma_px : float, px
+        Standard deviation across the limb.
+    length_px : float, px
+        Correlation length.
+    """
+
+    name: str
+    sigma_px: float
+    length_px: float
+
+    def covariance_px2(self, points_px: Float) -> Float:
+        """Covariance (n, n), px^2, across the limb at points (n, 2), px."""
+        apart = np.linalg.norm(points_px[:, None] - points_px[None], axis=-1)
+        result: Float = self.sigma_px**2 * np.exp(-apart / self.length_px)
+        return result
+
+    def solution_covariance(self, points_px: Float, design: Float, weights: Float) -> Float:
+        """Covariance of a weighted least-squares solution that does not know of the error.
+
+        Parameters
+        ----------
+        points_px : (n, 2) float64, px
+        design : (n, k) float64
+            Outward motion of the limb, px, with each parameter.
+        weights : (n,) float64
+
+        Returns
+        -------
+        (k, k) float64
+        """
+        return generalized_solution(np.zeros(len(design)), design, self.covariance_px2(points_px), weights=weights)[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbMeasurement(Value):
+    """Lit limb of a body, measured in an image across a prediction.
+
+    Parameters
+    ----------
+    predicted_px : (n, 2) float64, px
+        Points of the limb of the body at ``position_camera_km``.
+    normals_px : (n, 2) float64, unitless
+        Outward unit normals of the outline in the image.
+    design : (n, 3) float64, px/km
+        Outward motion of the points with the position of the body, camera axes.
+    shift_px : (n,) float64, px
+        Distance from the predicted limb outward to the one in the image.
+    sigma_px : (n,) float64, px
+        Standard deviation of that by pixel noise.
+    keep : (n,) bool
+        Points that agree with one position.
+    common_px : (n, c) float64, px
+        Shift of the points by one standard deviation of each of c independent errors that they all share: blur, law.
+    smooth_errors : tuple of SmoothError
+        Errors that are in neither of these.
+    position_camera_km : (3,) float64, km, camera axes
+        Position of the body for the prediction.
+    relief : SmoothError or None
+        Departure of the outline from that of the body measured against.
+    spacing_px, perimeter_px : float, px
+        Length of limb for each point; length of the whole outline.
+    cut_by_frame : bool
+        Part of the outline lies outside the frame.
+    rejected : mapping of str to int
+        Points of the lit limb that are not among the n, by reason.
+    n_elsewhere : int
+        Edges measured that are no points of the limb.
+    area : (rows, columns) bool
+        Pixels within reach of the limb.
+    """
+
+    predicted_px: Float
+    normals_px: Float
+    design: Float
+    shift_px: Float
+    sigma_px: Float
+    keep: Mask
+    common_px: Float
+    smooth_errors: tuple[SmoothError, ...]
+    position_camera_km: Float
+    spacing_px: float
+    perimeter_px: float
+    cut_by_frame: bool
+    rejected: Mapping[str, int]
+    area: Mask
+    relief: SmoothError | None = None
+    n_elsewhere: int = 0
+
+    @property
+    def observed_px(self) -> Float:
+        """Limb points (n, 2) in the image, px."""
+        result: Float = self.predicted_px + self.shift_px[:, None] * self.normals_px
+        return result
+
+    @property
+    def relief_px(self) -> float:
+        """Root mean square of the relief, px."""
+        return 0.0 if self.relief is None else self.relief.sigma_px
+
+    @property
+    def n_used(self) -> int:
+        """Number of points used."""
+        return int(self.keep.sum())
+
+    @property
+    def n_offered(self) -> int:
+        """Number of points on lit limb in the frame."""
+        return self.keep.size + sum(self.rejected.values())
+
+    @property
+    def outline_share(self) -> float:
+        """Length of limb used over that of the whole outline, at most 1."""
+        return min(self.n_used * self.spacing_px / self.perimeter_px, 1.0)
+
+    def smooth_covariances(self) -> dict[str, Float]:
+        """Covariances (3, 3) of an unweighted position, km^2, camera axes, by each of the smooth errors."""
+        points, design = self.predicted_px[self.keep], self.design[self.keep]
+        return {
+            error.name: error.solution_covariance(points, design, np.ones(len(points))) for error in self.smooth_errors
+        }
+
+    def motion_sigma_px(self, step_km: Float) -> float:
+        """Standard deviation of the limb where it is least certain, px, by the scatter about a step (3,), km."""
+        design = self.design[self.keep]
+        left = self.shift_px[self.keep] - design @ step_km
+        leverage = np.linalg.qr(design)[0]
+        return float(np.std(left) * np.max(np.linalg.norm(leverage, axis=1)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointScores(Value):
+    """How well each of n points on a limb was measured.
+
+    Parameters
+    ----------
+    complete : (n,) bool
+        Enough pixels are usable.
+    strong : (n,) bool
+        The limb stands out of the noise.
+    alike : (n,) bool
+        The brightness has the expected profile.
+    gain_dn : (n,) float64, DN
+        Brightness in the image over the expected one, in any unit.
+    even : bool
+        The gains of good points are alike; False where the expected brightness is not that of the body.
+    also : mapping of str to (n,) bool
+        Other checks, by the reason for which points that fail them are rejected.
+    """
+
+    complete: Mask
+    strong: Mask
+    alike: Mask
+    gain_dn: Float
+    even: bool
+    also: Mapping[str, Mask]
+
+
+def judge_points(scores: PointScores) -> tuple[Mask, dict[str, int]]:
+    """Decide which points are good.
+
+    Parameters
+    ----------
+    scores : PointScores
+        Of n points.
+
+    Returns
+    -------
+    good : (n,) bool
+    rejected : dict of str to int
+        Number of the others by reason, the first that applies.
+    """
+    gain_ok = scores.gain_dn > 0.0
+    typical = scores.complete & scores.alike & gain_ok
+    if scores.even and typical.any():
+        low, high = np.array(GAIN_RANGE) * float(np.median(scores.gain_dn[typical]))
+        gain_ok = (scores.gain_dn > low) & (scores.gain_dn < high)
+    checks = {
+        "masked, saturated or outside the frame": scores.complete,
+        "too weak": scores.strong,
+        "not like the expected profile": scores.alike,
+        "too bright or too dark": gain_ok,
+        **scores.also,
+    }
+    good = np.ones(scores.complete.shape, dtype=bool)
+    rejected = {}
+    for name, passed in checks.items():
+        rejected[name] = int((good & ~passed).sum())
+        good &= passed
+    return good, rejected
+
+
+def too_few(image: LimbImage, area: Mask, good: Mask, rejected: Mapping[str, int], *, needed: int) -> Failure:
+    """Return the failure of a limb with too few good points.
+
+    Parameters
+    ----------
+    image : LimbImage
+    area : (rows, columns) bool
+        Pixels near the limb.
+    good : (n,) bool
+    rejected : mapping of str to int
+        As of :func:`judge_points`.
+    needed : int
+        Least number of good points.
+
+    Returns
+    -------
+    Failure
+        ``SATURATED`` where many of the pixels are, else ``NO_LIMB``.
+    """
+    saturated = float(image.saturated[area].mean()) if area.any() else 0.0
+    reasons = ", ".join(f"{count} {name}" for name, count in rejected.items() if count)
+    return Failure(
+        Reason.SATURATED if saturated > _SATURATED_SHARE else Reason.NO_LIMB,
+        f"{int(good.sum())} of {good.size} points measured along the lit limb in the frame are good, needed {needed}"
+        + (f"; {reasons}" if reasons else ""),
+    )
+
+
+def no_lit_limb(image: LimbImage, outline_px: Float, inside: Mask, phase_rad: float) -> Failure:
+    """Return the failure of a predicted outline of which no lit part lies in the frame.
+
+    Parameters
+    ----------
+    image : LimbImage
+    outline_px : (k, 2) float64, px
+        All around; points that the camera does not image are NaN or left out.
+    inside : (k,) bool
+        Points in the frame.
+    phase_rad : float, rad
+        Phase angle, for the text.
+
+    Returns
+    -------
+    Failure
+        ``NOT_LIT`` where some of it is in the frame, else ``NO_LIMB``.
+    """
+    rows, columns = image.usable.shape
+    if inside.any():
+        return Failure(
+            Reason.NOT_LIT,
+            f"{inside.mean():.0%} of the predicted outline lies in the frame, but the body is dark there (phase angle "
+            f"{math.degrees(phase_rad):.0f} deg)",
+        )
+    known = outline_px[np.isfinite(outline_px).all(axis=1)]
+    size = np.ptp(known, axis=0) if len(known) else np.full(2, np.nan)
+    corners = np.array([[0, 0], [columns - 1, 0], [0, rows - 1], [columns - 1, rows - 1]])
+    where = "the surface fills the frame" if _encloses(known, corners) else "the outline passes beside the frame"
+    return Failure(
+        Reason.NO_LIMB,
+        f"none of the predicted outline ({size[0]:.0f} x {size[1]:.0f} px) lies in the frame of {columns} x {rows}: "
+        f"{where}",
+    )
+
+
+def pixels_near(points_px: Float, normals_px: Float, offsets_px: Float, shape: tuple[int, ...]) -> Mask:
+    """Pixels on lines across a limb.
+
+    Parameters
+    ----------
+    points_px, normals_px : (n, 2) float64, px and unitless
+        Points of the limb and their normals.
+    offsets_px : (m,) float64, px
+        Places along every normal.
+    shape : (int, int)
+        Rows and columns of the image.
+
+    Returns
+    -------
+    (rows, columns) bool
+    """
+    area = np.zeros(shape, dtype=bool)
+    places = points_px[:, None] + offsets_px[:, None] * normals_px[:, None]
+    index = np.rint(places).astype(np.intp).reshape(-1, 2)
+    inside = np.all((index >= 0) & (index < [shape[1], shape[0]]), axis=1)
+    area[index[inside, 1], index[inside, 0]] = True
+    return area
+
+
+def limb_design(normals_px: Float, projection_jacobian: Float) -> Float:
+    """Outward motion of limb points in the image with the position of the body.
+
+    Parameters
+    ----------
+    normals_px : (n, 2) float64, unitless
+        Outward normals of the limb.
+    projection_jacobian : (n, 2, 3) float64, px/km
+        Of the camera model at the limb points in space.
+
+    Returns
+    -------
+    (n, 3) float64, px/km
+
+    Notes
+    -----
+    A limb point that slides along the surface as the view changes slides along the limb too, so to first order only
+    its own motion counts across the limb.
+    """
+    design: Float = np.einsum("ni,nij->nj", normals_px, projection_jacobian)
+    return design
+
+
+def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0) -> Mask:
+    """Return which points lie on the pixels of an image, at least ``margin_px`` from its edge; NaN does not.
+
+    Parameters
+    ----------
+    points_px : (..., 2) float64, px
+    shape : (int, int)
+        Rows and columns.
+    margin_px : float, px
+        Negative for points as far outside.
+
+    Returns
+    -------
+    (...) bool
+    """
+    low, high = margin_px - 0.5, np.array(shape[1::-1]) - 0.5 - margin_px
+    result: Mask = np.all((points_px >= low) & (points_px <= high), axis=-1)
+    return result
+
+
+def phase_angle_rad(position_camera_km: Float, sun_direction_camera: Float) -> float:
+    """Angle at a body (3,), km, camera axes, between camera and Sun (3,), a unit vector; rad."""
+    cosine = -float(position_camera_km @ sun_direction_camera) / float(np.linalg.norm(position_camera_km))
+    return math.acos(min(max(cosine, -1.0), 1.0))
+
+
+def _encloses(polygon_px: Float, points_px: NDArray[np.int64]) -> bool:
+    """True if the polygon (k, 2) winds around every one of the points (n, 2)."""
+    if len(polygon_px) < 3:
+        return False
+    arms = polygon_px[None] - points_px[:, None]
+    angles = np.arctan2(arms[..., 1], arms[..., 0])
+    turns = np.diff(np.unwrap(np.concatenate([angles, angles[:, :1]], axis=1), axis=1), axis=1).sum(axis=1)
+    return bool(np.all(np.abs(turns) > np.pi))

@@ -1,0 +1,455 @@
+"""Measure the lit limb of an ellipsoid: cells along its horizon, fitted with the profile that it has in closed form."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
+from giantlike.processing.limb.measurement import (
+    MIN_BRIGHTNESS,
+    LimbMeasurement,
+    PointScores,
+    PredictedLimb,
+    SmoothError,
+    judge_points,
+    no_lit_limb,
+    phase_angle_rad,
+    pixels_near,
+    too_few,
+)
+from giantlike.processing.limb.search import find_limb
+from giantlike.ray_tracing import Reflectance
+from giantlike.relative.horizon.cells import CellFits, LimbPixels, fit_cells, limb_pixels
+from giantlike.relative.horizon.geometry import Altitude, Figure
+from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
+from giantlike.relative.horizon.rings import Rings
+from giantlike.relative.limb.fix import (
+    EdgeModel,
+    IteratedSearch,
+    LimbState,
+    LimbStep,
+    LimbView,
+    agreeing_step,
+    settle_limb,
+)
+
+_COARSE_POINTS = 120
+"""Points for the search of the horizon as a whole."""
+_LAW_POWERS, _STEP_POWERS = 2, 3
+"""Powers of the cosine of emission that are free in every cell: a line on the law, or a parabola without one."""
+_LAW_SIGMA = 0.2
+"""How much a smooth reflectance law may add to another at the square of the cosine of emission, over the first."""
+_STEP_LAW_SIGMA = 2.0
+"""The same at its cube, where no law is used."""
+_FIRST_BLUR_PX2 = 2.0
+"""Variance added to the blur while the horizon is known to a pixel or two only: wider profiles catch from farther."""
+_FIRST_CELLS = 24
+"""Cells of the first measurement, which only needs to be good to the width of a profile."""
+_STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
+_UNKNOWN_PSF_SIGMA_PX2 = 2.0
+"""Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
+_LEAST_VARIANCE_PX2 = 0.1
+"""Least variance of the point spread function, px^2, to which ``psf_error`` is applied: that of a pixel."""
+_SMALL_DISK_PX = 4.6
+"""Its cube over that of the radius is what the profile leaves of the limb of small disks, px; measured from 20 px."""
+_CELL_RADII, _LEAST_CELL_PX = 0.25, 3.0
+"""Longest cell over the apparent radius, as a cell is taken for straight; and the shortest, which needs its pixels."""
+_MIN_FILLED = 0.6
+"""Share of the pixels of a cell that must be usable."""
+_MIN_CONTRAST_SIGMAS = 5.0
+"""Brightness of good cells over the noise of the dark."""
+_MAX_UNEXPLAINED, _MAX_UNEXPLAINED_FIRST = 0.12, 0.4
+"""Residuals of good cells over their brightness; more while the horizon is known to a pixel or two only."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HorizonScan:
+    """Options of the cells along the horizon of an ellipsoid.
+
+    Parameters
+    ----------
+    edges : EdgeModel
+        With ``TEMPLATE`` the brightness inside is that of the reflectance law times a line in the cosine of emission;
+        with ``STEP`` a parabola in that cosine, whatever the law.
+    window_px : float, px
+        How far to both sides of the horizon pixels are used.
+    cell_px : float, px
+        Length of the cells along the horizon, each with its own brightness; on small disks they are shorter.
+    min_cells : int
+        Fewer good cells than this are no limb.
+    min_contrast : float
+        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    psf_error : float
+        Relative standard deviation of the width of the camera's point spread function.
+    rings_km : (float, float), optional
+        Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out.
+    """
+
+    edges: EdgeModel = EdgeModel.TEMPLATE
+    window_px: float = 5.0
+    cell_px: float = 7.0
+    min_cells: int = 8
+    min_contrast: float = 0.35
+    psf_error: float = 0.05
+    rings_km: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        known = [str(kind) for kind in EdgeModel]
+        require(self.edges in known, f"edges must be one of {', '.join(known)}, got {self.edges!r}")
+        object.__setattr__(self, "edges", EdgeModel(self.edges))
+        for name in ("window_px", "cell_px"):
+            value = getattr(self, name)
+            require(math.isfinite(value) and 2.0 <= value <= 50.0, f"{name} must be in [2, 50], got {value}")
+        require(self.min_cells >= 6, f"min_cells must be >= 6, got {self.min_cells}")
+        require(0.0 < self.min_contrast < 1.0, f"min_contrast must be in (0, 1), got {self.min_contrast}")
+        require(0.0 < self.psf_error <= 1.0, f"psf_error must be in (0, 1], got {self.psf_error}")
+        if self.rings_km is not None:
+            require(len(self.rings_km) == 2, f"rings_km must be an inner and an outer radius, got {self.rings_km}")
+            object.__setattr__(self, "rings_km", tuple(float(radius) for radius in self.rings_km))
+            Rings(*self.rings_km)  # checks the values
+
+    @property
+    def powers(self) -> int:
+        """Powers of the cosine of emission that are free in every cell."""
+        return _LAW_POWERS if self.edges is EdgeModel.TEMPLATE else _STEP_POWERS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HorizonSearch(IteratedSearch):
+    """Options of the estimators on horizons of ellipsoids.
+
+    Parameters
+    ----------
+    limb_altitude_km : float, km
+        What is seen as the limb stands so high above the shape: haze, an atmosphere.
+    altitude_sigma_km : float, km
+        Standard deviation of that; where it is not zero the altitude is estimated with the position.
+    """
+
+    limb_altitude_km: float = 0.0
+    altitude_sigma_km: float = 0.0
+
+    def __post_init__(self) -> None:
+        IteratedSearch.__post_init__(self)
+        self.altitude()  # checks the values
+
+    def altitude(self) -> Altitude:
+        """What is known of the altitude of the limb."""
+        return Altitude(self.limb_altitude_km, self.altitude_sigma_km)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CellMeasurement(LimbMeasurement):
+    """Limb measured in cells whose blur and law are still to be solved for.
+
+    Parameters
+    ----------
+    fits : CellFits
+        Of the good cells.
+    prior : (2, 2) float64
+        Information on blur and law before the measurement.
+    prior_pull : (2,) float64
+        That information times what is expected.
+    """
+
+    fits: CellFits
+    prior: Float
+    prior_pull: Float
+
+    @property
+    def noise_scale2(self) -> float:
+        """Variance that the profiles leave over that of pixel noise, at least 1."""
+        return max(float(np.median(self.fits.chi2[self.keep])), 1.0) if self.keep.any() else 1.0
+
+    def blur_and_law(self) -> tuple[Float, Float]:
+        """Blur and law error (2,) as the cells show them with every shift left free, and their covariance (2, 2)."""
+        information, pull = self.fits.about_shared(self.keep)
+        covariance = np.asarray(np.linalg.inv(information / self.noise_scale2 + self.prior), dtype=np.float64)
+        return covariance @ (pull / self.noise_scale2 + self.prior_pull), covariance
+
+
+def measure_by_cells(
+    view: LimbView,
+    figure: Figure,
+    law: Reflectance,
+    position_camera_km: Float,
+    search: IteratedSearch,
+    options: HorizonScan,
+) -> LimbMeasurement | Failure:
+    """Find the horizon of an ellipsoid and measure it in cells until it nearly stands still.
+
+    What is left is for the solution that comes after: its profiles are linear in the shift to second order, so that a
+    last step of s px leaves errors of s^2 over the width of the blur, about a pixel.
+
+    Parameters
+    ----------
+    view : LimbView
+    figure : Figure
+        As seen: with the altitude of the limb on its radii.
+    law : Reflectance
+    position_camera_km : (3,) float64, km, camera axes
+        Of the ellipsoid's center, predicted.
+    search : IteratedSearch
+    options : HorizonScan
+
+    Returns
+    -------
+    LimbMeasurement or Failure
+        ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED``, ``LARGE_RESIDUALS`` or
+        ``DEGENERATE_GEOMETRY``.
+    """
+    scan = CellScan(view=view, figure=figure, law=law, search=search, options=options)
+    lit = scan.lit(position_camera_km, reach_px=search.search_px)
+    if isinstance(lit, Failure):
+        return lit
+    model, limb = view.image.model, lit.limb(_COARSE_POINTS)
+    center_px = model.project(position_camera_km)
+    found = find_limb(view.image, limb, center_px, view.outline_search(search, options.min_contrast))
+    if isinstance(found, Failure):
+        return found
+    range_km = float(np.linalg.norm(position_camera_km)) / found.scale
+    position = range_km * model.unproject(center_px + found.shift_px)
+    return settle_limb(scan, LimbState(position_camera_km=position, psf_px2=scan.nominal_psf_px2), search)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LitHorizon(Value):
+    """Part of a horizon that is lit and in the frame.
+
+    Parameters
+    ----------
+    arc : HorizonArc
+    light : (k,) float64
+        Brightness just inside.
+    cut_by_frame : bool
+        Part of the whole horizon lies outside the frame.
+    """
+
+    arc: HorizonArc
+    light: Float
+    cut_by_frame: bool
+
+    def limb(self, most: int) -> PredictedLimb:
+        """At most so many points of it, evenly chosen."""
+        count = len(self.arc.points_px)
+        chosen = np.unique(np.linspace(0, count - 1, most).round().astype(np.int64))
+        return PredictedLimb(
+            points_px=self.arc.points_px[chosen],
+            points_camera_km=self.arc.points_camera_km[chosen],
+            normals_px=self.arc.normals_px[chosen],
+            brightness=self.light[chosen],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CellScan(Value):
+    """Measures a horizon in cells: a :class:`~giantlike.relative.limb.fix.LimbScan`.
+
+    Parameters
+    ----------
+    view : LimbView
+    figure : Figure
+    law : Reflectance
+    search : IteratedSearch
+    options : HorizonScan
+    """
+
+    view: LimbView
+    figure: Figure
+    law: Reflectance
+    search: IteratedSearch
+    options: HorizonScan
+
+    @property
+    def closest_km(self) -> float:
+        """Largest radius of the ellipsoid, km."""
+        return float(self.figure.radii_km.max())
+
+    @property
+    def min_points(self) -> int:
+        """Least number of good cells."""
+        return self.options.min_cells
+
+    @property
+    def nominal_psf_px2(self) -> float:
+        """Variance of the point spread function before the measurement, px^2."""
+        sigma_px = self.view.image.psf_sigma_px
+        return (UNKNOWN_PSF_SIGMA_PX if sigma_px is None else sigma_px) ** 2
+
+    @property
+    def cell_px(self) -> float:
+        """Length of the cells, px."""
+        return max(min(self.options.cell_px, _CELL_RADII * self.view.radius_px), _LEAST_CELL_PX)
+
+    def lit(self, position_km: Float, *, reach_px: float) -> LitHorizon | Failure:
+        """Part of the horizon that is lit and in the frame, or not farther outside than ``reach_px``.
+
+        Parameters
+        ----------
+        position_km : (3,) float64, km, camera axes
+        reach_px : float, px
+
+        Returns
+        -------
+        LitHorizon or Failure
+            ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``DEGENERATE_GEOMETRY``.
+        """
+        image, sun = self.view.image, self.view.sun_direction_camera
+        whole = horizon_arc(image.model, self.figure, position_km)
+        if isinstance(whole, Failure):
+            return whole
+        inside = image.contains(whole.points_px, margin_px=-reach_px)
+        light = brightness_inside(whole, self.figure, position_km, sun_direction_camera=sun, law=self.law)
+        chosen = inside & (light > MIN_BRIGHTNESS * light.max())
+        if not chosen.any():
+            return no_lit_limb(image, whole.points_px, inside, phase_angle_rad(position_km, sun))
+        if self.options.rings_km is not None:
+            chosen &= ~Rings(*self.options.rings_km).hide(
+                whole.points_camera_km, position_km, self.figure.camera_from_axes, sun_direction_camera=sun
+            )
+            if not chosen.any():
+                return Failure(Reason.NO_LIMB, "rings or their shadow cover all of the lit limb in the frame")
+        return LitHorizon(
+            arc=whole.only(chosen),
+            light=light[chosen],
+            cut_by_frame=not (whole.complete and bool(image.contains(whole.points_px).all())),
+        )
+
+    def measure(self, state: LimbState) -> CellMeasurement | Failure:
+        """Measure the horizon at a position: at first with few cells, more blur and a stiff profile."""
+        position, first = state.position_camera_km, state.iteration == 0
+        lit = self.lit(position, reach_px=0.0)
+        if isinstance(lit, Failure):
+            return lit
+        image, options, arc = self.view.image, self.options, lit.arc
+        if first:
+            cells = len(arc.points_px) * arc.spacing_px / self.cell_px
+            arc = arc.thinned(self.cell_px, math.ceil(cells / _FIRST_CELLS))
+        psf_px2 = state.psf_px2 + (_FIRST_BLUR_PX2 if first else 0.0)
+        table = profile_table(
+            arc,
+            self.figure,
+            position,
+            sun_direction_camera=self.view.sun_direction_camera,
+            law=self.law if options.edges is EdgeModel.TEMPLATE else None,
+            width_px=blur_width_px(psf_px2),
+            window_px=options.window_px,
+            powers=2 if first else options.powers + 1,
+        )
+        pixels = limb_pixels(
+            arc,
+            image.model,
+            self.figure,
+            position,
+            self._clear(position),
+            window_px=options.window_px,
+            cell_px=self.cell_px,
+        )
+        across = np.arange(-options.window_px, options.window_px + 0.5, 0.5)
+        area = pixels_near(arc.points_px, arc.normals_px, across, image.usable.shape)
+        if pixels is None:
+            return too_few(image, area, np.zeros(0, dtype=bool), {}, needed=options.min_cells)
+        fits = fit_cells(pixels, image.pixels_dn, table, image.detector.variance_dn2)
+        good, rejected = judge_points(_scores(pixels, fits, _MAX_UNEXPLAINED_FIRST if first else _MAX_UNEXPLAINED))
+        if good.sum() < options.min_cells:
+            return too_few(image, area, good, rejected, needed=options.min_cells)
+        fits, middles = fits.only(good), pixels.middles[good]
+        prior, prior_pull = self._prior(psf_px2)
+        return CellMeasurement(
+            predicted_px=arc.points_px[middles],
+            normals_px=arc.normals_px[middles],
+            design=arc.design[middles],
+            shift_px=fits.raw_shift_px,
+            sigma_px=fits.sigma_px,
+            keep=np.ones(middles.size, dtype=bool),
+            common_px=np.zeros((middles.size, 0)),
+            smooth_errors=(),
+            position_camera_km=position,
+            spacing_px=float(np.median(np.diff(arc.along_px[pixels.middles]))) if good.size > 1 else self.cell_px,
+            perimeter_px=arc.perimeter_px,
+            cut_by_frame=lit.cut_by_frame,
+            rejected=rejected,
+            area=area,
+            fits=fits,
+            prior=prior,
+            prior_pull=prior_pull,
+        )
+
+    def step(self, measured: CellMeasurement, state: LimbState) -> LimbStep:
+        """Step of position and blur by all cells together; blur and law are held at first where they are known."""
+        keep = agreeing_step(measured, self.search.outlier_mad).keep
+        measured = replace(measured, keep=keep)
+        known = self.view.image.psf_sigma_px is not None
+        stiff = _STIFF if known and state.iteration < _STIFF_STEPS else 0.0
+        sigma = measured.sigma_px[keep]
+        design = np.concatenate([measured.design, measured.fits.shared], axis=1)[keep] / sigma[:, None]
+        information, pull = measured.fits.about_shared(keep)
+        normal = design.T @ design
+        normal[3:, 3:] += information + measured.prior * measured.noise_scale2 + stiff * np.eye(2)
+        right = design.T @ (measured.shift_px[keep] / sigma)
+        right[3:] += pull + measured.prior_pull * measured.noise_scale2
+        scale = np.sqrt(np.diagonal(normal))
+        solution = np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale
+        psf_px2 = 0.0 if known or state.iteration == 0 else float(solution[3])
+        return LimbStep(position_km=solution[:3], keep=keep, psf_px2=psf_px2)
+
+    def settled(self, measured: CellMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
+        """Return True if the square of the step is small, or noise explains it, and the blur has settled too."""
+        if state.iteration == 0 or abs(step.psf_px2) > 0.5 * state.psf_px2:
+            return False
+        kept = replace(measured, keep=step.keep)
+        full_px = float(np.max(np.abs(kept.design[step.keep] @ step.position_km)))
+        return full_px**2 < self.search.tolerance_px or full_px < kept.motion_sigma_px(step.position_km)
+
+    def finish(self, measured: CellMeasurement, step: LimbStep) -> LimbMeasurement:
+        """Return the shifts with blur and law as the cells show them, and what their errors do to the shifts."""
+        kept = replace(measured, keep=step.keep)
+        estimate, covariance = kept.blur_and_law()
+        radius_px = self.view.radius_px
+        lawless = 0.0
+        if self.options.edges is EdgeModel.STEP:
+            lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(kept.fits.shared[kept.keep, 1])))
+        brightness_px = math.hypot(lawless, (_SMALL_DISK_PX / radius_px) ** 3)
+        return replace(
+            kept,
+            shift_px=kept.shift_px - kept.fits.shared @ estimate,
+            common_px=kept.fits.shared @ np.linalg.cholesky(covariance),
+            smooth_errors=(SmoothError(name="brightness", sigma_px=brightness_px, length_px=radius_px),),
+        )
+
+    def _prior(self, psf_px2: float) -> tuple[Float, Float]:
+        """What is known of blur and law before: information (2, 2), and that times the expectation (2,)."""
+        sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
+        if self.view.image.psf_sigma_px is not None:
+            sigma_px2 = 2.0 * self.options.psf_error * max(self.nominal_psf_px2, _LEAST_VARIANCE_PX2)
+        law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
+        prior = np.diag([sigma_px2**-2, law_sigma**-2])
+        return prior, prior @ [self.nominal_psf_px2 - psf_px2, 0.0]
+
+    def _clear(self, position_km: Float) -> Mask:
+        """Usable pixels (rows, columns) that no rings cover."""
+        image = self.view.image
+        if self.options.rings_km is None:
+            return image.usable
+        covered = Rings(*self.options.rings_km).cover(
+            image.plane, position_km, self.figure.camera_from_axes, widened_px=2.0 * UNKNOWN_PSF_SIGMA_PX
+        )
+        return image.usable & ~covered
+
+
+def _scores(pixels: LimbPixels, fits: CellFits, max_unexplained: float) -> PointScores:
+    """How well cells were fitted."""
+    return PointScores(
+        complete=(pixels.filled > _MIN_FILLED) & np.isfinite(fits.chi2),
+        strong=fits.contrast > _MIN_CONTRAST_SIGMAS,
+        alike=fits.unexplained < max_unexplained,
+        gain_dn=fits.gain_dn,
+        even=True,
+        also={},
+    )

@@ -1,0 +1,495 @@
+"""Measure the lit limb of a body of any shape: lines across the predicted outline, matched with a rendered template."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.detector import GaussianPsf
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
+from giantlike.processing.limb.measurement import (
+    MIN_BRIGHTNESS,
+    LimbImage,
+    LimbMeasurement,
+    PointScores,
+    PredictedLimb,
+    SmoothError,
+    judge_points,
+    limb_design,
+    no_lit_limb,
+    phase_angle_rad,
+    pixels_near,
+    too_few,
+)
+from giantlike.processing.limb.scan import (
+    PIXEL_VARIANCE_PX2,
+    SAMPLING_VARIANCE_PX2,
+    ProfileMatch,
+    Scans,
+    edge_width_px,
+    line_offsets,
+    match_profiles,
+    scan_lines,
+    step_profile,
+)
+from giantlike.processing.limb.search import find_limb
+from giantlike.ray_tracing import Body, Silhouette, outline_brightness, render_near, trace_silhouette
+from giantlike.relative.limb.fix import (
+    PATIENCE,
+    EdgeModel,
+    IteratedSearch,
+    LimbState,
+    LimbStep,
+    LimbView,
+    agreeing_step,
+    next_motion_px,
+    settle_limb,
+)
+
+_OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)
+_COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
+"""Lines for the search of the outline as a whole: at most so many, and so far apart at least."""
+_LEAST_LINES = 8
+"""Lines laid on the shortest limb; fewer than the options ask for, which then say that there are too few."""
+_FIRST_SEARCH_PX = 3.0
+"""How much farther lines are searched in the first measurement: twice the error of the search as a whole."""
+_FIRST_LINES, _FIRST_RAYS = 100, 2
+"""Lines and rays of the first measurement, which only needs to be good to the width of a profile."""
+_RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
+"""Share of the relief by which a limb may still move, and reliefs by which lines are searched farther."""
+_MIN_CORRELATION, _MIN_CORRELATION_LOOSE = 0.9, 0.8
+"""Normalized correlation of good lines with the expected profile; loose where that is not of the body itself."""
+_MAX_UNEXPLAINED, _MAX_UNEXPLAINED_LOOSE = 0.15, 0.3
+"""Residuals of good lines over the height of the profile."""
+_MAX_NOISE_PX = 0.5
+"""Standard deviation by noise beyond which a line is too weak: half the width of a usual profile."""
+_MIN_WIDTH_PX = 0.3
+"""Least point spread function measured on a limb: below, pixels do not sample it."""
+_FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12
+"""Radius below which bodies get more rays to a pixel, as few pixels average few rays; and the most they get."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimbScanOptions:
+    """Options of the lines across a limb.
+
+    Parameters
+    ----------
+    edges : EdgeModel
+    spacing_px : float, px
+        Between neighboring lines along the limb.
+    max_lines : int
+        With longer limbs the lines stand farther apart.
+    min_lines : int
+        Fewer good lines than this are no limb.
+    window_px : float, px
+        How far to both sides of the limb profiles are compared.
+    local_search_px : float, px
+        How far a single line may find its edge from the outline that was located as a whole.
+    step_px : float, px
+        Between samples on a line.
+    rays_per_pixel_side : int
+        Of the rendered template where the outline lies; small bodies get more.
+    min_contrast : float
+        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    """
+
+    edges: EdgeModel = EdgeModel.TEMPLATE
+    spacing_px: float = 1.5
+    max_lines: int = 400
+    min_lines: int = 12
+    window_px: float = 5.0
+    local_search_px: float = 4.0
+    step_px: float = 0.5
+    rays_per_pixel_side: int = 5
+    min_contrast: float = 0.35
+
+    def __post_init__(self) -> None:
+        known = [str(kind) for kind in EdgeModel]
+        require(self.edges in known, f"edges must be one of {', '.join(known)}, got {self.edges!r}")
+        object.__setattr__(self, "edges", EdgeModel(self.edges))
+        for name in ("spacing_px", "window_px", "local_search_px", "step_px"):
+            value = getattr(self, name)
+            require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
+        require(self.step_px <= 1.0, f"step_px must be <= 1, got {self.step_px}")
+        require(self.min_lines >= 6, f"min_lines must be >= 6, got {self.min_lines}")
+        require(
+            self.min_lines <= self.max_lines <= 1000, f"max_lines must be in [min_lines, 1000], got {self.max_lines}"
+        )
+        require(
+            1 <= self.rays_per_pixel_side <= 16,
+            f"rays_per_pixel_side must be in [1, 16], got {self.rays_per_pixel_side}",
+        )
+        require(0.0 < self.min_contrast < 1.0, f"min_contrast must be in (0, 1), got {self.min_contrast}")
+
+    @property
+    def margin_px(self) -> float:
+        """Distance from the edge of the frame that points of the limb need for their profiles, px."""
+        return self.window_px + 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbLines(Value):
+    """Lines across an outline, by the directions from the body's center in which they meet it.
+
+    Parameters
+    ----------
+    angles_rad : (k,) float64, rad
+        From +x towards +y.
+    brightness : (k,) float64
+        Just inside the outline, over the brightest place along it.
+    spacing_px : float, px
+        Between neighbors, along the limb.
+    perimeter_px : float, px
+        Length of the whole outline.
+    cut_by_frame : bool
+        Part of the outline lies outside the frame.
+    """
+
+    angles_rad: Float
+    brightness: Float
+    spacing_px: float
+    perimeter_px: float
+    cut_by_frame: bool
+
+    def thinned(self, count: int) -> LimbLines:
+        """Return about ``count`` of the lines, evenly chosen; all where there are fewer."""
+        step = max(self.angles_rad.size // count, 1)
+        angles, brightness = self.angles_rad[::step], self.brightness[::step]
+        return replace(self, angles_rad=angles, brightness=brightness, spacing_px=step * self.spacing_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outline(Value):
+    """Whole outline of a body where it is predicted.
+
+    Parameters
+    ----------
+    silhouette : Silhouette
+        In even steps of the angle.
+    brightness : (k,) float64
+        Just inside the outline, over the brightest place along it.
+    """
+
+    silhouette: Silhouette
+    brightness: Float
+
+    @classmethod
+    def traced(cls, view: LimbView, body: Body) -> Outline:
+        """Trace the outline of a body all around and the light just inside it."""
+        model, sun = view.image.model, view.sun_direction_camera
+        silhouette = trace_silhouette(body, model, _OVERVIEW_RAD, sun_direction_camera=sun)
+        brightness = outline_brightness(
+            silhouette.points_px,
+            silhouette.normals_px,
+            body,
+            model,
+            sun_direction_camera=sun,
+            radius_px=view.radius_px,
+        )
+        return cls(silhouette=silhouette, brightness=brightness)
+
+    def at(self, lines: LimbLines) -> PredictedLimb:
+        """Interpolate the limb where ``lines`` meet it: good to a pixel or so."""
+        outline = self.silhouette
+        points, normals, points_km = (
+            np.stack([np.interp(lines.angles_rad, outline.angles_rad, v, period=2.0 * np.pi) for v in values.T], -1)
+            for values in (outline.points_px, outline.normals_px, outline.points_camera_km)
+        )
+        known = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
+        return PredictedLimb(
+            points_px=points[known],
+            points_camera_km=points_km[known],
+            normals_px=normals[known],
+            brightness=lines.brightness[known],
+        )
+
+    def moved(self, center_px: Float, scale: float) -> Outline:
+        """Return the outline moved to another center (2,), px, and grown: good to a pixel or so."""
+        old = self.silhouette
+        points = center_px + scale * (old.points_px - old.center_px)
+        return replace(self, silhouette=replace(old, points_px=points, center_px=center_px))
+
+
+def lay_lines(
+    image: LimbImage, outline: Outline, *, spacing_px: float, max_lines: int, margin_px: float
+) -> LimbLines | None:
+    """Lay lines across the lit limb in even steps.
+
+    Parameters
+    ----------
+    image : LimbImage
+    outline : Outline
+    spacing_px : float, px
+        Along the limb; longer where ``max_lines`` are not enough.
+    max_lines : int
+    margin_px : float, px
+        Distance of the limb from the edge of the frame; negative for limb outside.
+
+    Returns
+    -------
+    LimbLines or None
+        None where no lit limb lies in the frame.
+    """
+    points, angles = outline.silhouette.points_px, outline.silhouette.angles_rad
+    chord = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    inside = outline.silhouette.valid & image.contains(points, margin_px=margin_px)
+    wanted = inside & (outline.brightness > MIN_BRIGHTNESS)
+    if not wanted.any():
+        return None
+    wanted |= np.roll(wanted, 1) | np.roll(wanted, -1)
+    length = np.where(wanted, np.nan_to_num(chord), 0.0)
+    total_px = float(length.sum())
+    count = int(np.clip(total_px / spacing_px, _LEAST_LINES, max_lines))
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    places = (np.arange(count) + 0.5) * total_px / count
+    chosen = np.interp(places, along, np.append(angles, 2.0 * np.pi))
+    return LimbLines(
+        angles_rad=chosen,
+        brightness=np.interp(chosen, angles, outline.brightness, period=2.0 * np.pi),
+        spacing_px=total_px / count,
+        perimeter_px=float(np.nansum(chord)),
+        cut_by_frame=not bool(image.contains(points).all()),
+    )
+
+
+def measure_by_lines(
+    view: LimbView, body: Body, search: IteratedSearch, options: LimbScanOptions, *, relief: SmoothError | None = None
+) -> LimbMeasurement | Failure:
+    """Find the limb of a body and measure it line by line until it stands still.
+
+    Parameters
+    ----------
+    view : LimbView
+    body : Body
+        At the predicted position.
+    search : IteratedSearch
+    options : LimbScanOptions
+    relief : SmoothError, optional
+        Departure of the true outline from that of the body.
+
+    Returns
+    -------
+    LimbMeasurement or Failure
+        ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
+    """
+    image, outline = view.image, Outline.traced(view, body)
+    lines = lay_lines(
+        image, outline, spacing_px=_COARSE_SPACING_PX, max_lines=_COARSE_LINES, margin_px=-search.search_px
+    )
+    if lines is None:
+        return _not_seen(view, outline.silhouette, body, -search.search_px)
+    center_px = outline.silhouette.center_px
+    found = find_limb(image, outline.at(lines), center_px, view.outline_search(search, options.min_contrast))
+    if isinstance(found, Failure):
+        return found
+    moved = outline.moved(center_px + found.shift_px, found.scale)
+    lines = lay_lines(
+        image, moved, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
+    )
+    if lines is None:
+        return _not_seen(view, moved.silhouette, body, options.margin_px)
+    range_km = float(np.linalg.norm(body.position_camera_km)) / found.scale
+    position = range_km * image.model.unproject(center_px + found.shift_px)
+    scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief)
+    return settle_limb(scan, LimbState(position_camera_km=position), search)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LineScan(Value):
+    """Measures a limb line by line: a :class:`~giantlike.relative.limb.fix.LimbScan`.
+
+    Parameters
+    ----------
+    view : LimbView
+    body : Body
+        Anywhere.
+    lines : LimbLines
+    search : IteratedSearch
+    options : LimbScanOptions
+    relief : SmoothError or None
+        Departure of the true outline from that of the body; with it profiles need to be less alike.
+    """
+
+    view: LimbView
+    body: Body
+    lines: LimbLines
+    search: IteratedSearch
+    options: LimbScanOptions
+    relief: SmoothError | None = None
+
+    @property
+    def relief_px(self) -> float:
+        """Root mean square of the relief, px."""
+        return 0.0 if self.relief is None else self.relief.sigma_px
+
+    @property
+    def closest_km(self) -> float:
+        """Radius of the sphere around the body, km."""
+        return self.body.shape.circumscribing_radius_km
+
+    @property
+    def min_points(self) -> int:
+        """Least number of good lines."""
+        return self.options.min_lines
+
+    def measure(self, state: LimbState) -> LimbMeasurement | Failure:
+        """Measure the limb across the body in a state, roughly at first."""
+        if state.iteration > 0:
+            return self.measured(state.position_camera_km)
+        rough = replace(self.options, rays_per_pixel_side=_FIRST_RAYS)
+        scan = replace(self, lines=self.lines.thinned(_FIRST_LINES), options=rough)
+        return scan.measured(state.position_camera_km, extra_px=_FIRST_SEARCH_PX)
+
+    def step(self, measured: LimbMeasurement, state: LimbState) -> LimbStep:
+        """Robust least-squares step."""
+        del state
+        return agreeing_step(measured, self.search.outlier_mad)
+
+    def settled(self, measured: LimbMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
+        """Return True if the next step would be small, or in the end if noise explains this one."""
+        tolerance_px = self.search.tolerance_px + _RELIEF_TOLERANCE * self.relief_px
+        by_noise = state.iteration >= PATIENCE and moved_px < self.finish(measured, step).motion_sigma_px(
+            step.position_km
+        )
+        return next_motion_px(state.moved_px, moved_px) < tolerance_px or by_noise
+
+    def finish(self, measured: LimbMeasurement, step: LimbStep) -> LimbMeasurement:
+        """Return the measurement with the points that agree."""
+        return replace(measured, keep=step.keep)
+
+    def measured(self, position_camera_km: Float, *, extra_px: float = 0.0) -> LimbMeasurement | Failure:
+        """Measure the limb across the body at a position.
+
+        Parameters
+        ----------
+        position_camera_km : (3,) float64, km, camera axes
+            Good to a few pixels.
+        extra_px : float, px
+            How much farther than ``options`` say each line is searched.
+
+        Returns
+        -------
+        LimbMeasurement or Failure
+            ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``.
+        """
+        image, options, body = self.view.image, self.options, self.body.at(position_camera_km)
+        search_px = options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
+        limb = _traced(self.view, body, self.lines, options.margin_px)
+        if isinstance(limb, Failure):
+            return limb
+        offsets = line_offsets(options.window_px + search_px, options.step_px)
+        scans = scan_lines(image.pixels_dn, image.usable, limb.points_px, limb.normals_px, offsets)
+        width = _psf_sigma(image, scans, options)
+        if isinstance(width, Failure):
+            return width
+        expected = _expected(self.view, body, scans, width, options)
+        if isinstance(expected, Failure):
+            return expected
+        variance = image.detector.variance_dn2
+        match = match_profiles(scans, expected, variance_dn2=variance, window_px=options.window_px, search_px=search_px)
+        good, rejected = judge_points(_scores(match, loose=self.relief_px > 0.0 or options.edges is EdgeModel.STEP))
+        area = pixels_near(limb.points_px, limb.normals_px, offsets, image.usable.shape)
+        if good.sum() < options.min_lines:
+            return too_few(image, area, good, rejected, needed=options.min_lines)
+        brightness_px = match.brightness_error_px(good)
+        jacobian = image.model.project_jacobian(limb.points_camera_km[good])
+        return LimbMeasurement(
+            predicted_px=limb.points_px[good],
+            normals_px=limb.normals_px[good],
+            design=limb_design(limb.normals_px[good], jacobian),
+            shift_px=match.shift_px[good],
+            sigma_px=match.sigma_px[good],
+            keep=np.ones(int(good.sum()), dtype=bool),
+            common_px=np.zeros((int(good.sum()), 0)),
+            smooth_errors=(SmoothError(name="brightness", sigma_px=brightness_px, length_px=self.view.radius_px),),
+            position_camera_km=body.position_camera_km,
+            spacing_px=self.lines.spacing_px,
+            perimeter_px=self.lines.perimeter_px,
+            cut_by_frame=self.lines.cut_by_frame,
+            rejected=rejected,
+            area=area,
+            relief=self.relief,
+        )
+
+
+def _traced(view: LimbView, body: Body, lines: LimbLines, margin_px: float) -> PredictedLimb | Failure:
+    """The limb of a body where lines meet it in the frame."""
+    outline = trace_silhouette(body, view.image.model, lines.angles_rad, sun_direction_camera=view.sun_direction_camera)
+    seen = outline.valid & view.image.contains(outline.points_px, margin_px=margin_px)
+    seen &= np.isfinite(outline.normals_px).all(axis=1)
+    if not seen.any():
+        return _not_seen(view, outline, body, margin_px)
+    return PredictedLimb(
+        points_px=outline.points_px[seen],
+        points_camera_km=outline.points_camera_km[seen],
+        normals_px=outline.normals_px[seen],
+        brightness=lines.brightness[seen],
+    )
+
+
+def _not_seen(view: LimbView, outline: Silhouette, body: Body, margin_px: float) -> Failure:
+    inside = outline.valid & view.image.contains(outline.points_px, margin_px=margin_px)
+    phase = phase_angle_rad(body.position_camera_km, view.sun_direction_camera)
+    return no_lit_limb(view.image, outline.points_px[outline.valid], inside, phase)
+
+
+def _psf_sigma(image: LimbImage, scans: Scans, options: LimbScanOptions) -> float | Failure:
+    """Width of the point spread function, px: that of the camera, or as measured on the limb."""
+    if image.psf_sigma_px is not None:
+        return image.psf_sigma_px
+    usable = int(scans.usable.all(axis=1).sum())
+    if usable < options.min_lines:
+        return Failure(
+            Reason.NO_LIMB,
+            f"the camera has no psf and only {usable} good lines across the limb to measure it, needed "
+            f"{options.min_lines}",
+        )
+    variance, window_px, search_px = image.detector.variance_dn2, options.window_px, options.local_search_px
+    width = edge_width_px(scans, variance_dn2=variance, window_px=window_px, search_px=search_px)
+    return math.sqrt(max(width**2 - PIXEL_VARIANCE_PX2 - SAMPLING_VARIANCE_PX2, _MIN_WIDTH_PX**2))
+
+
+def _expected(
+    view: LimbView, body: Body, scans: Scans, psf_sigma_px: float, options: LimbScanOptions
+) -> Float | Failure:
+    """Profiles (n, m) that the lines should show."""
+    if options.edges is EdgeModel.STEP:
+        width = math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
+        return np.tile(step_profile(scans.offsets_px, width), (len(scans.points_px), 1))
+    compared = np.abs(scans.offsets_px) <= options.window_px + 2.0 * options.step_px
+    brightness = render_near(
+        scans.points_px[:, None] + scans.offsets_px[compared, None] * scans.normals_px[:, None],
+        body,
+        replace(view.image.plane, psf=GaussianPsf(sigma_px=psf_sigma_px)),
+        sun_direction_camera=view.sun_direction_camera,
+        rays_per_pixel_side=_rays_for(view.radius_px, options.rays_per_pixel_side),
+    )
+    if isinstance(brightness, Failure):
+        return brightness
+    everywhere = np.ones(brightness.shape, dtype=bool)
+    return scan_lines(brightness, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn
+
+
+def _rays_for(radius_px: float, rays: int) -> int:
+    """Rays along a pixel for a body of some radius: few pixels on the limb average few rays."""
+    more = max(_FEW_RAYS_RADIUS_PX / radius_px, 1.0)
+    return max(min(math.ceil(more * rays), _MAX_RAYS), rays)
+
+
+def _scores(match: ProfileMatch, *, loose: bool) -> PointScores:
+    """How well lines match; loose where the expected profile is not that of the body."""
+    alike: Mask = match.correlation >= (_MIN_CORRELATION_LOOSE if loose else _MIN_CORRELATION)
+    alike &= match.unexplained <= (_MAX_UNEXPLAINED_LOOSE if loose else _MAX_UNEXPLAINED)
+    return PointScores(
+        complete=match.complete,
+        strong=match.sigma_px < _MAX_NOISE_PX,
+        alike=alike,
+        gain_dn=match.gain_dn,
+        even=not loose,
+        also={"beyond the search": ~match.at_border, "ambiguous": ~match.rivalled},
+    )

@@ -1,0 +1,135 @@
+"""One measurement of limbs on plain arrays: what lines and cells give, and what decides which points are good."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.processing.limb.measurement import (
+    LimbImage,
+    LimbMeasurement,
+    PointScores,
+    SmoothError,
+    judge_points,
+    too_few,
+)
+from giantlike.ray_tracing import Body, FocalPlane, McEwen, RenderOptions, Template, render
+from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
+from giantlike.relative.horizon.geometry import Altitude, Figure, fit_horizon
+from giantlike.relative.limb.fix import IteratedSearch, LimbView
+from giantlike.relative.limb.limb_matching import solve_limb
+from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
+from giantlike.shapes import Ellipsoid
+
+SIGMAS = 4.0  # of three coordinates: once in ten thousand
+SIZE, RADIUS_PX = 240, 70.0
+SUN = np.array([np.sin(0.9), 0.0, -np.cos(0.9)])
+SHAPE = Ellipsoid(radii_km=np.array([0.3, 0.28, 0.25]))
+PLANE = FocalPlane(
+    model=PinholeModel(fx_px=2000.0, fy_px=2000.0, cx_px=119.5, cy_px=119.5),
+    columns=SIZE,
+    rows=SIZE,
+    psf=GaussianPsf(sigma_px=0.8),
+)
+
+
+def seen() -> tuple[LimbView, Body]:
+    """An ellipsoid in plain arrays, and where it is."""
+    truth = Body(
+        shape=SHAPE,
+        camera_from_body=Rotation.from_rotvec([0.3, -0.2, 0.5]),
+        position_camera_km=np.array([0.02, -0.03, 0.28 * 2000.0 / RADIUS_PX]),
+        reflectance=McEwen(),
+    )
+    options = RenderOptions(rays_per_pixel_side=5, jitter_seed=1)
+    template = render(
+        truth, PLANE.model, sun_direction_camera=SUN, psf=PLANE.psf, columns=SIZE, rows=SIZE, options=options
+    )
+    assert isinstance(template, Template)
+    light = template.placed(SIZE, SIZE) * 3000.0 / template.brightness.max()
+    rng = np.random.default_rng(4)
+    pixels = rng.poisson(light) + rng.normal(0.0, 5.0, light.shape)
+    image = LimbImage(
+        pixels_dn=pixels,
+        usable=np.ones(pixels.shape, dtype=bool),
+        saturated=np.zeros(pixels.shape, dtype=bool),
+        detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0),
+        plane=PLANE,
+    )
+    return LimbView(image=image, sun_direction_camera=SUN, radius_px=RADIUS_PX), truth
+
+
+def sigmas(position: Float, covariance: Float, truth: Float) -> float:
+    error = position - truth
+    return float(np.sqrt(error @ np.linalg.solve(covariance, error)))
+
+
+def test_lines_and_cells_measure_a_limb_of_arrays_into_one_value() -> None:
+    view, truth = seen()
+    start = truth.at(truth.position_camera_km * 1.01 + np.array([0.02, -0.015, 0.0]))
+    by_lines = measure_by_lines(view, start, IteratedSearch(), LimbScanOptions())
+    assert isinstance(by_lines, LimbMeasurement)
+    solution = solve_limb(by_lines, RADIUS_PX)
+    assert sigmas(solution.position_camera_km, solution.covariance_camera_km2, truth.position_camera_km) < SIGMAS
+    figure = Figure(radii_km=SHAPE.radii_km, camera_from_axes=truth.camera_from_body)
+    by_cells = measure_by_cells(
+        view, figure, truth.reflectance, start.position_camera_km, HorizonSearch(), HorizonScan()
+    )
+    assert isinstance(by_cells, LimbMeasurement)
+    solution = fit_horizon(by_cells, PLANE.model, figure, by_cells.position_camera_km, Altitude())
+    assert sigmas(solution.position_camera_km, solution.covariance_camera_km2, truth.position_camera_km) < SIGMAS
+    assert {"scatter", "common", "altitude", "brightness"} == set(solution.covariances_km2)
+    for measured in (by_lines, by_cells):
+        assert measured.n_used <= measured.keep.size <= measured.n_offered
+        assert 0.3 < measured.outline_share <= 0.7
+        assert measured.rejected.keys() >= {"too weak", "not like the expected profile", "too bright or too dark"}
+
+
+def test_points_are_rejected_for_the_first_reason_that_applies() -> None:
+    yes = np.ones(6, dtype=bool)
+    no = {number: np.arange(6) != number for number in range(6)}
+    gains = np.array([1.0, 1.0, 1.0, 6.0, 1.0, 1.0])
+    scores = PointScores(
+        complete=no[0], strong=no[0] & no[1], alike=no[2], gain_dn=gains, even=True, also={"ambiguous": no[4]}
+    )
+    good, rejected = judge_points(scores)
+    assert good.tolist() == [False, False, False, False, False, True]
+    assert list(rejected.values()) == [1, 1, 1, 1, 1]
+    uneven = PointScores(complete=yes, strong=yes, alike=yes, gain_dn=gains, even=False, also={})
+    assert judge_points(uneven)[0].all()
+
+
+@pytest.mark.parametrize(("share", "reason"), [(0.1, Reason.NO_LIMB), (0.3, Reason.SATURATED)])
+def test_too_few_points_name_saturation_where_it_is_the_reason(share: float, reason: Reason) -> None:
+    view, _ = seen()
+    saturated = np.zeros((SIZE, SIZE), dtype=bool)
+    saturated[: int(share * SIZE)] = True
+    image = LimbImage(
+        pixels_dn=view.image.pixels_dn,
+        usable=~saturated,
+        saturated=saturated,
+        detector=view.image.detector,
+        plane=PLANE,
+    )
+    everywhere, good = np.ones((SIZE, SIZE), dtype=bool), np.arange(9) < 4
+    failure = too_few(image, everywhere, good, {"too weak": 5, "ambiguous": 0}, needed=8)
+    assert isinstance(failure, Failure)
+    assert failure.reason is reason
+    assert failure.detail.startswith("4 of 9")
+    assert failure.detail.endswith("5 too weak")
+
+
+def test_a_smooth_error_moves_a_solution_by_what_it_is() -> None:
+    """One that all points share moves the radius by its sigma and nothing else."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    points = 100.0 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    design = np.stack([np.cos(angles), np.sin(angles), np.ones(60)], axis=-1)
+    shared = SmoothError(name="blur", sigma_px=0.3, length_px=1e9)
+    covariance = shared.solution_covariance(points, design, np.ones(60))
+    assert_allclose(covariance, np.diag([0.0, 0.0, 0.09]), rtol=0, atol=1e-6)
