@@ -2,11 +2,83 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from giantlike.core.arrays import Float
+
 MAD_TO_SIGMA = 1.482602218505602
 """Standard deviation over the median absolute deviation of a normal distribution: 1 / (inverse normal CDF at 3/4)."""
+
+IQR_PER_SIGMA = 1.3489795003921634
+"""Interquartile range of a normal distribution of unit standard deviation: twice the inverse normal CDF at 3/4."""
+
+
+def quartile_sigma(values: ArrayLike) -> float:
+    """Standard deviation of values by their interquartile range.
+
+    Parameters
+    ----------
+    values : array_like
+        Any shape.
+
+    Returns
+    -------
+    float
+    """
+    low, high = np.quantile(np.asarray(values), (0.25, 0.75))
+    return float(high - low) / IQR_PER_SIGMA
+
+
+def squared_residuals(residuals: Float, covariance: Float) -> Float:
+    """Squared residuals in units of their covariance (squared Mahalanobis distances).
+
+    Parameters
+    ----------
+    residuals : (n, k) float64
+    covariance : (n, k, k) float64
+        Of each residual, positive definite.
+
+    Returns
+    -------
+    (n,) float64, unitless
+        Infinite for residuals that are not finite.
+    """
+    squares = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance), residuals)
+    return np.where(np.isfinite(squares), squares, np.inf)
+
+
+def error_floor(residuals: Float, covariance: Float, statistic: Callable[[Float], float]) -> float:
+    """Standard deviation per axis that explains residuals larger than their covariances do.
+
+    Parameters
+    ----------
+    residuals : (n, k) float64
+    covariance : (n, k, k) float64
+        Of each residual, positive definite.
+    statistic : callable
+        Of the squared residuals (n,): 1 where these are as large as expected, such as their mean over its expectation.
+
+    Returns
+    -------
+    float
+        Unit of the residuals: the isotropic error that, added in quadrature to every covariance, brings the statistic
+        to 1; 0 if it is below 1 without.
+    """
+    from scipy.optimize import brentq  # slow to import
+
+    variances, axes = np.linalg.eigh(covariance)
+    along = np.einsum("nji,nj->ni", axes, residuals) ** 2
+
+    def excess(floor: float) -> float:
+        return statistic(np.sum(along / (variances + floor**2), axis=1)) - 1.0
+
+    if excess(0.0) <= 0.0:
+        return 0.0
+    top = float(np.sqrt(np.max(np.sum(residuals**2, axis=1)))) * np.sqrt(float(len(residuals)))
+    return float(brentq(excess, 0.0, top, xtol=1e-9))
 
 
 def robust_sigma(values: ArrayLike, center: float | None = None) -> float:

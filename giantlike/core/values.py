@@ -6,12 +6,13 @@ many), a field named ``direction_FRAME``, ``directions_FRAME`` or ``..._directio
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Scalar, require
+from giantlike.core.arrays import Float, Mask, Scalar, require
 
 UNIT_TOLERANCE = 1e-9
 """Largest error of the length of a unit vector: rounding of float64 leaves 1e-15, a table with ten digits 1e-10."""
@@ -19,6 +20,9 @@ ASYMMETRY_TOLERANCE = 1e-9
 """Largest difference of two mirrored elements, over the product of their standard deviations."""
 EIGENVALUE_TOLERANCE = 1e-9
 """How far below zero rounding may bring an eigenvalue of a correlation matrix."""
+
+
+AnyValue = TypeVar("AnyValue", bound="Value")
 
 
 class Value:
@@ -56,6 +60,26 @@ class Value:
                 elif "direction_" in name or "directions_" in name:
                     check_directions(value, name)
                 object.__setattr__(self, name, read_only(value))
+
+
+def select_rows(value: AnyValue, which: NDArray[np.integer] | Mask | slice) -> AnyValue:
+    """Return a copy of a value in which every array is indexed along its first axis.
+
+    Parameters
+    ----------
+    value : Value
+        All arrays have the same length n.
+    which : (k,) int, (n,) bool or slice
+        Rows to keep.
+
+    Returns
+    -------
+    Value
+        Of the same class; what is not an array stays.
+    """
+    arrays = {field.name: getattr(value, field.name) for field in fields(value)}  # type: ignore[arg-type]
+    rows = {name: array[which] for name, array in arrays.items() if isinstance(array, np.ndarray)}
+    return replace(value, **rows)  # type: ignore[type-var]
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:

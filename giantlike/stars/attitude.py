@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import partial
 from typing import TypeAlias
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
@@ -17,7 +16,8 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.values import Value
+from giantlike.core.statistics import error_floor, squared_residuals
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 
 _MAX_STEPS = 20  # Gauss-Newton converges quadratically, in 3 to 5 steps; more mean that it does not converge
@@ -155,8 +155,8 @@ def fit_attitude(
     return _solution(state, stars, used, scale, fit)
 
 
-@dataclass(frozen=True, slots=True)
-class _Stars:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stars(Value):
     """Directions (n, 3), centroids (n, 2) px, covariances (n, 2, 2) px^2."""
 
     directions: Float
@@ -164,11 +164,11 @@ class _Stars:
     covariance_px2: Float
 
     def select(self, which: Mask) -> _Stars:
-        return _Stars(self.directions[which], self.points_px[which], self.covariance_px2[which])
+        return select_rows(self, which)
 
     def inflated(self, floor_px: float) -> _Stars:
         """Stars with an error floor added to every covariance."""
-        return _Stars(self.directions, self.points_px, self.covariance_px2 + floor_px**2 * np.eye(2))
+        return replace(self, covariance_px2=self.covariance_px2 + floor_px**2 * np.eye(2))
 
     def residuals(self, state: _State) -> Float:
         return self.points_px - state.predict(self.directions)
@@ -253,7 +253,7 @@ def _without_outliers(
             return fitted
         state, _ = fitted
         allowed = stars.inflated(_median_floor(chosen, state))
-        keep = np.asarray(_squares(allowed.residuals(state), allowed.covariance_px2) <= outlier_sigma**2)
+        keep = np.asarray(squared_residuals(allowed.residuals(state), allowed.covariance_px2) <= outlier_sigma**2)
         if 2 * int(keep.sum()) < 4 + scale:
             return Failure(Reason.NOT_CONVERGED, f"only {int(keep.sum())} of {len(keep)} stars agree with one attitude")
         if np.array_equal(keep, used):
@@ -269,10 +269,11 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
     fitted = fit(state, chosen, scale)
     if isinstance(fitted, Failure):
         return fitted
-    plain = float(_squares(chosen.residuals(fitted[0]), chosen.covariance_px2).sum())
+    plain = float(squared_residuals(chosen.residuals(fitted[0]), chosen.covariance_px2).sum())
     floor = 0.0
     if freedom > 0 and float(gammainc(freedom / 2.0, plain / 2.0)) > _NOISE_EXPLAINS:
-        floor = _floor(chosen, state, lambda squares: float(squares.sum()) / freedom)
+        residuals = chosen.residuals(state)
+        floor = error_floor(residuals, chosen.covariance_px2, lambda squares: float(squares.sum()) / freedom)
         fitted = fit(state, chosen.inflated(floor), scale)
         if isinstance(fitted, Failure):
             return fitted
@@ -290,27 +291,7 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
     )
 
 
-def _squares(residuals: Float, covariance_px2: Float) -> Float:
-    """Squared residuals (n,) in units of their covariance; infinite for stars without a prediction."""
-    squares = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance_px2), residuals)
-    return np.where(np.isfinite(squares), squares, np.inf)
-
-
 def _median_floor(stars: _Stars, state: _State) -> float:
     """Error floor, px, that makes the median of the squares that of chi-square with two degrees of freedom."""
-    return _floor(stars, state, lambda squares: float(np.median(squares)) / _MEDIAN_CHI2)
-
-
-def _floor(stars: _Stars, state: _State, statistic: Callable[[Float], float]) -> float:
-    """Error floor, px, at which a statistic of the squares falls to one; 0 if it is below one without a floor."""
     residuals = stars.residuals(state)
-    variances, axes = np.linalg.eigh(stars.covariance_px2)
-    along = np.einsum("nji,nj->ni", axes, residuals) ** 2
-
-    def excess(floor_px: float) -> float:
-        return statistic(np.sum(along / (variances + floor_px**2), axis=1)) - 1.0
-
-    if excess(0.0) <= 0.0:
-        return 0.0
-    top = float(np.sqrt(np.max(np.sum(residuals**2, axis=1)))) * np.sqrt(float(len(residuals)))
-    return float(brentq(excess, 0.0, top, xtol=1e-9))
+    return error_floor(residuals, stars.covariance_px2, lambda squares: float(np.median(squares)) / _MEDIAN_CHI2)

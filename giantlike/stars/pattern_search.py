@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.patterns import describe_quads, describe_triads
 from giantlike.stars.star_index import Pattern, StarIndex, cap_radius_rad, caps, scattered, subsets
@@ -96,7 +96,7 @@ class Candidates(Value):
 
     def select(self, chosen: Mask | NDArray[np.intp]) -> Candidates:
         """Candidates of a mask (k,) or of indices."""
-        return Candidates(self.detections[chosen], self.stars[chosen], self.matrices[chosen], self.scales[chosen])
+        return select_rows(self, chosen)
 
 
 def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> Candidates:

@@ -15,7 +15,7 @@ Gaussian fit), with a linear filter in the place of the 5 x 5 median, which eats
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.detection.centroid import StarFits, fit_stars, neighbor_pairs
 from giantlike.processing.detection.common_streak import (
     CommonStreak,
@@ -86,7 +86,7 @@ class _Candidates(Value):
         return len(self.flux_dn)
 
     def select(self, which: NDArray[np.integer] | Mask | slice) -> _Candidates:
-        return _Candidates(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return select_rows(self, which)
 
 
 def detect_sources(

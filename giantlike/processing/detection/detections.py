@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 
 
 class DetectionFlag(enum.IntFlag):
@@ -129,21 +129,7 @@ class Detections(Value):
 
     def select(self, which: Mask | NDArray[np.integer]) -> Detections:
         """Return the detections of a mask (n,) or of indices, in that order."""
-        return Detections(
-            points_px=self.points_px[which],
-            covariance_px2=self.covariance_px2[which],
-            flux_dn=self.flux_dn[which],
-            snr=self.snr[which],
-            peak_dn=self.peak_dn[which],
-            area_px=self.area_px[which],
-            background_dn=self.background_dn[which],
-            width_px=self.width_px[which],
-            flags=self.flags[which],
-            psf_sigma_px=self.psf_sigma_px,
-            noise_dn=self.noise_dn,
-            halves_px=None if self.halves_px is None else self.halves_px[which],
-            half_sigma_px=None if self.half_sigma_px is None else self.half_sigma_px[which],
-        )
+        return select_rows(self, which)
 
     @classmethod
     def empty(cls, *, psf_sigma_px: float, noise_dn: float) -> Detections:

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, Scalar
+from giantlike.core.statistics import IQR_PER_SIGMA
 from giantlike.core.values import Value
 
 NOISE_BOX_PX = 48
-_IQR_PER_SIGMA = 1.3489795  # interquartile range of a unit normal distribution
 _BOX_HALF_WIDTHS = 6.0  # half side of the background box in star widths: loses 3 % of the signal to noise
 _KERNEL_HALF_WIDTHS = 3.0
 _MIN_NOISE_SAMPLES = 100  # per box
@@ -234,4 +234,4 @@ def _quartile_sigma(ordered: Image32, count: NDArray[np.int64] | np.int64) -> Im
     """Interquartile range over that of a unit normal of the first ``count`` of sorted values (..., k)."""
     low, high = (np.broadcast_to(count * k // 4, ordered.shape[:-1])[..., None] for k in (1, 3))
     spread = np.take_along_axis(ordered, high, axis=-1) - np.take_along_axis(ordered, low, axis=-1)
-    return np.asarray(spread[..., 0] / np.float32(_IQR_PER_SIGMA), dtype=np.float32)
+    return np.asarray(spread[..., 0] / np.float32(IQR_PER_SIGMA), dtype=np.float32)

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Mask, require
 from giantlike.core.detector import Detector
+from giantlike.core.statistics import quartile_sigma
 
 _LEVEL_BOX_PX = 31
 _SAMPLE_STEP = 3
 _LEAST_COVERED = 16
-_IQR_PER_SIGMA = 1.3489795
 
 Region = tuple[int, int, int, int]
 """First column, first row, columns, rows; px."""
@@ -72,7 +72,7 @@ def predicted_noise_dn(
     level = _level_dn(pixels, bad)
     if source is NoiseSource.IMAGE:
         away = (pixels - level)[::_SAMPLE_STEP, ::_SAMPLE_STEP]
-        sigma = _robust_sigma(away.ravel() if bad is None else away[~bad[::_SAMPLE_STEP, ::_SAMPLE_STEP]])
+        sigma = quartile_sigma(away.ravel() if bad is None else away[~bad[::_SAMPLE_STEP, ::_SAMPLE_STEP]])
         return np.full(pixels.shape, sigma, dtype=np.float32)
     if source is NoiseSource.DETECTOR:
         return np.sqrt(detector.variance_dn2(level.astype(np.float64) - detector.bias_dn)).astype(np.float32)
@@ -96,8 +96,3 @@ def _level_dn(pixels: NDArray[Any], bad: Mask | None) -> NDArray[np.float32]:
         values = np.where(bad, np.float32(np.median(values[~bad])), values)
     calm = cv2.medianBlur(values, 5)
     return np.asarray(cv2.blur(calm, (_LEVEL_BOX_PX, _LEVEL_BOX_PX), borderType=cv2.BORDER_REFLECT_101), np.float32)
-
-
-def _robust_sigma(values: NDArray[np.floating[Any]]) -> float:
-    low, high = np.quantile(values, (0.25, 0.75))
-    return float(high - low) / _IQR_PER_SIGMA

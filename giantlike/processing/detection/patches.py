@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,7 @@ from scipy.special import erf
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import Detector
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 
 MIN_PSF_SIGMA_PX = 0.25
 """Narrowest point spread function fitted, px: of a narrower one more than 91 % of the light falls on one pixel, and a
@@ -70,14 +70,7 @@ class Patches(Value):
 
     def select(self, which: NDArray[np.integer]) -> Patches:
         """Patches of the sources with the given indices (k,)."""
-        return replace(
-            self,
-            values_dn=self.values_dn[which],
-            valid=self.valid[which],
-            saturated=self.saturated[which],
-            corner_px=self.corner_px[which],
-            noise_dn=self.noise_dn[which],
-        )
+        return select_rows(self, which)
 
     def offsets_px(self, points_px: Float) -> tuple[Float, Float]:
         """Distances (n, w) of the columns and of the rows of each patch from a point (n, 2), px."""

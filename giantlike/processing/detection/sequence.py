@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from giantlike.core.arrays import Float, Mask, frozen, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.statistics import quartile_sigma
 from giantlike.core.values import Value
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.processing.detection.detections import DetectionFlag, Detections
@@ -29,7 +30,6 @@ _BRIGHTEST = 30
 _STAY_PX = 1.0
 _STAY_SHARE = 0.5
 _HOT_SIGMAS = 8.0
-_IQR_PER_SIGMA = 1.3489795
 
 _VOTERS = 80
 _VOTE_BIN_PX = 3.0
@@ -133,8 +133,7 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
         stack = np.stack([array[first : first + strip] for array in chosen]).astype(np.float32)
         pattern[first : first + strip] = np.partition(stack, middle, axis=0)[middle]
     pattern -= np.median(pattern)
-    low, high = np.quantile(pattern, (0.25, 0.75))
-    hot = pattern > _HOT_SIGMAS * max(float(high - low) / _IQR_PER_SIGMA, 1.0)
+    hot = pattern > _HOT_SIGMAS * max(quartile_sigma(pattern), 1.0)
     return FixedPattern(level_dn=frozen(pattern), hot=frozen(hot), n_images=len(chosen))
 
 

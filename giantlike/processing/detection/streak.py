@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, frozen
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.detection.patches import Patches, chi2_inflation, pixel_shares
 
 _MAX_STEPS = 40
@@ -54,7 +54,7 @@ class Lines(Value):
 
     def select(self, which: NDArray[np.integer]) -> Lines:
         """Lines of the given indices (k,)."""
-        return Lines(self.centers_px[which], self.halves_px[which], self.flux_dn[which], self.background_dn[which])
+        return select_rows(self, which)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,7 +7,6 @@ the points that agree, weighted by their covariances, with what is known of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,18 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
-from giantlike.core.frames import rotate
+from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.statistics import error_floor, squared_residuals
 from giantlike.core.values import Value
 from giantlike.processing.geometry.p3p import poses_of_three_points
 
 _SETTLED = 1e-9  # of a standard deviation
 _CONDITION_LIMIT = 1e14
 _ROUNDS = 5  # of choosing the points that agree and fitting them
-_FLOOR_STEPS = 25
 _PRIOR_SIGMAS = 3.0
 _OUTLIER_SIGMAS = 5.0
-_CHI2_MEDIAN = 1.386  # of two degrees of freedom
+_CHI2_MEDIAN = 2.0 * math.log(2.0)  # median of chi-square with two degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,12 +242,12 @@ def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask
         if int(agree.sum()) < options.min_inliers:
             detail = f"{int(agree.sum())} points agree to {options.inlier_px:g} px, needed {options.min_inliers}"
             return Failure(Reason.TOO_FEW_MATCHES, detail)
-        floor2, was = _floor(left[agree], problem.spread[agree], _free_parameters(problem)), floor2
+        freedom = 2 * int(agree.sum()) - _free_parameters(problem)
+        was, floor2 = floor2, _floor2(left[agree], problem.spread[agree], freedom)
         if np.array_equal(before, agree) and abs(floor2 - was) <= 1e-3 * (was + 1e-12):
             break
     design = _design(problem, rotation, position)[agree]
     information = _information(problem, design, agree, floor2)
-    freedom = 2 * int(agree.sum()) - _free_parameters(problem)
     scaled, scale = _scaled(information)
     covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
     if freedom > 2:
@@ -308,10 +307,7 @@ def _design(problem: _Problem, rotation: Rotation, position: Float) -> Float:
     by_position = problem.model.project_jacobian(turned + position)
     if _free_parameters(problem) == 3:
         return by_position
-    x, y, z = turned.T
-    zero = np.zeros_like(x)
-    by_turn = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1), np.stack([y, -x, zero], -1)], -2)
-    return np.concatenate([by_position, by_position @ by_turn], axis=-1)
+    return np.concatenate([by_position, -by_position @ skew(turned)], axis=-1)
 
 
 def _weights(problem: _Problem, used: Mask, floor2: float) -> Float:
@@ -331,36 +327,17 @@ def _scaled(information: Float) -> tuple[Float, Float]:
     return information * np.outer(scale, scale), scale
 
 
-def _floor(residuals: Float, spread: Float, parameters: int) -> float:
+def _floor2(residuals: Float, spread: Float, freedom: int) -> float:
     """Variance per axis, px^2, that brings the sum of squares of residuals (n, 2) to its degrees of freedom."""
-    freedom = residuals.size - parameters
     if freedom <= 0:
         return 0.0
-    highest = float(np.sum(residuals**2)) / freedom
-    return _least(highest, lambda floor2: float(np.sum(_squares(residuals, spread, floor2))) <= freedom)
+    return error_floor(residuals, spread, lambda squares: float(squares.sum()) / freedom) ** 2
 
 
 def _agreeing(residuals: Float, spread: Float, before: Mask, inlier_px: float) -> Mask:
-    """Points (n,) near enough, and no farther off than the scatter of those before explains."""
+    """Mask (n,) of points near enough, and no further off than the scatter of those before explains."""
     near = np.linalg.norm(residuals, axis=1) < inlier_px
-    fair, given = residuals[before], spread[before]
-    middle2 = _least(inlier_px**2, lambda floor2: float(np.median(_squares(fair, given, floor2))) <= _CHI2_MEDIAN)
-    agree: Mask = near & (_squares(residuals, spread, middle2) < _OUTLIER_SIGMAS**2)
+    floor = error_floor(residuals[before], spread[before], lambda squares: float(np.median(squares)) / _CHI2_MEDIAN)
+    scatter = spread + min(floor, inlier_px) ** 2 * np.eye(2)
+    agree: Mask = near & (squared_residuals(residuals, scatter) < _OUTLIER_SIGMAS**2)
     return agree
-
-
-def _squares(residuals: Float, spread: Float, floor2: float) -> Float:
-    """Squared residuals (n,) over their covariances, to which a variance is added."""
-    result: Float = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(spread + floor2 * np.eye(2)), residuals)
-    return result
-
-
-def _least(highest: float, enough: Callable[[float], bool]) -> float:
-    """The least variance that is enough, by bisection up to the highest."""
-    if enough(0.0):
-        return 0.0
-    low, high = 0.0, highest
-    for _ in range(_FLOOR_STEPS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return high
