@@ -1,7 +1,7 @@
-"""A made-up approach to a small irregular body, and a flyby of a round moon before it, with truth.
+"""A simulated approach to a small irregular body after a flyby of a round moon, with its truth.
 
-What happens (truth) and what navigation believes beforehand (a priori) are kept apart: a :class:`Frame`
-holds both, and only the second one is ever written where a campaign reads it.
+The truth and the a priori knowledge of navigation are kept apart: a :class:`Frame` holds both, and only the latter is
+written where a campaign reads it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
 from giantlike.catalogs import StarCatalog
-from giantlike.core.arrays import Float, require, unit
+from giantlike.core.arrays import Float, require, require_number, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import camera_from_inertial_of_pointing, radec_from_direction
 from giantlike.core.light import aberrate
@@ -34,26 +34,27 @@ from giantlike.simulation.orbits import CircularOrbit, Rendezvous
 from giantlike.simulation.shot import Photometry, Shot, unexposed
 
 _FIRST_DAY_UTC = "2024-03-02T06:00:00"
-_PEAK_OF_FULL_SCALE = 0.7
-_LONGEST_SHORT_S = 0.5
-_FRAME_MARGIN_PX = 40.0
-_RAYS, _STAR_IMAGE_RAYS = 5, 2  # along a pixel's side; in a star image the body is saturated
+"""Epoch of the first visit; chosen, any other moves the body along its orbit."""
+_RAYS = 5  # along a pixel's side, in images of the body
+_STAR_IMAGE_RAYS = 2  # along a pixel's side in star images, where the body is saturated
+_DIRECTION_STEP_DEG = 25.0  # turn of the camera's direction about the Sun from visit to visit
+_USED_PART = 0.7  # of the free half frame, over which the body is placed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visit:
-    """One time at which the body is imaged.
+    """Time, distance and phase angle at which the body is imaged.
 
     Parameters
     ----------
     day : float
-        Since the first visit.
+        Days since the first visit.
     diameter_px : float, px
         Apparent diameter of the sphere of the body's volume.
     phase_deg : float, deg
         Angle Sun - body - camera.
     lost : bool
-        Whether the spacecraft does not know its attitude.
+        True if there is no a priori attitude.
     """
 
     day: float
@@ -83,31 +84,46 @@ MOON_FLYBY = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApproachOptions:
-    """What the approach is like.
+    """Options of the simulated approach.
 
     Parameters
     ----------
     seed : int
-        Of everything random: equal options give equal images.
+        Seed of everything random: equal options give equal images.
     approach, moon : tuple of Visit
-        When the irregular body ``ROCK`` and the ellipsoid ``MOON`` are imaged; at least two visits of the
-        first, and none or at least two of the second.
+        Visits of the irregular body ``ROCK`` and of the ellipsoid ``MOON``; at least two of the first, and none or at
+        least two of the second.
     facets : int
-        Of the irregular body.
+        Facets of the irregular body.
     long_exposure_s : float, s
-        Of the star images.
+        Exposure time of the star images.
+    longest_short_s : float, s
+        Longest exposure of the images of the body.
+    peak_of_full_scale : float
+        Brightest pixel of the body in its images, as a fraction of full scale above bias.
+    frame_margin_px : float, px
+        Least distance of the body from the edge of the frame, where it fits.
     pair_gap_s : float, s
-        Between the middle of a star image and that of the image of the body next to it.
+        Time between mid-exposures of a star image and of the image of the body next to it.
     attitude_error_deg : (float, float), deg
         Smallest and largest error of the a priori attitude.
     drift_arcsec_s : float, arcsec/s
-        Steady turn of the camera during a visit.
+        Constant rate of the camera during a visit.
     jitter_arcsec_per_sqrt_s : float, arcsec/s^0.5
-        Random walk on top of it, per axis.
+        Random walk added to the drift, per axis.
     position_error_px : float, px
         Error of the a priori position across the line of sight.
     range_error : float
         Largest relative error of the a priori range.
+
+    Raises
+    ------
+    InputError
+        A value is out of range, or visits are not in order of time.
+
+    Notes
+    -----
+    The defaults describe the demonstration; no result of an estimator depends on them.
     """
 
     seed: int = 7
@@ -115,6 +131,9 @@ class ApproachOptions:
     moon: tuple[Visit, ...] = MOON_FLYBY
     facets: int = 50_000
     long_exposure_s: float = 5.0
+    longest_short_s: float = 0.5
+    peak_of_full_scale: float = 0.7
+    frame_margin_px: float = 40.0
     pair_gap_s: float = 30.0
     attitude_error_deg: tuple[float, float] = (0.1, 0.3)
     drift_arcsec_s: float = 0.5
@@ -128,31 +147,36 @@ class ApproachOptions:
         for visits in (self.approach, self.moon):
             days = [visit.day for visit in visits]
             require(days == sorted(set(days)), f"visits must follow one another in time, got days {days}")
-        require(self.long_exposure_s >= 1.0, f"long_exposure_s must be >= 1, got {self.long_exposure_s}")
+        require_number(self.long_exposure_s, "long_exposure_s", least=1.0)
+        require_number(self.longest_short_s, "longest_short_s", above=0.0)
+        require_number(self.peak_of_full_scale, "peak_of_full_scale", above=0.0)
+        require_number(self.frame_margin_px, "frame_margin_px", least=0.0)
         low, high = self.attitude_error_deg
         require(0.0 <= low <= high, f"attitude_error_deg must be (smallest, largest), got {self.attitude_error_deg}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame(Value):
-    """An image to be taken: what happens, and what is known of it beforehand.
+    """An image to be taken: its truth and its a priori knowledge.
 
     Parameters
     ----------
     shot : Shot
-        The truth.
+        True exposure.
     scene : Scene
-        The truth.
+        True scene.
     target : str
-        Which body is in view.
+        Name of the body in view.
     star_image : bool
-        Long exposure, in which the body is saturated.
+        True for a long exposure, in which the body is saturated.
     seed : (int, int)
-        Of the noise of this image.
+        Seed of the noise of this image.
     apriori_camera_from_inertial : Rotation or None
+        Attitude with its error; None where the attitude is lost.
     apriori_observer : ObserverState
+        Observer with its error.
     apriori_geometry : ApparentGeometry
-        Of the target, with the error of the predicted position; orientation and Sun are right.
+        Geometry of the target with the error of the predicted position; orientation and Sun are right.
     """
 
     shot: Shot
@@ -167,17 +191,22 @@ class Frame(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Approach(Value):
-    """A whole made-up campaign, not yet photographed.
+    """A simulated campaign whose images are not yet made.
 
     Parameters
     ----------
     camera : Camera
+        The camera.
     photometry : Photometry
+        Brightness of bodies and stars.
     detector : DetectorModel
+        Effects of the detector.
     targets : tuple of Target
+        Bodies with their true ephemerides.
     frames : tuple of Frame
-        In order of time.
+        Images in order of time.
     options : ApproachOptions
+        Options that the approach was planned with.
     """
 
     camera: Camera
@@ -188,7 +217,19 @@ class Approach(Value):
     options: ApproachOptions
 
     def take(self, frame: Frame, catalog: StarCatalog) -> SimulatedImage:
-        """Photograph one of the frames against the sky of a catalog; the same frame gives the same image."""
+        """Simulate the image of a frame; equal frames give equal images.
+
+        Parameters
+        ----------
+        frame : Frame
+            One of the frames.
+        catalog : StarCatalog
+            Stars.
+
+        Returns
+        -------
+        SimulatedImage
+        """
         return simulate_image(
             frame.shot,
             self.camera,
@@ -200,9 +241,13 @@ class Approach(Value):
 
 
 def demo_camera() -> Camera:
-    """Return a navigation camera of 1024 x 1024 pixels with the optics of the wide-angle cameras of OSIRIS-REx.
+    """Return a navigation camera of 1024 x 1024 pixels with the optics of NavCam 1 of OSIRIS-REx.
 
-    Focal length and distortion are those of NavCam 1; the detector is the middle of its frame.
+    The principal point is moved to the middle of the smaller frame; the detector values are those of no real camera.
+
+    Returns
+    -------
+    Camera
 
     References
     ----------
@@ -222,17 +267,18 @@ def demo_camera() -> Camera:
 
 
 def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
-    """Lay out the whole campaign: bodies, paths, attitudes, exposures and a priori errors.
+    """Plan the whole campaign: bodies, trajectories, attitudes, exposures and a priori errors.
 
     Parameters
     ----------
     options : ApproachOptions
+        Visits, errors and exposures.
 
     Returns
     -------
     Approach
-        At each visit a long exposure, a short one and another long one: the camera turns meanwhile, so the
-        attitude of the short one comes from both.
+        Each visit has a long exposure, a short one and another long one: the camera turns meanwhile, so the attitude
+        of the short one is interpolated between the two.
     """
     camera = demo_camera()
     orbit = CircularOrbit(epoch_et=et_from_time(time_from_utc(_FIRST_DAY_UTC)))
@@ -267,7 +313,7 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Encounter(Value):
-    """A body and a spacecraft that visits it."""
+    """A body and the spacecraft that visits it."""
 
     target: Target
     orbit: CircularOrbit
@@ -280,7 +326,9 @@ class _Encounter(Value):
         offsets = []
         for number, (et, visit) in enumerate(zip(times, visits, strict=True)):
             range_km = 2.0 * shape.mean_radius_km * camera.model.focal_length_px / visit.diameter_px
-            offsets.append(range_km * _toward_camera(-orbit.state(et)[0], visit.phase_deg, 25.0 * number))
+            offsets.append(
+                range_km * _toward_camera(-orbit.state(et)[0], visit.phase_deg, _DIRECTION_STEP_DEG * number)
+            )
         spacecraft = Rendezvous(orbit, times, np.array(offsets))
         target = Target(name=name, shape=shape, ephemeris=orbit)
         scene = Scene(targets=(target,), observer=spacecraft, light=FixedEphemeris())
@@ -291,13 +339,13 @@ class _Encounter(Value):
         return ObserverState(position_km=position, velocity_km_s=velocity)
 
     def apparent_km(self, et: float) -> Float:
-        """From camera to body (3,), km, inertial axes, light time and aberration in."""
+        """Apparent vector (3,) from camera to body, km, inertial axes."""
         position, velocity = self.spacecraft.state(et)
         return aberrate(light_path(self.orbit, et, position)[0], velocity)
 
 
 def _toward_camera(to_sun_km: Float, phase_deg: float, turn_deg: float) -> Float:
-    """Unit vector (3,) from a body to a camera that sees it at a phase angle, turned about the Sun's direction."""
+    """Unit vector (3,) from a body to a camera at a phase angle, turned about the direction of the Sun."""
     sun = unit(to_sun_km)
     first = unit(np.cross(sun, [0.0, 0.0, 1.0]))
     second = np.cross(sun, first)
@@ -307,7 +355,7 @@ def _toward_camera(to_sun_km: Float, phase_deg: float, turn_deg: float) -> Float
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Planner(Value):
-    """Turns visits into frames; draws everything random from one generator, in order."""
+    """Plan of frames from visits; everything random is drawn from one generator, in order."""
 
     camera: Camera
     photometry: Photometry
@@ -315,7 +363,7 @@ class _Planner(Value):
     rng: np.random.Generator
 
     def frames(self, encounter: _Encounter, visits: Sequence[Visit]) -> Iterator[Frame]:
-        """Long, short, long at each visit."""
+        """Yield a long, a short and a long exposure of each visit."""
         gap = self.options.pair_gap_s
         for number, visit in enumerate(visits):
             middle = encounter.orbit.epoch_et + visit.day * SECONDS_PER_DAY
@@ -363,11 +411,11 @@ class _Planner(Value):
         )
 
     def _attitudes(self, apparent_km: Float, shape: Shape) -> tuple[Rotation, ...]:
-        """True attitudes of the three images of a visit: the body somewhere in the middle part of the frame."""
+        """True attitudes of the three images of a visit, with the body at a random place of the frame."""
         camera, options = self.camera, self.options
         reach_px = camera.model.focal_length_px * shape.circumscribing_radius_km / float(np.linalg.norm(apparent_km))
-        free_px = max(min(camera.columns, camera.rows) / 2 - reach_px - _FRAME_MARGIN_PX, 0.0)
-        place_px = camera.center_px + self.rng.uniform(-0.7, 0.7, 2) * free_px
+        free_px = max(min(camera.columns, camera.rows) / 2 - reach_px - options.frame_margin_px, 0.0)
+        place_px = camera.center_px + self.rng.uniform(-_USED_PART, _USED_PART, 2) * free_px
         ra_deg, dec_deg = radec_from_direction(apparent_km)
         at_boresight = camera_from_inertial_of_pointing(float(ra_deg), float(dec_deg), self.rng.uniform(0.0, 360.0))
         middle = _turn_onto(camera.model.unproject(place_px)) * at_boresight
@@ -391,17 +439,19 @@ class _Planner(Value):
         return error
 
     def _short_exposure_s(self, shot: Shot, encounter: _Encounter) -> float:
-        """Exposure that brings the brightest pixel of the body to a fixed part of full scale."""
+        """Exposure time that brings the brightest pixel of the body to the wanted fraction of full scale, s."""
         peak = visible_peak(shot, self.camera, encounter.scene, encounter.target.name)
-        require(peak > 0, f"{shot.name}: nothing of {encounter.target.name} is seen")
+        require(peak > 0, f"{shot.name}: {encounter.target.name} is not visible, so its exposure cannot be chosen")
         detector = self.camera.detector
-        wanted_e = _PEAK_OF_FULL_SCALE * (detector.saturation_dn - detector.bias_dn) * detector.gain_e_per_dn
+        wanted_e = (
+            self.options.peak_of_full_scale * (detector.saturation_dn - detector.bias_dn) * detector.gain_e_per_dn
+        )
         exposure_s = wanted_e / (peak * self.photometry.surface_rate_e_s(self.camera))
-        return float(f"{min(exposure_s, _LONGEST_SHORT_S):.3g}")
+        return float(f"{min(exposure_s, self.options.longest_short_s):.3g}")
 
 
 def _turn_onto(direction: Float) -> Rotation:
-    """The smallest rotation that takes +z to a unit vector (3,)."""
+    """Smallest rotation that takes +z to a unit vector (3,)."""
     axis = np.cross([0.0, 0.0, 1.0], direction)
     sine = float(np.linalg.norm(axis))
     return Rotation.from_rotvec(axis * (math.atan2(sine, direction[2]) / sine if sine > 0 else 0.0))

@@ -1,8 +1,7 @@
-"""What a run found against what was true: errors beside the sigmas that the run stated."""
+"""Comparison of a run with the truth: errors and the sigmas that the run stated for them."""
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,22 +19,21 @@ from giantlike.core.units import RAD_PER_ARCSEC
 from giantlike.core.values import Value
 from giantlike.io.run_tables import AttitudeRow, ObservationRow
 from giantlike.io.tables import read_rows
+from giantlike.simulation.write import TruthRow
 
-_GRID = 5  # points along each side of the frame at which an attitude error is turned into pixels
-
-Row = Mapping[str, str]
+_GRID = 5  # points along each side of the frame over which the shift of an attitude error is averaged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeError(Value):
-    """Attitude of one image against truth.
+    """Error of the attitude of one image.
 
     Parameters
     ----------
     file, source, status, reason : str
         As in ``attitudes.csv``.
     error_px : (2,) float64, px, or None
-        Root mean square over the frame of how far the error moves the image, per axis. None without an attitude.
+        Root mean square shift of the image by the error, over the frame, per axis. None without an attitude.
     sigma_px : (2,) float64, px, or None
         The same for the stated covariance (the three sigmas about the camera axes).
     normalized : (3,) float64 or None
@@ -53,7 +51,7 @@ class AttitudeError(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObservationError(Value):
-    """One estimator on one image against truth.
+    """Error of one estimator on one image.
 
     Parameters
     ----------
@@ -64,7 +62,7 @@ class ObservationError(Value):
     error_px, sigma_px : (2,) float64, px, or None
         Found minus true center; stated sigmas. None without a fix.
     nees : float or None
-        Squared error over the stated covariance (2 x 2): 2 on average where that is right.
+        Squared error over the stated covariance (2 x 2): 2 on average where the covariance is right.
     range_error, range_sigma : float or None
         Found minus true range, and its stated sigma, over the true range.
     """
@@ -85,7 +83,7 @@ class ObservationError(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison(Value):
-    """A whole run against truth: one entry per row of its tables."""
+    """Errors of a whole run: one entry per row of its tables."""
 
     attitudes: tuple[AttitudeError, ...]
     observations: tuple[ObservationError, ...]
@@ -93,15 +91,16 @@ class Comparison(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Score(Value):
-    """Errors of many fixes, beside what was stated for them.
+    """Errors of many fixes and their stated sigmas.
 
     Parameters
     ----------
     n_images : int
         Rows in the table.
     n_fixes : int
-        With status ``ok``; only these count below.
+        Number of fixes with status ``ok``; only these count below.
     n_suspect : int
+        Number of fixes with status ``suspect``.
     failures : mapping of str to int
         Number of failed rows by reason.
     rms_px, sigma_px : (2,) float64, px
@@ -109,8 +108,9 @@ class Score(Value):
     chi2, dof : float, int
         Sum of squared normalized errors and number of them, without the range.
     range_rms, range_sigma, range_chi2 : float
-        Relative errors of the range, relative stated sigmas, sum of squared normalized errors; NaN without.
+        Relative errors of the range, relative stated sigmas, sum of squared normalized errors; NaN without ranges.
     n_ranges : int
+        Number of ranges.
     """
 
     n_images: int
@@ -137,14 +137,18 @@ def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
     truth : Path
         ``truth.csv`` as :func:`~giantlike.simulation.write.write_approach` writes it.
     camera : Camera
-        Turns attitude errors into pixels.
+        Converts attitude errors to pixels.
+
+    Returns
+    -------
+    Comparison
 
     Raises
     ------
     DataError
         A table is missing or damaged, or holds a file that the truth does not.
     """
-    true_rows = {row["file"]: row for row in _read(truth)}
+    true_rows = {row.file: row for row in read_rows(truth, TruthRow)}
     return Comparison(
         attitudes=tuple(
             _attitude_error(row, _true_row(true_rows, row.file, truth), camera)
@@ -158,7 +162,16 @@ def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
 
 
 def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
-    """Summary of attitudes; normalized errors count one by one, about three axes."""
+    """Summarize attitudes; normalized errors count one by one, about three axes.
+
+    Parameters
+    ----------
+    errors : sequence of AttitudeError
+
+    Returns
+    -------
+    Score
+    """
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
     normalized = np.array([error.normalized for error in good if error.normalized is not None])
     return _score(
@@ -172,7 +185,16 @@ def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
 
 
 def score_observations(errors: Sequence[ObservationError]) -> Score:
-    """Summary of centers and ranges."""
+    """Summarize centers and ranges.
+
+    Parameters
+    ----------
+    errors : sequence of ObservationError
+
+    Returns
+    -------
+    Score
+    """
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
     ranges = [[error.range_error, error.range_sigma] for error in good if error.range_error is not None]
     return _score(
@@ -216,12 +238,12 @@ def _rms(values: Float) -> Float:
     return np.sqrt(np.mean(values**2, axis=0)) if len(values) else np.full(2, np.nan)
 
 
-def _attitude_error(row: AttitudeRow, true_row: Row, camera: Camera) -> AttitudeError:
+def _attitude_error(row: AttitudeRow, true_row: TruthRow, camera: Camera) -> AttitudeError:
     entry = AttitudeError(file=row.file, source=row.source or "", status=row.status, reason=row.reason or "")
     if row.status == "failed" or row.qx is None:
         return entry
-    attitude = rotation_from_xyzw(_floats(row.qx, row.qy, row.qz, row.qw))
-    error_rad = rotation_between(attitude, rotation_from_xyzw(_numbers(true_row, "qx", "qy", "qz", "qw")))
+    found, true = (rotation_from_xyzw(_floats(each.qx, each.qy, each.qz, each.qw)) for each in (row, true_row))
+    error_rad = rotation_between(found, true)
     entry = replace(entry, error_px=_shift_px(camera, error_rad))
     if row.sigma_x_arcsec is None:
         return entry
@@ -231,7 +253,7 @@ def _attitude_error(row: AttitudeRow, true_row: Row, camera: Camera) -> Attitude
 
 
 def _shift_px(camera: Camera, rotvec_rad: Float) -> Float:
-    """How far a small rotation about the camera axes (3,) moves the image: root mean square over it (2,), px."""
+    """Root mean square shift (2,) of the image by a small rotation (3,) about the camera axes, px."""
     x = np.linspace(0.0, camera.columns - 1.0, _GRID)
     y = np.linspace(0.0, camera.rows - 1.0, _GRID)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -240,19 +262,19 @@ def _shift_px(camera: Camera, rotvec_rad: Float) -> Float:
     return _rms(moved - points)
 
 
-def _observation_error(row: ObservationRow, true_row: Row) -> ObservationError:
+def _observation_error(row: ObservationRow, true_row: TruthRow) -> ObservationError:
     entry = ObservationError(
         file=row.file,
         target=row.target,
         estimator=row.estimator,
         status=row.status,
         reason=row.reason or "",
-        diameter_px=float(true_row["diameter_px"]),
-        phase_deg=float(true_row["phase_deg"]),
+        diameter_px=true_row.diameter_px,
+        phase_deg=true_row.phase_deg,
     )
     if row.status == "failed":
         return entry
-    error = _floats(row.x_px, row.y_px) - _numbers(true_row, "x_px", "y_px")
+    error = _floats(row.x_px, row.y_px) - _floats(true_row.x_px, true_row.y_px)
     sigma = _floats(row.sigma_x_px, row.sigma_y_px)
     cross = (row.rho_xy or 0.0) * sigma[0] * sigma[1]
     covariance = np.array([[sigma[0] ** 2, cross], [cross, sigma[1] ** 2]])
@@ -260,26 +282,14 @@ def _observation_error(row: ObservationRow, true_row: Row) -> ObservationError:
     entry = replace(entry, error_px=error, sigma_px=sigma, nees=nees)
     if row.range_km is None or row.sigma_range_km is None:
         return entry
-    true_km = float(true_row["range_km"])
+    true_km = true_row.range_km
     return replace(entry, range_error=row.range_km / true_km - 1.0, range_sigma=row.sigma_range_km / true_km)
 
 
-def _read(path: Path) -> list[dict[str, str]]:
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            return list(csv.DictReader(stream))
-    except OSError as error:
-        raise DataError(path, f"cannot be read: {error.strerror}") from error
-
-
-def _true_row(true_rows: Mapping[str, Row], file: str, truth: Path) -> Row:
+def _true_row(true_rows: Mapping[str, TruthRow], file: str, truth: Path) -> TruthRow:
     if file not in true_rows:
-        raise DataError(truth, f"holds no truth for {file!r}")
+        raise DataError(truth, f"has no row for {file!r}, which the run holds")
     return true_rows[file]
-
-
-def _numbers(row: Row, *names: str) -> Float:
-    return np.array([float(row[name]) for name in names])
 
 
 def _floats(*values: float | None) -> Float:

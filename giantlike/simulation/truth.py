@@ -1,4 +1,4 @@
-"""A simulated image as a FITS file that carries its truth: header keywords, and what no real image has as extensions.
+"""FITS files of simulated images with their truth in header keywords and extensions.
 
 A campaign reads only the a priori keywords that real images have too (epoch, exposure, ``GL_Q*``, ``GL_OBS*``). The
 truth is in keywords that begin with ``GT_`` and, for the targets, ``T1_``, ``T2_``, ...:
@@ -46,26 +46,27 @@ from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.stars import StarField
 
 _AXES = ("X", "Y", "Z")
-_HASH_DIGITS = 16
+_HASH_DIGITS = 16  # of the SHA-256 of a shape: 64 bits tell shapes apart and fit a keyword
 _STAR_COLUMNS = np.dtype([("id", "i8"), ("x_px", "f8"), ("y_px", "f8"), ("magnitude", "f8"), ("electrons", "f8")])
 
 
 def write_simulated(
     path: str | Path, taken: SimulatedImage, camera: Camera, *, extensions: bool = True, backplanes: bool = False
 ) -> None:
-    """Write a simulated image with its truth; what a campaign reads from it a priori is the truth too.
+    """Write a simulated image with its truth; its a priori keywords hold the truth too.
 
     Parameters
     ----------
     path : path-like
-        Replaced when it exists.
+        New file; an existing one is replaced.
     taken : SimulatedImage
+        The image.
     camera : Camera
-        That took it.
+        Camera of the image.
     extensions : bool
-        Whether what is true of the pixels, and the stars, are written besides the keywords.
+        True to write the extensions with the mean charge, the cosmic rays and the stars.
     backplanes : bool
-        Whether the backplanes are written.
+        True to write the backplanes.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def write_simulated(
 
 
 def truth_header(taken: SimulatedImage, camera: Camera) -> dict[str, Card]:
-    """Keywords of the truth; see the module for which."""
+    """Header cards of the truth, by keyword; the docstring of the module lists them."""
     shot, detector = taken.shot, camera.detector
     words = taken.seed if isinstance(taken.seed, tuple) else (taken.seed,)
     cards = {
@@ -111,7 +112,7 @@ def truth_header(taken: SimulatedImage, camera: Camera) -> dict[str, Card]:
 
 
 def truth_extensions(taken: SimulatedImage) -> dict[str, NDArray[Any]]:
-    """Planes and the table of stars, by EXTNAME."""
+    """Extensions by EXTNAME: mean charge, cosmic rays and the table of stars."""
     return {
         "EXPECTED": taken.readout.expected_e.astype(np.float32),
         "COSMIC": taken.readout.cosmic_e.astype(np.float32),
@@ -120,7 +121,7 @@ def truth_extensions(taken: SimulatedImage) -> dict[str, NDArray[Any]]:
 
 
 def backplane_extensions(taken: SimulatedImage, camera: Camera) -> dict[str, NDArray[Any]]:
-    """What every pixel looks at, at mid-exposure, by EXTNAME: body (from 1, as in the header), facet, km, degrees."""
+    """Backplanes at mid-exposure by EXTNAME: body (from 1, as in the header), facet, range (km), angles (degrees)."""
     planes = trace_backplanes(
         [geometry.body() for geometry in taken.bodies.values()],
         camera.model,
@@ -144,7 +145,7 @@ def backplane_extensions(taken: SimulatedImage, camera: Camera) -> dict[str, NDA
 
 
 def geometry_rows(taken: SimulatedImage) -> list[GeometryRow]:
-    """True geometry of an image as rows of a geometry table: one for each target in view, or one without a target."""
+    """True geometry of an image as rows of a geometry table: one per target in view, or one without a target."""
     row = GeometryRow(
         file=taken.shot.name,
         epoch=taken.shot.epoch,

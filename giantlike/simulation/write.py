@@ -1,11 +1,10 @@
-"""A made-up approach as files: images, a campaign that can be run, and the truth beside it."""
+"""Files of a simulated approach: images, a campaign that can be run, and the truth in a table of its own."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -16,27 +15,50 @@ import tomli_w
 from giantlike.catalogs import StarCatalog
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.io import navigation_header, write_fits, write_geometry, write_text_atomic
+from giantlike.io.csv_rows import write_csv_rows
 from giantlike.io.decoded import HeaderValue
 from giantlike.io.geometry_table import GeometryRow
+from giantlike.io.tables import column, columns_of
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
+from giantlike.shapes.files.exchange import write_obj
 from giantlike.simulation.approach import Approach, Frame
 from giantlike.simulation.images import SimulatedImage
 
 CAMPAIGN_FILE, TRUTH_FILE = "campaign.toml", "truth.csv"
 MAX_MAGNITUDE = 8.5
-"""Faintest star that the campaign asks the catalog for; fainter ones are in the images all the same."""
+"""Faintest star that the campaign uses, 400 electrons in a 5 s exposure; the images hold fainter ones too."""
 ESTIMATORS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "ROCK": ("unresolved", "cross_correlation", "limb_matching"),
         "MOON": ("cross_correlation", "limb_matching", "ellipsoid_cra"),
     }
 )
-"""What the campaign runs on each target."""
-TRUTH_COLUMNS = (
-    "file", "kind", "qx", "qy", "qz", "qw", "target", "x_px", "y_px", "x_camera_km", "y_camera_km", "z_camera_km",
-    "range_km", "diameter_px", "phase_deg",
-)  # fmt: skip
-"""Columns of ``truth.csv``: true attitude (camera_from_inertial), and the true apparent place of the body in view."""
+"""Estimators that the campaign runs on each target."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TruthRow:
+    """Row of ``truth.csv``: the true attitude of an image and the true apparent place of the body in view."""
+
+    file: str = column("Image file")
+    kind: str | None = column("``stars`` or ``body``: what the image was taken for")
+    qx: float = column("Quaternion of camera_from_inertial, x")
+    qy: float = column("Quaternion of camera_from_inertial, y")
+    qz: float = column("Quaternion of camera_from_inertial, z")
+    qw: float = column("Quaternion of camera_from_inertial, scalar")
+    target: str = column("Body in view")
+    x_px: float = column("Center of the body, column", unit="px")
+    y_px: float = column("Center of the body, row", unit="px")
+    x_camera_km: float | None = column("Center of the body, x", unit="km", frame="camera")
+    y_camera_km: float | None = column("Center of the body, y", unit="km", frame="camera")
+    z_camera_km: float | None = column("Center of the body, z", unit="km", frame="camera")
+    range_km: float = column("Distance of the center of the body", unit="km")
+    diameter_px: float = column("Apparent diameter of the sphere of the body's volume", unit="px")
+    phase_deg: float = column("Angle Sun - body - camera", unit="deg")
+
+
+TRUTH_COLUMNS = tuple(each.name for each in columns_of(TruthRow))
+"""Columns of ``truth.csv``."""
 
 
 def write_approach(
@@ -47,20 +69,21 @@ def write_approach(
     workers: int = 2,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Take all images of an approach and write them with everything that a campaign needs.
+    """Simulate all images of an approach and write them with everything that a campaign needs.
 
     Parameters
     ----------
     approach : Approach
+        The plan.
     folder : Path
         Gets ``images/*.fits``, ``shapes/``, ``camera.toml``, ``geometry.csv``, ``campaign.toml`` and, for the
         comparison afterwards, ``truth.csv``, which no campaign reads.
     catalog : StarCatalog
-        The sky.
+        Stars.
     workers : int
-        Images made at the same time.
+        Number of images made at the same time.
     progress : callable, optional
-        Called with the number of images done and the number of all.
+        Called with the number of finished images and the number of all.
 
     Returns
     -------
@@ -74,9 +97,9 @@ def write_approach(
     """
     for name in ("images", "shapes"):
         (folder / name).mkdir(parents=True, exist_ok=True)
-    truth: list[list[str]] = []
+    truth: list[TruthRow] = []
 
-    def make(frame: Frame) -> list[str]:
+    def make(frame: Frame) -> TruthRow:
         taken = approach.take(frame, catalog)
         write_fits(folder / "images" / frame.shot.name, taken.image.pixels, header=_header(frame))
         return _truth_row(approach, frame, taken)
@@ -89,7 +112,7 @@ def write_approach(
     approach.camera.save(folder / "camera.toml")
     write_geometry(folder / "geometry.csv", [_geometry_row(frame) for frame in approach.frames])
     tables = [_target_table(folder, target.name, target.shape) for target in approach.targets]
-    write_text_atomic(folder / TRUTH_FILE, _csv_text([list(TRUTH_COLUMNS), *truth]))
+    write_csv_rows(folder / TRUTH_FILE, TRUTH_COLUMNS, map(astuple, truth))
     campaign = folder / CAMPAIGN_FILE
     write_text_atomic(campaign, tomli_w.dumps(_campaign_table(approach, tables)))
     return campaign
@@ -127,14 +150,8 @@ def _target_table(folder: Path, name: str, shape: Shape) -> dict[str, Any]:
         return table | {"shape": {"radii_km": shape.radii_km.tolist()}}
     assert isinstance(shape, TriangleMesh)
     file = f"shapes/{name.lower()}.obj"
-    write_text_atomic(folder / file, _obj_text(shape))
+    write_obj(folder / file, shape)
     return table | {"shape": file, "units": "km"}
-
-
-def _obj_text(mesh: TriangleMesh) -> str:
-    vertices = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices_km.tolist()]
-    faces = [f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist()]
-    return "".join([f"# {mesh.name}, km\n", *vertices, *faces])
 
 
 def _geometry_row(frame: Frame) -> GeometryRow:
@@ -149,23 +166,24 @@ def _geometry_row(frame: Frame) -> GeometryRow:
     )
 
 
-def _truth_row(approach: Approach, frame: Frame, taken: SimulatedImage) -> list[str]:
-    body = taken.bodies[frame.target]
-    center_px = approach.camera.model.project(body.position_camera_km)
-    shape = body.target.shape
-    numbers = [
-        *center_px,
-        *body.position_camera_km,
-        body.range_km,
-        2.0 * shape.mean_radius_km / body.range_km * approach.camera.model.focal_length_px,
-        np.degrees(body.phase_angle_rad),
-    ]
-    kind = "stars" if frame.star_image else "body"
-    attitude = [repr(value) for value in quaternion_xyzw(frame.shot.camera_from_inertial).tolist()]
-    return [frame.shot.name, kind, *attitude, frame.target, *(repr(float(value)) for value in numbers)]
-
-
-def _csv_text(rows: list[list[str]]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
-    return buffer.getvalue()
+def _truth_row(approach: Approach, frame: Frame, taken: SimulatedImage) -> TruthRow:
+    body, model = taken.bodies[frame.target], approach.camera.model
+    vectors = {
+        "q{}": ("xyzw", quaternion_xyzw(frame.shot.camera_from_inertial)),
+        "{}_px": ("xy", model.project(body.position_camera_km)),
+        "{}_camera_km": ("xyz", body.position_camera_km),
+    }
+    numbers = {
+        name.format(axis): number
+        for name, (axes, vector) in vectors.items()
+        for axis, number in zip(axes, vector.tolist(), strict=True)
+    }
+    return TruthRow(
+        file=frame.shot.name,
+        kind="stars" if frame.star_image else "body",
+        target=frame.target,
+        range_km=body.range_km,
+        diameter_px=2.0 * body.target.shape.mean_radius_km / body.range_km * model.focal_length_px,
+        phase_deg=float(np.degrees(body.phase_angle_rad)),
+        **numbers,
+    )
