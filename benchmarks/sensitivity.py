@@ -1,11 +1,12 @@
 """Sensitivity of errors, stated sigmas and verdicts to half and double of each constant, on fixed made-up images.
 
 The constants are those of the modules of ``relative``, ``processing`` and ``stars`` and the numeric options of the
-estimators. Which of them an estimator uses is seen by profiling it; each is then halved and doubled, alone. Prints JSON
-and writes ``sensitivity.md`` beside this script. Left out are constants that a cache on disk depends on, mathematics
-and physics.
+estimators. Which of them an estimator uses is seen by profiling it; each is then halved and doubled, alone. Prints
+JSON; ``--page`` writes ``sensitivity.md`` from the JSON of one run or several. Left out are constants that a cache on
+disk depends on, mathematics and physics.
 
-Usage: python benchmarks/sensitivity.py [--only TEXT] [--minutes 15] [--images 3] > sensitivity.json
+Usage: python benchmarks/sensitivity.py [--only stars,processing] [--minutes 15] [--images 3] > sensitivity.json
+       python benchmarks/sensitivity.py --page sensitivity.json ... > benchmarks/sensitivity.md
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ NOT_A_CHOICE = frozenset(
 )  # fmt: skip
 """Mathematics, physics and conventions: another value would be wrong."""
 FACTORS = (0.5, 2.0)
-MOST_CASES = 3
+MOST_CASES = 2
 """Estimators that a constant is tried on at most, fastest first."""
 CLEAR_SHIFT, CLEAR_RATIO = 0.05, 0.02
 """Changes of a result in sigmas, and of a sigma relative to itself, below which a constant decides nothing."""
@@ -444,9 +445,9 @@ def shown(constant: Constant) -> str:
     return f"{constant.module.removeprefix('giantlike.')}.{constant.name}"
 
 
-def study(every: Sequence[Case], minutes: float, only: str) -> dict[str, Any]:
-    """Halve and double every constant on the cases that use it, until the time is over."""
-    end = time.monotonic() + 60.0 * minutes
+def study(every: Sequence[Case], minutes: float, only: Sequence[str]) -> dict[str, Any]:
+    """Halve and double every constant on the cases that use it, until so much processor time is spent."""
+    end = time.process_time() + 60.0 * minutes
     before: dict[str, list[Result]] = {}
     report: dict[str, Any] = {"baseline": {}, "constants": [], "not_reached": [], "out_of_time": []}
     for case in every:
@@ -461,12 +462,12 @@ def study(every: Sequence[Case], minutes: float, only: str) -> dict[str, Any]:
     plan += [(constant, [case]) for case in every for constant in options_of(case)]
     for constant, on in plan:
         name = shown(constant)
-        if only not in name:
+        if not name.startswith(tuple(only)):
             continue
         if not on:
             report["not_reached"].append(name)
         for case in on:
-            if time.monotonic() > end:
+            if time.process_time() > end:
                 report["out_of_time"].append(f"{name} ({case.name})")
                 continue
             half, double = (effect(before[case.name], results_with(case, constant, factor)) for factor in FACTORS)
@@ -477,23 +478,31 @@ def study(every: Sequence[Case], minutes: float, only: str) -> dict[str, Any]:
     return report
 
 
+def merged(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One report of several that looked at different constants; baselines are those of the last."""
+    whole: dict[str, Any] = {"baseline": {}, "images": reports[-1]["images"]}
+    for report in reports:
+        whole["baseline"] |= report["baseline"]
+        for key in ("constants", "not_reached", "out_of_time"):
+            whole.setdefault(key, []).extend(report[key])
+    return whole
+
+
 def main() -> None:
-    """Print the report as JSON and write the page."""
+    """Print a report as JSON, or the page of reports."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--only", default="", help="constants whose dotted name holds this text; the page is then not written"
-    )
-    parser.add_argument("--minutes", type=float, default=15.0)
+    parser.add_argument("--only", default="", help="starts of the dotted names of constants, with commas")
+    parser.add_argument("--minutes", type=float, default=15.0, help="of processor time")
     parser.add_argument("--images", type=int, default=3, help="of each estimator")
+    parser.add_argument("--page", nargs="+", type=Path, help="JSON files of runs")
     arguments = parser.parse_args()
+    if arguments.page:
+        print(markdown(merged([json.loads(path.read_text(encoding="utf-8")) for path in arguments.page])), end="")
+        return
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
-        report = study(cases(Path(folder), arguments.images), arguments.minutes, arguments.only) | {
-            "images": arguments.images
-        }
-    print(json.dumps(report, indent=1))
-    if not arguments.only:
-        Path(__file__).with_name("sensitivity.md").write_text(markdown(report), encoding="utf-8")
+        report = study(cases(Path(folder), arguments.images), arguments.minutes, arguments.only.split(","))
+    print(json.dumps(report | {"images": arguments.images}, indent=1))
 
 
 if __name__ == "__main__":
