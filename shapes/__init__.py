@@ -1,6 +1,6 @@
-"""Shapes: what bodies look like. Ellipsoids, triangle meshes, their files, and generated asteroids.
+"""Shapes of bodies: ellipsoids, triangle meshes, their files, and generated asteroids.
 
-Everything is in body axes and km; the origin of a shape is what estimators call the center of the body.
+Everything is in body axes and km; the origin of a shape is the center of the body for estimators.
 """
 
 from giantlike.shapes.albedo import Albedo, AlbedoMap, FacetAlbedo, VertexAlbedo

@@ -1,4 +1,4 @@
-"""Bright and dark places of a surface: relative albedo by facet, by vertex, or from a map of longitude and latitude.
+"""Relative albedo of a surface: by facet, by vertex, or from a map of longitude and latitude.
 
 Relative albedo multiplies what the reflectance law gives: 1 leaves it as it is, 0 is black.
 """
@@ -20,7 +20,7 @@ from giantlike.core.values import Value
 Faces = NDArray[np.int64]
 Indices = NDArray[np.int64]
 
-_POLE_RAD = 1e-9  # how near to the pole an edge of a map is the pole
+_POLE_RAD = 1e-9  # an edge of a map this close to a pole, or to a full turn, is there: rounding of degrees to radians
 
 
 @runtime_checkable
@@ -33,7 +33,7 @@ class Albedo(Protocol):
         ...
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """Relative albedo (n,) at points of the surface.
+        """Relative albedo at points of the surface.
 
         Parameters
         ----------
@@ -43,6 +43,10 @@ class Albedo(Protocol):
         barycentric : (n, 3) float64, optional
             Weights of the three corners of those facets, as ``TriangleMesh.barycentric`` gives them; only albedo
             by vertex reads them, and refuses None.
+
+        Returns
+        -------
+        (n,) float64
         """
         ...
 
@@ -71,7 +75,19 @@ class FacetAlbedo(Value):
         Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """The values (n,) of the facets."""
+        """Relative albedo of the facets.
+
+        Parameters
+        ----------
+        points_body_km : (n, 3) float64, km, body
+        facets : (n,) int64
+        barycentric : (n, 3) float64, optional
+            As for :meth:`Albedo.at`.
+
+        Returns
+        -------
+        (n,) float64
+        """
         found: Float = self.values[facets]
         return found
 
@@ -103,7 +119,24 @@ class VertexAlbedo(Value):
         Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """Values (n,) interpolated between the corners of the facets."""
+        """Relative albedo interpolated between the corners of the facets.
+
+        Parameters
+        ----------
+        points_body_km : (n, 3) float64, km, body
+        facets : (n,) int64
+        barycentric : (n, 3) float64, optional
+            As for :meth:`Albedo.at`.
+
+        Returns
+        -------
+        (n,) float64
+
+        Raises
+        ------
+        InputError
+            The facets of the mesh, or ``barycentric``, are missing.
+        """
         if self.faces is None or barycentric is None:
             missing = "the facets of its mesh: use mesh.with_albedo(...)" if self.faces is None else "barycentric"
             raise InputError(f"albedo by vertex needs {missing}")
@@ -118,7 +151,7 @@ class AlbedoMap(Value):
     Parameters
     ----------
     values : (rows, columns) float64
-        Values at the centers of the map's pixels; bilinear between them.
+        Values at the centers of the map's pixels, interpolated bilinearly.
     longitude_edges_rad : (float, float), rad
         East longitudes of the outer edges of the first and the last column; decreasing for a map that counts west.
         A full turn wraps around.
@@ -169,7 +202,19 @@ class AlbedoMap(Value):
         Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """Values (n,) of the map under the points."""
+        """Relative albedo of the map under the points.
+
+        Parameters
+        ----------
+        points_body_km : (n, 3) float64, km, body
+        facets : (n,) int64
+        barycentric : (n, 3) float64, optional
+            As for :meth:`Albedo.at`.
+
+        Returns
+        -------
+        (n,) float64
+        """
         x, y, z = np.moveaxis(as_floats(points_body_km, (3,), "points_body_km") - self.center_body_km, -1, 0)
         row, column, inside = self._place(np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)))
         rows, columns = self.values.shape
@@ -188,7 +233,17 @@ class AlbedoMap(Value):
         return np.where(inside, (1.0 - down) * above + down * below, self.outside)
 
     def translated(self, offset_body_km: ArrayLike) -> AlbedoMap:
-        """Return the map about a center moved by ``offset_body_km`` (3,)."""
+        """Return the map about another center.
+
+        Parameters
+        ----------
+        offset_body_km : (3,), km, body
+            Added to the center.
+
+        Returns
+        -------
+        AlbedoMap
+        """
         return replace(self, center_body_km=self.center_body_km + as_floats(offset_body_km, (3,), "offset_body_km"))
 
     @property
@@ -228,7 +283,11 @@ def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: Mask) -
     faces : (m, 3) int64
         The facets of the mesh.
     kept : (k,) bool
-        Which of the facets that were given they are.
+        True for each of the given facets that the mesh keeps.
+
+    Returns
+    -------
+    Albedo
 
     Raises
     ------
@@ -247,7 +306,18 @@ def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: Mask) -
 
 
 def hash_with_albedo(surface_sha256: str, albedo: Albedo | None) -> str:
-    """Hash of a shape from that of its surface; the same without an albedo."""
+    """Combine the hashes of a surface and its albedo.
+
+    Parameters
+    ----------
+    surface_sha256 : str
+    albedo : Albedo or None
+
+    Returns
+    -------
+    str
+        Hexadecimal; that of the surface where there is no albedo.
+    """
     if albedo is None:
         return surface_sha256
     return hashlib.sha256(f"{surface_sha256} with albedo {albedo.sha256}".encode()).hexdigest()

@@ -1,6 +1,6 @@
-"""What every shape answers, and the triaxial ellipsoid.
+"""Protocol of shapes, the triaxial ellipsoid and the point.
 
-A shape lives in body axes, km; its origin is what estimators call the center of the body.
+Shapes are in body axes, km; the origin is the center of the body for estimators.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Shape(Protocol):
 
     @property
     def name(self) -> str:
-        """How people call it: the stem of its file, for shapes that came from one."""
+        """Name of the shape: the stem of its file, for shapes that came from one."""
         ...
 
     @property
@@ -44,7 +44,7 @@ class Shape(Protocol):
 
     @property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
-        """The ellipsoid that stands for the shape where an estimator needs one."""
+        """Ellipsoid with the same second moments of volume, for estimators that need an ellipsoid."""
         ...
 
     @property
@@ -105,11 +105,20 @@ class Ellipsoid(Value):
 
     @property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
-        """The ellipsoid itself, at the origin."""
+        """The ellipsoid itself, at the origin of the body."""
         return PlacedEllipsoid(ellipsoid=self, center_body_km=np.zeros(3), body_from_axes=Rotation.identity())
 
     def with_albedo(self, albedo: Albedo | None) -> Ellipsoid:
-        """Return the same ellipsoid with another relative albedo."""
+        """Return the same ellipsoid with another relative albedo.
+
+        Parameters
+        ----------
+        albedo : Albedo or None
+
+        Returns
+        -------
+        Ellipsoid
+        """
         return replace(self, albedo=albedo)
 
 
@@ -137,10 +146,10 @@ class PlacedEllipsoid(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, weakref_slot=True)
 class Point:
-    """A body without extent at the origin: what a star-like target is, whose size and shape nobody knows.
+    """A body without extent at the origin: a star-like target of unknown size and shape.
 
-    Its light comes from its center whatever the phase, so that nothing is to be corrected. It has no limb, and no
-    ellipsoid stands for it.
+    Its light comes from its center at every phase angle, so that no correction applies. It has no limb and no
+    best-fit ellipsoid.
 
     Parameters
     ----------
@@ -151,22 +160,22 @@ class Point:
 
     @property
     def sha256(self) -> str:
-        """Hash of what defines it, the same for all points."""
+        """Hash, hexadecimal, the same for all points."""
         return hashlib.sha256(b"point").hexdigest()
 
     @property
     def circumscribing_radius_km(self) -> float:
-        """Zero."""
+        """Zero, km."""
         return 0.0
 
     @property
     def mean_radius_km(self) -> float:
-        """Zero."""
+        """Zero, km."""
         return 0.0
 
     @property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
-        """None stands for a point.
+        """Not defined for a point.
 
         Raises
         ------
@@ -177,10 +186,20 @@ class Point:
 
     @property
     def albedo(self) -> None:
-        """A point has no surface."""
+        """None: a point has no surface."""
         return
 
 
 def sphere(radius_km: ArrayLike, *, name: str = "sphere") -> Ellipsoid:
-    """Return the ellipsoid with three equal semi-axes ``radius_km``."""
+    """Make a sphere: an ellipsoid with three equal semi-axes.
+
+    Parameters
+    ----------
+    radius_km : float, km
+    name : str
+
+    Returns
+    -------
+    Ellipsoid
+    """
     return Ellipsoid(radii_km=np.full(3, radius_km, dtype=np.float64), name=name)

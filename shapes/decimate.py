@@ -1,4 +1,4 @@
-"""Fewer facets for the same body, and how far the surface moved by it."""
+"""Decimation of meshes, and the distances between two surfaces of one body."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from giantlike.shapes.defects import Defects, defects_of
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
-_MIN_FACETS = 4
-_MAX_SAMPLES = 20_000
-_CANDIDATES = 24
+_MIN_FACETS = 4  # a tetrahedron
+_MAX_SAMPLES = 20_000  # vertices of each mesh; their largest distance stands for that of all
+_CANDIDATES = 24  # facets nearest by centroid among which the nearest by distance is looked for
 _HASTES = (7, 6, 5, 8)
-"""How fast edges are merged; what tears a surface at one pace leaves it whole at another."""
+"""Aggressiveness of fast-simplification (7 is its default): a surface torn at one can stay whole at another."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviation:
-    """How far two surfaces of one body are from each other.
+    """Distances between two surfaces of one body.
 
     Parameters
     ----------
@@ -45,12 +45,12 @@ def decimated(mesh: TriangleMesh, facets: int) -> TriangleMesh:
     ----------
     mesh : TriangleMesh
     facets : int
-        How many to aim at; the result is as near below as the merging of edges comes.
+        Largest number of facets of the result, which comes as close to it as merging edges allows.
 
     Returns
     -------
     TriangleMesh
-        Of the same name; :func:`deviation` tells how far it is from the original. Albedo is left out.
+        With the same name, without albedo; see :func:`deviation` for its distance from the original.
 
     Raises
     ------
@@ -95,7 +95,11 @@ def deviation(first: TriangleMesh, second: TriangleMesh, *, samples: int = _MAX_
     ----------
     first, second : TriangleMesh
     samples : int
-        Of more vertices than this only so many, evenly spread over their order, are measured.
+        Largest number of vertices that are measured, evenly spread over their order.
+
+    Returns
+    -------
+    Deviation
 
     Raises
     ------
@@ -117,11 +121,20 @@ def deviation(first: TriangleMesh, second: TriangleMesh, *, samples: int = _MAX_
 
 
 def surface_distances(mesh: TriangleMesh, points_body_km: Float) -> Float:
-    """Distances (n,), km, of points (n, 3) from the surface of a mesh.
+    """Distances of points from the surface of a mesh.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    points_body_km : (n, 3) float64, km, body
+
+    Returns
+    -------
+    (n,) float64, km
 
     Notes
     -----
-    Looked for among the 24 facets with the nearest centroids: exact for facets of like size, never too small.
+    The nearest of the 24 facets with the nearest centroids: exact for facets of similar size, never too small.
     """
     centroids = mesh.vertices_km[mesh.faces].mean(axis=1)
     count = min(_CANDIDATES, len(mesh.faces))

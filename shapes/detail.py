@@ -1,4 +1,4 @@
-"""Levels of detail: several meshes of one body, of which a camera gets the coarsest that looks like the finest."""
+"""Levels of detail: meshes of one body, of which a camera sees the coarsest that looks like the finest."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from giantlike.shapes.base import PlacedEllipsoid
 from giantlike.shapes.decimate import decimated
 from giantlike.shapes.mesh import TriangleMesh
 
-_SAME_BODY = 0.1  # of the mean radius: coarse meshes lose volume, other bodies differ by more
-_FEWEST_FACETS = 1000
+_SAME_BODY = 0.1  # of the mean radius: coarse meshes lose volume; a body in other units differs by a factor of 1000
+_FEWEST_FACETS = 1000  # of the coarsest level
 _STEP = 4  # a facet of the next level is twice as long
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class LevelsOfDetail(Value):
-    """One body as meshes of several finenesses; everything but rays asks the finest.
+    """One body as meshes of several resolutions; all quantities but ray intersections come from the finest.
 
     Parameters
     ----------
     meshes : tuple of TriangleMesh
         From the coarsest to the finest.
     facet_px : float, px
-        Facets of up to this size are fine enough for a camera.
+        Largest size of the facets in an image; see the notes of :func:`levels_of_detail`.
 
     Raises
     ------
@@ -64,42 +64,52 @@ class LevelsOfDetail(Value):
 
     @property
     def finest(self) -> TriangleMesh:
-        """The mesh that all numbers come from."""
+        """The finest mesh."""
         return self.meshes[-1]
 
     @property
     def name(self) -> str:
-        """That of the finest mesh."""
+        """Name of the finest mesh."""
         return self.finest.name
 
     @property
     def sha256(self) -> str:
-        """Hash of those of the meshes and of the size of facets."""
+        """Hash of the hashes of the meshes and of the size of facets."""
         parts = [mesh.sha256 for mesh in self.meshes]
         return hashlib.sha256(" ".join(["levels", *parts, repr(self.facet_px)]).encode()).hexdigest()
 
     @property
     def circumscribing_radius_km(self) -> float:
-        """That of the largest mesh, km: coarse ones can reach over the finest."""
+        """Circumscribing radius of the largest mesh, km: coarse ones can reach beyond the finest."""
         return max(mesh.circumscribing_radius_km for mesh in self.meshes)
 
     @property
     def mean_radius_km(self) -> float:
-        """That of the finest mesh, km."""
+        """Mean radius of the finest mesh, km."""
         return self.finest.mean_radius_km
 
     @property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
-        """That of the finest mesh."""
+        """Best-fit ellipsoid of the finest mesh."""
         return self.finest.best_fit_ellipsoid
 
     @property
     def albedo(self) -> Albedo | None:
-        """That of the finest mesh; each level brings its own."""
+        """Relative albedo of the finest mesh; each level has its own."""
         return self.finest.albedo
 
     def for_scale(self, km_per_px: float) -> TriangleMesh:
-        """Return the coarsest mesh with facets of at most ``facet_px`` pixels of ``km_per_px``, else the finest."""
+        """Return the coarsest mesh with facets of at most ``facet_px`` pixels, else the finest.
+
+        Parameters
+        ----------
+        km_per_px : float, km
+            Size of a pixel at the body.
+
+        Returns
+        -------
+        TriangleMesh
+        """
         fine_enough = (size <= self.facet_px * km_per_px for size in self.facet_sizes_km)
         return next((mesh for mesh, fine in zip(self.meshes, fine_enough, strict=True) if fine), self.finest)
 
@@ -125,6 +135,10 @@ def levels_of_detail(
     simplify : callable
         Takes a mesh and a number of facets, and gives a mesh or an ``InputError``; each level is made from the next
         finer one or, where that fails, from the finest.
+
+    Returns
+    -------
+    LevelsOfDetail
 
     Raises
     ------
@@ -163,7 +177,17 @@ def _simplified(
 
 
 def facet_size_km(mesh: TriangleMesh) -> float:
-    """Edge, km, of an equilateral triangle as large as the facet at a place of the surface is on average."""
+    """Size of the facets of a mesh.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    float, km
+        Edge of an equilateral triangle of the mean area of facets, weighted with the area.
+    """
     mean_area_km2 = float(np.sum(mesh.areas_km2**2)) / mesh.area_km2
     return math.sqrt(4.0 / math.sqrt(3.0) * mean_area_km2)
 

@@ -1,4 +1,4 @@
-"""Bodies that no file is needed for: geodesic meshes of ellipsoids, and asteroids made up from a seed."""
+"""Generated bodies: geodesic meshes of ellipsoids, and synthetic asteroids from a seed."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.shapes.base import Ellipsoid
 from giantlike.shapes.mesh import Faces, TriangleMesh
 
-_MAX_FACETS = 20_000_000
-_CRATERS, _BOULDERS = 60, 500
-_CRATER_CHORD = (0.08, 0.55)  # rim radius over body radius
-_BOULDER_CHORD = (0.012, 0.045)
-_POWER_LAW = 2.0  # cumulative number of craters and boulders over size
+_MAX_FACETS = 20_000_000  # bounds the memory that a mistyped number can ask for
+# Relief of the synthetic asteroids: made up, no result of a real body depends on it.
+_CRATERS, _BOULDERS = 60, 500  # numbers of them
+_CRATER_CHORD = (0.08, 0.55)  # smallest and largest rim radius over body radius
+_BOULDER_CHORD = (0.012, 0.045)  # smallest and largest radius over body radius
+_POWER_LAW = 2.0  # exponent of the cumulative number of craters and boulders over size
 
 
 def mesh_from_ellipsoid(ellipsoid: Ellipsoid, *, facets: int = 20_480) -> TriangleMesh:
@@ -25,7 +26,11 @@ def mesh_from_ellipsoid(ellipsoid: Ellipsoid, *, facets: int = 20_480) -> Triang
     ----------
     ellipsoid : Ellipsoid
     facets : int
-        At least so many facets: the next larger of 20 k^2.
+        Smallest number of facets; the mesh has the next larger 20 k^2.
+
+    Returns
+    -------
+    TriangleMesh
     """
     directions, faces = geodesic_directions(facets)
     return TriangleMesh(directions * ellipsoid.radii_km, faces, f"{ellipsoid.name} (mesh)")
@@ -40,7 +45,7 @@ def irregular_body(
     roughness: float = 0.004,
     name: str | None = None,
 ) -> TriangleMesh:
-    """Make up a rubble-pile asteroid: lumps of low degree, craters with rims, boulders, fine roughness.
+    """Synthetic rubble-pile asteroid: lumps of low degree, craters with rims, boulders, fine roughness.
 
     The same seed and options give the same body everywhere. Every ray from the origin meets the surface
     once, and the origin is the center of figure.
@@ -51,12 +56,16 @@ def irregular_body(
     radii_km : (3,) float64, km, body
         Semi-axes of the ellipsoid under the relief.
     facets : int
-        At least so many facets: the next larger of 20 k^2.
+        Smallest number of facets; the mesh has the next larger 20 k^2.
     relief : float
         Standard deviation of the lumps, as a fraction of the local radius; craters scale with it.
     roughness : float
         Standard deviation of the roughness near facet size, same unit; boulders scale with it.
     name : str, optional
+
+    Returns
+    -------
+    TriangleMesh
 
     Raises
     ------
@@ -83,7 +92,19 @@ def irregular_body(
 
 
 def geodesic_directions(facets: int) -> tuple[Float, Faces]:
-    """Unit vectors (n, 3) and faces (m, 3) of an icosahedron whose facets are split k^2-fold, m = 20 k^2 >= facets.
+    """Geodesic grid of the sphere: an icosahedron whose facets are split k^2-fold.
+
+    Parameters
+    ----------
+    facets : int
+        Smallest number of facets.
+
+    Returns
+    -------
+    directions : (n, 3) float64, unitless
+        Unit vectors to the vertices.
+    faces : (m, 3) int64
+        With m the next larger 20 k^2.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The limb of a shape: where rays from a camera graze it, and how that place moves with the camera.
+"""The limb of a shape, where rays from a camera graze it, and its derivatives with respect to the camera.
 
 Pure geometry in body axes and float64. An ellipsoid has its limb in closed form; a mesh has it on silhouette edges,
 those between a facet that faces the camera and one that does not.
@@ -19,7 +19,7 @@ from giantlike.shapes.mesh import TriangleMesh
 
 Indices = NDArray[np.int64]
 
-_ALONG_AXIS = 1e-12
+_ALONG_AXIS = 1e-12  # sine of an angle below which float64 does not tell two directions apart in a cross product
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,7 +139,7 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices
 
 
 def limb_ellipse(ellipsoid: Ellipsoid, camera_body_km: Float) -> tuple[Float, Float, Float]:
-    """The limb of an ellipsoid as a curve.
+    """Limb of an ellipsoid as an ellipse in space.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def limb_ellipse(ellipsoid: Ellipsoid, camera_body_km: Float) -> tuple[Float, Fl
 
 
 def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, Indices]:
-    """Which segments in a plane cross which half-lines from its origin.
+    """Find the crossings of segments in a plane with half-lines from its origin.
 
     Parameters
     ----------
@@ -191,7 +191,20 @@ def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, 
 
 
 def largest_of_each(groups: Indices, values: Float, count: int) -> Indices:
-    """Number (count,) of the largest of ``values`` (p,) in each of ``groups`` (p,), -1 for an empty one."""
+    """Number of the largest value in each group.
+
+    Parameters
+    ----------
+    groups : (p,) int64
+        Group of each value, 0 to ``count`` - 1.
+    values : (p,) float64
+    count : int
+
+    Returns
+    -------
+    (count,) int64
+        -1 for an empty group.
+    """
     order = np.lexsort([values, groups])
     best = np.full(count, -1, dtype=np.int64)
     best[groups[order]] = order  # the last one written stays

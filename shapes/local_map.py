@@ -19,7 +19,7 @@ from giantlike.shapes.mesh import Faces, TriangleMesh
 
 Indices = NDArray[np.int64]
 
-_REACH = 0.1  # of the body's radius
+_REACH = 0.1  # of the radius of the body: more than the relief, less than the distance of the far side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,16 +75,39 @@ class LocalMap(Value):
         return 0.5 * (columns - 1) * self.spacing_km, 0.5 * (rows - 1) * self.spacing_km
 
     def mesh(self) -> TriangleMesh:
-        """The map alone: an open surface with two facets for each cell of the grid, in body axes."""
+        """Mesh of the map alone: an open surface with two facets for each cell of the grid, in body axes.
+
+        Returns
+        -------
+        TriangleMesh
+        """
         albedo = None if self.albedo is None else VertexAlbedo(self.albedo.ravel())
         return TriangleMesh(self.to_body(np.nan_to_num(self._grid())), self._faces(), self.name, albedo=albedo)
 
     def to_map(self, points_body_km: Float) -> Float:
-        """Points (n, 3), km, from body axes to those of the map."""
+        """Transform points from body axes to those of the map.
+
+        Parameters
+        ----------
+        points_body_km : (n, 3) float64, km, body
+
+        Returns
+        -------
+        (n, 3) float64, km, map
+        """
         return (points_body_km - self.center_body_km) @ self.body_from_map.as_matrix()
 
     def to_body(self, points_map_km: Float) -> Float:
-        """Points (n, 3), km, from the axes of the map to body axes."""
+        """Transform points from the axes of the map to body axes.
+
+        Parameters
+        ----------
+        points_map_km : (n, 3) float64, km, map
+
+        Returns
+        -------
+        (n, 3) float64, km, body
+        """
         return points_map_km @ self.body_from_map.as_matrix().T + self.center_body_km
 
     def _grid(self) -> Float:
@@ -114,8 +137,8 @@ def overlaid(body: TriangleMesh, maps: Sequence[LocalMap], *, reach_km: float | 
     maps : sequence of LocalMap
         With heights everywhere.
     reach_km : float, km, optional
-        How far below the lowest and above the highest height of a map the global surface may lie that it replaces;
-        None takes a tenth of the body's radius. What lies farther along z, such as the far side of the body, stays.
+        A map replaces the global surface from this far below its lowest height to this far above its highest; None
+        takes a tenth of the body's radius. Surface farther along z, such as the far side of the body, stays.
 
     Returns
     -------
@@ -130,7 +153,7 @@ def overlaid(body: TriangleMesh, maps: Sequence[LocalMap], *, reach_km: float | 
     Notes
     -----
     Over the rectangle of its grid, along its z axis, a map is the only surface: global facets under or over it
-    are cut along the four sides, and what is inside is taken away. Nothing of the body is left to shine through a map
+    are cut along the four sides, and the inner parts are taken away. Nothing of the body is left to shine through a map
     or to shade it. The seam is a wall along those sides: from both cut edges it hangs down, deeper than the surfaces
     differ there. Where map and body do not meet in height the wall shows as a step, as high as the difference;
     elsewhere it is inside the body. Light does not leak in, but the surface is closed to the eye only: it has border

@@ -1,4 +1,4 @@
-"""The numbers of a shape: size, volume, center, axes and moments of inertia."""
+"""Size, volume, center, axes and moments of inertia of a mesh."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from giantlike.shapes.mesh import TriangleMesh
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures(Value):
-    """What a mesh measures, body axes, uniform density.
+    """Size, volume and moments of a mesh, body axes, uniform density.
 
     Parameters
     ----------
     facets, vertices : int
-        Vertices count only where a facet uses them.
+        Numbers of them; vertices count only where a facet uses them.
     extents_km : (3,) float64, km
         Size along body x, y and z.
     volume_km3, area_km2 : float
@@ -53,6 +53,14 @@ class Measures(Value):
 
 def measured(mesh: TriangleMesh) -> Measures:
     """Measure a mesh.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    Measures
 
     Raises
     ------

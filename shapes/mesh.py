@@ -1,4 +1,4 @@
-"""A closed surface made of triangles."""
+"""Triangle meshes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 Faces = NDArray[np.int64]
 Indices = NDArray[np.int64]
 
-_OPEN = 0.2  # sum of area vectors over area: a surface that is more open than this has no inside
+_OPEN = 0.2  # sum of area vectors over area: above it a surface counts as a sheet, which has no inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,19 @@ class TriangleMesh(Value):
         )
 
     def barycentric(self, points_body_km: ArrayLike, facets: Indices) -> Float:
-        """Weights (n, 3) of the corners of facets (n,) at points (n, 3), km, that lie on them; they sum to 1."""
+        """Barycentric coordinates of points on facets.
+
+        Parameters
+        ----------
+        points_body_km : (n, 3), km, body
+        facets : (n,) int64
+            The facets that the points lie on.
+
+        Returns
+        -------
+        (n, 3) float64
+            Weights of the three corners, which sum to 1.
+        """
         points = as_floats(points_body_km, (3,), "points_body_km")
         a, b, c = (self.vertices_km[self.faces[facets, corner]] for corner in range(3))
         twice = 2.0 * self.areas_km2[facets]
@@ -188,6 +200,14 @@ class TriangleMesh(Value):
     def with_albedo(self, albedo: Albedo | None) -> TriangleMesh:
         """Return the same surface with another relative albedo, by its own facets or vertices.
 
+        Parameters
+        ----------
+        albedo : Albedo or None
+
+        Returns
+        -------
+        TriangleMesh
+
         Raises
         ------
         InputError
@@ -196,7 +216,17 @@ class TriangleMesh(Value):
         return TriangleMesh(self.vertices_km, self.faces, self.name, self._surface_hash, albedo)
 
     def translated(self, offset_body_km: ArrayLike) -> TriangleMesh:
-        """Return the mesh moved by ``offset_body_km`` (3,), hashed anew; its albedo moves with it."""
+        """Return the mesh at another place of the body axes, with a hash of its own; the albedo moves with it.
+
+        Parameters
+        ----------
+        offset_body_km : (3,), km, body
+            Added to the vertices.
+
+        Returns
+        -------
+        TriangleMesh
+        """
         offset = as_floats(offset_body_km, (3,), "offset_body_km")
         albedo = self.albedo.translated(offset) if isinstance(self.albedo, AlbedoMap) else self.albedo
         return TriangleMesh(self.vertices_km + offset, self.faces, self.name, albedo=albedo)

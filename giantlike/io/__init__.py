@@ -1,4 +1,4 @@
-"""Files to values and back: images, SPICE kernels, geometry and ephemeris tables."""
+"""Readers and writers of files: images, SPICE kernels, cameras, geometry and ephemeris tables."""
 
 from giantlike.core.atomic import write_bytes_atomic, write_text_atomic
 from giantlike.core.observer import ObserverState

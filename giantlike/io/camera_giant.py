@@ -149,7 +149,7 @@ def _matrix(single: dict[str, float], stored: Float | None) -> tuple[Float, floa
 
 
 def _upright(matrix: Float, lens: dict[str, float], turn: float) -> tuple[Float, dict[str, float]]:
-    """The same camera with axes turned about the boresight so that its rows depend on y alone."""
+    """Turn the axes of a camera about the boresight so that its rows depend on y alone."""
     if any(lens.get(key) for key in ("p1", "p2", "s1", "s2", "s3", "s4")):
         raise InputError("kyx together with decentering or prism terms can't be represented: convert in GIANT first")
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])

@@ -22,7 +22,7 @@ from giantlike.io.mission_frame import ImportedCamera
 
 # Order and possible numbers of distortion coefficients: OpenCV 4 documentation, module calib3d, "Detailed Description".
 _ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
-_COUNTS = (0, 4, 5, 8, 12, 14)
+_COUNTS = (0, 4, 5, 8, 12, 14)  # of coefficients, same source
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "K", "M1")
 _COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D", "D1")
 _WIDTH = ("image_width", "image_Width", "imageWidth", "width")

@@ -121,11 +121,17 @@ def camera_of_sip(
     Parameters
     ----------
     header : mapping of str to value
+        FITS keywords.
     columns, rows : int
         Size of the image.
     type_name : str
-        A key of :data:`~giantlike.camera_models.MODELS`.
+        Lens model, a key of :data:`~giantlike.camera_models.MODELS`.
     name : str
+        Name of the camera.
+
+    Returns
+    -------
+    SipCamera
 
     Raises
     ------

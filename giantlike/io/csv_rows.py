@@ -86,11 +86,36 @@ class CsvRow:
         return value
 
     def text(self, column: str) -> str | None:
-        """The cell's text, None when it is empty or there is no such column."""
+        """Text of a cell.
+
+        Parameters
+        ----------
+        column : str
+
+        Returns
+        -------
+        str or None
+            None when it is empty or there is no such column.
+        """
         return self.cells.get(column) or None
 
     def number(self, column: str) -> float | None:
-        """The cell as a finite number, None when it is empty or there is no such column."""
+        """Finite number of a cell.
+
+        Parameters
+        ----------
+        column : str
+
+        Returns
+        -------
+        float or None
+            None when it is empty or there is no such column.
+
+        Raises
+        ------
+        DataError
+            The text is no number, or not finite.
+        """
         text = self.text(column)
         if text is None:
             return None
@@ -103,7 +128,22 @@ class CsvRow:
         return value
 
     def vector(self, columns: Sequence[str]) -> Float | None:
-        """Numbers (n,) of columns that are filled together; None when all are empty."""
+        """Numbers of columns that are filled together.
+
+        Parameters
+        ----------
+        columns : sequence of str
+
+        Returns
+        -------
+        (n,) float64 or None
+            None when all are empty.
+
+        Raises
+        ------
+        DataError
+            Some are empty, or a text is no finite number.
+        """
         numbers = [self.number(column) for column in columns]
         filled = [number for number in numbers if number is not None]
         if not filled:
@@ -114,7 +154,22 @@ class CsvRow:
         return np.array(filled)
 
     def rotation(self, columns: Sequence[str]) -> Rotation | None:
-        """Rotation of four quaternion columns, scalar last; None when all are empty."""
+        """Rotation of four quaternion columns, scalar last.
+
+        Parameters
+        ----------
+        columns : sequence of str
+
+        Returns
+        -------
+        Rotation or None
+            None when all are empty.
+
+        Raises
+        ------
+        DataError
+            As for :meth:`vector`, or the norm is not 1 to 1e-3.
+        """
         values = self.vector(columns)
         if values is None:
             return None
@@ -124,7 +179,22 @@ class CsvRow:
             raise self.error(columns[0], f"{', '.join(columns)}: {error}") from error
 
     def direction(self, columns: Sequence[str]) -> Float | None:
-        """Unit vector (3,) of three columns that must be unit to 1e-3, normalized; None when all are empty."""
+        """Unit vector of three columns.
+
+        Parameters
+        ----------
+        columns : sequence of str
+
+        Returns
+        -------
+        (3,) float64 or None
+            Normalized; None when all are empty.
+
+        Raises
+        ------
+        DataError
+            As for :meth:`vector`, or the norm is not 1 to 1e-3.
+        """
         values = self.vector(columns)
         if values is None:
             return None
@@ -134,7 +204,17 @@ class CsvRow:
         return values / norm
 
     def et(self) -> float:
-        """Epoch of the columns ``et`` or ``epoch_utc``, TDB seconds past J2000; one of them must be filled."""
+        """Epoch of the columns ``et`` or ``epoch_utc``.
+
+        Returns
+        -------
+        float, TDB seconds past J2000
+
+        Raises
+        ------
+        DataError
+            Both are empty.
+        """
         et, epoch = self.number("et"), self.utc("epoch_utc")
         if et is not None:
             return et
@@ -143,7 +223,22 @@ class CsvRow:
         return et_from_time(epoch)
 
     def utc(self, column: str) -> Time | None:
-        """Epoch of an ISO 8601 UTC cell, None when it is empty or there is no such column."""
+        """Epoch of an ISO 8601 UTC cell.
+
+        Parameters
+        ----------
+        column : str
+
+        Returns
+        -------
+        Time or None
+            None when it is empty or there is no such column.
+
+        Raises
+        ------
+        DataError
+            The text is no such epoch.
+        """
         text = self.text(column)
         if text is None:
             return None

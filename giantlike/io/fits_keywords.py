@@ -1,4 +1,4 @@
-"""What FITS header keywords say about time, exposure, attitude and the place of the camera."""
+"""Time, exposure, attitude and position of the camera from FITS header keywords."""
 
 from __future__ import annotations
 
@@ -44,8 +44,18 @@ class Card:
 
 
 def fits_exposure_s(cards: Mapping[str, Card]) -> float | None:
-    """Exposure time, s: the first of ``XPOSURE``, ``EXPTIME``, ``EXPOSURE`` that is a number.
+    """Exposure time: the first of ``XPOSURE``, ``EXPTIME``, ``EXPOSURE`` that is a number.
 
+    Parameters
+    ----------
+    cards : mapping of str to Card
+
+    Returns
+    -------
+    float or None, s
+
+    Notes
+    -----
     They are seconds unless the comment names milliseconds (New Horizons writes ``EXPOSURE = 500 / Exposure
     Time (1 ms)``). ``NEAR-010`` of NEAR MSI is read in the same way.
     """
@@ -53,8 +63,21 @@ def fits_exposure_s(cards: Mapping[str, Card]) -> float | None:
 
 
 def fits_epoch(cards: Mapping[str, Card], exposure_s: float | None) -> Time | None:
-    """Mid-exposure epoch, or None where the header does not settle it.
+    """Mid-exposure epoch of a header.
 
+    Parameters
+    ----------
+    cards : mapping of str to Card
+    exposure_s : float or None, s
+        Exposure time, for headers with a start only.
+
+    Returns
+    -------
+    Time or None
+        None where the header does not determine it.
+
+    Notes
+    -----
     The first of these that is there and can be read:
 
     1. ``DATE-AVG``, ``MJD-AVG``: the middle, by the FITS standard;
@@ -92,7 +115,18 @@ def fits_epoch(cards: Mapping[str, Card], exposure_s: float | None) -> Time | No
 
 
 def fits_attitude(path: Path, cards: Mapping[str, Card]) -> Rotation | None:
-    """camera_from_inertial of :data:`QUATERNION_KEYS`, None when there are none of them.
+    """A priori attitude ``camera_from_inertial`` of :data:`QUATERNION_KEYS`.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    cards : mapping of str to Card
+
+    Returns
+    -------
+    Rotation or None
+        None when there are none of them.
 
     Raises
     ------
@@ -109,16 +143,31 @@ def fits_attitude(path: Path, cards: Mapping[str, Card]) -> Rotation | None:
 
 
 def fits_observer(path: Path, cards: Mapping[str, Card], epoch: Time | None) -> ObserverState | None:
-    """State of the spacecraft with respect to the solar system barycenter, None when the header has none.
+    """State of the spacecraft with respect to the solar system barycenter.
 
-    Read from :data:`OBSERVER_KEYS`; else from ``SPCSSCX ... SPCSSCVZ`` (New Horizons), the vector from the
-    spacecraft to where the Sun was one light time ago, to which the Sun's own barycentric state of that
-    time is added.
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    cards : mapping of str to Card
+    epoch : Time or None
+        Mid-exposure.
+
+    Returns
+    -------
+    ObserverState or None
+        None when the header has none.
 
     Raises
     ------
     DataError
         Some of :data:`OBSERVER_KEYS` are missing.
+
+    Notes
+    -----
+    Read from :data:`OBSERVER_KEYS`; else from ``SPCSSCX ... SPCSSCVZ`` (New Horizons), the vector from the
+    spacecraft to where the Sun was one light time ago, to which the Sun's own barycentric state of that
+    time is added.
     """
     values = _group(path, cards, OBSERVER_KEYS)
     if values is not None:
@@ -140,7 +189,7 @@ def _sun_state(epoch: Time) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _role_of_date_obs(cards: Mapping[str, Card]) -> str:
-    """What the comment of DATE-OBS says it is: ``middle``, ``start`` (the default) or ``unclear``."""
+    """Meaning of DATE-OBS by its comment: ``middle``, ``start`` (the default) or ``unclear``."""
     card = cards.get("DATE-OBS") or cards.get("MJD-OBS")
     comment = "" if card is None else card.comment.lower()
     if "mid" in comment:

@@ -1,4 +1,4 @@
-"""Epoch and exposure from VICAR and PDS3 labels, and the ways in which such labels write a time."""
+"""Epoch and exposure from VICAR and PDS3 labels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,17 @@ _VOYAGER_EXPOSURE = re.compile(r"\bEXP\s+(\d+(?:\.\d*)?)\s+MSEC\b")
 
 
 def utc_from_label(value: object) -> Time | None:
-    """Epoch of a UTC label value, ``2004-054T17:59:04.527Z`` or ``2004-02-23T17:59:04.527``; None for anything else."""
+    """Epoch of a UTC label value, ``2004-054T17:59:04.527Z`` or ``2004-02-23T17:59:04.527``.
+
+    Parameters
+    ----------
+    value : object
+
+    Returns
+    -------
+    Time or None
+        None for anything else.
+    """
     text = str(value).strip()
     day_of_year = _DAY_OF_YEAR.fullmatch(text)
     if day_of_year is not None:
@@ -33,19 +43,38 @@ def utc_from_label(value: object) -> Time | None:
 
 
 def midpoint(start: Time, stop: Time) -> Time:
-    """Epoch halfway between two."""
+    """Epoch halfway between two.
+
+    Parameters
+    ----------
+    start, stop : Time
+
+    Returns
+    -------
+    Time
+    """
     return start + 0.5 * (stop - start)
 
 
 def delayed(epoch: Time, seconds: float) -> Time:
-    """``epoch`` plus ``seconds``, elapsed time (a leap second counts)."""
+    """Add elapsed time, in which a leap second counts, to an epoch.
+
+    Parameters
+    ----------
+    epoch : Time
+    seconds : float, s
+
+    Returns
+    -------
+    Time
+    """
     from astropy.time import TimeDelta
 
     return epoch + TimeDelta(seconds, format="sec")
 
 
 def label_exposure_s(label: Mapping[str, HeaderValue], units: Mapping[str, str]) -> float | None:
-    """Exposure time, s, of a label.
+    """Exposure time of a label.
 
     Parameters
     ----------
@@ -54,6 +83,11 @@ def label_exposure_s(label: Mapping[str, HeaderValue], units: Mapping[str, str])
     units : mapping of str to str
         Units that the label states, by item name; without one ``EXPOSURE_DURATION`` is in milliseconds,
         as the PDS3 data dictionary has it (the VICAR labels of Cassini ISS follow it).
+
+    Returns
+    -------
+    float or None, s
+        None where the label does not state it.
 
     Notes
     -----
@@ -72,8 +106,22 @@ def label_exposure_s(label: Mapping[str, HeaderValue], units: Mapping[str, str])
 
 
 def label_epoch(label: Mapping[str, HeaderValue], exposure_s: float | None) -> Time | None:
-    """Mid-exposure epoch of a label, or None where the label does not settle it.
+    """Mid-exposure epoch of a label.
 
+    Parameters
+    ----------
+    label : mapping
+        Label items by name.
+    exposure_s : float or None, s
+        Exposure time, for labels with a start only.
+
+    Returns
+    -------
+    Time or None
+        None where the label does not determine it.
+
+    Notes
+    -----
     Read, in this order: ``IMAGE_MID_TIME``; the middle of ``START_TIME`` and ``STOP_TIME``; ``START_TIME``
     plus half the exposure; for Galileo SSI ``IMAGE_TIME`` or the ``SCET...`` items, which are the center of
     the exposure. ``IMAGE_TIME`` of other cameras is not read (for Cassini it is the closing of the shutter),

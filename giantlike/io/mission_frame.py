@@ -1,4 +1,4 @@
-"""Camera models with other axes than ours: turned into ours, the mission's own frame remembered as a rotation."""
+"""Camera models of missions with other axes, converted to ours; the mission's own frame is kept as a rotation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from giantlike.camera_models.affine import AffineModel
 from giantlike.core.arrays import require
 
 Boresight = Literal["+z", "-z"]
-"""Which way the z axis of a mission's camera frame points: to the scene, or into the camera."""
+"""Direction of the z axis of a mission's camera frame: to the scene, or into the camera."""
 
 _LETTERS_X = ("fx_px", "p2", "s1", "s2", "e6")
 _LETTERS_Y = ("fy_px", "skew_px", "p1", "s3", "s4", "e5")
@@ -28,17 +28,17 @@ class ImportedCamera:
     Parameters
     ----------
     name : str
-        As the file calls it.
+        Name in the file.
     model : CameraModel
     columns, rows : int, optional
-        Size of the detector, where the file tells it.
+        Size of the detector, where the file states it.
     camera_from_mission : Rotation
         Takes vectors in the mission's camera frame (that of its pointing kernels) to ours.
     rows_reversed : bool
         The model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a mirrored image,
         which no rotation explains.
     ignored : tuple of str
-        What the file holds and the model does not.
+        Names of the parameters in the file that the model does not have.
     """
 
     name: str
@@ -59,7 +59,7 @@ def from_mission_frame(
     rows: int | None = None,
     boresight: Boresight | None = None,
 ) -> ImportedCamera:
-    """Turn a model whose focal lengths may be negative into one with +x along columns, +y along rows, +z forward.
+    """Convert a model whose focal lengths may be negative to one with +x along columns, +y along rows, +z forward.
 
     Parameters
     ----------
@@ -71,9 +71,13 @@ def from_mission_frame(
     columns, rows : int, optional
         Size of the detector.
     boresight : {"+z", "-z"}, optional
-        Which way the mission's z axis points. The gnomonic equations, with x/z and y/z, do not tell. By default the
-        sense in which the image is not mirrored: "+z" when the signs of both focal lengths agree, else "-z", where
+        Direction of the mission's z axis, which the gnomonic equations, with x/z and y/z, leave open. By default the
+        one for which the image is not mirrored: "+z" when the signs of both focal lengths agree, else "-z", where
         the frames differ by half a turn about x or y.
+
+    Returns
+    -------
+    ImportedCamera
 
     Raises
     ------

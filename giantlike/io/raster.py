@@ -26,7 +26,7 @@ _JPEG_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 # Tags of the TIFF 6.0 specification (Adobe, 1992): Orientation, PhotometricInterpretation; offsets and byte counts of
 # strips, of tiles; struct codes of the unsigned integer types by their number (16 and 18 are BigTIFF's).
 _ORIENTATION, _PHOTOMETRIC = 274, 262
-_OFFSETS, _COUNTS = (273, 324), (279, 325)
+_OFFSETS, _COUNTS = (273, 324), (279, 325)  # of strips, of tiles
 _TIFF_UNSIGNED = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
 
 

@@ -53,7 +53,19 @@ class RawLayout:
 
 
 def label_count(label: Mapping[str, HeaderValue], key: str, default: int) -> int:
-    """Non-negative whole number of a label item, ``default`` where the label does not have it.
+    """Non-negative whole number of a label item.
+
+    Parameters
+    ----------
+    label : mapping
+        Label items by name.
+    key : str
+    default : int
+        Value where the label does not have the item.
+
+    Returns
+    -------
+    int
 
     Raises
     ------

@@ -80,7 +80,7 @@ def write_wcs(
 
 
 def _stored_from_below(cards: Mapping[str, str | int | float], rows: int) -> dict[str, str | int | float]:
-    """The same world coordinates for rows in the other order."""
+    """World coordinates for rows in the other order."""
     turned = dict(cards)
     turned["CRPIX2"] = rows + 1 - float(cards["CRPIX2"])
     for key, value in cards.items():

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 # Layout of a DAS file, bytes and words from 0: NAIF, "DAS Required Reading", sections on file and directory records.
 _RECORD_BYTES = 1024
-_COUNTS_AT, _FORMAT_AT = 68, 84
+_COUNTS_AT, _FORMAT_AT = 68, 84  # bytes, in the file record
 _BYTE_ORDER = {b"LTL-IEEE": "<i4", b"BIG-IEEE": ">i4"}
-_RANGES_AT, _TYPE_AT, _CLUSTERS_AT = 2, 8, 9
+_RANGES_AT, _TYPE_AT, _CLUSTERS_AT = 2, 8, 9  # words, in a directory
 _WORDS_PER_RECORD = np.array([1024, 128, 256])  # characters, reals, integers
 
 

@@ -1,4 +1,4 @@
-"""SPICE DSK files of type 2, triangular plates: read and written by CSPICE itself."""
+"""SPICE DSK files of type 2, triangular plates, read and written by CSPICE."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from giantlike.shapes.surface import Surface
 
 # Codes of NAIF's "DSK Required Reading": segment type, data classes, coordinate system.
 _DSK_TYPE = 2
-_SINGLE_VALUED, _GENERAL = 1, 2
-_LATITUDINAL = 1
+_SINGLE_VALUED, _GENERAL = 1, 2  # data classes
+_LATITUDINAL = 1  # coordinate system
 _VALID_YEARS = 100.0  # before and after J2000: a DSK must state times; shape models have none, and missions are within
 _FINE_SCALE, _COARSE_SCALE = 5.0, 4  # voxel over mean plate extent, coarse voxel over fine voxel
 _MOST_VOXELS = 3_000_000  # bounds the memory of the spatial index, which has several integers of 32 bit for each
