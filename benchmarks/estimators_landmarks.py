@@ -34,6 +34,7 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
+from giantlike.processing.pixel_box import BoxPixels
 from giantlike.ray_tracing import Body, FocalPlane, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative import SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.landmarks.matching import fit_patch
@@ -41,7 +42,6 @@ from giantlike.relative.landmarks.rendering import LandmarkRenderer, rays_for
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
 from giantlike.relative.landmarks.surface_features import LandmarkFix
 from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
-from giantlike.relative.template.fit import BoxPixels
 from giantlike.scene import Scene, Target
 from giantlike.shapes import irregular_body
 

@@ -75,7 +75,7 @@ def traced(body: Body) -> Trace:
 
 def bare_calls(body: Body, **options: Any) -> tuple[int, Callable[[], None]]:
     """How many rays a render casts, and a function that casts the same rays by embreex alone."""
-    surface = body.tracer._surface  # type: ignore[attr-defined]
+    surface = body.tracer._surface  # type: ignore[union-attr]
     run, calls = surface._run, []
 
     def recorded(origins: Any, directions: Any, **query: Any) -> Any:

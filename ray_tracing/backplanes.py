@@ -1,9 +1,9 @@
-"""What every pixel of an image looks at: body, facet, range, angles of light, longitude and latitude."""
+"""Backplanes: body, facet, range, angles of light, longitude and latitude at every pixel of an image."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from giantlike.ray_tracing.sampling import RayGrid, Tile
 from giantlike.ray_tracing.trace import View, view_of
 
 _RAYS_AT_A_TIME = 100_000
-"""Rays traced together; bounds the memory to some 50 MB."""
+"""Rays traced together, to bound the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,52 +104,33 @@ def trace_backplanes(
             tile = Tile(start, min(start + step, y.count), 0, x.count)
             window = slice(y.first + tile.start, y.first + tile.stop), slice(x.first, x.first + x.count)
             directions = grid.directions(tile)[:, :3].reshape(x.count, tile.rows, 3)
-            _fill(planes, window, number, view, np.swapaxes(directions, 0, 1))
+            _fill(
+                {name: values[window] for name, values in planes.items()}, number, view, np.swapaxes(directions, 0, 1)
+            )
     return Backplanes(**planes)
 
 
 def _blank(columns: int, rows: int) -> dict[str, NDArray[Any]]:
-    """Planes of a frame without bodies, still to be written."""
-
-    def unknown(*shape: int) -> Float:
-        return np.full((rows, columns, *shape), np.nan)
-
-    return {
-        "body": np.full((rows, columns), -1, np.int32),
-        "facet": np.full((rows, columns), -1, np.int32),
-        "range_km": unknown(),
-        "depth_km": unknown(),
-        "incidence_rad": unknown(),
-        "emission_rad": unknown(),
-        "phase_rad": unknown(),
-        "longitude_rad": unknown(),
-        "latitude_rad": unknown(),
-        "point_body_km": unknown(3),
-        "shadowed": np.zeros((rows, columns), bool),
-    }
+    """Planes of a frame without bodies."""
+    planes: dict[str, NDArray[Any]] = {field.name: np.full((rows, columns), np.nan) for field in fields(Backplanes)}
+    planes |= {name: np.full((rows, columns), -1, np.int32) for name in ("body", "facet")}
+    return planes | {"point_body_km": np.full((rows, columns, 3), np.nan), "shadowed": np.zeros((rows, columns), bool)}
 
 
-def _fill(
-    planes: Mapping[str, NDArray[Any]],
-    window: tuple[slice, slice],
-    number: int,
-    view: View,
-    directions: Float,
-) -> None:
-    """Write what a body shows along directions (h, w, 3), body axes, into a window of the planes, if it is nearest."""
+def _fill(planes: dict[str, NDArray[Any]], number: int, view: View, directions: Float) -> None:
+    """Write a body along directions (h, w, 3), body axes, into its part of the planes, where it is nearest."""
     body, sun, camera_km = view.body, view.sun_body[:3], view.body.camera_body_km
     rays = directions.reshape(-1, 3)
     hits = body.tracer.intersect(camera_km, rays)
     range_km = np.linalg.norm(hits.points_km - camera_km, axis=1)
-    before = planes["range_km"][window].reshape(-1)
-    nearest = np.flatnonzero(hits.hit & ~(range_km >= before))
+    nearest = np.flatnonzero(hits.hit & ~(range_km >= planes["range_km"].reshape(-1)))
     points, normals, rays = hits.points_km[nearest], hits.normals[nearest], rays[nearest]
     shadowed = body.tracer.shadowed(hits, sun)[nearest]
     for neighbor in view.neighbors:
         if neighbor.shades:
             shadowed |= neighbor.dark(points, sun)
     values = {
-        "body": np.full(nearest.size, number, np.int32),
+        "body": number,
         "facet": hits.facets[nearest],
         "range_km": range_km[nearest],
         "depth_km": (body.to_camera(points) + body.position_camera_km)[:, 2],
@@ -161,9 +142,9 @@ def _fill(
         "point_body_km": points,
         "shadowed": shadowed,
     }
-    rows, columns = np.unravel_index(nearest, directions.shape[:2])
+    place = np.unravel_index(nearest, directions.shape[:2])
     for name, value in values.items():
-        planes[name][window][rows, columns] = value
+        planes[name][place] = value
 
 
 def _angle(first: Float, second: Float) -> Float:

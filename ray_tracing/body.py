@@ -60,7 +60,7 @@ class Body(Value):
 
     @property
     def tracer(self) -> Tracer:
-        """The shape made ready for rays, the finest of several levels; kept with the shape."""
+        """The shape prepared for rays, the finest of several levels; cached with the shape."""
         return tracer_for(self.shape.finest if isinstance(self.shape, LevelsOfDetail) else self.shape)
 
     def seen_by(self, model: CameraModel) -> Body:
@@ -68,6 +68,14 @@ class Body(Value):
 
         Of several levels of detail that is the one for the pixels at the near side of the body; for a point a sphere of
         a thousandth of a pixel. Any other shape is itself.
+
+        Parameters
+        ----------
+        model : CameraModel
+
+        Returns
+        -------
+        Body
         """
         shape, range_km = self.shape, float(np.linalg.norm(self.position_camera_km))
         if isinstance(shape, LevelsOfDetail):
@@ -78,11 +86,30 @@ class Body(Value):
         return self
 
     def at(self, position_camera_km: ArrayLike) -> Body:
-        """Return the same body elsewhere."""
+        """Return the same body at another position.
+
+        Parameters
+        ----------
+        position_camera_km : (3,), km, camera axes
+
+        Returns
+        -------
+        Body
+        """
         return replace(self, position_camera_km=np.asarray(position_camera_km, dtype=np.float64))
 
     def turned(self, turn: Rotation) -> Body:
-        """Return the same body as seen by a camera turned about itself: position and attitude turn together."""
+        """Return the same body as seen by a camera turned about itself: position and attitude turn together.
+
+        Parameters
+        ----------
+        turn : Rotation
+            From the camera axes to those of the turned camera.
+
+        Returns
+        -------
+        Body
+        """
         return replace(
             self,
             position_camera_km=rotate(turn, self.position_camera_km),
@@ -90,29 +117,77 @@ class Body(Value):
         )
 
     def to_body(self, vectors_camera: Float) -> Float:
-        """Rotate vectors (..., 3) from camera to body axes."""
+        """Rotate vectors from camera to body axes.
+
+        Parameters
+        ----------
+        vectors_camera : (..., 3) float64
+
+        Returns
+        -------
+        (..., 3) float64
+        """
         return vectors_camera @ self.camera_from_body.as_matrix()
 
     def to_camera(self, vectors_body: Float) -> Float:
-        """Rotate vectors (..., 3) from body to camera axes."""
+        """Rotate vectors from body to camera axes.
+
+        Parameters
+        ----------
+        vectors_body : (..., 3) float64
+
+        Returns
+        -------
+        (..., 3) float64
+        """
         return vectors_body @ self.camera_from_body.as_matrix().T
 
     def center_px(self, model: CameraModel) -> Float:
-        """Pixel (2,) of the origin of the shape in the distorted image; NaN where the model cannot image it."""
+        """Project the origin of the shape.
+
+        Parameters
+        ----------
+        model : CameraModel
+
+        Returns
+        -------
+        (2,) float64, px
+            In the distorted image; NaN where the model cannot image it.
+        """
         return model.project(self.position_camera_km)
 
     def hull_px(self, model: CameraModel) -> Float:
-        """Pixels (k, 2) of points whose hull holds the body; NaN for those that the model cannot image."""
+        """Project points whose convex hull contains the body.
+
+        Parameters
+        ----------
+        model : CameraModel
+
+        Returns
+        -------
+        (k, 2) float64, px
+            NaN for points that the model cannot image.
+        """
         return model.project(self.to_camera(self.tracer.hull_points_km) + self.position_camera_km)
 
 
 def suns_of(bodies: Sequence[Body], sun_direction_camera: ArrayLike) -> Float:
-    """One Sun direction (n, 3) for each of n bodies, from one for all (3,) or n of them.
+    """Return one Sun direction for each body.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        n of them.
+    sun_direction_camera : (3,) or (n, 3), unitless, camera axes
+
+    Returns
+    -------
+    (n, 3) float64
 
     Raises
     ------
     InputError
-        There are more or less.
+        There are more or less than n.
     """
     suns = as_floats(sun_direction_camera, (3,), "sun_direction_camera")
     fits = suns.shape in ((3,), (len(bodies), 3))
@@ -121,7 +196,16 @@ def suns_of(bodies: Sequence[Body], sun_direction_camera: ArrayLike) -> Float:
 
 
 def sun_in_body(body: Body, sun_direction_camera: ArrayLike) -> Float:
-    """Unit vector (3,) from body to Sun in body axes.
+    """Return the unit vector from body to Sun in body axes.
+
+    Parameters
+    ----------
+    body : Body
+    sun_direction_camera : (3,), unitless, camera axes
+
+    Returns
+    -------
+    (3,) float64, unitless, body axes
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The light of a whole sphere under a reflectance law: its brightness at each phase angle, and where its light lies."""
+"""Light of a whole sphere under a reflectance law: its mean brightness and its photocenter."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from giantlike.core.arrays import Float, as_floats, require
 from giantlike.ray_tracing.reflectance import Reflectance
 
-_NODES = 96
+_NODES = 96  # of the quadrature along either side of the mirror meridian: right to 1e-9 for smooth laws
 
 
 def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
@@ -49,7 +49,7 @@ def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
 
 
 def disk_photocenter(law: Reflectance, phase_rad: ArrayLike) -> Float:
-    """Where the light of a far sphere lies, from its center towards the Sun in the image.
+    """Photocenter of a far sphere, from its center towards the Sun in the image.
 
     Parameters
     ----------

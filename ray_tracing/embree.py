@@ -1,6 +1,6 @@
-"""Intel Embree through embreex, called directly: the one module that knows its traps.
+"""Intel Embree through embreex, called directly: the only module that depends on its peculiarities.
 
-Rays are float32, with any strides; ``tnear`` is 0; shapes are not checked by Embree and an occlusion query has no
+Rays are float32, of any strides; ``tnear`` is 0; shapes are not checked by Embree and an occlusion query has no
 useful output but its answer (0 = blocked, -1 = clear).
 """
 
@@ -21,8 +21,8 @@ Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
 Number = TypeVar("Number", np.float32, np.float64)
 
-_ADDED_ROWS = 256
-_BLAS_ROWS = 2048  # of four: few enough that BLAS does not start threads of its own
+_ADDED_ROWS = 256  # rows added at a time, see moved
+_BLAS_ROWS = 2048  # rows of four in a product: few enough that BLAS does not start threads of its own
 
 
 class EmbreeSurface:
@@ -50,7 +50,7 @@ class EmbreeSurface:
         return answer["primID"], answer["tfar"]
 
     def first_hit_inside(self, origins: Float32, directions: Float32) -> tuple[Int32, Float32, Float32]:
-        """As :meth:`first_hit`, and the least barycentric weight (n,) of each hit: how far inside its facet it is."""
+        """Return :meth:`first_hit` and the least barycentric weight (n,) of each hit: 0 on an edge of its facet."""
         if len(_checked(origins, directions)) == 0:
             return np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32)
         answer = self._run(origins, directions, query="INTERSECT", output=True)
@@ -58,7 +58,7 @@ class EmbreeSurface:
         return answer["primID"], answer["tfar"], np.minimum(np.minimum(second, third), 1.0 - second - third)
 
     def occluded(self, origins: Float32, directions: Float32) -> Mask:
-        """Whether anything lies on each ray (n, 3), however far."""
+        """Return True (n,) where anything lies on a ray (n, 3), however far."""
         if len(_checked(origins, directions)) == 0:
             return np.zeros(0, bool)
         blocked: Mask = self._run(origins, directions, query="OCCLUDED") == 0

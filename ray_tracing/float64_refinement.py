@@ -1,4 +1,4 @@
-"""Rays that pass beside the facet that float32 gave them: met with the facets around in float64.
+"""Refinement in float64 of hits near an edge, where float32 may have chosen the wrong facet.
 
 Embree decides between two facets in float32, 1e-7 of the body's radius to either side of their edge. Where the decision
 was wrong, the point on the plane of the facet lies off the facet, and on a facet seen at a glancing angle far off.
@@ -15,15 +15,24 @@ from giantlike.ray_tracing.embree import EmbreeSurface
 Indices = NDArray[np.int64]
 
 _INSIDE = -1e-9  # barycentric weights of points on an edge, rounded
-_RINGS = (3e-7, 2e-6)  # of the radius: how far beside the ray facets are looked for; float32 resolves 6e-8
-_TURNS = np.arange(8) * (np.pi / 4.0)
+_RINGS = (3e-7, 2e-6)  # of the radius, distances from the ray at which facets are searched; float32 resolves 6e-8
+_TURNS = np.arange(8) * (np.pi / 4.0)  # rad, directions from the ray in which they are searched
 _AROUND = np.concatenate([ring * np.column_stack([np.cos(_TURNS), np.sin(_TURNS)]) for ring in _RINGS])
 
 
 def facet_distances(corners_km: Float, starts_km: Float, directions: Float) -> Float:
-    """Distances (...,) along rays to facets with ``corners_km`` (..., 3, 3), infinite where they pass beside them.
+    """Distances along rays to facets.
 
-    Starts and directions (..., 3) have the leading axes of the corners.
+    Parameters
+    ----------
+    corners_km : (..., 3, 3) float64, km
+    starts_km, directions : (..., 3) float64
+        Leading axes are those of the corners.
+
+    Returns
+    -------
+    (...) float64
+        In lengths of the direction; infinite where a ray misses its facet.
 
     References
     ----------
@@ -43,9 +52,23 @@ def facet_distances(corners_km: Float, starts_km: Float, directions: Float) -> F
 def facets_around(
     surface: EmbreeSurface, vertices_km: Float, faces: Indices, starts_km: Float, directions: Float, radius_km: float
 ) -> tuple[Indices, Float]:
-    """The facets (k,) that rays really meet first, and their distances (k,); infinite where none around is met.
+    """Facets near rays that they meet first, in float64.
 
-    Rays have ``starts_km`` and unit ``directions`` (k, 3).
+    Parameters
+    ----------
+    surface : EmbreeSurface
+    vertices_km : (v, 3) float64, km
+    faces : (f, 3) int64
+    starts_km, directions : (k, 3) float64
+        Directions are unit vectors.
+    radius_km : float, km
+        Of the body.
+
+    Returns
+    -------
+    facets : (k,) int64
+    distances_km : (k,) float64
+        Infinite where no facet nearby is met.
     """
     sideways = unit(np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)]))
     plane = np.stack([sideways, np.cross(directions, sideways)], axis=1)

@@ -17,7 +17,6 @@ from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.sampling import Cells
 from giantlike.ray_tracing.trace import View, trace_rays, view_of
 
-_TILE_PX = 16  # side of the squares over which directions are parabolas; see _ray_axes for their error
 _SPLINE_PX = 2  # reach of the cubic B-spline that samples the image, from the nearest pixel
 _UNEVEN = 0.1  # difference between neighboring rays over the brightest, from which a pixel gets all of its rays
 _COARSER = 6.0  # rays along a pixel where light is uneven over those elsewhere
@@ -159,7 +158,7 @@ def _pixels_near(places_px: Float, size_px: tuple[int, int], reach_px: int) -> N
 
 
 def _uneven(pixels: NDArray[np.int64], light: Float) -> Mask:
-    """Which of the pixels (n, 2) are unevenly bright, by rays (n, k) in them and in the pixels around."""
+    """Return True (n,) for pixels (n, 2) that are unevenly bright, by rays (n, k) in them and in the pixels around."""
     first = pixels.min(axis=0)
     x, y = (pixels - first).T
     shape = int(y.max()) + 1, int(x.max()) + 1
@@ -172,40 +171,9 @@ def _uneven(pixels: NDArray[np.int64], light: Float) -> Mask:
 
 
 def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:
-    """Directions of pixels (n, 2), camera axes: the center's, and how it changes along x and along y, (n, 3, 3).
-
-    Through the directions of nine places in each tile of the frame: a camera model is a parabola over so few pixels,
-    to 1e-5 px where the focal length is a thousand. Where the model has no direction at one of those, each pixel's own
-    is taken.
-    """
-    tile = pixels // _TILE_PX
-    first, span = tile.min(axis=0), np.ptp(tile, axis=0) + 1
-    place = (tile[:, 1] - first[1]) * span[0] + tile[:, 0] - first[0]
-    used = np.flatnonzero(np.bincount(place))
-    which = np.searchsorted(used, place)
-    tiles = np.stack([used % span[0], used // span[0]], axis=-1) + first
-    nodes = np.stack(np.meshgrid(*2 * (np.array([0.0, 0.5, 1.0]),), indexing="ij"), axis=-1) * _TILE_PX
-    known = model.unproject(tiles[:, None, None] * float(_TILE_PX) + nodes)  # (tiles, 3 along x, 3 along y, 3)
-    within = (pixels - tiles[which] * _TILE_PX) / _TILE_PX
-    value, slope = _parabolas(within)
-    own = known[which]
-    along = np.einsum("na,nabc->nbc", value[:, 0], own)
-    axes = np.empty((len(pixels), 3, 3))
-    axes[:, 0] = np.einsum("nb,nbc->nc", value[:, 1], along)
-    axes[:, 1] = np.einsum("nb,nbc->nc", value[:, 1], np.einsum("na,nabc->nbc", slope[:, 0], own)) / _TILE_PX
-    axes[:, 2] = np.einsum("nb,nbc->nc", slope[:, 1], along) / _TILE_PX
-    lost = np.flatnonzero(~np.isfinite(axes).all(axis=(1, 2)))
-    if lost.size:
-        axes[lost, 0] = model.unproject(pixels[lost].astype(np.float64))
-        axes[lost, 1:] = np.swapaxes(model.unproject_jacobian(pixels[lost].astype(np.float64)), 1, 2)
-    return axes
-
-
-def _parabolas(t: Float) -> tuple[Float, Float]:
-    """Lagrange polynomials (..., 3) through 0, 1/2 and 1 at ``t`` (...,), and their derivatives."""
-    value = np.stack([(2.0 * t - 1.0) * (t - 1.0), 4.0 * t * (1.0 - t), t * (2.0 * t - 1.0)], axis=-1)
-    slope = np.stack([4.0 * t - 3.0, 4.0 - 8.0 * t, 4.0 * t - 1.0], axis=-1)
-    return value, slope
+    """Directions of pixels (n, 2), camera axes: the center's, and its derivatives along x and along y, (n, 3, 3)."""
+    centers = pixels.astype(np.float64)
+    return np.stack([model.unproject(centers), *np.moveaxis(model.unproject_jacobian(centers), -1, 0)], axis=1)
 
 
 def _light(view: View, axes: Float, per_side: int) -> Float:

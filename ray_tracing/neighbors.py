@@ -1,4 +1,4 @@
-"""Other bodies of a scene, as one of them meets them: in front of it, or between it and the Sun."""
+"""Neighbors of a body in a scene: others that may stand before it, or between it and the Sun."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Neighbor(Value):
     offset_km : (3,) float64, km, axes of the neighbor
         From the origin of the neighbor to that of the body.
     hides, shades : bool
-        Whether it can stand before the body, and between body and Sun.
+        True if it can stand before the body, and between body and Sun.
     """
 
     tracer: Tracer
@@ -36,7 +36,19 @@ class Neighbor(Value):
     shades: bool
 
     def hidden(self, camera_body_km: Float, directions_body: Float, points_body_km: Float32) -> Mask:
-        """Whether the neighbor stands before points (k, 4) that the camera (3,) sees along (k, 4); body axes, km."""
+        """Return True for points that the neighbor hides.
+
+        Parameters
+        ----------
+        camera_body_km : (3,) float64, km, body axes
+        directions_body : (k, 4) float64, unitless, body axes
+            From the camera to the points.
+        points_body_km : (k, 4) float32, km, body axes
+
+        Returns
+        -------
+        (k,) bool
+        """
         camera_km = self.neighbor_from_body @ camera_body_km + self.offset_km
         hits = self.tracer.intersect(camera_km, directions_body[:, :3] @ self.neighbor_from_body.T)
         own_km2 = np.sum((points_body_km[:, :3] - camera_body_km) ** 2, axis=1)
@@ -44,7 +56,17 @@ class Neighbor(Value):
         return before
 
     def dark(self, points_body_km: Float32 | Float, to_sun_body: Float) -> Mask:
-        """Whether the neighbor stands between points (k, 3) or (k, 4), km, and the Sun, towards as many; body axes."""
+        """Return True for points in the shadow of the neighbor.
+
+        Parameters
+        ----------
+        points_body_km : (k, 3) or (k, 4), km, body axes
+        to_sun_body : (3,), (4,), (k, 3) or (k, 4), unitless, body axes
+
+        Returns
+        -------
+        (k,) bool
+        """
         starts = self._points(points_body_km)
         directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbor_from_body.T, starts.shape)
         return self.tracer.occluded(starts, directions)
@@ -55,9 +77,19 @@ class Neighbor(Value):
 
 
 def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbor]:
-    """The other bodies that can hide or shade body ``number``, judged by spheres around them.
+    """Return the other bodies that can hide or shade body ``number``, by the spheres around them.
 
-    ``sun_camera`` (3,) is the unit vector from that body to the Sun, camera axes.
+    Parameters
+    ----------
+    bodies : sequence of Body
+    number : int
+    sun_camera : (3,) float64, unitless, camera axes
+        Unit vector from that body to the Sun.
+    sun_radius_rad : float, rad
+
+    Returns
+    -------
+    list of Neighbor
     """
     body = bodies[number]
     found = []
@@ -75,7 +107,7 @@ def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_rad
 
 
 def _hides(other: Body, body: Body) -> bool:
-    """Whether the sphere around one body may lie before that around another, seen from the camera."""
+    """Return True if the sphere around one body may lie before that around another, seen from the camera."""
     near, far = other.position_camera_km, body.position_camera_km
     radii_km = other.tracer.radius_km, body.tracer.radius_km
     ranges_km = float(np.linalg.norm(near)), float(np.linalg.norm(far))
@@ -88,7 +120,7 @@ def _hides(other: Body, body: Body) -> bool:
 
 
 def _shades(other: Body, body: Body, sun: Float, sun_radius_rad: float) -> bool:
-    """Whether the sphere around one body may lie between another and some of the Sun."""
+    """Return True if the sphere around one body may lie between another and some of the Sun."""
     offset_km = other.position_camera_km - body.position_camera_km
     reach_km = other.tracer.radius_km + body.tracer.radius_km
     ahead_km = float(offset_km @ sun)

@@ -1,4 +1,4 @@
-"""How a body is rendered: sampling, shadows and the size of the Sun."""
+"""Options of renders: sampling, shadows and the size of the Sun."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from giantlike.core.arrays import require
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderOptions:
-    """How finely and how far to render.
+    """Options of :func:`~giantlike.ray_tracing.render`.
 
     Parameters
     ----------
@@ -20,9 +20,9 @@ class RenderOptions:
         Rays across the narrow side of the body's outline, at least: a body smaller than a few pixels is
         sampled more finely than ``rays_per_pixel_side``.
     shadows : bool
-        Whether bodies cast shadows, on themselves and on each other.
+        True if bodies cast shadows, on themselves and on each other.
     margin_px : int, px
-        How far over the edges of the detector the template may reach: the search range of a correlation.
+        Margin around the detector that is rendered too: the search range of a correlation.
     jitter_seed : int, optional
         Send each ray through a random place of its cell instead of the center, so that a simulated truth and a
         template do not share their sampling.
@@ -32,9 +32,14 @@ class RenderOptions:
     sun_samples : int
         Points of the solar disk that each ray is bounced to, where the Sun is extended.
     sun_seed : int
-        Where in their strata those points lie; equal seeds give equal images.
+        Seed of the places of those points in their strata; equal seeds give equal images.
     threads : int
-        Threads that trace; the image is the same, to the last bit, for any number.
+        Number of threads; the image is the same, to the last bit, for any number.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
     """
 
     rays_per_pixel_side: int = 2
@@ -64,3 +69,4 @@ class RenderOptions:
 
 
 DEFAULT_OPTIONS = RenderOptions()
+"""Four rays a pixel and 256 across at least: see benchmarks/render_accuracy.py."""

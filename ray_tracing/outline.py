@@ -1,8 +1,8 @@
-"""The outline of a shape in the image without a ray: silhouette edges and limb ellipses, cut by lines in float64.
+"""Outline of a shape in the image without rays: silhouette edges and limb ellipses, intersected by lines in float64.
 
 Every ray that grazes a mesh meets a silhouette edge, and beyond the outermost one along a line there is only sky; the
-limb of an ellipsoid is an ellipse. Both are exact at any range. Where the camera model has no image of part of the
-outline, something may still lie beyond.
+limb of an ellipsoid is an ellipse. Both are exact at any range. Where the camera model images only part of the outline,
+part of the body may still lie beyond.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from giantlike.ray_tracing.tracer import Indices
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.limbs import crossings, largest_of_each, limb_ellipse, silhouette_edges
 
-_TURN = 2.0 * np.pi
-_NEWTON_STEPS = 4
-_ELLIPSE_CORNERS = 720
-_ACROSS = 1e-12  # of the length of an edge: less of it lies across the line
+_TURN = 2.0 * np.pi  # rad
+_NEWTON_STEPS = 4  # from the chord, with quadratic convergence: distortion hardly bends a single edge
+_ELLIPSE_CORNERS = 720  # chords of an ellipse to start from: half a degree
+_ACROSS = 1e-12  # of the length of an edge: with less of it across a line the edge lies along the line, to rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossings(Value):
-    """Where lines in the image leave a shape.
+    """Outermost intersections of lines in the image with a shape.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class EdgeOutline(Value):
 
     @classmethod
     def of(cls, body: Body, mesh: TriangleMesh, model: CameraModel) -> EdgeOutline:
-        """Silhouette edges of ``mesh``, the shape of ``body``."""
+        """Return the silhouette edges of ``mesh``, the shape of ``body``."""
         edges, facets = silhouette_edges(mesh, body.camera_body_km)
         vertices, corner = np.unique(edges, return_inverse=True)
         points = body.to_camera(mesh.vertices_km[vertices]) + body.position_camera_km
@@ -94,7 +94,7 @@ class EdgeOutline(Value):
         )
 
     def outermost(self, center_px: Float, angles_rad: Float) -> Crossings:
-        """The last crossing of each line from ``center_px`` (2,) at ``angles_rad`` (k,) with an imaged edge."""
+        """Return the last crossing of each line from ``center_px`` (2,) at ``angles_rad`` (k,) with an imaged edge."""
         which, line = crossings(self.starts_px - center_px, self.stops_px - center_px, angles_rad)
         steps = _steps(angles_rad)[line]
         fraction, slanted = self._cut(which, center_px, steps)
@@ -111,7 +111,7 @@ class EdgeOutline(Value):
         return _crossings(found, radii[best], points[best], normals, self.facets[which[best]])
 
     def _cut(self, which: Indices, center_px: Float, steps: Float) -> tuple[Float, Mask]:
-        """Fractions (p,) along edges at which they cross lines, and which edges do so at an angle.
+        """Fractions (p,) along edges at which they cross lines, and True (p,) for edges that do so at an angle.
 
         Without distortion the crossing is that of an edge and a plane; Newton steps do the rest.
         """
@@ -160,7 +160,7 @@ class EllipseOutline(Value):
 
     @classmethod
     def of(cls, body: Body, ellipsoid: Ellipsoid, model: CameraModel) -> EllipseOutline:
-        """The limb of ``ellipsoid``, the shape of ``body``; without corners when the camera is inside."""
+        """Return the limb of ``ellipsoid``, the shape of ``body``; without corners when the camera is inside."""
         middle, first, second = (body.to_camera(vector) for vector in limb_ellipse(ellipsoid, body.camera_body_km))
         middle = middle + body.position_camera_km
         turn = _TURN * np.arange(_ELLIPSE_CORNERS) / _ELLIPSE_CORNERS
@@ -172,7 +172,7 @@ class EllipseOutline(Value):
         return cls(model, middle, first, second, body.position_camera_km, matrix, pixels, complete)
 
     def outermost(self, center_px: Float, angles_rad: Float) -> Crossings:
-        """The last crossing of each line from ``center_px`` (2,) at ``angles_rad`` (k,) with the imaged limb."""
+        """Return the last crossing of each line from ``center_px`` (2,) at ``angles_rad`` (k,) with the imaged limb."""
         start = np.flatnonzero(finite_rows(self.corners_px) & finite_rows(np.roll(self.corners_px, -1, axis=0)))
         stop = (start + 1) % _ELLIPSE_CORNERS
         which, line = crossings(self.corners_px[start] - center_px, self.corners_px[stop] - center_px, angles_rad)
@@ -201,7 +201,16 @@ class EllipseOutline(Value):
 
 
 def outline_of(body: Body, model: CameraModel) -> EdgeOutline | EllipseOutline:
-    """The outline of a body's shape.
+    """Return the outline of a body.
+
+    Parameters
+    ----------
+    body : Body
+    model : CameraModel
+
+    Returns
+    -------
+    EdgeOutline or EllipseOutline
 
     Raises
     ------
@@ -212,7 +221,7 @@ def outline_of(body: Body, model: CameraModel) -> EdgeOutline | EllipseOutline:
         return EdgeOutline.of(body, body.shape, model)
     if isinstance(body.shape, Ellipsoid):
         return EllipseOutline.of(body, body.shape, model)
-    raise InputError(f"outlines are those of a TriangleMesh or an Ellipsoid, not of a {type(body.shape).__name__}")
+    raise InputError(f"an outline needs a TriangleMesh or an Ellipsoid, got a {type(body.shape).__name__}")
 
 
 def _crossings(found: Mask, radii: Float, points: Float, normals: Float, facets: Indices) -> Crossings:
@@ -230,7 +239,19 @@ def _steps(angles_rad: Float) -> Float:
 
 
 def projected_normals(model: CameraModel, points_camera_km: Float, normals_camera: Float) -> Float:
-    """Unit normals (k, 2) in the image of a surface seen edge-on: they take image to surface displacements."""
+    """Unit normals in the image of a surface seen edge-on.
+
+    Parameters
+    ----------
+    model : CameraModel
+    points_camera_km : (k, 3) float64, km, camera axes
+    normals_camera : (k, 3) float64, unitless, camera axes
+
+    Returns
+    -------
+    (k, 2) float64, unitless
+        A displacement along one is seen as a displacement along the normal of the surface.
+    """
     jacobian = model.project_jacobian(points_camera_km)
     gram = jacobian @ np.swapaxes(jacobian, -1, -2)
     sideways = (jacobian @ normals_camera[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""Where in the image rays start, which way they go, and how their light spreads over pixels."""
+"""Sampling of an image: cells, directions of the rays through them, and the spread of their light over pixels."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scipy.special import ndtr
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, unit
 
-PSF_REACH_SIGMA = 5.0
-_NODES = (9, 25)
+PSF_REACH_SIGMA = 5.0  # of the point spread function: less than 4e-6 of its light lies beyond
+_NODES = (9, 25)  # of the interpolation, tried in turn: enough for narrow fields and for strong distortion
 _DIRECTION_TOLERANCE_RAD = 1e-11  # 1e-7 px of 0.1 mrad
 _BLAS_PRODUCTS = 200_000  # few enough that BLAS does not start threads of its own
-_CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])
+_CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])  # places between the nodes, of the half width: uneven, both ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Cells:
 
     @classmethod
     def covering(cls, low_px: float, high_px: float, per_px: int) -> Cells:
-        """The cells that cover ``low_px`` to ``high_px``; at least one."""
+        """Return the cells that cover ``low_px`` to ``high_px``; at least one."""
         first = int(np.floor((low_px + 0.5) * per_px))
         return cls(first, max(int(np.ceil((high_px + 0.5) * per_px)) - first, 1), per_px)
 
@@ -50,10 +50,22 @@ class Cells:
         return (np.arange(self.count) + self.first + 0.5) / self.per_px - 0.5
 
     def spread(self, first_px: int, count_px: int, sigma_px: float) -> csr_matrix[np.float64]:
-        """How much light of each cell falls on each pixel: (count_px, count), columns sum to the cell's width in px.
+        """Share of the light of each cell that falls on each pixel.
 
-        The light of a cell is even over the cell, blurred by a Gaussian, and gathered over the pixel; all three
+        The light of a cell is even over the cell, blurred by a Gaussian, and summed over the pixel; all three
         exactly, by the second antiderivative of the Gaussian.
+
+        Parameters
+        ----------
+        first_px, count_px : int
+            First pixel and number of pixels.
+        sigma_px : float, px
+            Standard deviation of the Gaussian.
+
+        Returns
+        -------
+        (count_px, count) csr_matrix
+            Columns sum to the width of a cell, px.
         """
         half = 0.5 / self.per_px
         reach = PSF_REACH_SIGMA * sigma_px
@@ -186,7 +198,7 @@ class Interval:
 
     @classmethod
     def around(cls, points: Float, count: int) -> Interval:
-        """The interval that some points span."""
+        """Return the interval that points (n,) span."""
         low, high = float(points.min()), float(points.max())
         return cls(low, high if high > low else low + 1e-6, count)
 
@@ -220,7 +232,7 @@ def span(points_px: Float) -> tuple[Float, Float] | None:
 
 
 def finite_rows(points: Float) -> Mask:
-    """Which rows (n,) of an array (n, k) are finite throughout."""
+    """Return True for rows (n,) of an array (n, k) that are finite throughout."""
     return np.asarray(np.isfinite(points).all(axis=1))
 
 

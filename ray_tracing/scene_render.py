@@ -49,7 +49,16 @@ class SceneRender(Value):
         return self.weighted(np.ones(len(self.templates)))
 
     def weighted(self, weights: ArrayLike) -> Float:
-        """Sum (rows, columns) of all bodies, each times its own weight (n,): irradiance, say, or albedo."""
+        """Return the sum of all bodies, each times its own weight: irradiance, say, or albedo.
+
+        Parameters
+        ----------
+        weights : (n,)
+
+        Returns
+        -------
+        (rows, columns) float64
+        """
         factors = as_floats(weights, (len(self.templates),), "weights")
         frame = np.zeros((self.rows, self.columns))
         for factor, template in zip(factors, self.templates, strict=True):
@@ -58,7 +67,17 @@ class SceneRender(Value):
         return frame
 
     def coverage(self, number: int) -> Float:
-        """Fraction of each pixel of the frame (rows, columns) that body ``number`` covers, others before it cut out."""
+        """Return the fraction of each pixel of the frame that a body covers, others before it cut out.
+
+        Parameters
+        ----------
+        number : int
+            Of the body, in the order they were given.
+
+        Returns
+        -------
+        (rows, columns) float64
+        """
         template = self.templates[number]
         if isinstance(template, Failure):
             return np.zeros((self.rows, self.columns))

@@ -31,7 +31,7 @@ class Template(Value):
     corner_px : (2,) int64, px
         Image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame.
     center_px : (2,) float64, px
-        Where the origin of the shape projects, in the distorted image.
+        Projection of the origin of the shape, in the distorted image.
     photocenter_px : (2,) float64, px
         Centroid of the light before PSF and pixels, so that it holds for a body inside one pixel too.
     lit_fraction : float

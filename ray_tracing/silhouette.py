@@ -1,4 +1,4 @@
-"""Where the outline of a body lies in the image, and whether the Sun shines there."""
+"""Silhouette of a body: points of its outline in the image, their normals and light."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from giantlike.ray_tracing.sampling import finite_rows
 from giantlike.ray_tracing.tracer import Hits
 from giantlike.shapes import TriangleMesh
 
-_TANGENT_PX = 0.5
+_TANGENT_PX = 0.5  # px to either side over which a normal is taken: one pixel of the outline
 _FAR_FOCAL_LENGTHS = 10.0  # 84 deg off the axis of a pinhole camera
-_HALVINGS = 40
+_HALVINGS = 40  # of that distance, to find the end of the image: 1e-8 px where the focal length is a thousand
 _BEYOND = np.linspace(0.02, 1.0, 12)  # places between outline and the end of the image, as fractions
 
 
@@ -31,7 +31,7 @@ class Silhouette(Value):
     angles_rad : (k,) float64, rad
         Directions, from +x (columns) towards +y (rows).
     center_px : (2,) float64, px
-        Where the directions start.
+        Start of the directions.
     valid : (k,) bool
         False where the direction meets no edge that the camera can image; the other arrays hold NaN (False) there.
     points_px : (k, 2) float64, px
@@ -142,7 +142,7 @@ def _hits(body: Body, valid: Mask, points_camera_km: Float, edge: Crossings) -> 
 
 
 def _covered(body: Body, model: CameraModel, center_px: Float, angles_rad: Float, radii_px: Float) -> Mask:
-    """Which lines (k,) meet the body again beyond ``radii_px``, up to where the camera model ends."""
+    """Return True for lines (k,) that meet the body again beyond ``radii_px``, up to the end of the camera model."""
     steps = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)
     near, far = radii_px, radii_px + _FAR_FOCAL_LENGTHS * model.focal_length_px
     last = far.copy()

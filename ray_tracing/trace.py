@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,16 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.embree import Float32, dot, rows_of
 from giantlike.ray_tracing.neighbors import Neighbor
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.sun import disk_directions
 from giantlike.ray_tracing.tracer import Indices, Sight
 from giantlike.shapes import Shape, TriangleMesh
+
+_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # spreads points evenly over a disk, whatever their number
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -215,6 +217,42 @@ def surface_albedo(shape: Shape, points_km: Float, facets: NDArray[np.int64]) ->
         return np.ones(len(points_km))
     weights = shape.barycentric(points_km, facets) if isinstance(shape, TriangleMesh) else None
     return shape.albedo.at(points_km, facets, weights)
+
+
+def disk_directions(sun: Float, radius_rad: float, samples: int, first: Float, turn: Float) -> list[Float]:
+    """Directions to points of an evenly bright disk, as many for each of n rays.
+
+    Parameters
+    ----------
+    sun : (4,) float64, unitless
+        Unit vector to the center of the disk, and a zero.
+    radius_rad : float, rad
+        Angular radius of the disk.
+    samples : int
+        Rings of equal solid angle; each ray gets one point in each, a golden angle apart.
+    first, turn : (n,) float64 in [0, 1)
+        Random radial and angular offsets of the pattern of each ray.
+
+    Returns
+    -------
+    list of (n, 4) float64
+        Unit vectors and zeros, one array for each ring.
+
+    Notes
+    -----
+    Averaged over uniform ``first`` and ``turn``, the mean over the points is the mean over the disk.
+    """
+    smallest = int(np.argmin(np.abs(sun[:3])))
+    x_axis = unit(np.cross(sun[:3], np.eye(3)[smallest]))
+    across, along = (np.append(axis, 0.0) for axis in (x_axis, np.cross(sun[:3], x_axis)))
+    directions = []
+    for ring in range(samples):
+        cos_theta = 1.0 - (ring + first) / samples * (2.0 * math.sin(0.5 * radius_rad) ** 2)
+        sin_theta = np.sqrt((1.0 - cos_theta) * (1.0 + cos_theta))
+        angle = 2.0 * math.pi * turn + ring * _GOLDEN_ANGLE_RAD
+        x, y = sin_theta * np.cos(angle), sin_theta * np.sin(angle)
+        directions.append(x[:, None] * across + y[:, None] * along + cos_theta[:, None] * sun)
+    return directions
 
 
 def in_order(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> Iterator[Result]:

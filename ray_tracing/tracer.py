@@ -1,4 +1,4 @@
-"""Rays against shapes, in body axes and float64 at the border: Embree for meshes, algebra for ellipsoids.
+"""Intersection of rays and shapes in body axes: Embree for meshes, algebra for ellipsoids, float64 in the interface.
 
 The origin of every ray is first moved up to the sphere around the body, in float64; only then does it become the
 float32 that Embree takes. From a distant camera this is the difference between 1e-5 px and 1e-1 px.
@@ -10,7 +10,7 @@ import threading
 import weakref
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,21 +24,24 @@ from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
 Indices = NDArray[np.int64]
 
-_SPHERE_MARGIN = 1.0001
-_HULL_FACETS = 500
+_SPHERE_MARGIN = 1.0001  # radius of the sphere to which rays are moved, over that of the body: room for rounding
+_HULL_FACETS = 500  # directions of the points of a hull: they lie at most 1 % of the extent inside it
 _EDGE = 1e-5
-"""How near to an edge of a facet, across the ray and over the body radius, float32 may be wrong about the facet."""
-_SHADOW_OFFSET = 1e-6
-"""How far over the surface a shadow ray starts, as a fraction of the body radius.
+"""Distance to an edge of a facet, across the ray and over the body radius, within which float64 chooses the facet.
 
-Float32 resolves 6e-8: convex bodies have false shadows up to 1e-7, and none in 5e6 rays from 4e-7 on. What starts
-higher looks over low edges: 1e-5 moves the light of a rough body of 300 px by 0.005 px, 1e-6 by 0.0002 px.
+Float32 resolves 6e-8 of the radius; the rest is room for glancing rays.
+"""
+_SHADOW_OFFSET = 1e-6
+"""Height over the surface at which a shadow ray starts, as a fraction of the body radius.
+
+Float32 resolves 6e-8: convex bodies have false shadows up to 1e-7, and none in 5e6 rays from 4e-7 on. Rays that start
+higher pass over low edges: 1e-5 moves the light of a rough body of 300 px by 0.005 px, 1e-6 by 0.0002 px.
 """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits(Value):
-    """Where rays meet a surface first.
+    """First intersections of rays with a surface.
 
     Parameters
     ----------
@@ -59,7 +62,7 @@ class Hits(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight(Value):
-    """What a camera sees along the rays of an image: k of them meet the body.
+    """Surface seen by a camera along the rays of an image: k of them meet the body.
 
     Vectors are float32 with a fourth column of zeros, so that their rows move fast: see ``embree.padded``.
 
@@ -84,7 +87,7 @@ class Sight(Value):
     cos_emission: Float32
 
     def only(self, keep: Mask) -> Sight:
-        """The part that ``keep`` (k,) marks."""
+        """Return the part for which ``keep`` (k,) is True."""
         numbers = np.flatnonzero(keep)
         return Sight(
             self.rays.take(numbers),
@@ -95,49 +98,20 @@ class Sight(Value):
         )
 
 
-class Tracer(Protocol):
-    """A shape made ready for rays; body axes, km. Rays that are NaN miss."""
-
-    @property
-    def radius_km(self) -> float:
-        """Radius of a sphere about the origin that holds the body, km."""
-        ...
-
-    @property
-    def hull_points_km(self) -> Float:
-        """Points (k, 3), km, whose convex hull is that of the body, to about 1 % of its extent."""
-        ...
-
-    def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
-        """First hits of rays: origins (3,) or (n, 3), km, and directions (n, 3) of any length."""
-        ...
-
-    def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
-        """Whether rays meet the body at all (n,); origins and directions as in :meth:`intersect`."""
-        ...
-
-    def encloses(self, point_body_km: Float) -> bool:
-        """Whether a point (3,), km, lies inside the body."""
-        ...
-
-    def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
-        """Whether hits lie in the dark (n,): nothing hit, facing away from the Sun, or the body in the way."""
-        ...
-
-    def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
-        """Trace the rays of an image: one origin (3,), km, and unit directions (n, 4), the fourth column 0."""
-        ...
-
-    def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
-        """Whether the body lies between points (k, 4) on it and the Sun (k,).
-
-        ``normals`` (k, 4) are those at the points and ``to_sun`` unit directions (4,) or (k, 4), all over the horizon.
-        """
-        ...
-
-
 class MeshTracer:
-    """A triangle mesh in Embree; takes the arrays of the mesh and not the mesh, so that a cache can let go of it."""
+    """Rays against a triangle mesh, by Embree; body axes, km. Rays that are NaN miss.
+
+    It holds the arrays of the mesh and not the mesh, so that a cache can forget it.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Attributes
+    ----------
+    radius_km : float, km
+        Radius of a sphere about the origin that contains the body.
+    """
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.radius_km = mesh.circumscribing_radius_km
@@ -150,7 +124,7 @@ class MeshTracer:
 
     @cached_property
     def hull_points_km(self) -> Float:
-        """Vertices (k, 3), km, that lie farthest out in a few hundred directions; short of the hull by 1 % at most."""
+        """Points (k, 3), km, whose convex hull is that of the body, to 1 % of its extent: its farthest vertices."""
         used = self._vertices_km[np.unique(self._faces)]
         extent = np.ptp(used, axis=0)
         scaled = used / np.where(extent > 0.0, extent, 1.0)  # a long body has its directions where it needs them
@@ -159,9 +133,19 @@ class MeshTracer:
         return points
 
     def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
-        """First hits, the facet from Embree and the point on it in float64.
+        """First hits of rays: the facet from Embree and the point on it in float64.
 
-        Near an edge, where float32 can have taken the wrong one of two facets, float64 decides between those around.
+        Near an edge, where float32 may choose the wrong one of two facets, float64 decides between those around.
+
+        Parameters
+        ----------
+        origins_body_km : (3,) or (n, 3), km, body axes
+        directions_body : (n, 3), body axes
+            Of any length.
+
+        Returns
+        -------
+        Hits
         """
         starts, directions = self._rays(origins_body_km, directions_body)
         found, rough, inside = self._surface.first_hit_inside(starts.astype(np.float32), directions.astype(np.float32))
@@ -181,7 +165,7 @@ class MeshTracer:
         return Hits(facets >= 0, points, facets, normals)
 
     def _decide(self, which: Indices, starts: Float, directions: Float, facets: Indices, distances: Float) -> None:
-        """Put exact facets and distances for the rays ``which``; those that meet nothing keep the ones of float32."""
+        """Write exact facets and distances for the rays ``which``; those that meet nothing keep the ones of float32."""
         exact = facet_distances(self._vertices_km[self._faces[facets[which]]], starts[which], directions[which])
         met = np.isfinite(exact)
         distances[which[met]] = exact[met]
@@ -194,19 +178,41 @@ class MeshTracer:
             facets[beside[met]], distances[beside[met]] = found[met], exact[met]
 
     def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
-        """Whether rays meet the mesh; start rays that leave the surface a little above it."""
+        """Return True for rays that meet the mesh.
+
+        Parameters
+        ----------
+        origins_body_km : (3,) or (n, 3), km, body axes
+            A little above the surface for rays that leave it.
+        directions_body : (n, 3), body axes
+
+        Returns
+        -------
+        (n,) bool
+        """
         starts, directions = self._rays(origins_body_km, directions_body)
         return self._surface.occluded(starts.astype(np.float32), directions.astype(np.float32))
 
     def encloses(self, point_body_km: Float) -> bool:
-        """Whether a point (3,), km, lies inside the mesh: the way out from the origin leads through a facet's back."""
+        """Return True if a point (3,), km, lies inside the mesh: a ray outward from it meets the back of a facet."""
         if float(np.linalg.norm(point_body_km)) >= self.radius_km:
             return False
         outward = point_body_km if np.any(point_body_km) else np.array([1.0, 0.0, 0.0])
         return bool(self.intersect(point_body_km, outward[None]).normals[0] @ outward > 0.0)
 
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
-        """Whether hits lie in the dark (n,): facing away from the Sun, or with the body in the way."""
+        """Return True for hits in the dark: none, facing away from the Sun, or with the body in the way.
+
+        Parameters
+        ----------
+        hits : Hits
+        sun_body : (3,) float64, unitless, body axes
+            Unit vector to the Sun.
+
+        Returns
+        -------
+        (n,) bool
+        """
         dark = ~(hits.normals @ sun_body > 0.0)
         facing = np.flatnonzero(~dark)
         starts = hits.points_km[facing] + self._shadow_offset_km * hits.normals[facing]
@@ -214,7 +220,18 @@ class MeshTracer:
         return dark
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
-        """Trace the rays of an image; float32 from the bounding sphere on."""
+        """Trace the rays of an image; in float32 from the bounding sphere on.
+
+        Parameters
+        ----------
+        origin_body_km : (3,) float64, km, body axes
+        directions_body : (n, 4) float64, body axes
+            Unit vectors and zeros.
+
+        Returns
+        -------
+        Sight
+        """
         reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
         directions = directions_body.astype(np.float32)
         starts = moved(reach * directions_body, origin_body_km).astype(np.float32)
@@ -228,7 +245,19 @@ class MeshTracer:
         return Sight(rays, facets, points, normals, -dot(normals, directions))
 
     def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
-        """Whether the mesh lies between points (k, 4) on it and the Sun."""
+        """Return True for points of the mesh in the shadow of the mesh.
+
+        Parameters
+        ----------
+        points_km, normals : (k, 4) float32, km and unitless, body axes
+            Points of a :class:`Sight` that face the Sun, and the normals there.
+        to_sun : (4,) or (k, 4) float64, unitless, body axes
+            Unit vectors and zeros.
+
+        Returns
+        -------
+        (k,) bool
+        """
         starts = points_km + np.float32(self._shadow_offset_km) * normals
         directions = np.broadcast_to(to_sun.astype(np.float32), starts.shape)  # one in memory, where there is one
         return self._surface.occluded(starts[:, :3], directions[:, :3])
@@ -238,7 +267,14 @@ class MeshTracer:
 
 
 class EllipsoidTracer:
-    """An ellipsoid about the origin, by algebra in float64. Convex: it never shadows itself."""
+    """Rays against an ellipsoid about the origin, by algebra in float64; methods are those of :class:`MeshTracer`.
+
+    Convex: it never shadows itself.
+
+    Parameters
+    ----------
+    ellipsoid : Ellipsoid
+    """
 
     def __init__(self, ellipsoid: Ellipsoid) -> None:
         self.radius_km = ellipsoid.circumscribing_radius_km
@@ -261,18 +297,18 @@ class EllipsoidTracer:
         return Hits(hit, points, np.where(hit, 0, -1), normals)
 
     def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
-        """Whether rays meet the ellipsoid; one that starts on it and leads outward does not."""
+        """Return True for rays (n,) that meet the ellipsoid; one that starts on it and leads outward does not."""
         starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
         _, far = self._distances(starts, directions)
         blocked: Mask = far > 1e-9 * self.radius_km
         return blocked
 
     def encloses(self, point_body_km: Float) -> bool:
-        """Whether a point (3,), km, lies inside the ellipsoid."""
+        """Return True if a point (3,), km, lies inside the ellipsoid."""
         return bool(np.sum((point_body_km / self._radii_km) ** 2) < 1.0)
 
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
-        """Whether hits lie in the dark (n,): on an ellipsoid, whether they face away from the Sun."""
+        """Return True for hits (n,) that face away from the Sun."""
         dark: Mask = ~(hits.normals @ sun_body > 0.0)
         return dark
 
@@ -285,7 +321,7 @@ class EllipsoidTracer:
         return Sight(rays, np.zeros(rays.size, np.int32), points, normals, cos_emission)
 
     def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
-        """Nowhere: a convex body never stands in its own light."""
+        """Return False for all points (k,): a convex body casts no shadow on itself."""
         return np.zeros(len(points_km), dtype=bool)
 
     def _distances(self, starts: Float, directions: Float) -> tuple[Float, Float]:
@@ -312,12 +348,23 @@ def _approached(origins_body_km: ArrayLike, directions_body: ArrayLike, radius_k
     return origins + reach * directions, directions
 
 
+Tracer: TypeAlias = MeshTracer | EllipsoidTracer
+"""A shape prepared for rays."""
+
 _TRACERS: weakref.WeakKeyDictionary[TriangleMesh, MeshTracer] = weakref.WeakKeyDictionary()
 _TRACERS_LOCK = threading.Lock()
 
 
 def tracer_for(shape: Shape) -> Tracer:
     """Return the tracer of a shape; that of a mesh is built once and lives as long as the mesh object.
+
+    Parameters
+    ----------
+    shape : Shape
+
+    Returns
+    -------
+    Tracer
 
     Raises
     ------
@@ -327,7 +374,7 @@ def tracer_for(shape: Shape) -> Tracer:
     if isinstance(shape, Ellipsoid):
         return EllipsoidTracer(shape)
     if not isinstance(shape, TriangleMesh):
-        raise InputError(f"rays can be traced against a TriangleMesh or an Ellipsoid, not {type(shape).__name__}")
+        raise InputError(f"rays need a TriangleMesh or an Ellipsoid, got a {type(shape).__name__}")
     with _TRACERS_LOCK:
         tracer = _TRACERS.get(shape)
         if tracer is None:

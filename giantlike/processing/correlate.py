@@ -12,24 +12,30 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
+from giantlike.processing.pixel_box import PixelBox
 
-_FITTED = 4  # place (two), gain and level
-_LEAST_NOISE = 1e-12  # of the light: rounding may leave none
+_FITTED = 4  # parameters of a correlation peak: place (two), gain and level
+_LEAST_NOISE = 1e-12  # of the light: where image and template are equal, rounding may leave none
 _CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums cannot tell less from a constant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CorrelationOptions:
-    """Where to look for a template and what to accept.
+    """Options of :func:`locate_template`.
 
     Parameters
     ----------
     search_px : int, px
-        How far from the predicted place, along each axis.
+        Largest distance from the predicted place, along each axis.
     min_score : float
-        Smallest correlation that counts as found.
+        Least correlation that counts as found.
     min_overlap : float
-        Smallest number of pixels that image and template share, over the largest such number in the search region.
+        Least number of pixels that image and template share, over the largest such number in the search region.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
     """
 
     search_px: int = 40
@@ -54,7 +60,7 @@ class CorrelationPeak(Value):
     score : float
         Correlation at the pixel of the peak, -1 to 1.
     at_edge : bool
-        Whether the peak lies on the border of the surface or of the part of it that is defined.
+        True if the peak lies on the border of the surface or of the part of it that is defined.
     covariance_px2 : (2, 2) float64, px^2
         Of ``offset_px``, from the noise of the image as the peak itself shows it: see :func:`find_peak`. Infinite where
         the surface has no rounded peak.
@@ -82,7 +88,7 @@ def normalized_correlation(
     template : (h, w) float64
         Not larger than the image.
     image_usable, template_usable : (H, W), (h, w) bool, optional
-        Where a pixel counts; everywhere by default. Only pixels that count in both enter a coefficient.
+        Pixels to use; all by default. Only pixels that are usable in both enter a coefficient.
     min_overlap : float
         Coefficients from fewer than this fraction of the largest number of shared pixels are undefined.
 
@@ -113,15 +119,18 @@ def normalized_correlation(
 
 
 def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
-    r"""Highest point of a correlation surface (rows, columns), refined by a paraboloid.
-
-    Returns None where the surface is nowhere defined. On an edge the peak stays on its pixel.
+    r"""Highest point of a correlation surface, refined by a paraboloid.
 
     Parameters
     ----------
     surface : (rows, columns) float64
     n_pixels : int
-        How many pixels the template and the image share at the peak; without that number the covariance is infinite.
+        Number of pixels that template and image share at the peak; without it the covariance is infinite.
+
+    Returns
+    -------
+    CorrelationPeak or None
+        None where the surface is nowhere defined. On an edge the peak stays on its pixel.
 
     Notes
     -----
@@ -132,9 +141,9 @@ def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
     the same, independent noise, a peak of height r and K the negative second derivatives of the surface there, the
     covariance of the place is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the variance of the noise over the squared light
     of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of light. (Derived
-    here.) Differences of image and template that hang together over several pixels, as a wrong model makes them,
-    count for too little in this, and the error of the paraboloid itself, up to some hundredths of a pixel for a
-    peak as narrow as a point spread function, does not count at all.
+    here.) Differences of image and template that are correlated over several pixels, as those of a wrong model, count
+    for too little in this, and the error of the paraboloid itself, up to some hundredths of a pixel for a peak as
+    narrow as a point spread function, does not count at all.
 
     References
     ----------
@@ -183,7 +192,9 @@ def locate_template(
         pixels, ``NO_SIGNAL`` when it has no contrast, ``LOW_CORRELATION``, and ``PEAK_AT_EDGE`` when the best match may
         lie outside the search region.
     """
-    window, window_usable = _window(pixels, usable, template.shape, corner_px, options.search_px)
+    corner = np.array(corner_px)
+    box = PixelBox.spanning(corner, corner + template.shape[::-1], options.search_px)
+    window, window_usable = box.cut(pixels), box.cut(usable)
     if not window_usable.any():
         return Failure(Reason.OUT_OF_FRAME, f"no usable pixel within {options.search_px} px of the predicted place")
     surface = normalized_correlation(window, template, image_usable=window_usable, min_overlap=options.min_overlap)
@@ -203,12 +214,12 @@ def locate_template(
         detail = (
             f"best match at the edge of the search region, {shift[0]:.0f} and {shift[1]:.0f} px from the prediction"
         )
-        return Failure(Reason.PEAK_AT_EDGE, f"{detail}; widen search_px")
+        return Failure(Reason.PEAK_AT_EDGE, f"{detail}; increase search_px")
     return replace(peak, offset_px=shift)
 
 
 def _whole(image: Float, template: Float) -> Float:
-    """Correlation without masks, by OpenCV; levels are taken off first, for the sake of its float32 sums."""
+    """Correlation without masks, by OpenCV; means are subtracted first, for the sake of its float32 sums."""
     level = float(image.mean())
     flat = (image - level).astype(np.float32)
     bright = float(np.abs(template).max())
@@ -225,7 +236,7 @@ def _whole(image: Float, template: Float) -> Float:
 
 
 def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, min_overlap: float) -> Float:
-    """Correlation over the pixels that count in both, every sum by FFT."""
+    """Correlation over the pixels that are usable in both, every sum by FFT."""
     from scipy import fft
 
     rows, columns = image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1
@@ -258,26 +269,10 @@ def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, mi
     return np.clip(surface, -1.0, 1.0)
 
 
-def _window(
-    pixels: Float, usable: Mask, shape: tuple[int, ...], corner_px: tuple[int, int], search_px: int
-) -> tuple[Float, Mask]:
-    """The part of the image that a template of ``shape`` can touch; what lies outside the frame is not usable."""
-    height, width = shape[0] + 2 * search_px, shape[1] + 2 * search_px
-    x, y = corner_px[0] - search_px, corner_px[1] - search_px
-    window, window_usable = np.zeros((height, width)), np.zeros((height, width), bool)
-    y0, y1 = max(y, 0), min(y + height, pixels.shape[0])
-    x0, x1 = max(x, 0), min(x + width, pixels.shape[1])
-    if x0 < x1 and y0 < y1:
-        inside = (slice(y0 - y, y1 - y), slice(x0 - x, x1 - x))
-        window[inside] = pixels[y0:y1, x0:x1]
-        window_usable[inside] = usable[y0:y1, x0:x1]
-    return window, window_usable
-
-
 def _paraboloid(patch: Float) -> tuple[Float, float, Float]:
     """Maximum of the paraboloid through 3 x 3 values: place from their middle (2,), height, curvature (2, 2).
 
-    One that has no maximum near the middle has no curvature and stays there.
+    Without a maximum near the middle the place is the middle and the curvature zero.
     """
     y, x = np.mgrid[-1:2, -1:2]
     c1, c2 = float((x * patch).sum()) / 6.0, float((y * patch).sum()) / 6.0

@@ -1,14 +1,16 @@
-"""Box of whole pixels in an image, which may reach over its edges: cut out of images, and patches placed in it."""
+"""Boxes of whole pixels in an image, which may reach over its edges, and the pixels in them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Scalar
+from giantlike.core.arrays import Float, Mask, Scalar
+from giantlike.core.values import Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,3 +77,43 @@ class PixelBox:
         if x0 < x1 and y0 < y1:
             part[y0 - y : y1 - y, x0 - x : x1 - x] = image[y0:y1, x0:x1]
         return part
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoxPixels(Value):
+    """Pixels of an image or a box of it, and their noise.
+
+    Parameters
+    ----------
+    values_dn : (h, w) float64, DN
+        Bias subtracted.
+    usable : (h, w) bool
+        Neither bad nor saturated.
+    corner_px : (int, int), px
+        Column and row of the first element in the image.
+    noise_variance_dn2 : callable
+        Variance, DN^2, of the noise of pixels that hold a given signal of the body.
+    """
+
+    values_dn: Float
+    usable: Mask
+    corner_px: tuple[int, int] = (0, 0)
+    noise_variance_dn2: Callable[[Float], Float]
+
+    def cut(self, box: PixelBox) -> BoxPixels:
+        """Return the pixels in a box; those outside are not usable.
+
+        Parameters
+        ----------
+        box : PixelBox
+
+        Returns
+        -------
+        BoxPixels
+        """
+        return replace(
+            self,
+            values_dn=box.cut(self.values_dn, self.corner_px),
+            usable=box.cut(self.usable, self.corner_px),
+            corner_px=box.corner_px,
+        )

@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -29,17 +28,15 @@ _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions in which 
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
 """Standard deviation, px and over that of the fix, above both of which a check is too weak to confirm anything."""
 _LIGHT, _LIMB, _LANDMARKS = "light", "limb", "landmarks"
-_SEES: Mapping[str, str] = MappingProxyType(
-    {
-        Unresolved.name: _LIGHT,
-        Moment.name: _LIGHT,
-        CrossCorrelation.name: _LIGHT,
-        LimbMatching.name: _LIMB,
-        EllipsoidCRA.name: _LIMB,
-        SurfaceFeatures.name: _LANDMARKS,
-    }
-)
-"""Part of the image that an estimator uses."""
+_CHOICES: Mapping[str, tuple[Callable[..., Estimator], str]] = {
+    Unresolved.name: (Unresolved, _LIGHT),
+    Moment.name: (Moment, _LIGHT),
+    CrossCorrelation.name: (CrossCorrelation, _LIGHT),
+    LimbMatching.name: (LimbMatching, _LIMB),
+    EllipsoidCRA.name: (EllipsoidCRA, _LIMB),
+    SurfaceFeatures.name: (SurfaceFeatures, _LANDMARKS),
+}
+"""Estimators to choose from by name, and the part of the image that each uses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,22 +237,15 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         )
 
     def _estimator(self, name: str) -> Estimator:
-        known: Mapping[str, Callable[[], Estimator]] = {
-            Unresolved.name: lambda: Unresolved(self.options.unresolved),
-            Moment.name: lambda: Moment(self.options.moment),
-            CrossCorrelation.name: lambda: CrossCorrelation(self.options.cross_correlation),
-            LimbMatching.name: lambda: LimbMatching(self.options.limb_matching),
-            EllipsoidCRA.name: lambda: EllipsoidCRA(self.options.ellipsoid_cra),
-            SurfaceFeatures.name: lambda: SurfaceFeatures(self.options.surface_features),
-        }
-        return known[name]()
+        """Return an estimator with its options, which have its name."""
+        return _CHOICES[name][0](getattr(self.options, name))
 
     def _check(
         self, fix: CenterFix, choice: Choice, taken: str, outcome: Callable[[str], CenterFix | Failure]
     ) -> tuple[Quality, dict[str, str]]:
         """Flag of the check of a fix, and its provenance."""
         # What uses something else comes first; another way to look at the same light is better than nothing.
-        for name in sorted(choice.checks, key=lambda name: _SEES[name] == _SEES[taken]):
+        for name in sorted(choice.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1]):
             if name == taken:
                 continue
             second = outcome(name)

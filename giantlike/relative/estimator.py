@@ -20,6 +20,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Re
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
+from giantlike.processing.pixel_box import BoxPixels
 from giantlike.ray_tracing import FocalPlane
 from giantlike.scene import Scene, TargetGeometry
 
@@ -205,6 +206,12 @@ class EstimatorInputs(Value):
     def psf_sigma_px(self) -> float | None:
         """Standard deviation of the point spread function, px; None when the camera does not know it."""
         return None if self.camera.psf is None else self.camera.psf.sigma_px
+
+    @property
+    def pixels(self) -> BoxPixels:
+        """The pixels of the image and their noise."""
+        noise = self.camera.detector.variance_dn2
+        return BoxPixels(values_dn=self.pixels_dn, usable=self.usable, noise_variance_dn2=noise)
 
     @property
     def radius_px(self) -> float:

@@ -1,4 +1,4 @@
-"""How bright a piece of surface looks, by the directions of the Sun and of the camera.
+"""Reflectance laws: brightness of a piece of surface by the directions of the Sun and of the camera.
 
 A law is an immutable function of the cosines of incidence and emission and the phase angle, scaled to 1 at normal
 incidence and emission and zero phase. Laws come by name from ``REFLECTANCES``.

@@ -15,10 +15,10 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw, checked_number, checked_numbers
 
-_SMALLEST_COSINE = 1e-10
-_SMALLEST_PRODUCT = 1e-12
-_SMALLEST_ANGLE_RAD = 1e-12
-_LUNAR_WEIGHT = (1.0, -0.019, 2.42e-4, -1.46e-6)
+_SMALLEST_COSINE = 1e-10  # of the emission angle in Akimov's law: keeps the limb finite
+_SMALLEST_PRODUCT = 1e-12  # of both cosines in Minnaert's law: keeps the limb finite
+_SMALLEST_ANGLE_RAD = 1e-12  # rad, from the phase of pi, where Akimov's law has no limit
+_LUNAR_WEIGHT = (1.0, -0.019, 2.42e-4, -1.46e-6)  # per power of a degree: see LunarLambert [1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +33,18 @@ class Lambert(SurfaceLaw):
     type_name: ClassVar[str] = "lambert"
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return mu0."""
+        """Return mu0.
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
         return mu0
 
 
@@ -49,7 +60,18 @@ class LommelSeeliger(SurfaceLaw):
     type_name: ClassVar[str] = "lommel_seeliger"
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return 2 mu0 / (mu0 + mu)."""
+        """Return 2 mu0 / (mu0 + mu).
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
         result: Float = 2.0 * mu0 / (mu0 + mu)
         return result
 
@@ -76,10 +98,21 @@ class McEwen(SurfaceLaw):
     phase_scale_deg: float = 60.0
 
     def __post_init__(self) -> None:
-        checked_number("mcewen", "phase_scale_deg", self.phase_scale_deg, low=0.0, open_low=True)
+        checked_number("mcewen", "phase_scale_deg", self.phase_scale_deg, "(0, inf)")
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return A 2 mu0 / (mu0 + mu) + (1 - A) mu0."""
+        """Return A 2 mu0 / (mu0 + mu) + (1 - A) mu0.
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
         share = np.exp(phase_rad * (-1.0 / math.radians(self.phase_scale_deg)))
         return _mixed(mu0, mu, share)
 
@@ -113,7 +146,18 @@ class LunarLambert(SurfaceLaw):
         object.__setattr__(self, "weight", checked_numbers("lunar_lambert", "weight", self.weight))
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return L 2 mu0 / (mu0 + mu) + (1 - L) mu0."""
+        """Return L 2 mu0 / (mu0 + mu) + (1 - L) mu0.
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
         share = np.polynomial.polynomial.polyval(np.degrees(phase_rad), self.weight)
         return _mixed(mu0, mu, np.clip(share, 0.0, 1.0))
 
@@ -145,11 +189,22 @@ class Minnaert(SurfaceLaw):
     k_per_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        checked_number("minnaert", "k", self.k, low=0.0, high=2.0)
+        checked_number("minnaert", "k", self.k, "[0, 2]")
         checked_number("minnaert", "k_per_deg", self.k_per_deg)
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return mu0 (mu0 mu)^(k - 1)."""
+        """Return mu0 (mu0 mu)^(k - 1).
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
         k = np.clip(self.k + self.k_per_deg * np.degrees(phase_rad), 0.0, 2.0)
         result: Float = mu0 * np.maximum(mu0 * mu, _SMALLEST_PRODUCT) ** (k - 1.0)
         return result
@@ -165,7 +220,7 @@ class Akimov(SurfaceLaw):
     Parameters
     ----------
     eta : float
-        How strongly the disk darkens towards the photometric poles, >= 0: 1 is the parameter-free form.
+        Exponent of the darkening towards the photometric poles, >= 0: 1 is the parameter-free form.
 
     Notes
     -----
@@ -183,10 +238,21 @@ class Akimov(SurfaceLaw):
     eta: float = 1.0
 
     def __post_init__(self) -> None:
-        checked_number("akimov", "eta", self.eta, low=0.0)
+        checked_number("akimov", "eta", self.eta, "[0, inf)")
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the disk function from ``l - a / 2``, which stays well defined at zero phase."""
+        """Return the disk function from ``l - a / 2``, which stays well defined at zero phase.
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
         half = 0.5 * phase_rad
         total = mu0 + mu
         from_mirror = np.arctan2((mu0 - mu) * np.cos(half), total * np.sin(half))

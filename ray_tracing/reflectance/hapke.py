@@ -11,9 +11,9 @@ import numpy as np
 from giantlike.core.arrays import Float, require
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw, checked_number
 
-_TINY = 1e-30
-_SMALL = 1e-12
-_STEEP = 1e3
+_TINY = 1e-30  # keeps divisors that may be 0 positive; what they divide is then 0 as well
+_SMALL = 1e-12  # least divisor of the effective cosines, see _roughened
+_STEEP = 1e3  # largest cot(theta_bar) cot(angle): its exponentials are 0 in float64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,16 +70,27 @@ class Hapke(SurfaceLaw):
     hg2: float = 0.0
 
     def __post_init__(self) -> None:
-        checked_number("hapke", "w", self.w, low=0.0, high=1.0, open_low=True)
-        checked_number("hapke", "b0", self.b0, low=0.0)
-        checked_number("hapke", "h", self.h, low=0.0)
-        checked_number("hapke", "theta_bar_deg", self.theta_bar_deg, low=0.0, high=60.0)
-        checked_number("hapke", "hg1", self.hg1, low=-1.0, high=1.0, open_low=True, open_high=True)
-        checked_number("hapke", "hg2", self.hg2, low=0.0, high=1.0)
+        checked_number("hapke", "w", self.w, "(0, 1]")
+        checked_number("hapke", "b0", self.b0, "[0, inf)")
+        checked_number("hapke", "h", self.h, "[0, inf)")
+        checked_number("hapke", "theta_bar_deg", self.theta_bar_deg, "[0, 60]")
+        checked_number("hapke", "hg1", self.hg1, "(-1, 1)")
+        checked_number("hapke", "hg2", self.hg2, "[0, 1]")
         require(self.b0 == 0.0 or self.h > 0.0, f"reflectance hapke: b0 = {self.b0:g} needs h > 0, got {self.h:g}")
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the law over its value at normal incidence and emission and zero phase."""
+        """Return the law over its value at normal incidence and emission and zero phase.
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
         normal = np.ones(())
         return self._reflected(mu0, mu, phase_rad) / self._reflected(normal, normal, np.zeros(()))
 

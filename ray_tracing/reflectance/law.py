@@ -1,4 +1,4 @@
-"""What a reflectance law is, and what all laws share: the horizon and the checks of their parameters."""
+"""Interface and base of reflectance laws: the horizon and the checks of parameters."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from giantlike.core.arrays import Float, require
 _HORIZON = 1e-200
 """Smallest cosine that counts as above the horizon, so that no quotient of cosines overflows."""
 _BLOCK = 8192
-"""Rays at a time: temporary arrays that stay in the cache, several times faster than fresh memory."""
+"""Rays at a time: temporary arrays of 64 kB stay in the cache, several times faster than fresh memory."""
 
 
 class Reflectance(Protocol):
-    """A reflectance law; an immutable value."""
+    """Reflectance law; an immutable value."""
 
     type_name: ClassVar[str]
     """Name in campaign files."""
@@ -32,12 +32,16 @@ class Reflectance(Protocol):
             Cosines of the angles from the surface normal to Sun and camera.
         phase_rad : (...) float64, rad
             Angle Sun - surface - camera, in [0, pi].
+
+        Returns
+        -------
+        (...) float64
         """
         ...
 
 
 class SurfaceLaw(ABC):
-    """A law that is a formula above the horizon and 0 below; the base of all laws here.
+    """Base of the laws: a formula above the horizon, and 0 below.
 
     A subclass is a frozen dataclass with a ``type_name`` and a formula ``above_horizon``.
     """
@@ -54,6 +58,10 @@ class SurfaceLaw(ABC):
             Cosines of the angles from the surface normal to Sun and camera; NaN counts as below the horizon.
         phase_rad : (...) float64, rad
             Angle Sun - surface - camera, in [0, pi].
+
+        Returns
+        -------
+        (...) float64
         """
         angles = (np.asarray(angle, dtype=np.float64) for angle in (cos_incidence, cos_emission, phase_rad))
         mu0, mu, phase = np.broadcast_arrays(*angles)
@@ -75,20 +83,30 @@ class SurfaceLaw(ABC):
 
     @abstractmethod
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """The formula (n,) for cosines > 0 of incidence and emission and phase angles, each (n,)."""
+        """Return the brightness by the formula of the law.
+
+        Parameters
+        ----------
+        mu0, mu : (n,) float64
+            Cosines of incidence and emission, > 0.
+        phase_rad : (n,) float64, rad
+
+        Returns
+        -------
+        (n,) float64
+        """
 
 
-def checked_number(
-    law: str,
-    name: str,
-    value: float,
-    *,
-    low: float = -math.inf,
-    high: float = math.inf,
-    open_low: bool = False,
-    open_high: bool = False,
-) -> None:
-    """Refuse a parameter of a law that is not a finite number in its range.
+def checked_number(law: str, name: str, value: float, interval: str = "(-inf, inf)") -> None:
+    """Raise unless a parameter of a law is a finite number in its range.
+
+    Parameters
+    ----------
+    law, name : str
+        Of the law and the parameter, for the message.
+    value : float
+    interval : str
+        Allowed range, such as ``"(0, 1]"``; a square bracket includes the end.
 
     Raises
     ------
@@ -97,17 +115,24 @@ def checked_number(
     """
     number = isinstance(value, int | float) and not isinstance(value, bool)
     require(number and math.isfinite(value), f"reflectance {law}: {name} must be a number, got {value!r}")
-    above = value > low if open_low else value >= low
-    below = value < high if open_high else value <= high
-    if math.isinf(high):
-        allowed = f"{'>' if open_low else '>='} {low:g}"
-    else:
-        allowed = f"in {'(' if open_low else '['}{low:g}, {high:g}{')' if open_high else ']'}"
-    require(above and below, f"reflectance {law}: {name} must be {allowed}, got {value:g}")
+    low, high = (float(end) for end in interval[1:-1].split(","))
+    inside = low < value < high or (value == low and interval[0] == "[") or (value == high and interval[-1] == "]")
+    require(inside, f"reflectance {law}: {name} must be in {interval}, got {value:g}")
 
 
 def checked_numbers(law: str, name: str, values: object) -> tuple[float, ...]:
-    """The numbers of a list, at least one, as a tuple.
+    """Return the numbers of a list, at least one, as a tuple.
+
+    Parameters
+    ----------
+    law, name : str
+        Of the law and the parameter, for the message.
+    values : object
+        A value of a file.
+
+    Returns
+    -------
+    tuple of float
 
     Raises
     ------

@@ -36,6 +36,15 @@ REFLECTANCES: Mapping[str, type[SurfaceLaw]] = MappingProxyType(
 def reflectance_from_mapping(table: Mapping[str, Any]) -> Reflectance:
     """Build a law from a ``reflectance`` table such as ``{"model": "hapke", "w": 0.1, "theta_bar_deg": 20.0}``.
 
+    Parameters
+    ----------
+    table : mapping
+        The ``model`` and its parameters.
+
+    Returns
+    -------
+    Reflectance
+
     Raises
     ------
     InputError

@@ -412,7 +412,7 @@ def test_misuse_is_refused_with_what_was_needed() -> None:
         RenderOptions(rays_per_pixel_side=0)
     with pytest.raises(InputError, match="angles_rad"):
         trace_silhouette(body, BROWN, [np.nan], sun_direction_camera=SUN)
-    with pytest.raises(InputError, match="not str"):
+    with pytest.raises(InputError, match="got a str"):
         tracer_for("bennu")  # type: ignore[arg-type]
 
 

@@ -28,7 +28,7 @@ from giantlike.ray_tracing import (
     render_scene,
     trace_body,
 )
-from giantlike.ray_tracing.sun import disk_directions
+from giantlike.ray_tracing.trace import disk_directions
 from giantlike.shapes import Ellipsoid, FacetAlbedo, Shape, irregular_body, mesh_from_ellipsoid, sphere
 from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, PLACE_PX
 

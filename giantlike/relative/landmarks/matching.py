@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.processing.correlate import find_peak, normalized_correlation
-from giantlike.processing.pixel_box import PixelBox
+from giantlike.processing.pixel_box import BoxPixels, PixelBox
 from giantlike.relative.landmarks.rendering import Patch
-from giantlike.relative.template.fit import BoxPixels
 
 _ROUNDS = 3  # linear fits of a fraction of a pixel: each leaves a small part of the last step
 _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12.0  # central, of fourth order, 1/px

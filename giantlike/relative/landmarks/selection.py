@@ -1,10 +1,10 @@
-"""Landmarks found on a shape model: places spread over it where there is something to match."""
+"""Selection of landmarks on a shape model: places spread over it with texture to match."""
 
 from __future__ import annotations
 
 import threading
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,33 +12,39 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import InputError
+from giantlike.ray_tracing.trace import surface_albedo
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
-from giantlike.shapes import FacetAlbedo, LocalMap, TriangleMesh
+from giantlike.shapes import LocalMap, TriangleMesh
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog, landmark_of
 
-_CANDIDATES = 6  # places looked at for each landmark wanted
-_LOOK_SAMPLES = 11  # along each side, to see what a place is worth
+_CANDIDATES = 6  # places tried for each landmark wanted
+_LOOK_SAMPLES = 11  # along each side of a rough map, for the texture of a place
 _FIRST_SPACING = 1.1  # between neighbors, over the side of the square of area that each could have
-_TIGHTER = 0.9
+_TIGHTER = 0.9  # factor between the spacings tried, until there are enough
 _LOWEST_SPACING = 0.5  # of the size of a landmark: nearer ones see the same ground
-_SPACING_STEPS = 40
-_RAYS_AT_A_TIME = 200_000
+_SPACING_STEPS = 40  # spacings tried, at most
+_RAYS_AT_A_TIME = 200_000  # to bound the memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LandmarkBuildOptions:
-    """What landmarks to look for.
+    """Options of :func:`build_landmarks`.
 
     Parameters
     ----------
     count : int
-        How many, at most: fewer where they would lie on top of each other.
+        Largest number of landmarks; fewer where they would lie on top of each other.
     size_km : float, km, optional
         Side of a landmark; a fifth of the mean radius if not given.
     samples : int
         Heights along each side of a map.
     seed : int
-        Which places are looked at.
+        Of the places that are tried.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
     """
 
     count: int = 150
@@ -98,7 +104,9 @@ def build_landmarks(mesh: TriangleMesh, options: LandmarkBuildOptions = DEFAULT_
             f"{mesh.name!r}: nowhere is there ground throughout a map of {size_km:g} km; try a smaller one"
         )
     ranked = sorted(found, key=lambda landmark: -landmark.texture)
-    named = tuple(_named(landmark, number) for number, landmark in enumerate(ranked))
+    named = tuple(
+        replace(landmark, map=replace(landmark.map, name=f"L{number:04d}")) for number, landmark in enumerate(ranked)
+    )
     return LandmarkCatalog(named, body_name=mesh.name, shape_sha256=mesh.sha256)
 
 
@@ -107,7 +115,15 @@ _CATALOGS_LOCK = threading.Lock()
 
 
 def landmarks_of(mesh: TriangleMesh) -> LandmarkCatalog:
-    """Landmarks of a mesh by :data:`DEFAULT_BUILD`, chosen once for each mesh object.
+    """Return the landmarks of a mesh by :data:`DEFAULT_BUILD`, chosen once for each mesh object.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+
+    Returns
+    -------
+    LandmarkCatalog
 
     Raises
     ------
@@ -180,9 +196,7 @@ def _heights(
     if mesh.albedo is None:
         return heights, None
     albedo, seen = np.ones(hits.hit.size), np.flatnonzero(hits.hit)
-    where, facets = hits.points_km[seen], hits.facets[seen]
-    weights = None if isinstance(mesh.albedo, FacetAlbedo) else mesh.barycentric(where, facets)
-    albedo[seen] = mesh.albedo.at(where, facets, weights)
+    albedo[seen] = surface_albedo(mesh, hits.points_km[seen], hits.facets[seen])
     return heights, albedo.reshape(heights.shape)
 
 
@@ -219,16 +233,3 @@ def _apart(places: Float, apart_km: float, count: int) -> list[int]:
                 break
             free[tree.query_ball_point(places[number], apart_km)] = False
     return taken
-
-
-def _named(landmark: Landmark, number: int) -> Landmark:
-    local = landmark.map
-    named = LocalMap(
-        center_body_km=local.center_body_km,
-        body_from_map=local.body_from_map,
-        heights_km=local.heights_km,
-        spacing_km=local.spacing_km,
-        albedo=local.albedo,
-        name=f"L{number:04d}",
-    )
-    return Landmark(named, landmark.texture)

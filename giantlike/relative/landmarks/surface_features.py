@@ -23,7 +23,6 @@ from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, rays
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
 from giantlike.relative.quality import QualityChecks
-from giantlike.relative.template.fit import BoxPixels
 from giantlike.shapes import LevelsOfDetail, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks
 
@@ -224,12 +223,6 @@ class _Search:
         self.inputs, self.catalog, self.options = inputs, catalog, options
         self.start = inputs.geometry.body()
         self.viewer = viewer_for(catalog, self.start.shape)
-        self.pixels = BoxPixels(
-            values_dn=inputs.pixels_dn,
-            usable=inputs.usable,
-            corner_px=(0, 0),
-            noise_variance_dn2=inputs.camera.detector.variance_dn2,
-        )
         plane = inputs.focal_plane()
         self.renderer = LandmarkRenderer(
             catalog,
@@ -330,7 +323,7 @@ class _Search:
             scores.append(peak[1])
             if peak[1] < options.min_score:
                 continue
-            match = fit_patch(self.pixels, patch, np.rint(peak[0]).astype(np.int64), peak[1])
+            match = fit_patch(inputs.pixels, patch, np.rint(peak[0]).astype(np.int64), peak[1])
             if match is not None:
                 matches.append(match)
         if len(matches) >= options.min_landmarks:

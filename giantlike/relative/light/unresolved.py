@@ -19,7 +19,7 @@ from giantlike.ray_tracing import Template
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.light.phase_correction import Correction, modeled_correction_px, require_correction
 from giantlike.relative.quality import QualityChecks
-from giantlike.relative.template.fit import BoxPixels, TemplateFit, TemplateFitOptions, fit_template
+from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2, UNKNOWN_BLUR_SIGMA_PX2, TemplateRenderer
 
 _BACKGROUND_PX = 12  # px, width of the ring around the search region for the background and its noise
@@ -194,14 +194,8 @@ def _fitted(
     """Fit the rendered body to the image; another law is mixed in where its offset enters the result."""
     low = (template.corner_px + np.rint(center_px - template.center_px).astype(np.int64)).astype(np.float64)
     box = renderer.box(low, low + template.brightness.shape[::-1], _FIT_MARGIN_PX)
-    pixels = BoxPixels(
-        values_dn=box.cut(inputs.pixels_dn),
-        usable=box.cut(inputs.usable),
-        corner_px=box.corner_px,
-        noise_variance_dn2=inputs.camera.detector.variance_dn2,
-    )
     return fit_template(
-        pixels,
+        inputs.pixels.cut(box),
         renderer.synthesis(box, other_law=Correction(options.correction) is Correction.RENDERED),
         replace(renderer.start, center_px=center_px),
         options=TemplateFitOptions(

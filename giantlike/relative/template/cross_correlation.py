@@ -12,12 +12,11 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlate import CorrelationOptions, locate_template
-from giantlike.processing.pixel_box import PixelBox
+from giantlike.processing.pixel_box import BoxPixels, PixelBox
 from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, position_of_center
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.fit import (
-    BoxPixels,
     TemplateFit,
     TemplateFitOptions,
     align_template,
@@ -148,12 +147,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             sun_direction_camera=inputs.geometry.sun_direction_camera,
         )
         fit = match_template(
-            BoxPixels(
-                values_dn=inputs.pixels_dn,
-                usable=inputs.usable,
-                corner_px=(0, 0),
-                noise_variance_dn2=inputs.camera.detector.variance_dn2,
-            ),
+            inputs.pixels,
             ~inputs.masked,
             renderer,
             psf_known=inputs.psf_sigma_px is not None,
@@ -219,7 +213,7 @@ def match_template(
     shift = np.rint(peak.offset_px).astype(np.int64)
     low, high = _lit_part(template)
     box = renderer.box(low + shift, high + shift, _BOX_MARGIN_PX + math.ceil(_BOX_MARGIN * radius_px))
-    pixels, light = _cut(image, box), placed(template, box, shift)
+    pixels, light = image.cut(box), placed(template, box, shift)
     within = box.cut(np.ones_like(good))
     if not float(light[within].sum()) > 0.0:
         return Failure(Reason.OUT_OF_FRAME, "the best correlation lies outside the frame")
@@ -232,7 +226,7 @@ def match_template(
         scale = math.exp(-state.log_range)
         low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))
-        pixels = _cut(image, box)
+        pixels = image.cut(box)
     fit = fit_template(
         pixels,
         renderer.synthesis(box, other_law=options.free_reflectance),
@@ -248,11 +242,6 @@ def match_template(
         detail = f"the fit left the search region of {options.search_px} px; increase search_px"
         return Failure(Reason.PEAK_AT_EDGE, detail)
     return TemplateMatch(fit=fit, box=box)
-
-
-def _cut(image: BoxPixels, box: PixelBox) -> BoxPixels:
-    """Pixels of an image in a box; those outside the frame are not usable."""
-    return replace(image, values_dn=box.cut(image.values_dn), usable=box.cut(image.usable), corner_px=box.corner_px)
 
 
 def _fit_options(options: CrossCorrelationOptions, radius_px: float, *, psf_known: bool) -> TemplateFitOptions:

@@ -19,6 +19,7 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
+from giantlike.processing.pixel_box import BoxPixels
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, VarianceModel, larger, robust_fit
 
 _LOG = logging.getLogger("giantlike.relative")
@@ -55,28 +56,6 @@ _WARPED_OVER = 4  # pixels averaged after an image was moved: the errors of the 
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the root mean square radius of the light. No study yet."""
 _MAX_BLOCK_PX = 32  # px: enough blocks remain on large bodies
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BoxPixels(Value):
-    """Pixels of a box of an image, and their noise.
-
-    Parameters
-    ----------
-    values_dn : (h, w) float64, DN
-        Bias subtracted.
-    usable : (h, w) bool
-        Neither bad nor saturated.
-    corner_px : (int, int), px
-        Column and row of the first element in the image.
-    noise_variance_dn2 : callable
-        Variance, DN^2, of the noise of pixels that hold a given signal of the body; that of the background is measured.
-    """
-
-    values_dn: Float
-    usable: Mask
-    corner_px: tuple[int, int]
-    noise_variance_dn2: Callable[[Float], Float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
