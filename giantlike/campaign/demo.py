@@ -1,4 +1,4 @@
-"""The demonstration: a made-up approach is photographed, run like any campaign, and compared with truth."""
+"""The demonstration: a simulated approach, run like any campaign and compared with the truth."""
 
 from __future__ import annotations
 
@@ -34,12 +34,13 @@ from giantlike.simulation.compare import (
 from giantlike.simulation.write import CAMPAIGN_FILE, TRUTH_FILE
 
 _MARKER = ".giantlike-demo"
-"""File by which a demonstration knows a folder as its own; nothing else writes or reads it."""
+"""File that marks a folder as made by a demonstration."""
 _MARKER_TEXT = "giantlike demo made this folder, and clears what it wrote here when it is run again.\n"
 _WRITTEN = ("images", "shapes", "run", "camera.toml", "geometry.csv", CAMPAIGN_FILE, TRUTH_FILE)
 _CONSISTENT = 0.001
-"""Errors count as consistent with their covariances unless chi-square is that unlikely, on either side."""
+"""Two-sided probability of chi-square beyond which errors contradict their covariances: one false alarm in 1,000."""
 _SMALL_PHASE_DEG = 90.0
+"""Phase angle, deg, up to which the goal of ``unresolved`` holds: beyond, less than half of the disk is lit."""
 _WHY = MappingProxyType(
     {
         Reason.NOT_UNRESOLVED: "the body is resolved: ",
@@ -47,18 +48,18 @@ _WHY = MappingProxyType(
         Reason.WRONG_SHAPE: "the body is no ellipsoid: ",
     }
 )
-"""What the reasons mean that belong to an approach and are nobody's mistake."""
+"""Meaning of the reasons that are usual in an approach."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """Something the demonstration has to reach.
+    """A requirement on the demonstration.
 
     Parameters
     ----------
     text : str
     value : float
-        What was reached; NaN where nothing could be measured.
+        Value reached; NaN if nothing could be measured.
     low, high : float
         Limits, inclusive.
     unit : str
@@ -72,22 +73,22 @@ class Goal:
 
     @property
     def met(self) -> bool:
-        """Whether the value lies within the limits; NaN does not."""
+        """True if the value lies within the limits; NaN does not."""
         return self.low <= self.value <= self.high
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DemoReport(Value):
-    """What the demonstration found.
+    """Result of the demonstration.
 
     Parameters
     ----------
     output : Path
         Folder with everything that was written.
     comparison : Comparison
-        Every attitude and every observation against truth.
+        Every attitude and every observation against the truth.
     simulate_s, run_s : float, s
-        Time that taking the images and running the campaign took.
+        Computing time of the images and of the campaign.
     """
 
     output: Path
@@ -96,7 +97,12 @@ class DemoReport(Value):
     run_s: float
 
     def attitude_scores(self) -> dict[str, Score]:
-        """Scores by where the attitude comes from."""
+        """Scores by source of the attitude.
+
+        Returns
+        -------
+        dict of str to Score
+        """
         sources = dict.fromkeys(error.source for error in self.comparison.attitudes)
         return {
             source or "none": score_attitudes([e for e in self.comparison.attitudes if e.source == source])
@@ -104,7 +110,12 @@ class DemoReport(Value):
         }
 
     def estimator_scores(self) -> dict[tuple[str, str], Score]:
-        """Scores by target and estimator."""
+        """Scores by target and estimator.
+
+        Returns
+        -------
+        dict of (str, str) to Score
+        """
         observations = self.comparison.observations
         pairs = dict.fromkeys((error.target, error.estimator) for error in observations)
         return {
@@ -113,12 +124,12 @@ class DemoReport(Value):
 
     @property
     def goals(self) -> tuple[Goal, ...]:
-        """What is asked of the demonstration, and what was reached."""
+        """Requirements on the demonstration, with the values reached."""
         return (*_accuracy_goals(self.comparison), *self._consistency_goals())
 
     @property
     def met(self) -> bool:
-        """Whether every goal is met."""
+        """True if every goal is met."""
         return all(goal.met for goal in self.goals)
 
     def _consistency_goals(self) -> Iterable[Goal]:
@@ -135,7 +146,12 @@ class DemoReport(Value):
                 )
 
     def text(self) -> str:
-        """Tables for people: every observation, then each estimator, then the goals."""
+        """Tables for people: every observation, then each estimator, then the goals.
+
+        Returns
+        -------
+        str
+        """
         lines = ["Every fix: error against truth +- the sigma that the estimator stated", ""]
         lines += _observation_lines(self.comparison.observations)
         lines += ["", "Attitude: error and stated sigma as a shift of the image", ""]
@@ -154,7 +170,12 @@ class DemoReport(Value):
         return "\n".join(lines) + "\n"
 
     def to_json(self) -> str:
-        """The same for machines; numbers that do not exist are null."""
+        """Goals and scores as JSON; numbers that do not exist are null.
+
+        Returns
+        -------
+        str
+        """
         table = {
             "output": str(self.output),
             "met": self.met,
@@ -180,7 +201,7 @@ def run_demo(
     progress: Progress | None = None,
     options: ApproachOptions | None = None,
 ) -> DemoReport:
-    """Make up an approach, photograph it, run the campaign and compare the results with truth.
+    """Simulate an approach and its images, run the campaign and compare the results with the truth.
 
     Parameters
     ----------
@@ -190,9 +211,9 @@ def run_demo(
     workers : int, optional
         Number of processes; default one per CPU.
     progress : callable, optional
-        Called with what is being done, how many images are done, and of how many.
+        Called with the name of the step, the number of images done, and of all.
     options : ApproachOptions, optional
-        Another approach than the usual one.
+        Default: the approach of ``giantlike demo``.
 
     Returns
     -------
@@ -234,7 +255,7 @@ def _clear(output: Path) -> None:
             found = sorted(path.name for path in output.iterdir())
             require(
                 not found,
-                f"{output}: holds {', '.join(found[:3])} and no earlier demonstration (no {_MARKER}); "
+                f"{output}: the folder holds {', '.join(found[:3])} and no earlier demonstration (no {_MARKER}): "
                 "name an empty folder",
             )
             marker.write_text(_MARKER_TEXT, encoding="utf-8")
@@ -276,7 +297,7 @@ def _by_estimator(comparison: Comparison) -> dict[str, list[ObservationError]]:
 
 
 def _consistency(text: str, total: float, dof: int) -> Goal:
-    """Mean squared normalized error, and where it lies if the stated covariances are right."""
+    """Goal of a mean squared normalized error: the range in which it lies if the stated covariances are right."""
     low, high = (float(chi2.ppf(p, dof)) / dof for p in (_CONSISTENT / 2, 1.0 - _CONSISTENT / 2))
     return Goal(text=f"{text} ({dof})", value=total / dof, low=low, high=high)
 
@@ -321,7 +342,7 @@ def _score_lines(title: str, scores: dict[str, Score]) -> list[str]:
 
 
 def _failure_lines(scores: dict[tuple[str, str], Score]) -> list[str]:
-    """What gave no fix, and why; nothing where everything did."""
+    """Counts of what gave no fix, by reason; empty if everything did."""
     lines = []
     for (target, estimator), score in scores.items():
         label = f"{target:<7} {estimator:<18}"

@@ -1,4 +1,4 @@
-"""What a finished run hands to other programs: its attitudes in their formats."""
+"""Export of the attitudes of a finished run in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class ExportFormat(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
-    """How attitudes are written.
+    """Options of an export.
 
     Parameters
     ----------
     suspect : bool
-        Write attitudes to which a named check objects as well.
+        Write suspect attitudes as well.
     stars_only : bool
-        Leave out those that were carried over from other images.
+        Leave out attitudes that were transferred from other images.
     max_gap_s : float, s
-        CK and AEM: nobody is to interpolate over a longer gap.
+        CK and AEM: longest gap to interpolate over. No study: a longer one joins segments that a slew may separate.
     instrument_id : int, optional
         CK: NAIF code of the camera frame.
     frame_name : str, optional
@@ -57,7 +57,7 @@ class ExportOptions:
     object_name, object_id, originator : str
         AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`.
     sip_order : int
-        WCS: of the polynomials, 2 to 9.
+        WCS: order of the polynomials, 2 to 9.
     """
 
     suspect: bool = False
@@ -77,7 +77,15 @@ class ExportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """Files that were written, how many attitudes they hold, and what was left out and why."""
+    """Result of an export.
+
+    Parameters
+    ----------
+    files : tuple of Path
+    n_attitudes : int
+    left_out : mapping of str to int
+        Number of attitudes left out, by reason.
+    """
 
     files: tuple[Path, ...]
     n_attitudes: int
@@ -97,6 +105,10 @@ def export_run(
         New file (for WCS, a folder).
     format_name : ExportFormat
     options : ExportOptions
+
+    Returns
+    -------
+    Exported
 
     Raises
     ------
@@ -151,7 +163,7 @@ def _make_folder(path: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Job:
-    """What one format is written from."""
+    """Everything that one format is written from."""
 
     output: Path
     camera: Camera

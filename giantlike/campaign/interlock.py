@@ -1,4 +1,4 @@
-"""The interlock of two sensors over a campaign: how one camera lies with respect to another, or to a star tracker."""
+"""Interlock of two sensors: the rotation between two cameras, or a camera and a star tracker, over a campaign."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class InterlockResult(Value):
     alignment : AlignmentResult
         ``second_from_first``.
     et : (n,) float64, TDB seconds past J2000
-        Of the first sensor.
+        Times of the first sensor.
     names : tuple of (str, str)
-        What was paired.
+        Names of the attitudes of each pair.
     rotation_angles_rad : (n,) float64, rad
         Angle of ``second_from_first``, pair by pair.
     sigma_rad : (n, 3) float64, rad
@@ -55,7 +55,12 @@ class InterlockResult(Value):
     unpaired: int
 
     def summary(self) -> dict[str, Any]:
-        """What ``interlock.json`` holds."""
+        """Content of ``interlock.json``.
+
+        Returns
+        -------
+        dict
+        """
         fix = self.alignment
         used = fix.used
         spread = np.std(fix.residuals_rad[used], axis=0, ddof=1) if used.sum() > 1 else np.full(3, np.nan)
@@ -75,7 +80,7 @@ class InterlockResult(Value):
 
 
 def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> InterlockResult:
-    """Interlock of two sensors.
+    """Estimate the interlock of two sensors.
 
     Parameters
     ----------
@@ -83,7 +88,11 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
         Run folders (their star attitudes that are not suspect are taken), or tables of attitudes as
         :func:`~giantlike.io.attitude_series.read_attitude_csv` reads them.
     tolerance_s : float, s
-        Attitudes at most so far apart in time are a pair; what the sensors turn in between is an error.
+        Attitudes at most so far apart in time are a pair; the rotation in between is an error.
+
+    Returns
+    -------
+    InterlockResult
 
     Raises
     ------
@@ -124,6 +133,17 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
 
 def write_interlock(result: InterlockResult, folder: Path) -> tuple[Path, ...]:
     """Write ``interlock.json``, ``interlock.csv`` (pair by pair) and ``interlock.svg`` (residuals over time).
+
+    Parameters
+    ----------
+    result : InterlockResult
+    folder : Path
+        Made if it does not exist.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
 
     Raises
     ------
@@ -205,5 +225,5 @@ def _figure(result: InterlockResult) -> str:
 
 
 def _arcsec(values_rad: ArrayLike) -> list[float | None]:
-    """Arc seconds; None where there is no number, as JSON has it."""
+    """Arc seconds; None for NaN, as JSON has it."""
     return [value if np.isfinite(value) else None for value in (np.asarray(values_rad) * ARCSEC_PER_RAD).tolist()]

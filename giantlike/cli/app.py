@@ -1,4 +1,4 @@
-"""The commands of ``giantlike``; what they need is imported when they run."""
+"""Commands of ``giantlike``; their modules are imported when they run."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class NoiseOption(StrEnum):
     DETECTOR = "detector"
 
 
-Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout, for machines.")]
+Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout.")]
 Sequence = Annotated[
     bool,
     typer.Option(
@@ -87,7 +87,7 @@ def _main(
 def run(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.")],
     workers: Workers = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
     json: Json = False,
 ) -> ExitCode:
     """Run a campaign: attitudes from stars, then every estimator on every image.
@@ -122,11 +122,9 @@ def calibrate(
         typer.Option(help="Images show a checkerboard with so many inner corners.", metavar="COLUMNSxROWS"),
     ] = None,
     max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalog star.")] = None,
-    output: Annotated[Path, typer.Option(help="For images: folder of what comes out.", metavar="DIR")] = Path(
-        "calibration"
-    ),
+    output: Annotated[Path, typer.Option(help="For images: output folder.", metavar="DIR")] = Path("calibration"),
     workers: Workers = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
     json: Json = False,
 ) -> ExitCode:
     """Calibrate a camera from images of stars, or of a checkerboard.
@@ -159,10 +157,10 @@ def stars(
         float | None, typer.Option(help="Rough field of view along x, instead of a camera file.", metavar="DEG")
     ] = None,
     fov_error: Annotated[
-        float, typer.Option(help="How wrong --fov may be, percent (at most 20).", metavar="PERCENT")
+        float, typer.Option(help="Error that --fov may have, percent (at most 20).", metavar="PERCENT")
     ] = 20.0,
     lost_in_space: Annotated[
-        bool, typer.Option("--lost-in-space", help="Search the whole sky where the a priori attitude does not help.")
+        bool, typer.Option("--lost-in-space", help="Search the whole sky if the a priori attitude does not help.")
     ] = False,
     max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalog star.")] = None,
     catalog: Annotated[str, typer.Option(help="default, a built catalog, or one in CSV.")] = "default",
@@ -206,29 +204,31 @@ def detect(
         Path | None, typer.Option(help="Camera file: its PSF and detector are used.", metavar="CAMERA.toml")
     ] = None,
     psf_sigma: Annotated[
-        float | None, typer.Option(help="Width of the PSF; default: the camera's or as found.", metavar="PX")
+        float | None, typer.Option(help="Sigma of the PSF; default: the camera's, or as estimated.", metavar="PX")
     ] = None,
-    min_snr: Annotated[float, typer.Option(help="Leave out what is fainter.")] = 0.0,
+    min_snr: Annotated[float, typer.Option(help="Leave out sources of lower signal-to-noise ratio.")] = 0.0,
     threshold: Annotated[float, typer.Option(help="Detection limit in units of the noise.", metavar="SIGMA")] = 5.0,
     noise: Annotated[
-        NoiseOption, typer.Option(help="Where the noise of a pixel is taken from.", case_sensitive=False)
+        NoiseOption, typer.Option(help="Source of the noise of a pixel.", case_sensitive=False)
     ] = NoiseOption.LOCAL,
     covered: Annotated[
         tuple[int, int, int, int] | None,
         typer.Option(help="For --noise covered: pixels without light.", metavar="X Y COLUMNS ROWS"),
     ] = None,
     streak: Annotated[
-        bool | None, typer.Option("--streak/--no-streak", help="Stars are lines; by default this is found out.")
+        bool | None, typer.Option("--streak/--no-streak", help="Stars are streaks; by default this is detected.")
     ] = None,
-    psf: Annotated[PsfOption | None, typer.Option(help="Estimate the PSF from each image, and places with it.")] = None,
-    psf_degree: Annotated[int, typer.Option(help="Degree with which that PSF varies over the field, 0 to 3.")] = 0,
+    psf: Annotated[
+        PsfOption | None, typer.Option(help="Estimate the PSF from each image, and fit sources with it.")
+    ] = None,
+    psf_degree: Annotated[int, typer.Option(help="Degree of the variation of that PSF over the field, 0 to 3.")] = 0,
     sequence: Sequence = False,
     hdu: Annotated[str | None, typer.Option(help="Number or name of the FITS extension.")] = None,
     json: Json = False,
 ) -> ExitCode:
-    """Find stars and other point sources, and say where they are and how well that is known.
+    """Find stars and other point sources, with their positions and covariances.
 
-    With --json all of them are listed, brightest first; flags say what speaks against one.
+    With --json all of them are listed, brightest first, with quality flags.
     """
     from giantlike.cli.detect_command import detect_command
 
@@ -253,7 +253,7 @@ def render(
     output: Annotated[
         Path | None, typer.Option(help="Folder, or the FITS file of an only image.", metavar="DIR|FILE")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace images that are already there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace images that exist.")] = False,
     json: Json = False,
 ) -> ExitCode:
     """Make images of bodies and stars, with noise and with the truth in the file."""
@@ -268,7 +268,7 @@ def estimators(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show the options of this one.")] = None,
     json: Json = False,
 ) -> ExitCode:
-    """List what finds a body in an image, or show one estimator with its options and their defaults."""
+    """List the estimators of bodies, or show one with its options and their defaults."""
     from giantlike.cli.estimators_command import estimators_command
 
     return estimators_command(name, json=json)
@@ -295,7 +295,9 @@ def export(
         Path | None, typer.Option(help="New file; for wcs a folder. Default: in the run folder.", metavar="FILE|DIR")
     ] = None,
     suspect: Annotated[bool, typer.Option("--suspect", help="Suspect attitudes as well.")] = False,
-    stars_only: Annotated[bool, typer.Option("--stars-only", help="No attitudes carried over from neighbors.")] = False,
+    stars_only: Annotated[
+        bool, typer.Option("--stars-only", help="Leave out attitudes transferred from neighbors.")
+    ] = False,
     max_gap: Annotated[float, typer.Option(help="ck, aem: longest gap to interpolate over, s.")] = 600.0,
     instrument: Annotated[int | None, typer.Option(help="ck: NAIF code of the camera frame.", metavar="ID")] = None,
     frame: Annotated[str | None, typer.Option(help="ck, aem: name of the camera frame.", metavar="NAME")] = None,
@@ -336,11 +338,11 @@ def export(
 def interlock(
     first: Annotated[Path, typer.Argument(metavar="FIRST", help="Run folder, or a table of attitudes.")],
     second: Annotated[Path, typer.Argument(metavar="SECOND", help="The other sensor's.")],
-    output: Annotated[Path, typer.Option(help="Folder of what comes out.", metavar="DIR")] = Path("interlock"),
-    tolerance: Annotated[float, typer.Option(help="Largest difference in time of a pair, s.")] = 0.05,
+    output: Annotated[Path, typer.Option(help="Output folder.", metavar="DIR")] = Path("interlock"),
+    tolerance: Annotated[float, typer.Option(help="Largest time difference of a pair, s.")] = 0.05,
     json: Json = False,
 ) -> ExitCode:
-    """Estimate how two cameras, or a camera and a star tracker, lie with respect to each other.
+    """Estimate the rotation between two cameras, or a camera and a star tracker.
 
     Attitudes of the same time are paired. A table of attitudes has the columns of giantlike export
     --format csv.

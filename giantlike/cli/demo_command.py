@@ -12,7 +12,7 @@ from giantlike.cli.progress import progress_bar
 
 
 def demo_command(output: Path, *, workers: int | None, json: bool) -> ExitCode:
-    """Run the demonstration and show how it compares with the truth."""
+    """Run the demonstration and show its comparison with the truth."""
     with progress_bar() as progress:
         report = run_demo(output, workers=workers, progress=progress)
     typer.echo(report.to_json() if json else report.text())

@@ -1,4 +1,4 @@
-"""``giantlike interlock``: how two sensors lie with respect to each other."""
+"""``giantlike interlock``: the rotation between two sensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from giantlike.cli.outcome import ExitCode, print_json
 
 
 def interlock_command(first: Path, second: Path, output: Path, *, tolerance_s: float, json: bool) -> ExitCode:
-    """Estimate the interlock and write what it was made of."""
+    """Estimate the interlock, write it with its pairs, and show it."""
     result = interlock_of(first, second, tolerance_s=tolerance_s)
     files = write_interlock(result, output)
     summary = result.summary()

@@ -1,4 +1,4 @@
-"""How a command ends: exit codes, and one line for a user's mistake."""
+"""End of a command: exit codes, and one line for a mistake of the user."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Arguments = ParamSpec("Arguments")
 
 
 class ExitCode(IntEnum):
-    """What the exit code of a command means."""
+    """Exit codes of the commands."""
 
     DONE = 0
     SOME_IMAGES_FAILED = 1
@@ -28,7 +28,15 @@ class ExitCode(IntEnum):
 def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None]:
     """Make a typer command of a function that returns an exit code.
 
-    Errors of the user become one line on stderr; an interrupt as well.
+    Errors of the user, and an interrupt, become one line on stderr.
+
+    Parameters
+    ----------
+    function : callable
+
+    Returns
+    -------
+    callable
     """
 
     @functools.wraps(function)
@@ -47,12 +55,22 @@ def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None
 
 
 def say(text: str) -> None:
-    """Write one line to stderr."""
+    """Write one line to stderr.
+
+    Parameters
+    ----------
+    text : str
+    """
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
 
 def print_json(value: Mapping[str, Any] | Sequence[Any]) -> None:
-    """Write JSON to stdout: the only thing there when ``--json`` is given."""
+    """Write JSON to stdout; with ``--json`` nothing else goes there.
+
+    Parameters
+    ----------
+    value : mapping or sequence
+    """
     sys.stdout.write(json.dumps(value, indent=1, allow_nan=False, default=str) + "\n")
     sys.stdout.flush()

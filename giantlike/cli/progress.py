@@ -9,7 +9,13 @@ from collections.abc import Callable, Iterator
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """Give a function to call with what is being done, how many images are done, and of how many."""
+    """Show a progress bar inside a ``with`` block.
+
+    Yields
+    ------
+    callable
+        Takes the name of the step, the number of images done, and of all.
+    """
     if not sys.stderr.isatty():
         yield _nothing
         return

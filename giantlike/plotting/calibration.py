@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float
 from giantlike.plotting.style import BLUE, GRAY, INK, ORANGE, RED, drawing, new_figure
 
-_ARROWS = 13  # along an axis
+_ARROWS = 13  # along an axis; for legibility only
 _DIVERGING = LinearSegmentedColormap.from_list("correlation", [BLUE, "white", RED])
 _SEQUENTIAL = LinearSegmentedColormap.from_list("size", ["#f5f7f9", "#9fc2de", BLUE, "#0b2f5c"])
-_LABEL_SHARE = 0.995
+_LABEL_SHARE = 0.995  # correlations above it would be rounded to 1.00, and get three digits
 
 
 def distortion_figure(
@@ -27,10 +27,14 @@ def distortion_figure(
     Parameters
     ----------
     points_px, distortion_px : (n, 2), px
-        Where a pinhole of the same focal length would put a direction is ``points_px - distortion_px``.
+        A pinhole of the same focal length would image the direction of a point at ``points_px - distortion_px``.
     sigma_points_px, sigma_px : (m, 2), (m,), px
         Radial standard deviation of the map, modulo a rotation.
     columns, rows : int
+
+    Returns
+    -------
+    Figure
     """
     with drawing():
         figure = new_figure(10.0, 3.9)
@@ -64,7 +68,17 @@ def _thinned(points_px: Float) -> NDArray[np.intp]:
 
 
 def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
-    """Correlation matrix (k, k) of estimated parameters, with its numbers."""
+    """Correlation matrix of estimated parameters, with its numbers.
+
+    Parameters
+    ----------
+    names : sequence of str
+    correlation : (k, k)
+
+    Returns
+    -------
+    Figure
+    """
     with drawing():
         side = 1.6 + 0.52 * len(names)
         figure = new_figure(side + 0.9, side)
@@ -86,12 +100,16 @@ def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
 
 
 def residual_trend_figure(trends: Mapping[str, tuple[Float, Float, Float]]) -> Figure:
-    """Residual rms against whatever it might depend on, one panel each, with what the noise promises.
+    """Residual rms against quantities it might depend on, one panel each, with the rms expected from the noise.
 
     Parameters
     ----------
     trends : mapping of str to (n,), (n,), (n,)
-        By label of the axis: its values, the radial rms there and the radial noise promised there, px.
+        By label of the axis: its values, the radial rms there and the radial rms expected there, px.
+
+    Returns
+    -------
+    Figure
     """
     with drawing():
         figure = new_figure(2.2 + 2.6 * len(trends), 2.9)

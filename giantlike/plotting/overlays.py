@@ -1,4 +1,4 @@
-"""What was found, drawn on the image it was found in."""
+"""Images with stars, outlines and centers drawn on them."""
 
 from __future__ import annotations
 
@@ -29,16 +29,20 @@ MARKS = MappingProxyType(
         "limb points used": "#ffe066",
     }
 )
-"""Colors of what is drawn, for a legend beside the figures."""
+"""Colors by meaning, for a legend beside the figures."""
 
 CENTERS = ("#ff5c7a", "#37c8ff", "#8dff6a", "#ff9de2", "#ffffff", "#ffa042")
 """Colors for the centers that estimators found."""
 
 _OUTLINE, _LIMB = MARKS["a priori outline and center"], MARKS["limb points used"]
 _PANEL_IN = 4.6
+"""Width of a panel, inches: 506 px at the 110 dpi of the report, whose narrowest card is 480 px wide."""
 _MAX_ELONGATION = 2.0
+"""Largest ratio of the sides of a panel; narrower images are stretched."""
 _MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25
+"""Half width of a close-up at the least, px, and its margin around the body."""
 _SOFTENING = 8.0
+"""Level, in units of the noise, up to which the gray scale is linear; above it is logarithmic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,11 +52,11 @@ class StarMarks(Value):
     Parameters
     ----------
     detected_px : (n, 2)
-        Everything that was detected.
+        All detections.
     matched_px, predicted_px : (m, 2)
-        Identified stars as measured, and where the solution puts them.
+        Identified stars as measured, and as the solution predicts them.
     rejected_px : (k, 2)
-        Matches that were thrown out.
+        Matches rejected as outliers.
     """
 
     detected_px: Float
@@ -62,13 +66,31 @@ class StarMarks(Value):
 
     @classmethod
     def of_detections(cls, detected_px: Float) -> StarMarks:
-        """Marks of an image whose stars were not identified."""
+        """Marks of an image whose stars were not identified.
+
+        Parameters
+        ----------
+        detected_px : (n, 2)
+
+        Returns
+        -------
+        StarMarks
+        """
         return cls(detected_px=detected_px, matched_px=np.zeros((0, 2)), predicted_px=np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CenterMark(Value):
-    """What one estimator found: the center (2,) with its covariance (2, 2), and the limb points (n, 2) it used, px."""
+    """Result of one estimator.
+
+    Parameters
+    ----------
+    color : str
+    center_px : (2,)
+    covariance_px2 : (2, 2)
+    limb_px : (n, 2)
+        Limb points used.
+    """
 
     color: str
     center_px: Float
@@ -90,7 +112,7 @@ class BodyMarks(Value):
     outline_px : (n, 2)
         A priori outline; empty for a body too small to have one.
     lit : (n,) bool
-        Which outline points the Sun reaches.
+        True for outline points in sunlight.
     centers : sequence of CenterMark
     """
 
@@ -103,7 +125,7 @@ class BodyMarks(Value):
 
 
 def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[np.uint8]:
-    """Return an image for the eye: noise dark gray, faint stars visible, the shading of bodies kept.
+    """Return an image for viewing: noise dark gray, faint stars visible, the shading of bodies kept.
 
     Parameters
     ----------
@@ -113,7 +135,7 @@ def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[
 
     Returns
     -------
-    (rows, columns) uint8
+    gray : (rows, columns) uint8
     """
     image = np.ascontiguousarray(pixels, dtype=np.float32)
     factor = int(np.ceil(max(image.shape) / longest_px))
@@ -140,6 +162,10 @@ def overlay_figure(
     title : str
     stars : StarMarks, optional
     bodies : sequence of BodyMarks
+
+    Returns
+    -------
+    Figure
     """
     rows, columns = pixels.shape
     views = [_zoom(body, columns, rows) for body in bodies]
@@ -163,7 +189,7 @@ def overlay_figure(
 
 
 def _panels(count: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Panels of equal size side by side; laid out by hand, which is many times faster than by matplotlib."""
+    """Panels of equal size side by side; placed here, which is many times faster than matplotlib's own layout."""
     left, bottom, top = 0.42, 0.25, 0.28
     total_width, total_height = count * (left + width_in) + 0.08, bottom + height_in + top
     figure = Figure(figsize=(total_width, total_height), facecolor="white")
@@ -200,7 +226,7 @@ def _draw_outline(axis: Axes, body: BodyMarks) -> None:
 
 
 def _zoom(body: BodyMarks, columns: int, rows: int) -> tuple[Float, float] | None:
-    """Middle (2,) and half width of a close-up, px; None where the image shows nothing of the body."""
+    """Middle (2,) and half width of a close-up, px; None if the body is outside of the image."""
     points = [body.predicted_px[None, :], *(mark.center_px[None, :] for mark in body.centers), body.outline_px]
     together = np.concatenate(points)
     low, high = together.min(axis=0), together.max(axis=0)

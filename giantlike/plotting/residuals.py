@@ -1,4 +1,4 @@
-"""Residuals: of stars over the field, of bodies and attitudes over a campaign."""
+"""Figures of residuals: of stars over the field, of bodies and attitudes over a campaign."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 from giantlike.plotting.style import BLUE, GRAY, INK, MANY_POINTS, MARKERS, RED, SERIES, drawing, new_figure
 
-_MAX_ARROWS = 400
+_MAX_ARROWS = 400  # for legibility only
 _SMALLEST_PX = 1e-6  # a logarithmic axis has no zero
-_MAGNITUDE_BINS = 24
-_RAYLEIGH_MEDIAN = 1.1774  # of the length of a vector with two independent unit Gaussian components
+_MAGNITUDE_BINS = 24  # a third of a magnitude each over the usual eight
+_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of the length of a vector with two unit Gaussian components
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +54,10 @@ def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str
     panels : sequence of str
         Labels of the k quantities, with units; a quantity that no series has gets no panel.
     at_label, title : str
+
+    Returns
+    -------
+    Figure
     """
     shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)]
     with drawing():
@@ -96,18 +100,22 @@ def star_residual_figure(
 ) -> Figure:
     """Residuals of matched stars: arrows over the field, histogram per axis, size against magnitude.
 
-    What has no magnitudes, such as corners of a board, is shown against the distance from the image center.
+    Observations without magnitudes, such as corners of a board, are shown against the distance from the image center.
 
     Parameters
     ----------
     points_px : (n, 2), px
-        Where the stars are.
+        Measured places of the stars.
     residuals_px : (n, 2), px
         Observed minus predicted.
     magnitudes, sigma_px : (n,)
         Catalog magnitudes, NaN where there are none; standard deviation per axis that weighted each star, px.
     columns, rows : int
         Size of the detector.
+
+    Returns
+    -------
+    Figure
     """
     with drawing():
         figure = new_figure(11.0, 3.6)

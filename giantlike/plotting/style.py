@@ -1,4 +1,4 @@
-"""How figures look, and how they become part of a web page."""
+"""Style of all figures, and their conversion to parts of a web page."""
 
 from __future__ import annotations
 
@@ -47,13 +47,27 @@ _STYLE: Any = MappingProxyType(  # matplotlib's own type for this lists every se
 
 @contextlib.contextmanager
 def drawing() -> Iterator[None]:
-    """Draw in the style of all figures: ``with drawing(): ...``, for making and for saving them."""
+    """Draw in the style of all figures: ``with drawing(): ...``, for making and for saving them.
+
+    Yields
+    ------
+    None
+    """
     with matplotlib.rc_context(dict(_STYLE)):
         yield
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure, its parts arranged without overlap."""
+    """Return an empty figure whose parts will not overlap.
+
+    Parameters
+    ----------
+    width_in, height_in : float, inches
+
+    Returns
+    -------
+    Figure
+    """
     return Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
 
 
@@ -65,6 +79,10 @@ def svg_text(figure: Figure, name: str) -> str:
     figure : Figure
     name : str
         Differs for every figure of a page, so that their internal names do not clash.
+
+    Returns
+    -------
+    str
     """
     buffer = io.StringIO()
     with drawing(), matplotlib.rc_context({"svg.hashsalt": name}):
@@ -74,7 +92,18 @@ def svg_text(figure: Figure, name: str) -> str:
 
 
 def jpeg_data_uri(figure: Figure, *, dpi: int = 110, quality: int = 82) -> str:
-    """Return a figure as a JPEG ``data:`` address; right for figures that show images."""
+    """Return a figure as a JPEG ``data:`` address; right for figures that show images.
+
+    Parameters
+    ----------
+    figure : Figure
+    dpi, quality : int
+        Resolution, and quality of the JPEG of 100.
+
+    Returns
+    -------
+    str
+    """
     buffer = io.BytesIO()
     with drawing():
         figure.savefig(buffer, format="jpeg", dpi=dpi, pil_kwargs={"quality": quality})

@@ -1,4 +1,4 @@
-"""A camera calibrated from images of a checkerboard: files in, the same files out as from stars."""
+"""Calibration of a camera from images of a checkerboard; writes the same files as one from stars."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from giantlike.image import Image
 _USUAL = frozenset(
     {"fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "e2", "e4", "e5", "e6", "b2", "b3", "b4"}
 )
+"""Parameters, of any model, that an ordinary series of boards supports; higher terms are left at zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardSetup:
-    """What to calibrate from images of a checkerboard.
+    """Board, camera model and parameters of a calibration from images of a checkerboard.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class BoardSetup:
 
 
 def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> CampaignCalibration:
-    """Calibrate a camera from images of a checkerboard; write camera, JSON, table of residuals and report.
+    """Calibrate a camera from images of a checkerboard; write camera, JSON, table of residuals and page.
 
     Parameters
     ----------
@@ -59,7 +60,11 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
         Images of one camera.
     setup : BoardSetup
     folder : Path
-        Of what comes out; made where it is not there.
+        Output folder; made if it does not exist.
+
+    Returns
+    -------
+    CampaignCalibration
 
     Raises
     ------
@@ -85,15 +90,15 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
         if observations
         else Failure(Reason.NO_PATTERN_MATCH, f"none of {len(files)} images shows the board; {lost[0][1].detail}")
     )
-    told = tuple((name, f"{failure.reason}: {failure.detail}") for name, failure in lost)
+    reasons = tuple((name, f"{failure.reason}: {failure.detail}") for name, failure in lost)
     if isinstance(outcome, Failure):
-        result = CampaignCalibration(outcome=outcome, camera=None, alignment=None, lost=told, targets="corners")
+        result = CampaignCalibration(outcome=outcome, camera=None, alignment=None, lost=reasons, targets="corners")
     else:
         result = CampaignCalibration(
             outcome=StarCalibration(result=outcome, rounds=1, settled=True, failed=()),
             camera=calibrated_camera(camera, outcome) if outcome.accepted else None,
             alignment=None,
-            lost=told,
+            lost=reasons,
             targets="corners",
         )
     folder.mkdir(parents=True, exist_ok=True)

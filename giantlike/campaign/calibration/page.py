@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from giantlike.calibration.field_map import field_grid
-from giantlike.calibration.observability import Verdict
 from giantlike.calibration.result import CalibrationResult
+from giantlike.calibration.observability import Verdict
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera
@@ -17,7 +16,7 @@ from giantlike.camera_models import CameraModel, EquidistantModel, EquisolidMode
 from giantlike.camera_models.affine import AFFINE_NAMES
 from giantlike.camera_models.axial import AxialModel
 from giantlike.campaign.calibration.solve import CampaignCalibration, calibration_summary
-from giantlike.campaign.report.templates import render_page
+from giantlike.campaign.report.templates import PageFigure, render_page
 from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import write_text_atomic
@@ -27,10 +26,10 @@ from giantlike.plotting import (
     distortion_figure,
     residual_trend_figure,
     star_residual_figure,
-    svg_text,
 )
 
 _MAX_REJECTED = 200
+"""Rejected observations listed in the page, the worst first; ``calibration.json`` holds all."""
 _TRENDS = {
     "image": "image",
     "magnitude": "magnitude",
@@ -46,7 +45,7 @@ _MEANING = {
 
 
 def write_calibration_page(folder: Path, name: str, camera: Camera, result: CampaignCalibration) -> Path:
-    """Write ``calibration.html`` into a folder and return its path.
+    """Write ``calibration.html`` into a folder.
 
     Parameters
     ----------
@@ -54,8 +53,13 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
     name : str
         Of the campaign.
     camera : Camera
-        The one that calibration began with.
+        The camera before the calibration.
     result : CampaignCalibration
+
+    Returns
+    -------
+    Path
+        Of the page.
 
     Raises
     ------
@@ -81,32 +85,38 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
     return path
 
 
-def calibration_figures(fix: CalibrationResult) -> list[dict[str, str]]:
-    """Figures of a calibration as SVG, with captions."""
-    used = fix.used
+def calibration_figures(fix: CalibrationResult) -> list[PageFigure]:
+    """Figures of a calibration.
+
+    Parameters
+    ----------
+    fix : CalibrationResult
+
+    Returns
+    -------
+    list of PageFigure
+    """
+    used, columns, rows = fix.used, fix.columns, fix.rows
+    points, shifts = distortion_of(fix.model, columns, rows)
     residuals = star_residual_figure(
-        fix.observed_px[used],
-        fix.residuals_px[used],
-        fix.magnitudes[used],
-        fix.sigma_px[used],
-        fix.columns,
-        fix.rows,
+        fix.observed_px[used], fix.residuals_px[used], fix.magnitudes[used], fix.sigma_px[used], columns, rows
     )
-    points, shifts = distortion_of(fix.model, fix.columns, fix.rows)
+    trends = residual_trend_figure(_trends(fix))
+    distortion = distortion_figure(points, shifts, fix.map_points_px, fix.map_sigma_px, columns, rows)
     figures = [
-        (
+        PageFigure.of(
             residuals,
-            "residuals",
+            "calibration residuals",
             "Residuals of the observations used, over the field and by size.",
         ),
-        (
-            residual_trend_figure(_trends(fix)),
-            "trends",
+        PageFigure.of(
+            trends,
+            "calibration trends",
             "Residual rms in groups of equal size against what it might depend on, and the noise that sigmas promise.",
         ),
-        (
-            distortion_figure(points, shifts, fix.map_points_px, fix.map_sigma_px, fix.columns, fix.rows),
-            "distortion",
+        PageFigure.of(
+            distortion,
+            "calibration distortion",
             "Left: where the camera puts a direction, minus where an ideal lens (pinhole, or fisheye) of the same "
             "focal lengths and principal point would. Right: uncertainty of the camera map, a rotation of the whole "
             "camera taken out.",
@@ -116,14 +126,26 @@ def calibration_figures(fix: CalibrationResult) -> list[dict[str, str]]:
         caption = (
             "Parameters that are strongly correlated are known in combination only: their own values may fluctuate."
         )
-        figures.append((correlation_figure(fix.estimated, fix.correlation), "correlation", caption))
-    return [{"svg": svg_text(figure, f"calibration {name}"), "caption": text} for figure, name, text in figures]
+        correlation = correlation_figure(fix.estimated, fix.correlation)
+        figures.append(PageFigure.of(correlation, "calibration correlation", caption))
+    return figures
 
 
 def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, Float]:
-    """Grid of pixels (n, 2) and, there, the difference (n, 2) to the ideal lens of the same affine parameters, px.
+    """Distortion of a camera model: its difference from the ideal lens of the same affine parameters.
 
-    Ideal is the pinhole; of a fisheye the equidistant or equisolid lens without its polynomial.
+    The ideal lens is the pinhole; of a fisheye, the equidistant or equisolid lens without its polynomial.
+
+    Parameters
+    ----------
+    model : CameraModel
+    columns, rows : int
+
+    Returns
+    -------
+    points_px : (n, 2) float64, px
+        Grid of pixels.
+    shifts_px : (n, 2) float64, px
     """
     values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     affine = {name: values[name] for name in AFFINE_NAMES}
@@ -138,9 +160,10 @@ def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, F
 
 def _trends(fix: CalibrationResult) -> dict[str, tuple[Float, Float, Float]]:
     groups = residual_statistics(fix)
-    trends: dict[str, Any] = {}
+    trends = {}
     for kind, label in _TRENDS.items():
         mine = [(group.middle, group.rms_px, group.noise_px) for group in groups if group.kind == kind]
         if mine:
-            trends[label] = tuple(np.array(mine).T)
+            middle, rms, noise = np.array(mine).T
+            trends[label] = (middle, rms, noise)
     return trends

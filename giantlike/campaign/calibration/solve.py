@@ -1,4 +1,4 @@
-"""Calibration within a campaign: records to star images, the camera that comes out, and its files."""
+"""Calibration within a campaign: records to star images, the calibrated camera, and its files."""
 
 from __future__ import annotations
 
@@ -36,28 +36,32 @@ from giantlike.image import Image
 from giantlike.stars import Sky, StarOptions
 
 NO_STAR_IMAGE = "is no star image: its exposure is shorter than stars.long_exposure_s"
+"""Detail of the problem of an image that takes no part because it is not meant to."""
 _COLUMNS = (
     "file", "star", "x_px", "y_px", "predicted_x_px", "predicted_y_px", "sigma_px", "magnitude", "temperature_c",
     "used",
 )  # fmt: skip
+_ARRAYS = ("points_px", "covariance_px2", "snr", "star_ids", "source_indices", "sigma_px")
+"""Arrays of a star image that its record holds as lists, by the same names."""
 _FEWEST_FOR_DRIFT = 4
+"""Images from which a drift of the alignment is estimated: its 6 unknowns take two, twice as many leave a check."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CampaignCalibration(Value):
-    """What calibration made of a campaign.
+    """Result of the calibration of a campaign.
 
     Parameters
     ----------
     outcome : StarCalibration or Failure
     camera : Camera or None
-        The calibrated camera; None where there is none, or where it was not accepted.
+        The calibrated camera; None if calibration failed or was not accepted.
     alignment : AlignmentResult or None
-        Of the camera with respect to the a priori attitudes, where images have them.
+        Of the camera with respect to the a priori attitudes, if images have them.
     lost : tuple of (str, str)
-        Images that did not take part, and why.
+        Images that did not take part, and the reasons.
     targets : str
-        What was observed, in a word for people: stars, or corners of a board.
+        Word for what was observed: stars, or corners of a board.
     """
 
     outcome: StarCalibration | Failure
@@ -68,7 +72,7 @@ class CampaignCalibration(Value):
 
     @property
     def problem(self) -> str | None:
-        """Why the campaign goes on with the camera it had; None when it has a calibrated one."""
+        """Reason why the campaign keeps the camera it had; None if it has a calibrated one."""
         if isinstance(self.outcome, Failure):
             return f"calibration failed: {self.outcome.reason}: {self.outcome.detail}"
         if self.camera is None:
@@ -77,7 +81,17 @@ class CampaignCalibration(Value):
 
 
 def temperature_of(image: Image, keyword: str | None) -> float:
-    """Temperature, Celsius, in the header of an image; 0 where no keyword is asked for.
+    """Temperature in the header of an image.
+
+    Parameters
+    ----------
+    image : Image
+    keyword : str or None
+
+    Returns
+    -------
+    float, Celsius
+        0 without a keyword.
 
     Raises
     ------
@@ -99,24 +113,31 @@ def temperature_of(image: Image, keyword: str | None) -> float:
 
 
 def record_of_stars(entry: ImageEntry, stars: StarImage, apriori: Rotation | None) -> CalibrationRecord:
-    """Plain values of a star image."""
-    sky = stars.sky
+    """Star image as plain values.
+
+    Parameters
+    ----------
+    entry : ImageEntry
+    stars : StarImage
+    apriori : Rotation or None
+        A priori ``camera_from_inertial``.
+
+    Returns
+    -------
+    CalibrationRecord
+    """
+    position, velocity = stars.sky.observer_position_km, stars.sky.observer_velocity_km_s
     return CalibrationRecord(
         index=entry.index,
         file=entry.key,
-        et=sky.et,
-        observer_position_km=None if sky.observer_position_km is None else sky.observer_position_km.tolist(),
-        observer_velocity_km_s=None if sky.observer_velocity_km_s is None else sky.observer_velocity_km_s.tolist(),
+        et=stars.sky.et,
+        observer_position_km=None if position is None else position.tolist(),
+        observer_velocity_km_s=None if velocity is None else velocity.tolist(),
         temperature_c=stars.temperature_c,
         apriori_xyzw=None if apriori is None else quaternion_xyzw(apriori).tolist(),
         quaternion_xyzw=quaternion_xyzw(stars.camera_from_inertial).tolist(),
         focal_length_px=stars.focal_length_px,
-        points_px=stars.points_px.tolist(),
-        covariance_px2=stars.covariance_px2.tolist(),
-        snr=stars.snr.tolist(),
-        star_ids=stars.star_ids.tolist(),
-        source_indices=stars.source_indices.tolist(),
-        sigma_px=stars.sigma_px.tolist(),
+        **{name: getattr(stars, name).tolist() for name in _ARRAYS},
     )
 
 
@@ -131,15 +152,10 @@ def _stars_of(record: CalibrationRecord, catalog: StarCatalog, options: StarOpti
             observer_velocity_km_s=None if velocity is None else np.array(velocity),
             max_magnitude=options.max_magnitude,
         ),
-        points_px=np.array(record.points_px),
-        covariance_px2=np.array(record.covariance_px2),
-        snr=np.array(record.snr),
         camera_from_inertial=Rotation.from_quat(record.quaternion_xyzw),
         focal_length_px=record.focal_length_px,
-        star_ids=np.array(record.star_ids, dtype=np.int64),
-        source_indices=np.array(record.source_indices, dtype=np.int64),
-        sigma_px=np.array(record.sigma_px),
         temperature_c=record.temperature_c,
+        **{name: np.array(getattr(record, name)) for name in _ARRAYS},
     )
 
 
@@ -154,6 +170,10 @@ def calibrate_campaign(
     setup : CalibrationSection
     records : sequence of CalibrationRecord
     catalog : StarCatalog
+
+    Returns
+    -------
+    CampaignCalibration
     """
     assert campaign.stars is not None
     options = campaign.stars.options
@@ -182,7 +202,18 @@ def calibrate_campaign(
 
 
 def calibrated_camera(camera: Camera, fix: CalibrationResult) -> Camera:
-    """Camera with the model of a calibration and its covariance."""
+    """Camera with the model of a calibration and its covariance.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera before the calibration; its PSF and detector are kept.
+    fix : CalibrationResult
+
+    Returns
+    -------
+    Camera
+    """
     uncertainty = ModelUncertainty(
         estimated=fix.estimated,
         covariance=fix.covariance,
@@ -194,7 +225,7 @@ def calibrated_camera(camera: Camera, fix: CalibrationResult) -> Camera:
 
 
 def _alignment(fix: CalibrationResult, records: Sequence[CalibrationRecord]) -> AlignmentResult | None:
-    """Camera with respect to the a priori attitudes; with a drift where temperatures differ."""
+    """Camera with respect to the a priori attitudes, with a drift if temperatures differ."""
     apriori = {record.file: record.apriori_xyzw for record in records if record.apriori_xyzw is not None}
     images = [image for image in fix.images if image.n_used > 0 and image.name in apriori]
     if not images:
@@ -212,12 +243,17 @@ def _alignment(fix: CalibrationResult, records: Sequence[CalibrationRecord]) -> 
 
 
 def write_calibration(folder: Path, result: CampaignCalibration) -> bool:
-    """Write ``camera.toml`` (when accepted), ``calibration.json`` and the table of residuals.
+    """Write ``camera.toml`` (if accepted), ``calibration.json`` and the table of residuals.
+
+    Parameters
+    ----------
+    folder : Path
+    result : CampaignCalibration
 
     Returns
     -------
     bool
-        Whether this changed what an earlier run left there, so that the report must be written again.
+        True if this changed what an earlier run left there, so that the page must be written again.
 
     Raises
     ------
@@ -240,7 +276,17 @@ def write_calibration(folder: Path, result: CampaignCalibration) -> bool:
 
 
 def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
-    """Return everything about a calibration but its single observations, as JSON has it; what is unknown is None."""
+    """Everything about a calibration but its single observations, as JSON has it.
+
+    Parameters
+    ----------
+    result : CampaignCalibration
+
+    Returns
+    -------
+    dict
+        Content of ``calibration.json``; None for what is unknown.
+    """
     content: dict[str, Any] = {
         "status": "failed" if isinstance(result.outcome, Failure) else "ok" if result.camera else "not_accepted",
         "problem": result.problem,
@@ -256,33 +302,25 @@ def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
         "covariance": fix.covariance.tolist(),
         "covariance_scale": fix.covariance_scale,
         "parameters": [dataclasses.asdict(one) for one in fix.support],
-        "rms_px": fix.rms_px,
-        "residual_sigma_px": fix.residual_sigma_px,
-        "reduced_chi2": fix.reduced_chi2,
-        "condition_number": fix.condition_number,
+        **_picked(fix, "rms_px residual_sigma_px reduced_chi2 condition_number"),
         "map_sigma_max_px": float(fix.map_sigma_px.max()),
-        "n_used": fix.n_used,
-        "n_rejected": fix.n_rejected,
+        **_picked(fix, "n_used n_rejected"),
         "all_stars": None if everything is None else dataclasses.asdict(everything),
-        "rounds": result.outcome.rounds,
-        "settled": result.outcome.settled,
+        **_picked(result.outcome, "rounds settled"),
         "problems": list(fix.problems),
         "images": [
-            {
-                "file": image.name,
-                "temperature_c": image.temperature_c,
-                "n_used": image.n_used,
-                "n_rejected": image.n_rejected,
-                "rms_px": _number(image.rms_px),
-                "influence_px": _number(image.influence_px),
-                "influence": _number(image.influence),
-            }
+            {"file": image.name} | _picked(image, "temperature_c n_used n_rejected rms_px influence_px influence")
             for image in fix.images
         ],
-        "rejected": [{name: _number(value) for name, value in dataclasses.asdict(one).items()} for one in fix.rejected],
+        "rejected": [_picked(one, " ".join(dataclasses.asdict(one))) for one in fix.rejected],
         "residuals": [dataclasses.asdict(group) for group in residual_statistics(fix)],
         "alignment": None if result.alignment is None else _alignment_summary(result.alignment),
     }
+
+
+def _picked(value: object, names: str) -> dict[str, Any]:
+    """Attributes by name; None for a number that is not finite."""
+    return {name: _finite(getattr(value, name)) for name in names.split()}
 
 
 def _alignment_summary(alignment: AlignmentResult) -> dict[str, Any]:
@@ -299,10 +337,10 @@ def _alignment_summary(alignment: AlignmentResult) -> dict[str, Any]:
     }
 
 
-def _number(value: Any) -> Any:
-    """The value; None for a number that is not finite, also within a tuple."""
+def _finite(value: Any) -> Any:
+    """Return the value, with None for a number that is not finite; a tuple becomes a list."""
     if isinstance(value, tuple):
-        return [_number(one) for one in value]
+        return [_finite(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

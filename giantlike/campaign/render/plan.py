@@ -1,4 +1,4 @@
-"""A scene file, checked and resolved: cameras, bodies and exposures, ready to be rendered."""
+"""A scene file, checked and resolved: camera, bodies and exposures, ready to be rendered."""
 
 from __future__ import annotations
 
@@ -53,21 +53,40 @@ if TYPE_CHECKING:
     from astropy.time import Time
 
 SUN_RADIUS_KM = 695_700.0
-"""IAU 2015 resolution B3, nominal."""
+"""Nominal solar radius, IAU 2015 resolution B3."""
 FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})
-"""How the name of an image ends."""
+"""Suffixes of the files that images are written to."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Place(Value):
-    """Where a target is in an image, as far as files say; inertial axes, apparent."""
+    """Apparent place of a target in an image; None for what the files do not give.
+
+    Parameters
+    ----------
+    position_km : (3,) float64 or None, km, inertial axes
+        From camera to target center.
+    body_from_inertial : Rotation or None
+        When the light left.
+    sun_direction : (3,) float64 or None, inertial axes
+        From target to Sun.
+    """
 
     position_km: Float | None = None
     body_from_inertial: Rotation | None = None
     sun_direction: Float | None = None
 
     def over(self, default: Place) -> Place:
-        """Complete what is not known here by a default."""
+        """Return the place completed by a default.
+
+        Parameters
+        ----------
+        default : Place
+
+        Returns
+        -------
+        Place
+        """
         return Place(
             position_km=default.position_km if self.position_km is None else self.position_km,
             body_from_inertial=self.body_from_inertial or default.body_from_inertial,
@@ -77,14 +96,14 @@ class Place(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposure(Value):
-    """An image to be made, as far as files say; SPICE completes attitude, observer and places.
+    """An image to be made, as the files give it; SPICE completes attitude, observer and places.
 
     Parameters
     ----------
     key : str
-        How messages call it: its place in the scene file or table.
+        Its place in the scene file or table, for messages.
     file : str
-        Of the image, relative to the output folder.
+        File of the image, relative to the output folder.
     epoch : Time
     exposure_s : float, s
     camera_from_inertial : Rotation or None
@@ -116,14 +135,14 @@ class RenderPlan(Value):
     targets : tuple of TargetSetup
         Without estimators; the shapes are loaded by :meth:`shots`.
     places : mapping of str to Place
-        Of the targets, where an image does not say otherwise.
+        Defaults, by target.
     exposures : tuple of Exposure
     detector : DetectorModel
     catalog : str or None
         Name or path of the catalog; None: no stars.
     spice : SpiceSetup or None
     warnings : tuple of str
-        What is odd but no mistake.
+        Oddities that are not mistakes.
     """
 
     path: Path
@@ -139,12 +158,20 @@ class RenderPlan(Value):
 
     @classmethod
     def load(cls, path: str | Path) -> RenderPlan:
-        """Read and check a scene file and what it names.
+        """Read and check a scene file and the files it names.
+
+        Parameters
+        ----------
+        path : path-like
+
+        Returns
+        -------
+        RenderPlan
 
         Raises
         ------
         DataError
-            Anything is wrong with it; one line that names file, key and what was expected.
+            Something is wrong with it; one line that names the file, the key and what was expected.
         """
         path = Path(path)
         content, _ = read_toml(path, RenderFile, "scene file")
@@ -173,11 +200,21 @@ class RenderPlan(Value):
         )
 
     def kernels(self) -> AbstractContextManager[object]:
-        """Load the SPICE kernels, if there are any, until the end of a ``with`` block."""
+        """Load the SPICE kernels, if there are any, until the end of a ``with`` block.
+
+        Returns
+        -------
+        context manager
+        """
         return contextlib.nullcontext() if self.spice is None else load_kernels(self.spice.kernels, self.path.parent)
 
     def shots(self) -> list[tuple[Shot, Scene | None]]:
-        """Every exposure with the scene before it; call it inside ``with plan.kernels()``.
+        """Every exposure with its scene; call it inside ``with plan.kernels()``.
+
+        Returns
+        -------
+        list of (Shot, Scene or None)
+            None if an image has no target.
 
         Raises
         ------
@@ -226,7 +263,7 @@ class RenderPlan(Value):
         )
 
     def _scene(self, exposure: Exposure, shapes: Mapping[str, Shape]) -> Scene | None:
-        """The targets of an image; None where there is none."""
+        """Targets of an image; None if there are none."""
         targets = []
         for setup in self.targets:
             place = exposure.places.get(setup.name, Place()).over(self.places[setup.name])

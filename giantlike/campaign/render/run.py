@@ -27,7 +27,7 @@ _CAMPAIGN, _CAMERA, _GEOMETRY = "campaign.toml", "camera.toml", "geometry.csv"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedImage:
-    """What became of one image.
+    """Summary of one image.
 
     Parameters
     ----------
@@ -35,12 +35,13 @@ class RenderedImage:
     targets : dict of str to list of float
         Pixel (x, y) of the center of each target in view.
     stars : int
-        In view.
-    peak_dn, background_dn : float
-        Brightest pixel, median.
+        Number of stars in view.
+    peak_dn, background_dn : float, DN
+        Brightest pixel and median.
     saturated_px, cosmic_px : int
-        Pixels at the largest number, and hit by cosmic rays.
+        Number of pixels that are saturated, and hit by cosmic rays.
     time_s : float, s
+        Computing time.
     """
 
     path: Path
@@ -68,14 +69,18 @@ def render_images(
     output : Path, optional
         A folder, or the FITS file where there is one image only; by default the folder that the scene file names.
     overwrite : bool
-        Whether files that are already there are replaced.
+        Replace files that exist.
     progress : callable, optional
-        Called with what is done, the number of images done, and of all.
+        Called with the name of the step, the number of images done, and of all.
+
+    Returns
+    -------
+    tuple of RenderedImage
 
     Raises
     ------
     DataError
-        A file is in the way or cannot be written, or the scene cannot be set up; nothing is rendered then.
+        A file exists or cannot be written, or the scene cannot be set up; nothing is rendered then.
     """
     plan, folder = _placed(plan, output)
     paths = [folder / exposure.file for exposure in plan.exposures]
@@ -108,14 +113,14 @@ def render_images(
 
 
 def _placed(plan: RenderPlan, output: Path | None) -> tuple[RenderPlan, Path]:
-    """The plan with the name of its image, where ``output`` is one, and the folder that everything goes to."""
+    """Plan, with its only image renamed if ``output`` is a file, and the output folder."""
     if output is None:
         return plan, plan.path.parent / plan.content.render.output
     if output.suffix.lower() not in FITS_SUFFIXES:
         return plan, output
     images = len(plan.exposures)
     if images != 1:
-        raise InputError(f"--output {output}: names one image, the scene file has {images}: give a folder")
+        raise InputError(f"--output {output} names one image, but the scene file has {images}: give a folder")
     return replace(plan, exposures=(replace(plan.exposures[0], file=output.name),)), output.parent
 
 
@@ -127,7 +132,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _check_output(plan: RenderPlan, folder: Path, paths: list[Path], *, overwrite: bool) -> None:
-    """Refuse files that are in the way, and estimators that do not exist."""
+    """Refuse files that exist, and unknown estimators."""
     section = plan.content.render
     for name in section.estimators:
         if name not in ESTIMATORS:
@@ -143,7 +148,7 @@ def _check_output(plan: RenderPlan, folder: Path, paths: list[Path], *, overwrit
         files += [folder / name for name in (_CAMPAIGN, _CAMERA, _GEOMETRY)]
     for path in files:
         if path.exists():
-            raise DataError(path, "is already there; --overwrite replaces it")
+            raise DataError(path, "already exists; --overwrite replaces it")
 
 
 def _write(plan: RenderPlan, path: Path, taken: SimulatedImage) -> None:

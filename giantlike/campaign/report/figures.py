@@ -1,12 +1,13 @@
-"""The figures of a report, made from records."""
+"""Figures of the report of a run, made from its records."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from giantlike.campaign.report.templates import PageFigure
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, TargetView
 from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
@@ -25,16 +26,46 @@ from giantlike.plotting import (
     overlay_figure,
     series_figure,
     star_residual_figure,
-    svg_text,
 )
 
 _BODY_PANELS = ("x, px", "y, px", "range, %")
 _MAX_STAR_IMAGES = 500
+"""Images whose stars are in the residual figure: some 50,000 points; no result depends on it."""
 _TIME_UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (1.0, "seconds"))
+"""Units of a time axis, s, with their names; the largest that the axis holds more than twice is used."""
 
 
-def attitude_figures(result: RunResult) -> list[dict[str, Any]]:
-    """Star residuals of all images, quality of the solutions, and what they corrected."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overlay:
+    """One image of the report, with what was found in it.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+    observations : list of ObservationRecord
+    picture : str or None
+        ``data:`` address of the picture; None if the image file is gone.
+    problem : str or None
+        The reason why there is no picture.
+    """
+
+    record: AttitudeRecord
+    observations: list[ObservationRecord]
+    picture: str | None = None
+    problem: str | None = None
+
+
+def attitude_figures(result: RunResult) -> list[PageFigure]:
+    """Star residuals of all images, quality of the solutions, and corrections of the a priori attitudes.
+
+    Parameters
+    ----------
+    result : RunResult
+
+    Returns
+    -------
+    list of PageFigure
+    """
     figures = []
     solved = [record for record in result.attitudes if record.n_matched]
     at, label = _time_axis(result)
@@ -48,34 +79,41 @@ def attitude_figures(result: RunResult) -> list[dict[str, Any]]:
             suspect=np.array([record.status == "suspect" for record in solved]),
         )
         figure = series_figure([quality], ["radial rms, px", "matched stars"], label, "Star solutions")
-        figures.append({"caption": "Fit and number of stars of every solution.", "svg": svg_text(figure, "quality")})
+        figures.append(PageFigure.of(figure, "quality", "Fit and number of stars of every solution."))
     corrections = [part for source in ("stars", "interpolated") if (part := _corrections(result, source, at))]
     if corrections:
         panels = ["about x, arcsec", "about y, arcsec", "about z, arcsec"]
         figure = series_figure(corrections, panels, label, "Attitude minus a priori attitude, camera axes")
-        caption = "What the stars changed, with one-sigma bars of the new attitude; hollow: suspect."
-        figures.append({"caption": caption, "svg": svg_text(figure, "corrections")})
+        caption = "Corrections by the stars, with one-sigma bars of the new attitude; hollow: suspect."
+        figures.append(PageFigure.of(figure, "corrections", caption))
     return figures
 
 
-def body_figures(result: RunResult) -> list[dict[str, Any]]:
-    """Observed minus predicted and the difference between estimators, for each target."""
+def body_figures(result: RunResult) -> list[PageFigure]:
+    """Observed minus predicted and the difference between estimators, for each target.
+
+    Parameters
+    ----------
+    result : RunResult
+
+    Returns
+    -------
+    list of PageFigure
+    """
     at, label = _time_axis(result)
+    measured: dict[str, dict[str, dict[int, ObservationRecord]]] = {}
+    for record in result.observations:
+        if record.center_px and record.predicted_px:
+            measured.setdefault(record.target, {}).setdefault(record.estimator, {})[record.index] = record
     figures = []
-    for target in dict.fromkeys(record.target for record in result.observations):
-        members = [r for r in result.observations if r.target == target and r.center_px and r.predicted_px]
-        by_estimator: dict[str, dict[int, ObservationRecord]] = {}
-        for record in members:
-            by_estimator.setdefault(record.estimator, {})[record.index] = record
-        if not by_estimator:
-            continue
+    for target, by_estimator in measured.items():
         offsets = [_offsets(list(records.values()), name, at) for name, records in by_estimator.items()]
         figure = series_figure(offsets, _BODY_PANELS, label, f"{target}: observed minus predicted")
         caption = (
             f"{target}: measured center (and range, where it is measured) against the a priori geometry, with one-sigma"
             " bars of the measurement; hollow: suspect. What all estimators share is the error of the a priori."
         )
-        figures.append({"caption": caption, "svg": svg_text(figure, f"target {target}")})
+        figures.append(PageFigure.of(figure, f"target {target}", caption))
         reference = max(by_estimator, key=lambda name: len(by_estimator[name]))
         differences = [
             part
@@ -85,42 +123,64 @@ def body_figures(result: RunResult) -> list[dict[str, Any]]:
         if differences:
             figure = series_figure(differences, _BODY_PANELS, label, f"{target}: minus {reference}")
             caption = f"{target}: the other estimators minus {reference}; the bars are both sigmas together."
-            figures.append({"caption": caption, "svg": svg_text(figure, f"difference {target}")})
+            figures.append(PageFigure.of(figure, f"difference {target}", caption))
     return figures
 
 
 def center_colors(result: RunResult) -> dict[str, str]:
-    """Colors of the centers that estimators found."""
+    """Colors of the centers that estimators found.
+
+    Parameters
+    ----------
+    result : RunResult
+
+    Returns
+    -------
+    dict of str to str
+        By estimator.
+    """
     names = dict.fromkeys(record.estimator for record in result.observations if record.center_px is not None)
     return {name: CENTERS[number % len(CENTERS)] for number, name in enumerate(names)}
 
 
-def overlay(result: RunResult, record: AttitudeRecord) -> dict[str, Any]:
-    """One image with what was found in it; without a picture where the image file is gone."""
+def overlay(result: RunResult, record: AttitudeRecord) -> Overlay:
+    """One image with what was found in it.
+
+    Parameters
+    ----------
+    result : RunResult
+    record : AttitudeRecord
+        Of the image.
+
+    Returns
+    -------
+    Overlay
+    """
     folder = RunFolder(result.folder)
     full = folder.load(AttitudeRecord, record.index, record.file)
     body = folder.load(ObservationsRecord, record.index, record.file)
     observations = [] if body is None else body.observations
-    content: dict[str, Any] = {"record": record, "observations": observations, "picture": None, "problem": None}
     try:
         pixels = Image.open(result.folder / record.path, hdu=result.hdu, bottom_up=result.bottom_up).pixels
     except OpNavError as error:
-        return content | {"problem": str(error)}
+        return Overlay(record=record, observations=observations, problem=str(error))
     colors = center_colors(result)
     marks = [] if body is None else [_body_marks(view, observations, colors) for view in body.views]
     figure = overlay_figure(pixels, record.file, stars=None if full is None else _star_marks(full), bodies=marks)
-    return content | {"picture": jpeg_data_uri(figure)}
+    return Overlay(record=record, observations=observations, picture=jpeg_data_uri(figure))
 
 
 def _star_marks(record: AttitudeRecord) -> StarMarks | None:
     if not record.detected_px:
         return None
-    stars = record.stars
+    detected, stars = _points(record.detected_px), record.stars
+    if stars is None:
+        return StarMarks.of_detections(detected)
     return StarMarks(
-        detected_px=_points(record.detected_px),
-        matched_px=_points([] if stars is None else stars.observed_px),
-        predicted_px=_points([] if stars is None else stars.predicted_px),
-        rejected_px=_points([] if stars is None else stars.rejected_px),
+        detected_px=detected,
+        matched_px=_points(stars.observed_px),
+        predicted_px=_points(stars.predicted_px),
+        rejected_px=_points(stars.rejected_px),
     )
 
 
@@ -149,7 +209,7 @@ def _points(values: Sequence[Sequence[float]]) -> Float:
 
 
 def _time_axis(result: RunResult) -> tuple[Callable[[int], float], str]:
-    """Where an image stands on the abscissa: time since the first one, or its number where a time is missing."""
+    """Abscissa of an image by its index, and the label: time since the first image, or its number."""
     times = {record.index: record.et for record in result.attitudes if record.et is not None}
     readable = [record for record in result.attitudes if record.readable]
     first = min(times, key=lambda index: times[index], default=None)
@@ -161,21 +221,31 @@ def _time_axis(result: RunResult) -> tuple[Callable[[int], float], str]:
     return lambda index: (times.get(index, start) - start) / unit_s, f"{unit} since {text[:19]} UTC"
 
 
+_Sample = tuple[float, Float, Float, bool]
+"""One point of a series: abscissa, values (k,), sigmas (k,), True if suspect."""
+
+
+def _series(label: str, samples: Sequence[_Sample]) -> Series | None:
+    if not samples:
+        return None
+    at, values, sigma, suspect = zip(*samples, strict=True)
+    return Series(
+        label=label, at=np.array(at), values=np.array(values), sigma=np.array(sigma), suspect=np.array(suspect)
+    )
+
+
 def _corrections(result: RunResult, source: str, at: Callable[[int], float]) -> Series | None:
-    rows: list[tuple[float, Float, Float, bool]] = []
+    samples: list[_Sample] = []
     for record in result.attitudes:
         attitude = record.attitude
-        if attitude is None or attitude.source != source or record.apriori is None:
-            continue
-        change = rotation_between(record.apriori, attitude.rotation)
-        sigma = ARCSEC_PER_RAD * attitude.sigma_rad
-        rows.append((at(record.index), ARCSEC_PER_RAD * change, sigma, record.status == "suspect"))
-    return _series(source, rows)
+        if attitude is not None and attitude.source == source and record.apriori is not None:
+            change = ARCSEC_PER_RAD * rotation_between(record.apriori, attitude.rotation)
+            samples.append((at(record.index), change, ARCSEC_PER_RAD * attitude.sigma_rad, record.status == "suspect"))
+    return _series(source, samples)
 
 
 def _offsets(records: Sequence[ObservationRecord], label: str, at: Callable[[int], float]) -> Series:
-    rows = [(at(record.index), *_measured(record), record.status == "suspect") for record in records]
-    series = _series(label, rows)
+    series = _series(label, [(at(record.index), *_measured(record), record.status == "suspect") for record in records])
     assert series is not None
     return series
 
@@ -186,17 +256,17 @@ def _differences(
     label: str,
     at: Callable[[int], float],
 ) -> Series | None:
-    rows: list[tuple[float, Float, Float, bool]] = []
+    samples: list[_Sample] = []
     for index in sorted(records.keys() & reference.keys()):
         value, sigma = _measured(records[index])
         other, other_sigma = _measured(reference[index])
         suspect = "suspect" in (records[index].status, reference[index].status)
-        rows.append((at(index), value - other, np.hypot(sigma, other_sigma), suspect))
-    return _series(label, rows)
+        samples.append((at(index), value - other, np.hypot(sigma, other_sigma), suspect))
+    return _series(label, samples)
 
 
 def _measured(record: ObservationRecord) -> tuple[Float, Float]:
-    """Observed minus predicted x, y (px) and range (percent), (3,), and their sigmas; NaN for what is not known."""
+    """Observed minus predicted x, y (px) and range (percent), (3,), and their sigmas; NaN where unknown."""
     offset, sigma = np.full(3, np.nan), np.full(3, np.nan)
     if record.center_px is not None and record.predicted_px is not None:
         offset[:2] = np.subtract(record.center_px, record.predicted_px)
@@ -209,16 +279,7 @@ def _measured(record: ObservationRecord) -> tuple[Float, Float]:
     return offset, sigma
 
 
-def _series(label: str, rows: Sequence[tuple[float, Float, Float, bool]]) -> Series | None:
-    if not rows:
-        return None
-    at, values, sigma, suspect = zip(*rows, strict=True)
-    return Series(
-        label=label, at=np.array(at), values=np.array(values), sigma=np.array(sigma), suspect=np.array(suspect)
-    )
-
-
-def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> dict[str, Any]:
+def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> PageFigure:
     """Residuals of the stars of all images, or of many, evenly chosen."""
     step = -(-len(records) // _MAX_STAR_IMAGES)
     folder = RunFolder(result.folder)
@@ -238,4 +299,4 @@ def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> dict[s
         records[0].rows,
     )
     caption = f"Observed minus predicted positions of {len(observed)} stars in {len(parts)} images, as fitted."
-    return {"caption": caption, "svg": svg_text(figure, "stars")}
+    return PageFigure.of(figure, "stars", caption)

@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
 from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
-from giantlike.campaign.store.results import RunResult
+from giantlike.campaign.store.results import RunResult, StatusCounts
+from giantlike.campaign.store.run_folder import REPORT_PAGE
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.outcomes import Quality
 from giantlike.core.units import ARCSEC_PER_RAD
@@ -21,10 +21,20 @@ from giantlike.core.version import VERSION
 from giantlike.plotting import MARKS
 
 _MAX_FAILURES = 300
+"""Failures listed one by one; all are counted by reason, and the tables hold the rest."""
 
 
 def write_report(result: RunResult) -> Path:
-    """Write ``report.html`` into the run folder and return its path.
+    """Write ``report.html`` into the run folder.
+
+    Parameters
+    ----------
+    result : RunResult
+
+    Returns
+    -------
+    Path
+        Of the page.
 
     Raises
     ------
@@ -40,7 +50,10 @@ def write_report(result: RunResult) -> Path:
         n_images=len(result.attitudes),
         failed_images=result.failed_images,
         attitudes=_attitude_summary(result.attitudes),
-        observations=_observation_summary(result.observations),
+        observations=[
+            _estimator_summary(target, estimator, records)
+            for (target, estimator), records in result.by_estimator.items()
+        ],
         reasons=Counter((failure.stage, failure.reason) for failure in failures).most_common(),
         failures=failures[:_MAX_FAILURES],
         n_failures=len(failures),
@@ -54,7 +67,7 @@ def write_report(result: RunResult) -> Path:
         time_s=result.time_s,
         calibration=result.calibration,
     )
-    path = result.folder / "report.html"
+    path = result.folder / REPORT_PAGE
     write_text_atomic(path, page)
     return path
 
@@ -65,6 +78,32 @@ class _Failure:
     stage: str
     reason: str
     detail: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _AttitudeSummary:
+    """Counts of the attitudes wanted from one source, and medians of the good ones."""
+
+    source: str
+    counts: StatusCounts
+    n_matched: float | None
+    rms_px: float | None
+    sigma_across_arcsec: float | None
+    sigma_roll_arcsec: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _EstimatorSummary:
+    """Counts of the observations of one estimator of one target, and medians of the good ones."""
+
+    target: str
+    estimator: str
+    counts: StatusCounts
+    offset_px: float | None
+    sigma_px: float | None
+    range_offset_percent: float | None
+    sigma_range_percent: float | None
+    time_s: float | None
 
 
 def _failures(result: RunResult) -> list[_Failure]:
@@ -92,65 +131,48 @@ def _notes(result: RunResult) -> list[str]:
     return notes + [f"{image.file}: {note}" for image in result.bodies for note in image.notes]
 
 
-def _attitude_summary(records: Sequence[AttitudeRecord]) -> list[dict[str, Any]]:
-    """One row per source: counts, and medians of what the good ones say."""
+def _attitude_summary(records: Sequence[AttitudeRecord]) -> list[_AttitudeSummary]:
+    """One row per source."""
     groups: dict[str, list[AttitudeRecord]] = {}
     for record in records:
-        wanted = "stars" if record.star_image else "interpolated" if record.transferred else "a_priori"
-        groups.setdefault(wanted if record.readable else "unreadable image", []).append(record)
+        groups.setdefault(record.wanted_source or "unreadable image", []).append(record)
     table = []
     for source, members in groups.items():
-        sigmas = [
-            ARCSEC_PER_RAD * np.sqrt(np.diag(record.attitude.covariance_rad2))
-            for record in members
-            if record.attitude is not None and record.attitude.covariance_rad2 is not None
-        ]
+        attitudes = [record.attitude for record in members if record.attitude is not None]
+        sigmas = [ARCSEC_PER_RAD * each.sigma_rad for each in attitudes if each.covariance_rad2 is not None]
         table.append(
-            {"source": source}
-            | _status_counts(members)
-            | {
-                "n_matched": _median([record.n_matched for record in members]),
-                "rms_px": _median([record.rms_px for record in members]),
-                "sigma_across_arcsec": _median([float(max(sigma[0], sigma[1])) for sigma in sigmas]),
-                "sigma_roll_arcsec": _median([float(sigma[2]) for sigma in sigmas]),
-            }
+            _AttitudeSummary(
+                source=source,
+                counts=StatusCounts.of(members),
+                n_matched=_median([record.n_matched for record in members]),
+                rms_px=_median([record.rms_px for record in members]),
+                sigma_across_arcsec=_median([float(max(sigma[0], sigma[1])) for sigma in sigmas]),
+                sigma_roll_arcsec=_median([float(sigma[2]) for sigma in sigmas]),
+            )
         )
     return table
 
 
-def _observation_summary(records: Sequence[ObservationRecord]) -> list[dict[str, Any]]:
-    """One row per target and estimator: counts, and medians of what the good ones say."""
-    groups: dict[tuple[str, str], list[ObservationRecord]] = {}
+def _estimator_summary(target: str, estimator: str, records: Sequence[ObservationRecord]) -> _EstimatorSummary:
+    offsets, sigmas, range_errors, range_sigmas = [], [], [], []
     for record in records:
-        groups.setdefault((record.target, record.estimator), []).append(record)
-    table = []
-    for (target, estimator), members in groups.items():
-        offsets, sigmas, range_errors, range_sigmas = [], [], [], []
-        for record in members:
-            if record.center_px is None or record.predicted_px is None or record.covariance_px2 is None:
-                continue
-            offsets.append(float(np.hypot(*np.subtract(record.center_px, record.predicted_px))))
-            sigmas.append(float(np.sqrt(np.trace(record.covariance_px2) / 2)))
-            if record.range_km is not None and record.sigma_range_km is not None and record.predicted_camera_km:
-                range_errors.append(abs(record.range_km / float(np.linalg.norm(record.predicted_camera_km)) - 1) * 100)
-                range_sigmas.append(record.sigma_range_km / record.range_km * 100)
-        table.append(
-            {"target": target, "estimator": estimator}
-            | _status_counts(members)
-            | {
-                "offset_px": _median(offsets),
-                "sigma_px": _median(sigmas),
-                "range_offset_percent": _median(range_errors),
-                "sigma_range_percent": _median(range_sigmas),
-                "time_s": _median([record.time_s for record in members if record.status != "failed"]),
-            }
-        )
-    return table
-
-
-def _status_counts(records: Sequence[AttitudeRecord | ObservationRecord]) -> dict[str, int]:
-    counts = Counter(record.status for record in records)
-    return {status: counts.get(status, 0) for status in ("ok", "suspect", "failed")}
+        if record.center_px is None or record.predicted_px is None or record.covariance_px2 is None:
+            continue
+        offsets.append(float(np.hypot(*np.subtract(record.center_px, record.predicted_px))))
+        sigmas.append(float(np.sqrt(np.trace(record.covariance_px2) / 2)))
+        if record.range_km is not None and record.sigma_range_km is not None and record.predicted_camera_km:
+            range_errors.append(abs(record.range_km / float(np.linalg.norm(record.predicted_camera_km)) - 1) * 100)
+            range_sigmas.append(record.sigma_range_km / record.range_km * 100)
+    return _EstimatorSummary(
+        target=target,
+        estimator=estimator,
+        counts=StatusCounts.of(records),
+        offset_px=_median(offsets),
+        sigma_px=_median(sigmas),
+        range_offset_percent=_median(range_errors),
+        sigma_range_percent=_median(range_sigmas),
+        time_s=_median([record.time_s for record in records if record.status != "failed"]),
+    )
 
 
 def _median(values: Sequence[float | int | None]) -> float | None:

@@ -1,12 +1,62 @@
-"""Web pages from the templates of this folder."""
+"""HTML pages from the templates of this folder."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, slots=True)
+class PageFigure:
+    """A figure of a page.
+
+    Parameters
+    ----------
+    svg : str
+        The figure as SVG.
+    caption : str
+    """
+
+    svg: str
+    caption: str
+
+    @classmethod
+    def of(cls, figure: Figure, name: str, caption: str) -> PageFigure:
+        """Figure of a page from one of matplotlib.
+
+        Parameters
+        ----------
+        figure : Figure
+        name : str
+            Differs for every figure of a page.
+        caption : str
+
+        Returns
+        -------
+        PageFigure
+        """
+        from giantlike.plotting import svg_text
+
+        return cls(svg_text(figure, name), caption)
 
 
 def render_page(template: str, **content: Any) -> str:
-    """Fill a template; numbers may be shown by ``| sig`` (three significant digits, a dash for none)."""
+    """Fill a template; it may show numbers by ``| sig`` (three significant digits, a dash for None).
+
+    Parameters
+    ----------
+    template : str
+        File in this folder.
+    **content
+        Values of the names in the template.
+
+    Returns
+    -------
+    str
+    """
     import jinja2
 
     environment = jinja2.Environment(
@@ -20,7 +70,6 @@ def render_page(template: str, **content: Any) -> str:
 
 
 def _significant(value: float | None, digits: int = 3) -> str:
-    """Text of a number for people; a dash for none."""
     if value is None:
         return "–"
     return f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e6 or value == 0 else f"{value:.{digits - 1}e}"

@@ -1,6 +1,6 @@
-"""From an entry of a campaign to an image with what is known of it, and to the scene before it.
+"""Images of a campaign with their a priori epoch, pose and scene.
 
-What is known a priori comes from the geometry table, else from the image's own header, else from SPICE.
+Each of these comes from the geometry table, else from the image's own header, else from SPICE.
 """
 
 from __future__ import annotations
@@ -31,7 +31,14 @@ _SUN_COLUMNS = "sun_x, sun_y, sun_z"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedImage(Value):
-    """An image with its a priori knowledge, and notes on what was asked for and not to be had."""
+    """An image with its a priori epoch and pose.
+
+    Parameters
+    ----------
+    image : Image
+    notes : tuple of str
+        Things that were asked for and could not be found.
+    """
 
     image: Image
     notes: tuple[str, ...]
@@ -39,6 +46,15 @@ class PreparedImage(Value):
 
 def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
     """Read an image and complete it from geometry table and SPICE.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    entry : ImageEntry
+
+    Returns
+    -------
+    PreparedImage
 
     Raises
     ------
@@ -75,19 +91,19 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
 def _with_world_coordinates(image: Image, campaign: Campaign) -> tuple[Image, tuple[str, ...]]:
     """The attitude that a plate solver left in the header, as a priori."""
     try:
-        told = attitude_of_wcs(
+        solved = attitude_of_wcs(
             image.metadata, campaign.camera.model, columns=image.columns, rows=image.rows, bottom_up=campaign.bottom_up
         )
     except InputError as error:
         return image, (f"no a priori attitude from world coordinates: {error}",)
-    note = f"a priori attitude from world coordinates, which the camera meets to {told.rms_px:.2g} px"
-    return image.with_attitude(told.camera_from_inertial), (note,)
+    note = f"a priori attitude from world coordinates, which the camera model fits to {solved.rms_px:.2g} px"
+    return image.with_attitude(solved.camera_from_inertial), (note,)
 
 
 def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]]:
     et = image.et
     if et is None:
-        return image, ("no epoch, so SPICE tells nothing of this image",)
+        return image, ("no epoch, so nothing is known of this image from SPICE",)
     notes: list[str] = []
     if image.observer is None:
         try:
@@ -106,7 +122,18 @@ def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]
 
 
 def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
-    """Targets that an image is said to show: those with a row in the geometry table, with SPICE all."""
+    """Targets to look for in an image: those with a row in the geometry table; with SPICE, all.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    key : str
+        Of the image.
+
+    Returns
+    -------
+    tuple of TargetSetup
+    """
     if campaign.spice is not None:
         return campaign.targets
     known = campaign.geometry.get(key)
@@ -117,10 +144,10 @@ def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
 class _SpiceGeometry:
     """A target, the Sun and the spacecraft, all from SPICE.
 
-    Positions count from the barycenter of the Solar System or, where kernels do not link spacecraft and target to
-    it, from the target itself (``relative``). Then light time and aberration rest on the velocity of the spacecraft
+    Positions are relative to the barycenter of the Solar System or, if kernels do not link spacecraft and target to
+    it, to the target itself (``relative``). Light time and aberration are then those of the velocity of the spacecraft
     relative to the target, which is right to first order: the target's own motion shifts it by light time one way
-    and by aberration the other way. What is left is its acceleration during the light time, and v^2/c^2.
+    and by aberration the other way. Neglected are its acceleration during the light time, and v^2/c^2.
     """
 
     spacecraft: str
@@ -129,14 +156,14 @@ class _SpiceGeometry:
 
     @classmethod
     def at(cls, spacecraft: str, target: TargetSetup, et: float | None) -> _SpiceGeometry:
-        """Choose where to count from; stays with the barycenter when the kernels tell nothing at all."""
+        """Choose the origin: the barycenter, unless the kernels know the spacecraft relative to the target only."""
         if et is None:
             return cls(spacecraft, target, relative=False)
         linked = all(_has_state(body, et, BARYCENTER) for body in (spacecraft, target.spice_body))
         return cls(spacecraft, target, relative=not linked and _has_state(spacecraft, et, target.spice_body))
 
     def scene(self, shape: Shape, *, sun: bool = True) -> Scene:
-        """Scene of the target; ``sun``: with the light, else for positions alone."""
+        """Scene of the target, without the Sun for positions alone."""
         origin = self.target.spice_body if self.relative else BARYCENTER
         body = SpiceEphemeris(self.target.spice_body, self.target.frame, origin)
         return Scene(
@@ -166,13 +193,20 @@ def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | Spice
 
 
 def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape) -> Scene | Failure:
-    """Build the scene with one target before an image.
+    """Build the scene of one target in an image.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    image : Image
+    target : TargetSetup
+    shape : Shape
 
     Returns
     -------
     Scene or Failure
-        ``NO_GEOMETRY`` where neither the table nor SPICE says where the target is, how it is turned or where the
-        Sun is; ``NO_EPOCH`` where SPICE would have to.
+        ``NO_GEOMETRY`` if position, orientation or the Sun's direction are neither in the table nor in SPICE;
+        ``NO_EPOCH`` if they would have to come from SPICE and the image has no epoch.
 
     Raises
     ------
@@ -197,7 +231,7 @@ def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape
 def _from_row(
     row: GeometryRow, image: Image, target: TargetSetup, shape: Shape, spice: _SpiceGeometry | None
 ) -> ApparentGeometry | Failure:
-    """What the table says; what it leaves out comes from SPICE, if there is any."""
+    """Geometry of a row of the table; what it leaves out comes from SPICE, if there is any."""
     position, sun = row.target_position_inertial_km, row.sun_direction_inertial
     if position is None:
         if spice is None:

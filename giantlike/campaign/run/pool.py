@@ -1,4 +1,4 @@
-"""Images over processes, such that a process that dies takes one image with it and no more."""
+"""A pool of worker processes in which the death of a process costs one image and no more."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 _QUEUED_PER_WORKER = 2
+"""Jobs handed out per worker: one at work and one waiting, so that few are lost when a process dies."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class WorkerPool:
-    """Runs jobs on images in this process (one worker) or in several; a context manager.
+    """Runs jobs on images in this process (one worker) or in several; use it in a ``with`` block.
 
     Parameters
     ----------
@@ -40,9 +41,9 @@ class WorkerPool:
 
     Notes
     -----
-    When a process dies, ``concurrent.futures`` gives up the whole pool and cannot say which job was at fault.
-    The jobs in flight are then run again one by one in a process of their own; one that kills this as well is
-    given up, and the rest go on.
+    When a process dies, ``concurrent.futures`` breaks the whole pool and does not know which job was at fault.
+    The jobs in flight are then run again one by one in a separate process; one that kills this as well is
+    given up, and the rest continue.
 
     Worker processes do arithmetic with one thread each, and end when the process that started them is gone.
     """
@@ -85,7 +86,7 @@ class WorkerPool:
         ------
         position : int
         answer : object or None
-            None where the process died of the job.
+            None if the process died of the job.
 
         Raises
         ------
@@ -123,7 +124,7 @@ class WorkerPool:
             return None
 
     def _check_start(self) -> None:
-        """Make sure that it was the job: an idle process must be able to start."""
+        """Raise unless an idle process can start: then it was the job that killed the last one."""
         try:
             self._executor(1).submit(_ready).result()
         except BrokenProcessPool as error:
