@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +38,7 @@ from giantlike.core.units import AU_KM, RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import ObserverState
-from giantlike.io.geometry_table import ImageGeometry, read_geometry
+from giantlike.io.geometry_table import GeometryRow, ImageGeometry, read_geometry
 from giantlike.io.image_files import read_image_file
 from giantlike.io.spice import load_kernels, orientation, spk_state
 from giantlike.scene import Scene, Target
@@ -59,42 +59,6 @@ FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Place(Value):
-    """Apparent place of a target in an image; None for what the files do not give.
-
-    Parameters
-    ----------
-    position_km : (3,) float64 or None, km, inertial axes
-        From camera to target center.
-    body_from_inertial : Rotation or None
-        When the light left.
-    sun_direction : (3,) float64 or None, inertial axes
-        From target to Sun.
-    """
-
-    position_km: Float | None = None
-    body_from_inertial: Rotation | None = None
-    sun_direction: Float | None = None
-
-    def over(self, default: Place) -> Place:
-        """Return the place completed by a default.
-
-        Parameters
-        ----------
-        default : Place
-
-        Returns
-        -------
-        Place
-        """
-        return Place(
-            position_km=default.position_km if self.position_km is None else self.position_km,
-            body_from_inertial=self.body_from_inertial or default.body_from_inertial,
-            sun_direction=default.sun_direction if self.sun_direction is None else self.sun_direction,
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposure(Value):
     """An image to be made, as the files give it; SPICE completes attitude, observer and places.
 
@@ -109,8 +73,8 @@ class Exposure(Value):
     camera_from_inertial : Rotation or None
     angular_rate_camera_rad_s : (3,) float64, rad/s
     observer : ObserverState or None
-    places : mapping of str to Place
-        Of targets by name.
+    places : mapping of str to GeometryRow
+        Places of targets, by name.
     """
 
     key: str
@@ -120,7 +84,7 @@ class Exposure(Value):
     camera_from_inertial: Rotation | None = None
     angular_rate_camera_rad_s: Float = field(default_factory=lambda: np.zeros(3))
     observer: ObserverState | None = None
-    places: Mapping[str, Place] = field(default_factory=dict)
+    places: Mapping[str, GeometryRow] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,7 +98,7 @@ class RenderPlan(Value):
     camera : Camera
     targets : tuple of TargetSetup
         Without estimators; the shapes are loaded by :meth:`shots`.
-    places : mapping of str to Place
+    places : mapping of str to GeometryRow
         Defaults, by target.
     exposures : tuple of Exposure
     detector : DetectorModel
@@ -149,7 +113,7 @@ class RenderPlan(Value):
     content: RenderFile
     camera: Camera
     targets: tuple[TargetSetup, ...]
-    places: Mapping[str, Place]
+    places: Mapping[str, GeometryRow]
     exposures: tuple[Exposure, ...]
     detector: DetectorModel
     catalog: str | None
@@ -266,7 +230,7 @@ class RenderPlan(Value):
         """Targets of an image; None if there are none."""
         targets = []
         for setup in self.targets:
-            place = exposure.places.get(setup.name, Place()).over(self.places[setup.name])
+            place = _completed(exposure.places.get(setup.name), self.places[setup.name])
             ephemeris = self._ephemeris(exposure, setup, place)
             if ephemeris is not None:
                 targets.append(
@@ -286,23 +250,23 @@ class RenderPlan(Value):
         )
 
     def _ephemeris(
-        self, exposure: Exposure, setup: TargetSetup, place: Place
+        self, exposure: Exposure, setup: TargetSetup, place: GeometryRow
     ) -> ApparentGeometry | SpiceEphemeris | None:
-        if place.position_km is None:
+        if place.target_position_inertial_km is None:
             return None if self.spice is None else SpiceEphemeris(setup.spice_body, setup.frame)
         et = et_from_time(exposure.epoch)
-        sun, turn = place.sun_direction, place.body_from_inertial
+        sun, turn = place.sun_direction_inertial, place.body_from_inertial
         if sun is None and self.content.light.direction is not None:
             sun = np.array(self.content.light.direction)
         if sun is None and self.spice is not None:
-            sun = spk_state("SUN", et, observer=self.spice.spacecraft)[0] - place.position_km
+            sun = spk_state("SUN", et, observer=self.spice.spacecraft)[0] - place.target_position_inertial_km
         if sun is None:
             raise InputError(f"{exposure.key}: no direction to the Sun for {setup.name!r}: give light.direction")
         if turn is None and self.spice is not None:
-            light_s = float(np.linalg.norm(place.position_km)) / SPEED_OF_LIGHT_KM_S
+            light_s = float(np.linalg.norm(place.target_position_inertial_km)) / SPEED_OF_LIGHT_KM_S
             turn = orientation(setup.frame, et - light_s).inv()
         return ApparentGeometry(
-            position_inertial_km=place.position_km,
+            position_inertial_km=place.target_position_inertial_km,
             inertial_from_body=Rotation.identity() if turn is None else turn.inv(),
             sun_direction_inertial=sun,
         )
@@ -340,18 +304,27 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
     )
 
 
-def _place(where: str, section: PlaceSection) -> Place:
+def _place(where: str, section: PlaceSection) -> GeometryRow:
     for key in ("position_km", "sun_direction"):
         vector = getattr(section, key)
         if vector is not None and not any(vector):
             raise InputError(f"{where}.{key}: must not be the zero vector")
     quaternion = section.body_from_inertial_xyzw
     turn = None if quaternion is None else rotation_from_xyzw(quaternion, f"{where}.body_from_inertial_xyzw")
-    return Place(
-        position_km=None if section.position_km is None else np.array(section.position_km),
+    return GeometryRow(
+        file="",
+        target_position_inertial_km=None if section.position_km is None else np.array(section.position_km),
         body_from_inertial=turn,
-        sun_direction=None if section.sun_direction is None else unit(np.array(section.sun_direction)),
+        sun_direction_inertial=None if section.sun_direction is None else unit(np.array(section.sun_direction)),
     )
+
+
+def _completed(place: GeometryRow | None, default: GeometryRow) -> GeometryRow:
+    """Place of a target in an image, completed by its default."""
+    if place is None:
+        return default
+    names = ("target_position_inertial_km", "body_from_inertial", "sun_direction_inertial")
+    return replace(place, **{name: getattr(default, name) for name in names if getattr(place, name) is None})
 
 
 def _exposures(path: Path, content: RenderFile) -> tuple[Exposure, ...]:
@@ -415,14 +388,7 @@ def _from_table(where: str, file: str, known: ImageGeometry) -> Exposure:
         exposure_s=known.exposure_s,
         camera_from_inertial=known.camera_from_inertial,
         observer=known.observer,
-        places={
-            name: Place(
-                position_km=row.target_position_inertial_km,
-                body_from_inertial=row.body_from_inertial,
-                sun_direction=row.sun_direction_inertial,
-            )
-            for name, row in known.targets.items()
-        },
+        places=known.targets,
     )
 
 
