@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from giantlike.calibration.field_map import field_grid
-from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.observability import Verdict
+from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera
@@ -66,9 +66,9 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
     DataError
         The file cannot be written.
     """
-    fix = result.outcome.result if isinstance(result.outcome, StarCalibration) else None
+    solution = result.outcome.result if isinstance(result.outcome, StarCalibration) else None
     summary = calibration_summary(result)
-    rejected = [] if fix is None else summary["rejected"]
+    rejected = [] if solution is None else summary["rejected"]
     page = render_page(
         "calibration.html.j2",
         name=name,
@@ -78,31 +78,36 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
         meaning={str(verdict): text for verdict, text in _MEANING.items()},
         rejected=rejected[:_MAX_REJECTED],
         n_rejected=len(rejected),
-        figures=[] if fix is None else calibration_figures(fix),
+        figures=[] if solution is None else calibration_figures(solution),
     )
     path = folder / CALIBRATION_PAGE
     write_text_atomic(path, page)
     return path
 
 
-def calibration_figures(fix: CalibrationResult) -> list[PageFigure]:
+def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
     """Figures of a calibration.
 
     Parameters
     ----------
-    fix : CalibrationResult
+    solution : CalibrationResult
 
     Returns
     -------
     list of PageFigure
     """
-    used, columns, rows = fix.used, fix.columns, fix.rows
-    points, shifts = distortion_of(fix.model, columns, rows)
+    used, columns, rows = solution.used, solution.columns, solution.rows
+    points, shifts = distortion_of(solution.model, columns, rows)
     residuals = star_residual_figure(
-        fix.observed_px[used], fix.residuals_px[used], fix.magnitudes[used], fix.sigma_px[used], columns, rows
+        solution.observed_px[used],
+        solution.residuals_px[used],
+        solution.magnitudes[used],
+        solution.sigma_px[used],
+        columns,
+        rows,
     )
-    trends = residual_trend_figure(_trends(fix))
-    distortion = distortion_figure(points, shifts, fix.map_points_px, fix.map_sigma_px, columns, rows)
+    trends = residual_trend_figure(_trends(solution))
+    distortion = distortion_figure(points, shifts, solution.map_points_px, solution.map_sigma_px, columns, rows)
     figures = [
         PageFigure.of(
             residuals,
@@ -122,11 +127,11 @@ def calibration_figures(fix: CalibrationResult) -> list[PageFigure]:
             "camera taken out.",
         ),
     ]
-    if len(fix.estimated) > 1:
+    if len(solution.estimated) > 1:
         caption = (
             "Parameters that are strongly correlated are known in combination only: their own values may fluctuate."
         )
-        correlation = correlation_figure(fix.estimated, fix.correlation)
+        correlation = correlation_figure(solution.estimated, solution.correlation)
         figures.append(PageFigure.of(correlation, "calibration correlation", caption))
     return figures
 
@@ -158,8 +163,8 @@ def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, F
     return pixels[good], shifts[good]
 
 
-def _trends(fix: CalibrationResult) -> dict[str, tuple[Float, Float, Float]]:
-    groups = residual_statistics(fix)
+def _trends(solution: CalibrationResult) -> dict[str, tuple[Float, Float, Float]]:
+    groups = residual_statistics(solution)
     trends = {}
     for kind, label in _TRENDS.items():
         mine = [(group.middle, group.rms_px, group.noise_px) for group in groups if group.kind == kind]

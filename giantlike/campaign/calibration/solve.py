@@ -201,33 +201,33 @@ def calibrate_campaign(
     )
 
 
-def calibrated_camera(camera: Camera, fix: CalibrationResult) -> Camera:
+def calibrated_camera(camera: Camera, solution: CalibrationResult) -> Camera:
     """Camera with the model of a calibration and its covariance.
 
     Parameters
     ----------
     camera : Camera
         Camera before the calibration; its PSF and detector are kept.
-    fix : CalibrationResult
+    solution : CalibrationResult
 
     Returns
     -------
     Camera
     """
     uncertainty = ModelUncertainty(
-        estimated=fix.estimated,
-        covariance=fix.covariance,
-        residual_sigma_px=fix.residual_sigma_px,
-        n_observations=fix.n_used,
-        n_images=sum(image.n_used > 0 for image in fix.images),
+        estimated=solution.estimated,
+        covariance=solution.covariance,
+        residual_sigma_px=solution.residual_sigma_px,
+        n_observations=solution.n_used,
+        n_images=sum(image.n_used > 0 for image in solution.images),
     )
-    return dataclasses.replace(camera, model=fix.model, uncertainty=uncertainty)
+    return dataclasses.replace(camera, model=solution.model, uncertainty=uncertainty)
 
 
-def _alignment(fix: CalibrationResult, records: Sequence[CalibrationRecord]) -> AlignmentResult | None:
+def _alignment(solution: CalibrationResult, records: Sequence[CalibrationRecord]) -> AlignmentResult | None:
     """Camera with respect to the a priori attitudes, with a drift if temperatures differ."""
     apriori = {record.file: record.apriori_xyzw for record in records if record.apriori_xyzw is not None}
-    images = [image for image in fix.images if image.n_used > 0 and image.name in apriori]
+    images = [image for image in solution.images if image.n_used > 0 and image.name in apriori]
     if not images:
         return None
     before = Rotation.from_quat([apriori[image.name] for image in images])
@@ -295,25 +295,25 @@ def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
     }
     if isinstance(result.outcome, Failure):
         return content
-    fix, everything = result.outcome.result, result.outcome.all_stars
+    solution, everything = result.outcome.result, result.outcome.all_stars
     return content | {
-        "model": model_to_mapping(fix.model),
-        "estimated": list(fix.estimated),
-        "covariance": fix.covariance.tolist(),
-        "covariance_scale": fix.covariance_scale,
-        "parameters": [dataclasses.asdict(one) for one in fix.support],
-        **_picked(fix, "rms_px residual_sigma_px reduced_chi2 condition_number"),
-        "map_sigma_max_px": float(fix.map_sigma_px.max()),
-        **_picked(fix, "n_used n_rejected"),
+        "model": model_to_mapping(solution.model),
+        "estimated": list(solution.estimated),
+        "covariance": solution.covariance.tolist(),
+        "covariance_scale": solution.covariance_scale,
+        "parameters": [dataclasses.asdict(one) for one in solution.support],
+        **_picked(solution, "rms_px residual_sigma_px reduced_chi2 condition_number"),
+        "map_sigma_max_px": float(solution.map_sigma_px.max()),
+        **_picked(solution, "n_used n_rejected"),
         "all_stars": None if everything is None else dataclasses.asdict(everything),
         **_picked(result.outcome, "rounds settled"),
-        "problems": list(fix.problems),
+        "problems": list(solution.problems),
         "images": [
             {"file": image.name} | _picked(image, "temperature_c n_used n_rejected rms_px influence_px influence")
-            for image in fix.images
+            for image in solution.images
         ],
-        "rejected": [_picked(one, " ".join(dataclasses.asdict(one))) for one in fix.rejected],
-        "residuals": [dataclasses.asdict(group) for group in residual_statistics(fix)],
+        "rejected": [_picked(one, " ".join(dataclasses.asdict(one))) for one in solution.rejected],
+        "residuals": [dataclasses.asdict(group) for group in residual_statistics(solution)],
         "alignment": None if result.alignment is None else _alignment_summary(result.alignment),
     }
 
@@ -344,16 +344,14 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _residual_table(fix: CalibrationResult) -> str:
+def _residual_table(solution: CalibrationResult) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    columns = zip(
-        fix.image_index, fix.labels, fix.observed_px, fix.predicted_px, fix.sigma_px, fix.magnitudes, fix.used,
-        strict=True,
-    )  # fmt: skip
+    names = ("image_index", "labels", "observed_px", "predicted_px", "sigma_px", "magnitudes", "used")
+    columns = zip(*(getattr(solution, name) for name in names), strict=True)
     for number, label, seen, predicted, sigma, magnitude, used in columns:
-        image = fix.images[int(number)]
+        image = solution.images[int(number)]
         cells = [*seen.tolist(), *predicted.tolist(), float(sigma), float(magnitude), image.temperature_c]
         texts = [repr(cell) if math.isfinite(cell) else "" for cell in cells]
         writer.writerow([image.name, int(label), *texts, int(used)])
