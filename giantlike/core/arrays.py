@@ -1,9 +1,9 @@
-"""Checks at the border: arrays that come in get a shape, a dtype and finite values, or a clear error."""
+"""Checks of arguments: arrays get a shape, a dtype and finite values, numbers a range, or a clear error."""
 
 from __future__ import annotations
 
 import math
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,15 +18,20 @@ Mask = NDArray[np.bool_]
 
 
 def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:
-    """Return ``value`` as float64 with trailing axes ``last``, any leading axes.
+    """Return ``value`` as float64 with trailing axes ``last`` and any leading axes.
 
     Parameters
     ----------
     value : array_like
+        Numbers.
     last : tuple of int
         The required trailing shape: ``(3,)`` for points, ``(3, 3)`` for matrices, ``()`` for anything.
     name : str
-        How the error calls it.
+        Name of the array in messages.
+
+    Returns
+    -------
+    (..., *last) float64
 
     Raises
     ------
@@ -44,7 +49,20 @@ def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:
 
 
 def as_finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Float:
-    """Return ``value`` as a float64 array of exactly ``shape`` with finite values (a copy).
+    """Return a copy of ``value`` as a float64 array of exactly ``shape`` with finite values.
+
+    Parameters
+    ----------
+    value : array_like
+        Numbers.
+    shape : tuple of int
+        The required shape.
+    name : str
+        Name of the array in messages.
+
+    Returns
+    -------
+    shape float64
 
     Raises
     ------
@@ -59,27 +77,70 @@ def as_finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Float:
     return array
 
 
+def as_image(value: ArrayLike, name: str) -> NDArray[Any]:
+    """Return ``value`` as an array of pixels in its own dtype.
+
+    Parameters
+    ----------
+    value : (rows, columns) array_like
+        Real numbers; at least one pixel.
+    name : str
+        Name of the array in the message.
+
+    Returns
+    -------
+    (rows, columns) ndarray
+
+    Raises
+    ------
+    InputError
+        It is not two-dimensional, empty, or not of real numbers.
+    """
+    array = np.asarray(value)
+    sound = array.ndim == 2 and array.size > 0 and array.dtype.kind in "iuf"
+    require(sound, f"{name} must be a 2-D array of real numbers, got {array.dtype} of shape {array.shape}")
+    return array
+
+
 def as_unit(value: ArrayLike, name: str, *, tolerance: float = 1e-9) -> Float:
-    """Return unit vectors (..., 3); anything that is not unit to ``tolerance`` is refused."""
+    """Return ``value`` as unit vectors.
+
+    Parameters
+    ----------
+    value : (..., 3) array_like
+        Vectors.
+    name : str
+        Name of the array in messages.
+    tolerance : float
+        Largest error of a norm: rounding of float64 leaves 1e-15, a table with ten digits 1e-10.
+
+    Returns
+    -------
+    (..., 3) float64
+
+    Raises
+    ------
+    InputError
+        The shape differs, or a vector is not unit to ``tolerance``.
+    """
     array = as_floats(value, (3,), name)
     norms = np.linalg.norm(array, axis=-1)
     worst = float(np.max(np.abs(norms - 1.0), initial=0.0))
     if not worst <= tolerance:
-        raise InputError(f"{name} must be unit vectors to {tolerance:g}, the worst norm is off by {worst:g}: normalize")
+        raise InputError(
+            f"{name} must be unit vectors to {tolerance:g}, the worst norm is off by {worst:g}: normalize them"
+        )
     return array
 
 
 def unit(vectors: Float) -> Float:
-    """Scale vectors (..., 3) to length one."""
+    """Return vectors (..., 3) scaled to length one."""
     result: Float = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     return result
 
 
 def frozen(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Return ``array`` set read-only, so that a value that holds it stays a value.
-
-    Meant for large arrays (pixels, vertices): scipy's ``Rotation.apply`` refuses read-only vectors.
-    """
+    """Return ``array`` itself, set read-only."""
     array.flags.writeable = False
     return array
 

@@ -1,4 +1,4 @@
-"""Whole files or none: writes that a kill of the process cannot leave half done."""
+"""Atomic writes: a file is replaced as a whole or not at all, even when the process is killed."""
 
 from __future__ import annotations
 
@@ -13,10 +13,20 @@ from giantlike.core.errors import DataError
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a path in the same folder to write to, which becomes ``path`` by one rename when the block ends.
+    """Context manager that yields a temporary path, which becomes ``path`` by one rename when the block ends.
 
     A reader sees the old content or the new one, never a part; when the block raises, the old file stays.
     The data are not forced onto the disk: this guards against a killed process, not against a power cut.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to replace.
+
+    Yields
+    ------
+    Path
+        Temporary path in the same folder.
 
     Raises
     ------

@@ -67,7 +67,12 @@ class FrameRotation(Value):
         return FrameRotation(rotation=self.rotation * other.rotation, target=self.target, source=other.source)
 
     def inv(self) -> FrameRotation:
-        """Return ``source_from_target``."""
+        """Return ``source_from_target``.
+
+        Returns
+        -------
+        FrameRotation
+        """
         return FrameRotation(rotation=self.rotation.inv(), target=self.source, source=self.target)
 
     def between(self, target: str, source: str) -> Rotation:
@@ -93,8 +98,19 @@ class FrameRotation(Value):
 
 
 def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
-    """Unit vectors (..., 3), inertial, of right ascension and declination in degrees.
+    """Return the unit vectors of right ascensions and declinations.
 
+    Parameters
+    ----------
+    ra_deg, dec_deg : (...) array_like, deg
+        Right ascension and declination.
+
+    Returns
+    -------
+    (..., 3) float64, unitless, inertial
+
+    Examples
+    --------
     >>> direction_from_radec(90.0, 0.0).round(12).tolist()
     [0.0, 1.0, 0.0]
     """
@@ -103,7 +119,18 @@ def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
 
 
 def radec_from_direction(direction_inertial: ArrayLike) -> tuple[Float, Float]:
-    """Right ascension in [0, 360) and declination, degrees, of vectors (..., 3) of any length."""
+    """Return the right ascensions and declinations of vectors.
+
+    Parameters
+    ----------
+    direction_inertial : (..., 3) array_like, inertial
+        Vectors of any length.
+
+    Returns
+    -------
+    ra_deg, dec_deg : (...) float64, deg
+        Right ascension in [0, 360), and declination.
+    """
     x, y, z = np.moveaxis(as_floats(direction_inertial, (3,), "direction_inertial"), -1, 0)
     return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
 
@@ -126,14 +153,19 @@ def east_north(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[Float, Float]:
 
 
 def position_angle_deg(direction_inertial: ArrayLike, toward_inertial: ArrayLike) -> float:
-    """Position angle at a point of the sky, north through east, in [0, 360) degrees.
+    """Compute the position angle of a direction at a point of the sky.
 
     Parameters
     ----------
     direction_inertial : (3,), unitless, inertial
         The point of the sky.
     toward_inertial : (3,), unitless, inertial
-        A vector whose component across ``direction_inertial`` is the direction asked for.
+        A vector whose component perpendicular to ``direction_inertial`` is the direction.
+
+    Returns
+    -------
+    float, deg
+        Position angle, north through east, in [0, 360).
 
     Raises
     ------
@@ -155,6 +187,7 @@ def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike
     Parameters
     ----------
     camera_from_inertial : Rotation
+        Attitude.
     line_of_sight_camera : (3,), unitless, camera
         Usually that of the image center ``((columns - 1) / 2, (rows - 1) / 2)``.
 
@@ -171,8 +204,22 @@ def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike
 
 
 def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: float) -> Rotation:
-    """Attitude whose boresight (+z) is at RA, Dec and whose -y axis has position angle ``roll_deg``.
+    """Return the attitude of a pointing: the inverse of :func:`pointing_deg` for the boresight.
 
+    Parameters
+    ----------
+    ra_deg, dec_deg : float, deg
+        Right ascension and declination of the boresight (+z).
+    roll_deg : float, deg
+        Position angle of the camera's -y axis.
+
+    Returns
+    -------
+    scipy Rotation
+        ``camera_from_inertial``.
+
+    Examples
+    --------
     >>> r = camera_from_inertial_of_pointing(10.0, 20.0, 30.0)
     >>> [round(v, 9) for v in pointing_deg(r, [0.0, 0.0, 1.0])]
     [10.0, 20.0, 30.0]
@@ -185,9 +232,18 @@ def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: fl
 
 
 def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
-    """Rotate vectors (..., 3) by one rotation, or vectors (n, 3) or (3,) by n rotations.
+    """Rotate vectors: ``rotation.apply(vectors)``, which refuses read-only arrays such as the fields of a value.
 
-    The same as ``rotation.apply(vectors)``, which refuses read-only arrays such as the fields of a value.
+    Parameters
+    ----------
+    rotation : scipy Rotation
+        One or n rotations.
+    vectors : (..., 3) array_like
+        Vectors; for n rotations (n, 3) or (3,).
+
+    Returns
+    -------
+    (..., 3) float64
     """
     array = as_floats(vectors, (3,), "vectors")
     matrix = rotation.as_matrix()
@@ -196,26 +252,37 @@ def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
 
 
 def rotation_between(estimate: Rotation, truth: Rotation) -> Float:
-    """Small rotation vector ``e`` (3,), rad, with ``truth = Rotation.from_rotvec(e) * estimate``."""
+    """Return the small rotation vector (3,), rad, ``e`` with ``truth = Rotation.from_rotvec(e) * estimate``."""
     return np.asarray((truth * estimate.inv()).as_rotvec(), dtype=np.float64)
 
 
 def quaternion_xyzw(rotation: Rotation) -> Float:
-    """Quaternion (4,) scalar last with non-negative scalar part, so that equal attitudes print equal."""
+    """Return the quaternion (4,), scalar last, with non-negative scalar, so that equal attitudes print equal."""
     return np.asarray(rotation.as_quat(canonical=True), dtype=np.float64)
 
 
 def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotation:
-    """Rotation of a scalar-last quaternion (4,) that must be unit to 1e-3.
+    """Return the rotation of a quaternion from a file or a user.
+
+    Parameters
+    ----------
+    quaternion : (4,) array_like
+        Scalar last. Its norm must be 1 to 1e-3, which admits four digits; it is normalized.
+    name : str
+        Name of the quaternion in messages.
+
+    Returns
+    -------
+    scipy Rotation
 
     Raises
     ------
     InputError
-        Wrong shape, not finite, or a norm far from one (a sign that the columns are mixed up).
+        The shape is wrong, a value is not finite, or the norm is far from one, a sign of mixed-up columns.
     """
     q = as_finite(quaternion, (4,), name)
     norm = float(np.linalg.norm(q))
-    require(abs(norm - 1.0) < 1e-3, f"{name} must have norm 1, got {norm:.6g}: scalar-last x, y, z, w is expected")
+    require(abs(norm - 1.0) < 1e-3, f"{name} must have norm 1, got {norm:.6g}; give it scalar last: x, y, z, w")
     return Rotation.from_quat(q)
 
 

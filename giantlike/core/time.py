@@ -15,7 +15,16 @@ _J2000_JD = 2451545.0  # Julian date of J2000, 2000-01-01 12:00 TDB
 
 
 def time_from_utc(text: str) -> Time:
-    """Parse an ISO 8601 UTC epoch such as ``2018-12-01T10:07:11.123``; a trailing ``Z`` is allowed.
+    """Parse an ISO 8601 UTC epoch.
+
+    Parameters
+    ----------
+    text : str
+        Epoch such as ``2018-12-01T10:07:11.123``; a trailing ``Z`` is allowed.
+
+    Returns
+    -------
+    astropy Time
 
     Raises
     ------
@@ -33,7 +42,7 @@ def time_from_utc(text: str) -> Time:
 
 
 def utc_text(epoch: Time) -> str:
-    """ISO 8601 UTC text of an epoch, to the microsecond."""
+    """Return the ISO 8601 UTC text of an epoch, to the microsecond."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         utc = epoch.utc
@@ -42,7 +51,7 @@ def utc_text(epoch: Time) -> str:
 
 
 def et_from_time(epoch: Time) -> float:
-    """TDB seconds past J2000, the ``et`` of SPICE (agreeing to the 30 us of SPICE's own TDB model)."""
+    """Return TDB seconds past J2000, the ``et`` of SPICE; the two agree to the 30 us of SPICE's own TDB model."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         tdb = epoch.tdb
@@ -50,7 +59,7 @@ def et_from_time(epoch: Time) -> float:
 
 
 def time_from_et(et: float) -> Time:
-    """Epoch of TDB seconds past J2000."""
+    """Return the epoch of TDB seconds past J2000."""
     from astropy.time import Time
 
     days, rest = divmod(et, SECONDS_PER_DAY)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import as_finite, require
+from giantlike.core.arrays import as_finite, as_image, require
 from giantlike.core.atomic import write_bytes_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
@@ -171,11 +171,7 @@ def write_fits(
     """
     from astropy.io import fits
 
-    array = np.asarray(pixels)
-    require(
-        array.ndim == 2 and array.size > 0 and array.dtype.kind in "iuf",
-        f"pixels must be a 2-D array of numbers, got shape {array.shape} of {array.dtype}",
-    )
+    array = as_image(pixels, "pixels")
     if array.dtype == np.float16:
         array = array.astype(np.float32)
     unit = fits.PrimaryHDU(array)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Mask, require
+from giantlike.core.arrays import Mask, as_image, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
@@ -80,11 +80,7 @@ def frame_of(
     InputError
         Pixels are not 2-D and real, or the mask has another shape.
     """
-    array = np.asarray(pixels)
-    require(
-        array.ndim == 2 and array.size > 0 and array.dtype.kind in "iuf",
-        f"pixels must be a 2-D array of real numbers, got {array.dtype} of shape {array.shape}",
-    )
+    array = as_image(pixels, "pixels")
     bad = np.zeros((0, 0), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
     require(bad.size == 0 or bad.shape == array.shape, f"mask shape {bad.shape} differs from pixels {array.shape}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
