@@ -1,4 +1,4 @@
-"""Checkerboards: corners found in images, and a first pose of the board through any lens."""
+"""Checkerboards: detection of their corners, and a first pose of the board for any camera model."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 
 CORNER_SIGMA_PX = 0.05
-"""Scatter per axis of the corners of sharp boards with squares of some 20 px; where residuals show more, the
-covariance of a calibration is scaled with it."""
-_DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white
-_WINDOW = 0.3  # half the window over the distance of the nearest corners: it holds no other corner
-_WINDOWS_PX = (2, 5)  # lines are straight over so little
-_STEPS, _LAST_STEP_PX = 60, 1e-3
+"""Standard deviation of a corner per axis, px: the scatter in sharp images of boards with squares of some 20 px. If
+the residuals are larger, the covariance of a calibration is scaled with them."""
+_DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles of the pixels mapped to black and white: ignores hot and dead pixels
+_WINDOW = 0.3  # half the refinement window over the distance of the nearest corners: it contains no other corner
+_WINDOWS_PX = (2, 5)  # smallest and largest half window, px: lines are straight over this length in any lens
+_STEPS, _LAST_STEP_PX = 60, 1e-3  # of the refinement: a fiftieth of the scatter of a corner
 
 
 def board_corners(*, across: int, down: int, square: float = 1.0) -> Float:
-    """Inner corners (n, 3) of a checkerboard in its own axes, row by row, z = 0.
+    """Inner corners of a checkerboard in its own axes.
 
     Parameters
     ----------
@@ -34,6 +34,11 @@ def board_corners(*, across: int, down: int, square: float = 1.0) -> Float:
         Inner corners along and across the rows: one less than squares.
     square : float
         Side of a square, in any unit of length.
+
+    Returns
+    -------
+    (n, 3) float64
+        Row by row, z = 0, in the unit of the side.
 
     Raises
     ------
@@ -58,13 +63,13 @@ def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float 
     Returns
     -------
     (n, 2) float64, px, or Failure
-        In the order of :func:`board_corners`, but for a turn or a mirror image of a board that looks the same.
-        Reason: no_pattern_match, the board is not seen as a whole.
+        In the order of :func:`board_corners`, up to a rotation or reflection under which the board looks the same.
+        Reason: no_pattern_match, the board is not visible as a whole.
 
     Notes
     -----
-    OpenCV's pixels have integer values at their centers, as ours do. The detector alone is off by some 0.1 px
-    through a fisheye, the refinement by 0.05 px.
+    Pixel coordinates in OpenCV are integer at the centers of pixels, as here. With a fisheye the detector alone has an
+    error of some 0.1 px, the refinement of 0.05 px.
     """
     import cv2
 
@@ -74,7 +79,7 @@ def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float 
     gray = np.round(255.0 * np.clip(stretched, 0.0, 1.0)).astype(np.uint8)
     found, corners = cv2.findChessboardCornersSB(gray, (across, down))
     if not found:
-        return Failure(Reason.NO_PATTERN_MATCH, f"no whole board of {across} by {down} inner corners is seen")
+        return Failure(Reason.NO_PATTERN_MATCH, f"no complete board of {across} by {down} inner corners was found")
     corners = corners.reshape(-1, 2).astype(np.float32)
     nearest = np.asarray(cKDTree(corners).query(corners, k=2)[0])[:, 1]
     window = int(np.clip(_WINDOW * nearest.min(), *_WINDOWS_PX))
@@ -87,7 +92,7 @@ def board_pose(corners: Float, points_px: Float, model: CameraModel) -> tuple[Ro
     """First pose of a board from its corners in one image.
 
     The homography from the board to the unit rays of the camera (linear least squares of ``ray x H corner = 0``),
-    made a rotation: rays at any angle from the axis take part, beyond 90 degrees too.
+    orthonormalized to a rotation; rays at any angle from the axis are used, also beyond 90 degrees.
 
     Parameters
     ----------
@@ -95,7 +100,7 @@ def board_pose(corners: Float, points_px: Float, model: CameraModel) -> tuple[Ro
         In the board's axes, z = 0.
     points_px : (n, 2) float64, px
     model : CameraModel
-        Rough.
+        A rough model.
 
     Returns
     -------
@@ -107,7 +112,7 @@ def board_pose(corners: Float, points_px: Float, model: CameraModel) -> tuple[Ro
     rays = model.unproject(points_px)
     seen = np.isfinite(rays).all(axis=1)
     if np.count_nonzero(seen) < 4:
-        return Failure(Reason.DEGENERATE_GEOMETRY, "the start model sees fewer than four corners of the board")
+        return Failure(Reason.DEGENERATE_GEOMETRY, "the start model can unproject fewer than four corners of the board")
     middle, size = corners.mean(axis=0), float(np.ptp(corners, axis=0).max())
     flat = np.column_stack([(corners - middle)[seen, :2] / size, np.ones(np.count_nonzero(seen))])
     ray = rays[seen]
@@ -139,20 +144,20 @@ def board_observations(
     Parameters
     ----------
     images : sequence of Image
-        All of one camera, the board in different places: near the edges of the field too.
+        All of one camera, with the board in different places, also near the edges of the field.
     model : CameraModel
-        Rough: from it :func:`~giantlike.calibration.calibrate` starts.
+        Start of :func:`~giantlike.calibration.calibrate`.
     across, down : int
         Inner corners of the board.
     square : float
-        Side of a square: unit of the poses, the camera does not depend on it.
+        Side of a square in any unit of length, that of the poses; the camera model does not depend on it.
     sigma_px : float, px
         Standard deviation of a corner per axis.
 
     Returns
     -------
     list of ImageObservations, list of (str, Failure)
-        Of the images that show the whole board; names of the others, and why.
+        Observations of the images that show the whole board; names of the others, and the reasons.
 
     References
     ----------

@@ -1,8 +1,8 @@
-"""Weighted normal equations of a calibration, with the pose of every image eliminated.
+"""Bundle adjustment: Levenberg-Marquardt fit of one camera model and the poses of all images.
 
 Each image adds the same few camera parameters and a pose of its own, so the matrix is an arrow: camera block, pose
-blocks on the diagonal, nothing between images. Poses are eliminated block by block (Schur complement), which makes
-the work grow with the number of images and not with its cube.
+blocks on the diagonal, zero between images. Poses are eliminated block by block (Schur complement), so that the cost
+grows with the number of images and not with its cube.
 """
 
 from __future__ import annotations
@@ -24,23 +24,42 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 
 TEMPERATURE_TERMS = frozenset({"a1_per_c", "a2_per_c2", "a3_per_c3"})
-"""Parameters whose effect depends on the temperature of an image."""
+"""Names of the parameters whose effect depends on the temperature of an image."""
 MAX_CONDITION = 1e13
-"""Scaled normal matrices worse than this leave a parameter free: nothing of float64 is left."""
-_FIRST_DAMPING = 1e-3
-_SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-15, 1e12
-_FACTOR = 10.0
+"""Condition number of a scaled normal matrix above which a parameter is undetermined: float64 has 16 digits."""
+_FIRST_DAMPING = 1e-3  # relative to the diagonal of the normal matrix: nearly Gauss-Newton
+_SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-15, 1e12  # below the rounding of float64; steps of 1e-12 of a gradient step
+_FACTOR = 10.0  # of the damping after a step, as in step 4 of the paper
 _CONVERGED, _ROUGHLY = 1e-8, 1e-2
-"""Promised decrease of chi-square at which a fit is done: every parameter is within its root of its sigma."""
-_ROUNDING = 1e-12
+"""Predicted decrease of chi-square at which a fit, and a rough fit, has converged: its root is the largest remaining
+step in units of sigma."""
+_ROUNDING = 1e-12  # relative increase of the cost that is rounding and does not refuse a step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Data(Value):
-    """Observations of m images end to end (n in all), and what is estimated.
+    """Observations of m images, n in all, with the unknowns and their a priori values.
 
-    ``offsets`` (m + 1,) says where each image starts; ``pose`` is 3 (orientation) or 6 (orientation, position).
-    ``estimated`` (k,) are indices into the parameters of the model. Prior weights are inverse variances, 0 for none.
+    Parameters
+    ----------
+    targets : (n, 3) float64
+        Unit vectors or points, reference axes.
+    points_px : (n, 2) float64, px
+    sigma_px : (n,) float64, px
+        Per axis.
+    offsets : (m + 1,) int
+        First observation of each image, and n.
+    temperatures_c : (m,) float64, Celsius
+    pose : int
+        Unknowns of an image: 3 (orientation) or 6 (orientation and position).
+    estimated : (k,) int
+        Indices of the estimated parameters of the model.
+    prior, prior_sigma : (k,) float64
+        A priori values and standard deviations, infinite for none, in the units of the parameters.
+    start : Rotation
+        A priori orientations of the m images.
+    attitude_weight : (m,) float64, 1/rad^2
+        Inverse variance per axis of the a priori orientations, 0 for none.
     """
 
     targets: Float
@@ -64,7 +83,7 @@ class Data(Value):
         prior: Float,
         prior_sigma: Float,
     ) -> Data:
-        """Lay images end to end; they are all of directions or all of finite points."""
+        """Concatenate the observations of images, which are all of directions or all of finite points."""
         sigmas = [image.attitude_sigma_rad for image in images]
         return cls(
             targets=np.concatenate([image.targets for image in images]),
@@ -87,13 +106,13 @@ class Data(Value):
 
     @property
     def image_index(self) -> NDArray[np.intp]:
-        """Which image each observation is of, (n,)."""
+        """Index (n,) of the image of each observation."""
         return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State(Value):
-    """A camera model and the poses of m images: ``rotation`` (m,) and ``position`` (m, 3), camera axes."""
+    """A camera model and the poses of m images: ``camera_from_reference`` and positions (m, 3) in camera axes."""
 
     model: CameraModel
     rotation: Rotation
@@ -106,7 +125,7 @@ class State(Value):
         return turned if data.pose == 3 else turned + self.position[index]
 
     def moved(self, step: Step, data: Data) -> State | None:
-        """State after a step; None where the model refuses its parameters."""
+        """State after a step; None if the model refuses its parameters."""
         values = self.model.parameters
         values[data.estimated] += step.camera
         try:
@@ -120,7 +139,7 @@ class State(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step(Value):
-    """Change of the k camera parameters and of the poses (m, 3 or 6), and the decrease it promises."""
+    """Change of the k camera parameters and of the poses (m, 3 or 6), and the predicted decrease of the cost."""
 
     camera: Float
     poses: Float
@@ -128,7 +147,7 @@ class Step(Value):
 
 
 def predict(state: State, data: Data) -> Float:
-    """Pixels (n, 2) of all targets; NaN where the model cannot image one."""
+    """Project all targets to pixels (n, 2); NaN for those that the model cannot project."""
     vectors = state.vectors(data)
     result = np.empty((len(vectors), 2))
     for which, model, _ in _by_temperature(state.model, data):
@@ -137,9 +156,17 @@ def predict(state: State, data: Data) -> Float:
 
 
 def linearized(state: State, data: Data) -> tuple[Float, Float, Float]:
-    """Pixels (n, 2), their derivatives (n, 2, k) by the estimated parameters and (n, 2, pose) by the pose of the image.
+    """Pixels (n, 2) and their derivatives by the k estimated parameters and by the pose of the image.
 
-    All at once, because a model at a temperature is made once for them.
+    Parameters
+    ----------
+    state : State
+    data : Data
+
+    Returns
+    -------
+    pixels, by_camera, by_pose : (n, 2), (n, 2, k), (n, 2, pose) float64
+        In px, px per unit of the parameter, and px/rad (px per unit of length for positions).
     """
     vectors = state.vectors(data)
     pixels = np.empty((len(vectors), 2))
@@ -158,7 +185,7 @@ def linearized(state: State, data: Data) -> tuple[Float, Float, Float]:
 
 
 def _by_temperature(model: CameraModel, data: Data) -> list[tuple[Mask | slice, CameraModel, float]]:
-    """Which observations share a temperature, and the model there; one group where temperature does not matter."""
+    """Observations of each temperature with the model there; a single group if the model does not depend on it."""
     estimated = {model.parameter_names[k] for k in data.estimated}
     if estimated.isdisjoint(TEMPERATURE_TERMS) and bool(
         (model.at_temperature(1.0).parameters == model.parameters).all()
@@ -173,7 +200,7 @@ def _by_temperature(model: CameraModel, data: Data) -> list[tuple[Mask | slice, 
 class NormalEquations(Value):
     """Blocks at a state: camera (k, k), coupling (m, k, p), poses (m, p, p), right-hand sides, and the cost.
 
-    ``image_camera`` (m, k, k) and ``image_gradient`` (m, k) are what each image adds to the camera block.
+    ``image_camera`` (m, k, k) and ``image_gradient`` (m, k) are the contributions of the images to the camera block.
     """
 
     camera: Float
@@ -186,7 +213,7 @@ class NormalEquations(Value):
     cost: float
 
     def solve(self, damping: float) -> Step | None:
-        """Levenberg-Marquardt step; None where a matrix is singular."""
+        """Levenberg-Marquardt step for a damping relative to the diagonal; None if a matrix is singular."""
         camera = self.camera * (1.0 + damping * np.eye(len(self.camera)))
         try:
             by_camera, alone = self._pose_steps(damping)
@@ -241,7 +268,7 @@ class NormalEquations(Value):
 
 
 def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> NormalEquations | None:
-    """Assemble the blocks; None where a used target cannot be imaged."""
+    """Assemble the normal equations; None if a target in use cannot be projected."""
     predicted, by_camera, by_pose = linearized(state, data)
     residuals = data.points_px - predicted
     if not np.isfinite(residuals[used]).all():
@@ -256,7 +283,9 @@ def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> Normal
     turn = (data.start * state.rotation.inv()).as_rotvec()
     poses, pose_gradient = grams[:, k : k + p, k : k + p].copy(), grams[:, k : k + p, -1].copy()
     poses[:, :3, :3] += data.attitude_weight[:, None, None] * np.eye(3)
-    poses[np.bincount(data.image_index, used, len(poses)) == 0] += np.eye(p)  # nothing left of it: its pose stays
+    poses[np.bincount(data.image_index, used, len(poses)) == 0] += np.eye(
+        p
+    )  # an image without observations keeps its pose
     pose_gradient[:, :3] += data.attitude_weight[:, None] * turn
     cost = float(np.sum(loss.cost(squares[used])))
     cost += float(data.prior_weight @ ahead**2 + data.attitude_weight @ np.sum(turn**2, axis=1))
@@ -280,7 +309,7 @@ def _gram(rows: Float) -> Float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum(Value):
-    """Where the cost is least: state, normal equations there without damping, and the number of steps."""
+    """Minimum of the cost: state, normal equations there without damping, and the number of steps."""
 
     state: State
     normal: NormalEquations
@@ -295,13 +324,13 @@ def minimize(
     Parameters
     ----------
     state : State
-        Start; every used target can be imaged.
+        Start; every target in use can be projected.
     data : Data
     used : (n,) bool
     loss : Loss
     max_steps : int
     rough : bool
-        A tenth of a sigma is near enough, and so is wherever the steps end: for a look at which residuals are large.
+        True to stop within a tenth of a sigma, or after ``max_steps``: enough to recognize outliers.
 
     Returns
     -------
@@ -310,9 +339,9 @@ def minimize(
 
     Notes
     -----
-    The update of the paper lacks the weight on its right-hand side; without it the fixed point of a weighted fit
-    would be another one. Damping grows tenfold after a step that does not help and shrinks tenfold after one that
-    does (its step 4). The fit is done when a step promises to lower chi-square by less than 1e-8.
+    The update of the paper lacks the weight on its right-hand side, without which a weighted fit converges to another
+    point. Damping grows tenfold after a step that increases the cost and shrinks tenfold after one that decreases it
+    (step 4 of the paper). The fit has converged when the predicted decrease of chi-square is below 1e-8.
 
     References
     ----------
@@ -321,7 +350,7 @@ def minimize(
     """
     normal = normal_equations(state, data, used, loss)
     if normal is None:
-        return Failure(Reason.NOT_CONVERGED, "the starting model cannot image a target that was seen")
+        return Failure(Reason.NOT_CONVERGED, "the starting model cannot project a target that was observed")
     damping, enough = _FIRST_DAMPING, _ROUGHLY if rough else _CONVERGED
     for count in range(max_steps):
         step = normal.solve(damping)
@@ -342,34 +371,43 @@ def minimize(
         return Minimum(state, normal, max_steps)
     return Failure(
         Reason.NOT_CONVERGED,
-        f"the fit still moves after {max_steps} steps (chi-square {normal.cost:.4g} of {int(used.sum())} observations)",
+        f"no convergence in {max_steps} steps (chi-square {normal.cost:.4g} of {int(used.sum())} observations)",
     )
 
 
 def covariance_of(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Float, float] | Failure:
-    """Covariance (k, k) of the camera parameters and the condition number of their scaled information.
+    """Covariance of the camera parameters and condition number of their scaled information.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+        Without damping.
+    names : tuple of str
+        Names of the k estimated parameters.
 
     Returns
     -------
     covariance : (k, k) float64
     condition_number : float
-        Of the information matrix scaled to a unit diagonal: 1 where parameters are independent.
+        Of the information matrix scaled to a unit diagonal: 1 for independent parameters.
 
-    Or a :class:`~giantlike.core.outcomes.Failure` of reason degenerate_geometry that names the parameters which the
-    observations cannot tell apart.
+    Or a :class:`~giantlike.core.outcomes.Failure` of reason degenerate_geometry that names the parameters that the
+    observations cannot separate.
     """
     if not names:
         return np.zeros((0, 0)), 1.0
     if not np.isfinite(np.linalg.cond(normal.poses)).all() or np.linalg.cond(normal.poses).max() > MAX_CONDITION:
         return Failure(
             Reason.DEGENERATE_GEOMETRY,
-            "an image has too few targets for its orientation: two stars at least, or an a priori attitude",
+            "an image has too few targets for its orientation: at least two stars are needed, or an a priori attitude",
         )
     information = normal.information()
     diagonal = np.diag(information)
     if not (diagonal > 0).all():
         free = [name for name, value in zip(names, diagonal, strict=True) if not value > 0]
-        return Failure(Reason.DEGENERATE_GEOMETRY, f"the observations say nothing of {', '.join(free)}")
+        return Failure(
+            Reason.DEGENERATE_GEOMETRY, f"the observations do not depend on {', '.join(free)}: do not estimate it"
+        )
     units = 1.0 / np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(information * np.outer(units, units))
     condition = float(values[-1] / values[0]) if values[0] > 0 else float("inf")
@@ -378,7 +416,7 @@ def covariance_of(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Floa
         mixed = [name for name, share in zip(names, worst, strict=True) if share > 0.3 * worst.max()]
         return Failure(
             Reason.DEGENERATE_GEOMETRY,
-            f"the observations cannot tell {', '.join(mixed)} apart (condition number {condition:.1e}): estimate fewer "
+            f"the observations cannot separate {', '.join(mixed)} (condition number {condition:.1e}): estimate fewer "
             "of them, or give an a priori sigma",
         )
     covariance = (vectors / values) @ vectors.T

@@ -1,4 +1,4 @@
-"""Camera model, orientation of every image and temperature terms together, from known directions."""
+"""Calibration: camera model, temperature terms and orientation of every image estimated together."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from giantlike.processing.geometry.wahba import solve_wahba
 
 _LOG = logging.getLogger("giantlike.calibration")
 
-_MEDIAN_CHI2 = 2.0 * math.log(2.0)  # two degrees of freedom
-_NOISE_EXPLAINS = 0.9999
-_SMALLEST_SPREAD = 1e-4  # residuals a hundred times below their sigmas are rounding, not a scale to judge by
-_MIN_PER_IMAGE = 2
-_LOOKING_STEPS = 40
-_MOST_OF_AN_IMAGE = 0.5
+_MEDIAN_CHI2 = 2.0 * math.log(2.0)  # median of chi-square with two degrees of freedom
+_NOISE_EXPLAINS = 0.9999  # chi-square probability up to which noise explains the residuals: 1 false alarm in 10,000
+_SMALLEST_SPREAD = 1e-4  # of squares: residuals a hundred times below their sigmas are rounding, not a scale
+_MIN_PER_IMAGE = 2  # observations that determine the orientation of an image
+_ROUGH_STEPS = 40  # of the fits that search for outliers; these may end before convergence
+_LEAST_SHARE = 0.5  # of the observations of an image that must agree: if most disagree, its identification is wrong
 
 
 def calibrate(
@@ -52,20 +52,20 @@ def calibrate(
     observations : sequence of ImageObservations
         All of directions, or all of finite targets.
     model : CameraModel
-        Start: rough focal length, no distortion is enough.
+        Start; a rough focal length without distortion suffices.
     estimate : sequence of str
-        Names of the parameters to estimate; the others stay as they are in ``model``. Leaving out ``cx_px, cy_px``
-        fixes the principal point, which a narrow field cannot tell from the orientation.
+        Names of the parameters to estimate; the others keep their values in ``model``. Without ``cx_px, cy_px`` the
+        principal point is fixed: in a narrow field it is degenerate with the orientation.
     columns, rows : int
-        Size of the detector: where the map and its uncertainty are judged.
+        Size of the detector, over which the uncertainty of the map is evaluated.
     options : CalibrationOptions, optional
     criteria : CalibrationCriteria, optional
 
     Returns
     -------
     CalibrationResult or Failure
-        A fix that misses a criterion is returned with the reasons in ``problems``. Failure reasons:
-        degenerate_geometry (parameters that cannot be told apart are named), not_converged, too_few_matches.
+        A result that misses a criterion has the reasons in ``problems``. Failure reasons: degenerate_geometry (names
+        the parameters that cannot be separated), not_converged, too_few_matches.
 
     Raises
     ------
@@ -100,7 +100,10 @@ def _check(
     observations: Sequence[ImageObservations], model: CameraModel, estimate: Sequence[str], options: CalibrationOptions
 ) -> None:
     require(len(observations) > 0, "calibrate needs at least one image with observations")
-    require(len({image.finite for image in observations}) == 1, "directions and finite targets cannot be mixed")
+    require(
+        len({image.finite for image in observations}) == 1,
+        "directions and finite targets cannot be calibrated together: give observations of one kind",
+    )
     require(len(set(estimate)) == len(estimate), f"estimate names a parameter twice: {list(estimate)}")
     for name in (*estimate, *options.prior_sigma):
         known = ", ".join(model.parameter_names)
@@ -135,18 +138,18 @@ class _Fit(Value):
 
 
 def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions) -> _Fit | Failure:
-    """Robust fits and rejection until that changes nothing, then the fit by the loss that was asked for.
+    """Robust fits and rejection until the selection no longer changes, then the fit with the chosen loss.
 
-    Residuals are held against their robust spread (median of the squares) by a chi-square test that may be expected
-    to reject ``options.false_rejections`` good observations in all. An image of which less than half agrees is left
-    out whole.
+    Residuals are compared with their robust spread (median of the squares) by a chi-square test that is expected to
+    reject ``options.false_rejections`` good observations in all. An image of which less than half agrees is rejected
+    as a whole.
     """
     used = np.asarray(np.isfinite(predict(state, data)).all(axis=1))
     guard = Loss.HUBER if options.loss is Loss.LINEAR else options.loss
     kept_images: Mask = np.ones(len(data.offsets) - 1, dtype=bool)
     steps = rounds = 0
     for rounds in range(1, options.max_rounds + 1):
-        minimum = minimize(state, data, used, guard, max_steps=_LOOKING_STEPS, rough=True)
+        minimum = minimize(state, data, used, guard, max_steps=_ROUGH_STEPS, rough=True)
         if isinstance(minimum, Failure):
             return minimum
         state, steps = minimum.state, steps + minimum.steps
@@ -154,7 +157,10 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
         used, kept_images = _agreeing(state, data, used, options)
         _LOG.debug("round %d: %d of %d observations agree, %d steps", rounds, int(used.sum()), len(used), steps)
         if int(used.sum()) * 2 <= len(data.estimated) + 3 * int(kept_images.sum()):
-            return Failure(Reason.TOO_FEW_MATCHES, f"{int(used.sum())} of {len(used)} observations agree with a camera")
+            return Failure(
+                Reason.TOO_FEW_MATCHES,
+                f"only {int(used.sum())} of {len(used)} observations agree with one camera model",
+            )
         if np.array_equal(used, before):
             break
     minimum = minimize(state, data, used, options.loss, max_steps=options.max_steps)
@@ -164,7 +170,7 @@ def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions)
 
 
 def _agreeing(state: State, data: Data, used: Mask, options: CalibrationOptions) -> tuple[Mask, Mask]:
-    """Observations that agree with the fit, and the images that keep any."""
+    """Masks of the observations (n,) that agree with the fit, and of the images (m,) that keep any."""
     residuals = data.points_px - predict(state, data)
     squares = np.sum(residuals**2, axis=1) / data.sigma_px**2
     squares = np.where(np.isfinite(squares), squares, np.inf)
@@ -176,7 +182,7 @@ def _agreeing(state: State, data: Data, used: Mask, options: CalibrationOptions)
     index = data.image_index
     share = np.bincount(index, keep, len(data.offsets) - 1) / np.diff(data.offsets)
     enough = np.bincount(index, keep, len(data.offsets) - 1) >= np.where(data.attitude_weight > 0, 1, _MIN_PER_IMAGE)
-    kept_images = np.asarray((share >= _MOST_OF_AN_IMAGE) & enough)
+    kept_images = np.asarray((share >= _LEAST_SHARE) & enough)
     return keep & kept_images[index], kept_images
 
 
@@ -260,7 +266,7 @@ def _images(
     for number, image in enumerate(observations):
         mine = (data.image_index == number) & fit.used
         shift, kept = shifts[number], bool(mine.any())
-        known = bool(np.isfinite(shift).all())  # else the other images leave a parameter free
+        known = bool(np.isfinite(shift).all())  # else the other images do not determine a parameter
         moved = sensitivity.unrotated[..., data.estimated] @ shift if known else np.array([[math.inf]])
         result.append(
             ImageCalibration(

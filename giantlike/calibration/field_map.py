@@ -1,7 +1,7 @@
-"""What a camera model does over its field: differences and uncertainties in pixels, modulo a rotation.
+"""Maps over the field of a camera: differences of models and their uncertainty in pixels, modulo a rotation.
 
-A calibration with free attitudes cannot know a rotation of the whole camera, and nobody who solves attitudes with it
-needs to: two models that differ by one are the same camera.
+A calibration with free attitudes does not determine a rotation of the whole camera, and attitudes solved with it absorb
+it: two models that differ by a rotation are equivalent.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate, skew
 from giantlike.core.values import Value
 
-_ROTATION_STEPS = 5
-_CELLS = 25
+_ROTATION_STEPS = 5  # of Gauss-Newton on the common rotation, which converges in 3
+_CELLS = 25  # grid points along each axis: resolves the sixth-order terms of distortion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldMap(Value):
-    """A vector per point of a grid over the detector.
+    """Shifts at the points of a grid over the detector.
 
     Parameters
     ----------
@@ -36,17 +36,17 @@ class FieldMap(Value):
 
     @property
     def rms_px(self) -> float:
-        """Radial rms over the grid."""
+        """Radial rms over the grid, px."""
         return float(np.sqrt(np.mean(np.sum(self.shifts_px**2, axis=1))))
 
     @property
     def max_px(self) -> float:
-        """Largest shift."""
+        """Largest shift, px."""
         return float(np.sqrt(np.max(np.sum(self.shifts_px**2, axis=1))))
 
 
 def field_grid(columns: int, rows: int) -> Float:
-    """Pixels (n, 2) spread evenly over a detector, its edges included."""
+    """Regular grid of pixels (n, 2) over a detector of a size, edges included."""
     x = np.linspace(-0.5, columns - 0.5, _CELLS)
     y = np.linspace(-0.5, rows - 0.5, _CELLS)
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -55,15 +55,20 @@ def field_grid(columns: int, rows: int) -> Float:
 def map_difference(
     model: CameraModel, other: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0
 ) -> FieldMap:
-    """Where ``other`` puts what ``model`` sees at a grid of pixels, minus that pixel, the best rotation taken out.
-
-    Grid points that one of the models cannot image are left out.
+    """Difference of two camera models over the detector, with the best-fit rotation removed.
 
     Parameters
     ----------
     model, other : CameraModel
     columns, rows : int
+        Size of the detector.
     temperature_c : float, Celsius
+
+    Returns
+    -------
+    FieldMap
+        Pixels to which ``other`` projects the lines of sight of ``model`` at the grid points, minus these points.
+        Points that one of the models cannot project are omitted.
     """
     first, second = model.at_temperature(temperature_c), other.at_temperature(temperature_c)
     pixels = field_grid(columns, rows)
@@ -85,15 +90,15 @@ def map_difference(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldSensitivity(Value):
-    """How pixels over the field move with the parameters of a model.
+    """Derivatives of pixels over the field by the parameters of a model.
 
     Parameters
     ----------
     points_px : (n, 2) float64, px
     by_parameter : (n, 2, p) float64
-        Plain derivative by every parameter of the model.
+        By every parameter of the model.
     unrotated : (n, 2, p) float64
-        The same with the part taken out that a rotation of the camera does as well.
+        The same minus the part that is equivalent to a rotation of the camera.
     """
 
     points_px: Float
@@ -102,7 +107,7 @@ class FieldSensitivity(Value):
 
     @classmethod
     def of(cls, model: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0) -> FieldSensitivity:
-        """Sensitivity over a grid of the detector, where the model can image."""
+        """Sensitivity at the grid points of a detector that the model can project."""
         there = model.at_temperature(temperature_c)
         pixels = field_grid(columns, rows)
         vectors = there.unproject(pixels)
@@ -116,7 +121,7 @@ class FieldSensitivity(Value):
         return cls(points_px=pixels, by_parameter=by_parameter, unrotated=unrotated)
 
     def sigma_px(self, estimated: NDArray[np.intp], covariance: Float) -> Float:
-        """Standard deviation (n,), radial, px, of the map for a covariance (k, k) of the ``estimated`` indices (k,)."""
+        """Radial standard deviation (n,), px, of the map for a covariance (k, k) of parameters of the given indices."""
         by_estimated = self.unrotated[..., estimated]
         variance = np.einsum("nik,kl,nil->n", by_estimated, covariance, by_estimated)
         result: Float = np.sqrt(np.maximum(variance, 0.0))

@@ -1,4 +1,4 @@
-"""Which parameters the observations can support, and which only seem to be estimated."""
+"""Observability of the parameters of a calibration: verdicts on each of them."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from giantlike.calibration.bundle_adjustment import Data
 from giantlike.calibration.field_map import FieldSensitivity
 from giantlike.core.arrays import Float
 
-_SIGNIFICANT = 3.0  # sigma from zero
-_MOSTLY_PRIOR = 0.9
-_ENTANGLED = 0.99
+_SIGNIFICANT = 3.0  # sigma from zero: chance exceeds it once in 370
+_MOSTLY_PRIOR = 0.9  # sigma over the a priori sigma: the observations contribute a fifth of the information or less
+_ENTANGLED = 0.99  # correlation: the sigma of the parameter alone is 7 times smaller
 
 
 class Verdict(StrEnum):
-    """What the observations say of a parameter."""
+    """Verdict of the observations on a parameter."""
 
     SUPPORTED = "supported"
     NOT_SIGNIFICANT = "not_significant"
-    """A distortion or temperature term less than three sigma from zero: the data would do without it."""
+    """A distortion or temperature term less than three sigma from zero: the data do not need it."""
     ENTANGLED = "entangled"
-    """Correlated above 0.99 with others: known in combination only, its own value fluctuates."""
+    """Correlated above 0.99 with another parameter: only their combination is known."""
     PRIOR_ONLY = "prior_only"
-    """Its sigma is that of the a priori: the observations add nothing."""
+    """Its sigma is that of the a priori value: the observations add hardly any information."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSupport:
-    """What is known of one estimated parameter.
+    """Estimate, effect and verdict of one parameter.
 
     Parameters
     ----------
@@ -39,15 +39,14 @@ class ParameterSupport:
     value, start, sigma : float
         In the unit of the parameter.
     effect_px : float, px
-        What the value does at the worst place of the field (for focal length and principal point: its change from
-        the start).
+        Largest effect of the value over the field (for focal length and principal point: of its change from the start).
     sigma_effect_px : float, px
-        What one sigma of this parameter alone does there. Far above the uncertainty of the map where other
-        parameters make up for it.
+        Largest effect of one sigma of this parameter alone. Far above the uncertainty of the map if other parameters
+        compensate it.
     partner : str
-        The parameter it is most correlated with; empty when alone.
+        Parameter with the highest correlation; empty for a single parameter.
     correlation : float
-        With that.
+        Correlation with the partner.
     verdict : Verdict
     """
 

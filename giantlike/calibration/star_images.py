@@ -39,22 +39,22 @@ _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solutio
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarImage(Value):
-    """What calibration keeps of a star image: its sources, its sky, and a first identification.
+    """Sources, sky and first identification of a star image for calibration.
 
     Parameters
     ----------
     name : str
     sky : Sky
     points_px, covariance_px2, snr : (m, 2), (m, 2, 2), (m,) float64
-        Sources that look like stars, brightest first.
+        Sources without flags of ``NOT_A_STAR``, brightest first.
     camera_from_inertial : Rotation
         First solution.
     focal_length_px : float, px
         Focal length that the first solution found.
     star_ids, source_indices : (k,) int64
-        Stars of the first solution, and which of the sources they are.
+        Stars of the first solution, and the indices of their sources.
     sigma_px : (k,) float64, px
-        Standard deviation per axis of these.
+        Standard deviation of these stars per axis.
     temperature_c : float, Celsius
     """
 
@@ -71,7 +71,7 @@ class StarImage(Value):
     temperature_c: float = 0.0
 
     def unwrap(self) -> StarImage:
-        """Return the star image itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        """Return the star image itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
         return self
 
 
@@ -82,12 +82,12 @@ class AllStars:
     Parameters
     ----------
     min_snr : float
-        Of the stars that were calibrated from; these are all, also the fainter ones.
+        Limit of the stars used for calibration; the others here include fainter ones.
     count : int
     rms_px : float, px
-        Radial. Faint stars have more noise, so that it is larger than that of the calibration.
+        Radial residual; larger than that of the calibration, because faint stars have more noise.
     noise_px : float, px
-        Radial rms that their own sigmas promise.
+        Radial rms expected from their sigmas.
     """
 
     min_snr: float
@@ -126,26 +126,26 @@ class StarCalibration(Value):
         return self.result
 
     def unwrap(self) -> StarCalibration:
-        """Return the calibration itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
+        """Return the calibration itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
         return self
 
 
 def identify_first(
     image: Image, camera: Camera, navigation: StarNavigation, *, scale_error: float, temperature_c: float = 0.0
 ) -> StarImage | Failure:
-    """Find the stars of an image with a camera that is known roughly.
+    """Identify the stars of an image with a roughly known camera.
 
-    The focal length (and, with enough stars, k1 of models that have it) is estimated along. The whole sky is searched
-    where there is no a priori attitude or it does not help.
+    The focal length (and, with enough stars, k1 of models that have it) is estimated too. The whole sky is searched
+    if there is no a priori attitude or no stars are found with it.
 
     Parameters
     ----------
     image : Image
     camera : Camera
     navigation : StarNavigation
-        Gives catalog and options; its camera is not used.
+        Catalog and options; its camera is not used.
     scale_error : float
-        Relative error that the focal length may have, in (0, 0.2].
+        Largest relative error of the focal length, in (0, 0.2].
     temperature_c : float, Celsius
 
     Returns
@@ -218,7 +218,7 @@ def observations_of_fix(
 
 
 def start_model(model: CameraModel, estimate: Sequence[str], type_name: str | None, focal_ratio: float) -> CameraModel:
-    """Model from which a calibration starts: of a type that has every parameter to estimate, focal lengths scaled.
+    """Starting model of a calibration: of a type with every parameter to estimate, with scaled focal lengths.
 
     Parameters
     ----------
@@ -227,7 +227,11 @@ def start_model(model: CameraModel, estimate: Sequence[str], type_name: str | No
     type_name : str, optional
         Type wanted; default: that of ``model`` if it has all parameters, else Brown for a pinhole.
     focal_ratio : float
-        Factor on ``fx_px`` and ``fy_px`` where these are estimated.
+        Factor on ``fx_px`` and ``fy_px`` if these are estimated.
+
+    Returns
+    -------
+    CameraModel
 
     Raises
     ------
@@ -270,20 +274,20 @@ def calibrate_stars(
     options: CalibrationOptions | None = None,
     criteria: CalibrationCriteria | None = None,
 ) -> StarCalibration | Failure:
-    """Calibrate a camera from identified star images, and identify again with what was found, by turns.
+    """Calibrate a camera from identified star images, alternating calibration and identification.
 
     Parameters
     ----------
     images : sequence of StarImage
     camera : Camera
-        Rough.
+        A rough camera.
     estimate : sequence of str
-        Parameters, as in :func:`~giantlike.calibration.calibrate`.
+        Parameters to estimate, as in :func:`~giantlike.calibration.calibrate`.
     model_type : str, optional
         Type of the model to estimate, see :func:`start_model`.
     min_snr : float
-        Only stars at least so bright count (of each image no fewer than its 20 brightest): fainter ones add noise,
-        and blends that nobody knows of, but hardly information.
+        Lowest signal to noise ratio of the stars used (the 20 brightest of each image are always used). Fainter stars
+        add blends that are not in the catalog but hardly any information.
     stars : StarOptions, optional
     options : CalibrationOptions, optional
     criteria : CalibrationCriteria, optional
@@ -293,7 +297,7 @@ def calibrate_stars(
     StarCalibration or Failure
     """
     if not images:
-        return Failure(Reason.TOO_FEW_MATCHES, "no image with identified stars: nothing to calibrate from")
+        return Failure(Reason.TOO_FEW_MATCHES, "no image has identified stars: a calibration needs at least one")
     ratio = float(np.median([image.focal_length_px for image in images])) / camera.model.focal_length_px
     start = start_model(camera.model, estimate, model_type, ratio)
     stars = replace(stars or StarOptions(), estimate_scale=False)
@@ -309,7 +313,10 @@ def calibrate_stars(
         before = _matches(observations)
         observations, failed = _identified_with(result, images, camera, stars, min_snr)
         if not observations:
-            return Failure(Reason.TOO_FEW_MATCHES, f"no image keeps its stars; {failed[0][0]}: {failed[0][1].detail}")
+            return Failure(
+                Reason.TOO_FEW_MATCHES,
+                f"no image keeps its stars with the calibrated camera; {failed[0][0]}: {failed[0][1].detail}",
+            )
         result = estimator(observations)
         settled = _matches(observations) == before
         rounds += 1

@@ -1,4 +1,4 @@
-"""Residuals of a calibration by image, brightness, place in the field and temperature: what is left in them."""
+"""Residuals of a calibration by image, magnitude, distance from the image center and temperature."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from giantlike.calibration.result import CalibrationResult
 from giantlike.core.arrays import Float, Mask
 
-_BINS = 6
-_FEWEST = 2
+_BINS = 6  # groups per quantity
+_FEWEST = 2  # observations that can be grouped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualGroup:
-    """Residuals of the observations used that have something in common.
+    """Statistics of the residuals of a group of observations.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class ResidualGroup:
     mean_x_px, mean_y_px : float, px
         Observed minus predicted.
     noise_px : float, px
-        Radial rms that the sigmas given promise.
+        Radial rms expected from the sigmas.
     """
 
     kind: str
@@ -48,7 +48,14 @@ class ResidualGroup:
 def residual_statistics(result: CalibrationResult) -> tuple[ResidualGroup, ...]:
     """Residuals in groups of equal size: by image, magnitude, distance from the image center and temperature.
 
-    A quantity that is the same for all observations, or unknown, gives no groups.
+    Parameters
+    ----------
+    result : CalibrationResult
+
+    Returns
+    -------
+    tuple of ResidualGroup
+        A quantity that is constant or unknown gives no groups.
     """
     center = (np.array([result.columns, result.rows]) - 1.0) / 2.0
     temperatures = np.array([image.temperature_c for image in result.images])[result.image_index]
