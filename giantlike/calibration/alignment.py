@@ -14,7 +14,7 @@ from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 
-_STEPS = 20  # of Gauss-Newton and rejection, which converge in 3 to 6
+_STEPS = 20  # of Gauss-Newton and rejection
 _SMALL_RAD = 1e-14  # last step, rad (or rad/Celsius): the rounding of float64
 _NOISE_EXPLAINS = 0.9999  # chi-square probability up to which noise explains the residuals: 1 false alarm in 10,000
 _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom

@@ -17,7 +17,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate, skew
 from giantlike.core.values import Value
 
-_ROTATION_STEPS = 5  # of Gauss-Newton on the common rotation, which converges in 3
+_ROTATION_STEPS = 5  # of Gauss-Newton on the common rotation, which converges quadratically
 _CELLS = 25  # grid points along each axis: resolves the sixth-order terms of distortion
 
 

@@ -60,9 +60,10 @@ class CalibrationOptions:
         Expected number of good observations that a whole calibration rejects as outliers. Default 0.01: one
         calibration in a hundred loses one.
     max_rounds : int
-        Rounds of fit and rejection. Default 10; they usually settle after 2 to 4.
+        Rounds of fit and rejection. Default 10, a bound.
     max_steps : int
-        Levenberg-Marquardt steps per round. Default 200: a bound for failures, fits converge in 5 to 30.
+        Levenberg-Marquardt steps per round. Default 200, a bound for fits that do not
+        converge.
 
     Raises
     ------

@@ -32,7 +32,7 @@ from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude, 
 DEFAULT_MIN_SNR = 20.0
 """Signal to noise ratio of the stars that a camera is calibrated from: their centroids are known to some 0.05 px. The
 real frames of ``benchmarks/calibration.py`` have a residual of 0.166 px at 20, 0.123 at 15 and 0.145 at 10."""
-_MAX_ROUNDS = 8  # of identification and calibration; the matches of the benchmarks settle after 2 to 4
+_MAX_ROUNDS = 8  # of identification and calibration
 _BRIGHTEST = 20  # stars of an image kept whatever their signal to noise ratio: 40 equations for its 3 unknowns
 _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solution so far outside the predicted field
 

@@ -20,9 +20,9 @@ from giantlike.core.statistics import error_floor, squared_residuals
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 
-_MAX_STEPS = 20  # Gauss-Newton converges quadratically, in 3 to 5 steps; more mean that it does not converge
+_MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
 _STEP_RAD = 1e-11  # last step: 2 microarcsec, far below any sigma, above the rounding of float64
-_MAX_ROUNDS = 10  # of fit and rejection, which usually settle after 2 to 4
+_MAX_ROUNDS = 10  # of fit and rejection
 _NOISE_EXPLAINS = 0.977
 """Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal
 distribution, one-sided."""

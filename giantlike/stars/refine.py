@@ -27,7 +27,7 @@ from giantlike.stars.matching import (
 )
 from giantlike.stars.options import StarOptions
 
-_MAX_ROUNDS = 8  # of matching and fitting; the matches usually settle after 3
+_MAX_ROUNDS = 8  # of matching and fitting
 _STARS_FOR_FOCAL_LENGTH = 5  # 10 equations for 4 unknowns
 _STARS_FOR_RADIAL = 12  # 24 equations for 5 unknowns: k1 needs stars all over the field
 SMALLEST_GATE_PX = 0.5

@@ -5,11 +5,11 @@ The model of a pixel is :math:`b + F\,P_x P_y` with :math:`P_x = \frac12[\mathrm
 centroid does not depend on where in its pixel the star falls. Unknown per star: x, y, flux F, background b and
 ln sigma, the last with a loose prior around the point spread function.
 
-Gauss-Newton with weights :math:`1 / (\mathrm{noise}^2 + F P_x P_y / \mathrm{gain})` from the model, renewed at every
-step. Saturated pixels are lower bounds: they pull only while the model is below them.
+Gauss-Newton with weights :math:`1 / (\mathrm{noise}^2 + F P_x P_y / \mathrm{gain})` from the model, updated at every
+step. Saturated pixels are lower bounds: they count only while the model is below them.
 
 The covariance is the inverse of the Fisher information (background noise, shot noise, the pixels really used) times
-two factors. The first, :math:`1 + 3 \mathrm{var}(F) / F^2`, is what the linearization leaves out; it matters below a
+two factors. The first, :math:`1 + 3 \mathrm{var}(F) / F^2`, is the second order of the fit; it matters below a
 signal to noise ratio of 20. The second is the reduced chi-square of the residuals where that is above
 :math:`1 + 4 \sqrt{2 / \mathrm{dof}}`, more than noise explains: the star is then not the model (a real PSF, an
 unseen neighbor, a wrong gain), and the noise is not the error. Correlation between blended stars is not modeled.
@@ -28,7 +28,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches, chi2_inflation, pixel_shares
 
-_MAX_STEPS = 16  # stars converge in 4 to 8; one that needs more gets FIT_FAILED
+_MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
 _CONVERGED_SIGMAS = 0.02  # last step over the error of the centroid: adds 0.02 % to its variance
 _NONLINEAR = [0, 1, 4]  # x, y, ln sigma: the model is linear in the others
@@ -51,7 +51,7 @@ class StarFits(Value):
     reduced_chi2 : (n,) float64
         Weighted square residual per degree of freedom.
     converged : (n,) bool
-        Came to rest less than ``1 + psf / 2`` px from the central pixel, on more pixels than unknowns.
+        True if the fit converged less than ``1 + psf / 2`` px from the central pixel, on more pixels than unknowns.
     """
 
     points_px: Float
@@ -117,7 +117,7 @@ def fit_stars(
 
 
 def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
-    """Ordered pairs (m, 2), each both ways, of points closer than ``reach_px``."""
+    """Pairs (m, 2) of indices, in both orders, of points (n, 2) closer than ``reach_px``."""
     pairs = cKDTree(points_px).query_pairs(reach_px, output_type="ndarray").astype(np.int64).reshape(-1, 2)
     return np.concatenate([pairs, pairs[:, ::-1]])
 
@@ -143,7 +143,7 @@ class _Problem:
         return replace(self, patches=self.patches.select(which))
 
     def solve(self, start: Float) -> tuple[Float, Mask]:
-        """Gauss-Newton from ``start`` (n, 5); returns parameters and which (n,) came to rest near the peak."""
+        """Gauss-Newton from ``start`` (n, 5): parameters (n, 5), and a mask (n,) of those that converged near the peak."""
         parameters = start.copy()
         active = np.arange(len(start))
         last, pace = np.zeros_like(start), np.ones(len(start))
@@ -199,7 +199,7 @@ class _Problem:
         return normal, right, np.sum(weight * residual**2, axis=1), np.count_nonzero(weight, axis=1)
 
     def limited(self, parameters: Float, step: Float) -> Float:
-        """Shorten steps that leave the region where the linearization means something."""
+        """Limit steps (n, 5) to the region in which the linearization is valid."""
         reach = 0.7 * np.exp(parameters[:, 4]) + 0.2
         length = np.hypot(step[:, 0], step[:, 1])
         result = step.copy()

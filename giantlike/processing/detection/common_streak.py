@@ -1,7 +1,7 @@
-"""Streaks that all stars of an image share: recognized, and measured one by one.
+"""Common streak of the stars of an image: detection, and fits of the single streaks.
 
-A camera that turns during the exposure draws every star into a line of one direction and length. Bright elongated
-sources are fitted as lines; where most of them agree, that line is what the image is filtered for.
+A camera that rotates during the exposure turns every star into a line of one direction and length. Bright elongated
+sources are fitted as lines; if most of them agree, the image is filtered for that line.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches
 from giantlike.processing.detection.streak import LineFits, Lines, fit_lines
 
-_LOOKED_AT = 24
-_LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6
-_AGREE_RELATIVE, _AGREE_PX = 0.15, 0.7
-_SHORTEST_PX, _SHORTEST_WIDTHS = 2.5, 2.5
-_HALF_PATCH_PX = 32  # streaks up to about twice this are recognized
-_QUICK_HALF_PX = 5
-_POWER_SIGMAS = 5.0
-_QUICK_LONG = 0.55  # of the longest axis: points of up to 1 px give 0.5 and less
-_MOMENT_SIGMAS = 3.0
-_WIDTHS = (0.5, 0.65, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5)
-_USUAL_WIDTH, _FOR_WIDTH = 1.0, 8
+_BRIGHTEST = 24  # sources fitted to find a common streak: bounds the time
+_LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6  # number and share of these sources that must agree; no study yet
+_AGREE_RELATIVE, _AGREE_PX = 0.15, 0.7  # largest difference of lines that agree: of their length, plus px; no study yet
+_SHORTEST_PX, _SHORTEST_WIDTHS = 2.5, 2.5  # shortest streak, px and widths of a star: below, a point fits as well
+_HALF_PATCH_PX = 32  # half side of the first patches: streaks up to about twice this length are recognized
+_QUICK_HALF_PX = 5  # half side of the patches of the quick check: the window of the moments is some 1 px wide
+_POWER_SIGMAS = 5.0  # excess of the residual power over the noise that counts as unexplained
+_QUICK_LONG = 0.55  # elongation above which lines are fitted: points of up to 1 px width have 0.5 and less
+_MOMENT_SIGMAS = 3.0  # threshold of the pixels in a moment; smoothing by 1 px leaves 0.3 of the noise
+_WIDTHS = (0.5, 0.65, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5)  # trial widths across a streak, px: steps of 25 %
+_USUAL_WIDTH, _FOR_WIDTH = 1.0, 8  # first width, px, and number of streaks from which the width is estimated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommonStreak:
-    """Line that the stars of an image are drawn into.
+    """Streak common to the stars of an image.
 
     Parameters
     ----------
     half_px : (float, float), px
-        From the middle to one end.
+        Vector (x, y) from the middle to one end.
     sigma_px : float, px
         Width of the point spread function across it.
     """
@@ -68,7 +68,7 @@ def find_common_streak(
     CommonStreak or None
         None where the sources are points or do not agree.
     """
-    peaks_px, noise_dn = peaks_px[:_LOOKED_AT], noise_dn[:_LOOKED_AT]
+    peaks_px, noise_dn = peaks_px[:_BRIGHTEST], noise_dn[:_BRIGHTEST]
     if len(peaks_px) < _LEAST_AGREEING or not _mostly_long(frame, peaks_px):
         return None
     patches = frame.patches(peaks_px, _HALF_PATCH_PX, noise_dn)
@@ -182,7 +182,7 @@ def _from_moments(patches: Patches) -> Lines:
 
 
 def _agreed(fits: LineFits, n_sources: int, sigma_px: float) -> CommonStreak | None:
-    """Median of the lines, where enough of them agree; directions are compared at twice their angle."""
+    """Median of the lines if enough of them agree; directions are compared at twice their angle."""
     good = fits.converged & (fits.lengths_px > max(_SHORTEST_PX, _SHORTEST_WIDTHS * recorded_width_px(sigma_px)))
     if np.count_nonzero(good) < _LEAST_AGREEING:
         return None

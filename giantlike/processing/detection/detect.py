@@ -46,27 +46,27 @@ from giantlike.processing.detection.particles import CORE_WIDTHS, core_of, find_
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, PIXEL_VARIANCE_PX2, Patches, cut_patches
 from giantlike.processing.detection.streak import line_shares
 
-_FIRST_PSF_SIGMA_PX = 1.0
-_PSF_ROUNDS = 3
-_PSF_SETTLED = 0.2  # a filter off by this in ln sigma loses 1 % of the signal to noise
-_PSF_STARS = 50
-_PSF_MOST_TRIED = 1000
-_PSF_MIN_SIGNIFICANCE = 12.0
-_PSF_WIDTH_PRIOR = 1.0
+_FIRST_PSF_SIGMA_PX = 1.0  # width of the first filter when none is given: between usual cameras of 0.5 and 2 px
+_PSF_ROUNDS = 3  # of filtering and estimating the width
+_PSF_SETTLED = 0.2  # largest last change of ln sigma: a filter off by this loses 1 % of the signal to noise
+_PSF_STARS = 50  # stars in the median width: known to 2 % if single stars are known to 10 %
+_PSF_MOST_TRIED = 1000  # sources tried to find them: bounds the time for images full of hot pixels
+_PSF_MIN_SIGNIFICANCE = 12.0  # of these stars: their widths are then known to some 10 %
+_PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: hardly any, the width is to be found
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 
-_STREAK_MIN_SIGNIFICANCE = 8.0
-_STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # how far a length may be from that of the image
-_STREAK_UNEXPLAINED = 0.3
+_STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
+_STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
+_STREAK_UNEXPLAINED = 0.3  # share of the power left by the fitted line above which a source is no streak; no study yet
 
-_EXTENDED_AREA = 4.0  # times the area that a star of the same peak has above the threshold
-_EXTENDED_AREA_MARGIN_PX = 12
-_EXTENDED_WIDTH = 2.0  # recorded widths of a star
-_EXTENDED_WIDTH_SATURATED = 3.0  # bright stars bloom
+_EXTENDED_AREA = 4.0  # area over that of a star of the same peak above the threshold; no study yet
+_EXTENDED_AREA_MARGIN_PX = 12  # added to it, px: small areas fluctuate with the noise
+_EXTENDED_WIDTH = 2.0  # width over that of a recorded star above which a source is extended
+_EXTENDED_WIDTH_SATURATED = 3.0  # the same for saturated sources: bright stars bloom
 _ELONGATED = 0.9  # longest axis of the windowed moments: 0.5 for a star, 1 for anything longer than the window
-_SHARP_WIDTH = 0.62  # times the usual width of the stars of the image
-_SHARP_MIN_PSF_PX = 0.4  # below, a star and a hot pixel look the same
-_USUAL_MIN_STARS = 10
+_SHARP_WIDTH = 0.62  # width over the usual width of the stars of the image below which a source is sharp; no study yet
+_SHARP_MIN_PSF_PX = 0.4  # usual width, px, below which a star and a hot pixel look the same
+_USUAL_MIN_STARS = 10  # fewest stars whose median width replaces that of the PSF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,15 +97,15 @@ def detect_sources(
     mask: ArrayLike | None = None,
     options: DetectionOptions | None = None,
 ) -> Detections | Failure:
-    """Find stars and other point sources and measure where they are.
+    """Detect stars and other point sources and fit their centroids.
 
     Parameters
     ----------
     pixels : (rows, columns) real, DN
-        Any integer or floating dtype. Values that are not finite count as masked.
+        Any integer or floating dtype. Values that are not finite are treated as masked.
     detector : Detector
-        Gain in the unit of the pixels (for the shot noise of stars) and saturation; integer images also saturate
-        at the end of their dtype. The background noise is measured on the image, not taken from here.
+        Gain (for the shot noise of stars) and saturation; integer images also saturate at the end of their dtype. The
+        background noise is that of ``options.noise``, by default measured on the image.
     psf_sigma_px : float, px, optional
         Standard deviation of the point spread function before pixels integrate it. By default it is the median
         over the brightest isolated sources of this image (1 px where there are none).
@@ -116,7 +116,7 @@ def detect_sources(
     Returns
     -------
     Detections or Failure
-        Brightest first, possibly none; ``detections.select(detections.clean)`` are what looks like stars.
+        Brightest first, possibly none; ``detections.select(detections.clean)`` are those that look like stars.
         ``no_signal``: all good pixels are equal, or there are none. ``saturated``: more of the image is
         saturated than the options allow.
 
@@ -147,7 +147,10 @@ def detect_sources(
         psf = streak.sigma_px
         filtered, found = _search_with(frame, psf, options, streak.half_px)
     elif options.streak:
-        return Failure(Reason.NO_SIGNAL, "the brightest sources do not agree on a streak of one direction and length")
+        return Failure(
+            Reason.NO_SIGNAL,
+            "the brightest sources have no common streak of one direction and length: do not require one",
+        )
     noise = frame.noise_dn
     if noise is None:
         noise = noise_between(filtered, frame.bad, found.peaks_px, frame.noise_floor_dn)
@@ -163,7 +166,7 @@ def detect_sources(
 def _search(
     frame: Frame, psf_sigma_px: float | None, options: DetectionOptions
 ) -> tuple[float, FilteredImage, _Candidates]:
-    """Search with the given width of the PSF or, without one, that of the sources of this image themselves."""
+    """Search with the given width of the PSF or, without one, that of the sources of the image."""
     if psf_sigma_px is not None:
         psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
         return psf, *_search_with(frame, psf, options)
@@ -238,7 +241,7 @@ def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions
 
 
 def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> Mask:
-    """Whether each of the pixels (n, 2) tops its eight neighbors; of equal ones the first in reading order does."""
+    """True (n,) for pixels (n, 2) above their eight neighbors; of equal ones only for the first in reading order."""
     rows, columns = response.shape
     x, y = points_px.T
     value = response[y, x]
@@ -285,7 +288,7 @@ def _half_patch_px(psf_sigma_px: float) -> int:
 
 
 def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
-    """Fit all candidates, flag what is odd about them, sort by flux."""
+    """Fit all candidates as stars, flag them, sort them by flux."""
     patches = frame.patches(found.peaks_px, _half_patch_px(psf_sigma_px), found.noise_dn)
     fits = fit_stars(patches, flux_dn=found.flux_dn, psf_sigma_px=psf_sigma_px)
     width = recorded_width_px(psf_sigma_px)
@@ -316,7 +319,7 @@ def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: fl
 
 
 def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise_dn: float) -> Detections:
-    """Fit a line to all candidates; what is no line as long as that of the image is not a star."""
+    """Fit all candidates as lines; those unlike the common streak are flagged as extended."""
     width = recorded_width_px(streak.sigma_px)
     half = math.ceil(max(abs(h) for h in streak.half_px) + 3.0 * width) + 2
     patches = frame.patches(found.peaks_px, half, found.noise_dn)
@@ -409,9 +412,9 @@ def _flags(
 
 
 def _usual_width_px(fits: StarFits, compact: Mask, psf_sigma_px: float) -> float:
-    """Width that sources of this image have, at most that of the PSF.
+    """Median width, px, of the stars of the image, at most that of the PSF.
 
-    Sharper images than the camera was said to give must not make hot pixels of all stars.
+    Stars sharper than the given PSF must not be taken for hot pixels.
     """
     brightest = np.argsort(-np.where(compact & fits.converged, fits.flux_dn, -np.inf))[:_PSF_STARS]
     widths = fits.width_px[brightest][(compact & fits.converged)[brightest]]

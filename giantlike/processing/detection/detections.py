@@ -1,4 +1,4 @@
-"""Point sources found in an image: what was measured of each, and what speaks against it."""
+"""Point sources detected in an image, with their measurements and flags."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from giantlike.core.values import Value, select_rows
 
 
 class DetectionFlag(enum.IntFlag):
-    """What speaks against a detection; several may be set."""
+    """Reasons to doubt a detection; several may be set."""
 
     NONE = 0
     SATURATED = 1
-    """Saturated pixels lie within the core; the fit takes them as lower bounds only."""
+    """Saturated pixels lie within the core; the fit uses them as lower bounds."""
     MASKED = 2
-    """Bad pixels lie within the core; they were left out of the fit."""
+    """Bad pixels lie within the core; the fit does not use them."""
     CUT_BY_FRAME = 4
     """The core reaches over the edge of the image."""
     EXTENDED = 8
@@ -29,17 +29,23 @@ class DetectionFlag(enum.IntFlag):
     BLENDED = 32
     """Another detection lies so close that the two fits share pixels."""
     FIT_FAILED = 64
-    """The fit ran away; the position is that of the peak, with a wide covariance."""
+    """The fit did not converge near the peak; the position is that of the peak, with a wide covariance."""
     COSMIC_RAY = 128
-    """The track of a particle: light as sharp as pixels and not that of a point through the PSF."""
+    """The track of a charged particle: light in a few pixels, unlike a point through the PSF."""
     HOT_PIXEL = 256
     """Stays at its pixel from image to image while the stars move."""
     STREAK = 512
     """A line as wide as the PSF: a star or another source that moved; the position is its middle."""
 
     def names(self) -> tuple[str, ...]:
-        """Lower-case names of the single flags that are set, in order of definition.
+        """Lower-case names of the flags that are set, in order of definition.
 
+        Returns
+        -------
+        tuple of str
+
+        Examples
+        --------
         >>> (DetectionFlag.BLENDED | DetectionFlag.SATURATED).names()
         ('saturated', 'blended')
         """
@@ -53,7 +59,7 @@ NOT_A_STAR = (
     | DetectionFlag.COSMIC_RAY
     | DetectionFlag.HOT_PIXEL
 )
-"""Flags of detections that are of no use as stars; see :attr:`Detections.clean`."""
+"""Flags of detections that cannot be used as stars; see :attr:`Detections.clean`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,12 +75,12 @@ class Detections(Value):
     flux_dn : (n,) float64, DN
         Integral of the fitted Gaussian.
     snr : (n,) float64
-        What a matched filter gets from that flux: ``flux / (noise * 2 sqrt(pi) sigma)`` with the noise at the
-        source and the width of a star as recorded, ``sigma^2 = psf_sigma_px^2 + 1/12``.
+        That of a matched filter: ``flux / (noise * 2 sqrt(pi) sigma)`` with the noise at the source and the recorded
+        width of a star, ``sigma^2 = psf_sigma_px^2 + 1/12``.
     peak_dn : (n,) float64, DN
         Brightest pixel of the core above background.
     area_px : (n,) int64, px
-        Pixels above the detection threshold that hang together with the source.
+        Connected pixels of the source above the detection threshold.
     background_dn : (n,) float64, DN
         Level under the source, from the fit.
     width_px : (n,) float64, px
@@ -117,10 +123,12 @@ class Detections(Value):
 
     @property
     def clean(self) -> Mask:
-        """True (n,) for what looks like a star and was measured: none of the flags of ``NOT_A_STAR``.
+        """True (n,) for detections that look like stars: none of the flags of ``NOT_A_STAR``.
 
-        Saturated, blended, masked and cut stars stay: their covariance says what they are worth.
+        Saturated, blended, masked and cut stars are included: their covariance is larger.
 
+        Examples
+        --------
         >>> Detections.empty(psf_sigma_px=0.8, noise_dn=3.0).clean.tolist()
         []
         """
@@ -128,12 +136,32 @@ class Detections(Value):
         return result
 
     def select(self, which: Mask | NDArray[np.integer]) -> Detections:
-        """Return the detections of a mask (n,) or of indices, in that order."""
+        """Detections of a mask or of indices.
+
+        Parameters
+        ----------
+        which : (n,) bool, (k,) int
+
+        Returns
+        -------
+        Detections
+            In the order of the indices.
+        """
         return select_rows(self, which)
 
     @classmethod
     def empty(cls, *, psf_sigma_px: float, noise_dn: float) -> Detections:
-        """Return no detections at all: what a dark sky gives."""
+        """Result of an image without sources.
+
+        Parameters
+        ----------
+        psf_sigma_px : float, px
+        noise_dn : float, DN
+
+        Returns
+        -------
+        Detections
+        """
         none = np.zeros(0)
         return cls(
             points_px=np.zeros((0, 2)),

@@ -1,10 +1,9 @@
-"""Images filtered for stars, and the noise they leave: what detection thresholds are set on.
+"""Matched filter for stars and streaks, and the noise of the filtered image: the basis of the detection threshold.
 
 The kernel is the Gaussian of a star minus a box of the same sum. It adds up to zero, so that levels and
 gradients of the background drop out without a model of it, and it is mirror symmetric, so that nothing moves.
-The noise is measured on the filtered image, box by box: at the scale of a star, where correlated noise (JPEG,
-interpolation) is as large as detection and centroiding really find it, and where texture (trees, terrain)
-counts as noise too.
+The noise is measured on the filtered image, box by box: at the scale of a star, so that correlated noise (JPEG,
+interpolation) has its actual effect on detection and centroids, and texture (trees, terrain) is noise too.
 """
 
 from __future__ import annotations
@@ -21,31 +20,32 @@ from giantlike.core.statistics import IQR_PER_SIGMA
 from giantlike.core.values import Value
 
 NOISE_BOX_PX = 48
+"""Side of a box in which the noise is measured, px: it contains at least 100 samples."""
 _BOX_HALF_WIDTHS = 6.0  # half side of the background box in star widths: loses 3 % of the signal to noise
-_KERNEL_HALF_WIDTHS = 3.0
-_MIN_NOISE_SAMPLES = 100  # per box
-_MAX_EXCLUDED = 0.8  # share of the samples of a box
+_KERNEL_HALF_WIDTHS = 3.0  # half side of the Gaussian in star widths: 99.5 % of its sum
+_MIN_NOISE_SAMPLES = 100  # per box: the quartiles give its sigma to 12 %
+_MAX_EXCLUDED = 0.8  # share of the samples of a box near sources, above which all samples are used
 
 Image32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilteredImage(Value):
-    """What a zero-sum matched filter makes of an image.
+    """Image after a zero-sum matched filter.
 
     Parameters
     ----------
     response : (rows, columns) float32
         Filtered image; times ``flux_per_response`` it is the flux of a star at that pixel.
     noise_dn : (rows, columns) float32, DN
-        Local noise of a pixel, as white noise of the same effect on the filtered image.
+        Local noise of a pixel: white noise of the same effect on the filtered image.
     response_noise : float
         Standard deviation of the response to white noise of 1 DN per pixel.
     flux_per_response : float, DN
     width_px : float, px
-        Gaussian width of a recorded star that the filter is made for.
+        Gaussian width of a recorded star that the filter matches.
     reach_px : int, px
-        How far a source changes the response: half the side of the background box.
+        Distance over which a source changes the response: half the side of the background box.
     """
 
     response: Image32
@@ -57,7 +57,17 @@ class FilteredImage(Value):
 
 
 def recorded_width_px(psf_sigma_px: float) -> float:
-    """Gaussian width of a star as recorded: point spread function and pixel, ``sqrt(sigma^2 + 1/12)``."""
+    """Gaussian width of a star as recorded by pixels, ``sqrt(sigma^2 + 1/12)``.
+
+    Parameters
+    ----------
+    psf_sigma_px : float, px
+        Width of the point spread function.
+
+    Returns
+    -------
+    float, px
+    """
     return math.sqrt(psf_sigma_px**2 + 1.0 / 12.0)
 
 
@@ -83,6 +93,10 @@ def matched_filter(
         Pixel noise is never taken to be smaller than this.
     half_streak_px : (float, float), px, optional
         Vector (x, y) from the middle of a streak to one end; stars by default.
+
+    Returns
+    -------
+    FilteredImage
     """
     width = recorded_width_px(psf_sigma_px)
     length = 0.0 if half_streak_px is None else math.hypot(*half_streak_px)
@@ -120,10 +134,10 @@ def matched_filter(
 def noise_between(
     filtered: FilteredImage, bad: Mask | None, sources_px: NDArray[np.integer], noise_floor_dn: float
 ) -> Image32:
-    """Noise of a pixel again, (rows, columns), DN, without the pixels whose response has a source in it.
+    """Noise of a pixel measured without the pixels near sources.
 
-    Stars, and the dip that the box makes around them, look like noise to the first estimate. That is welcome in
-    a threshold, and not in a covariance.
+    The first estimate includes stars, and the dip of the background box around them: suitable for a threshold, too
+    large for a covariance.
 
     Parameters
     ----------
@@ -132,6 +146,11 @@ def noise_between(
     sources_px : (n, 2) int, px
         Detected sources, (x, y).
     noise_floor_dn : float, DN
+        Lower bound of the result.
+
+    Returns
+    -------
+    (rows, columns) float32, DN
     """
     grid = NoiseGrid.of(filtered.response.shape, filtered.width_px)
     sigma = grid.robust_sigma(filtered.response, bad, sources_px, filtered.reach_px)
@@ -164,9 +183,9 @@ def _filled(image: Image32, bad: Mask, box: tuple[int, int]) -> Image32:
 
 @dataclass(frozen=True, slots=True)
 class NoiseGrid:
-    """Coarse grid of boxes, and the pixels of each that are looked at.
+    """Coarse grid of boxes, and the pixels sampled in each.
 
-    Only every ``step``-th pixel is: the filter has made neighbors alike, they would add time and no knowledge.
+    Only every ``step``-th pixel is sampled: neighbors in the filtered image are correlated and add no information.
     """
 
     shape: tuple[int, int]
@@ -178,7 +197,7 @@ class NoiseGrid:
 
     @classmethod
     def of(cls, shape: tuple[int, ...], width_px: float) -> NoiseGrid:
-        """Lay the grid for an image of ``shape`` (rows, columns) filtered for stars of ``width_px``."""
+        """Grid for an image of ``shape`` (rows, columns) filtered for stars of ``width_px``."""
         rows, columns = (max(1, round(n / NOISE_BOX_PX)) for n in shape)
         finest = math.isqrt(max(1, shape[0] * shape[1] // (rows * columns * _MIN_NOISE_SAMPLES)))
         step = max(1, min(round(3.0 * width_px), finest))
@@ -187,7 +206,7 @@ class NoiseGrid:
         return cls((shape[0], shape[1]), step, n_rows // height, n_columns // breadth, height, breadth)
 
     def boxes(self, sampled: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Sampled pixels (rows, columns, pixels per box) of each box; a rest on the far sides is left out."""
+        """Sampled pixels (rows, columns, pixels per box) of each box; incomplete boxes on the far sides are omitted."""
         cut = sampled[: self.rows * self.height, : self.columns * self.breadth]
         cut = cut.reshape(self.rows, self.height, self.columns, self.breadth)
         return cut.swapaxes(1, 2).reshape(self.rows, self.columns, self.height * self.breadth)
@@ -201,7 +220,7 @@ class NoiseGrid:
     ) -> Image32:
         """Interquartile range of each box over that of a unit normal, smoothed by a 3 x 3 median.
 
-        Bad pixels and those within ``reach_px`` of a source do not count, unless they leave too few.
+        Bad pixels and those within ``reach_px`` of a source are excluded, unless too few remain.
         """
         values = self.boxes(response[:: self.step, :: self.step])
         sigma = _quartile_sigma(np.sort(values, axis=-1), np.int64(values.shape[-1]))

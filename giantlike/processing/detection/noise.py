@@ -1,4 +1,4 @@
-"""Where the noise of a pixel is taken from, when not from the image around it.
+"""Sources of the noise of a pixel other than the image around it.
 
 Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, section "Identifying Potential
 Stars in an Optical Image", name three ways: statistics of (A) a sample of all pixels, (B) a region of the detector that
@@ -19,19 +19,19 @@ from giantlike.core.arrays import Mask, require
 from giantlike.core.detector import Detector
 from giantlike.core.statistics import quartile_sigma
 
-_LEVEL_BOX_PX = 31
-_SAMPLE_STEP = 3
-_LEAST_COVERED = 16
+_LEVEL_BOX_PX = 31  # side of the box that smooths the level: larger than the largest stars
+_SAMPLE_STEP = 3  # between the pixels sampled: a ninth of an image is enough for its noise
+_LEAST_COVERED = 16  # good covered pixels: their standard deviation is then known to 18 %
 
 Region = tuple[int, int, int, int]
 """First column, first row, columns, rows; px."""
 
 
 class NoiseSource(StrEnum):
-    """Where the noise of a pixel is taken from."""
+    """Source of the noise of a pixel."""
 
     LOCAL = "local"
-    """The image around each pixel (paper's way C)."""
+    """The image around each pixel (way C of the paper)."""
     IMAGE = "image"
     """A sample of all pixels of the image (way A)."""
     COVERED = "covered"
@@ -48,20 +48,24 @@ def predicted_noise_dn(
     detector: Detector,
     covered: Region | None = None,
 ) -> NDArray[np.float32]:
-    """Noise of each pixel (rows, columns), DN, without that of the stars in it.
+    """Background noise of each pixel from a source other than the image around it.
 
     Parameters
     ----------
     pixels : (rows, columns) real, DN
         Finite.
     bad : (rows, columns) bool or None
-        Pixels that do not count.
+        Pixels to ignore.
     source : NoiseSource
         Not ``LOCAL``.
     detector : Detector
         Gain for the shot noise of the level; read noise and bias for ``DETECTOR``.
     covered : (x, y, columns, rows), px, optional
         Needed for ``COVERED``.
+
+    Returns
+    -------
+    (rows, columns) float32, DN
 
     Raises
     ------
@@ -76,11 +80,11 @@ def predicted_noise_dn(
         return np.full(pixels.shape, sigma, dtype=np.float32)
     if source is NoiseSource.DETECTOR:
         return np.sqrt(detector.variance_dn2(level.astype(np.float64) - detector.bias_dn)).astype(np.float32)
-    require(covered is not None, "noise from covered pixels needs their region: x, y, columns, rows")
+    require(covered is not None, "noise from covered pixels needs their region: give x, y, columns, rows")
     assert covered is not None
     x, y, wide, high = covered
     inside = x >= 0 and y >= 0 and 0 < wide <= columns - x and 0 < high <= rows - y
-    require(inside, f"the covered region {covered} must lie on the image of {columns} by {rows} pixels")
+    require(inside, f"the covered region {covered} must lie inside the image of {columns} by {rows} pixels")
     region = pixels[y : y + high, x : x + wide].astype(np.float64)
     dark = region.ravel() if bad is None else region[~bad[y : y + high, x : x + wide]]
     require(dark.size >= _LEAST_COVERED, f"the covered region has {dark.size} good pixels, {_LEAST_COVERED} are needed")
@@ -90,7 +94,7 @@ def predicted_noise_dn(
 
 
 def _level_dn(pixels: NDArray[Any], bad: Mask | None) -> NDArray[np.float32]:
-    """Level around each pixel (rows, columns), DN: the box mean of a 5 x 5 median, which leaves out stars."""
+    """Level around each pixel (rows, columns), DN: the box mean of a 5 x 5 median, which removes stars."""
     values = pixels.astype(np.float32)
     if bad is not None:
         values = np.where(bad, np.float32(np.median(values[~bad])), values)

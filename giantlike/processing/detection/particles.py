@@ -1,13 +1,13 @@
-r"""Light in a few pixels only: hot pixels and the tracks of charged particles, told from stars.
+r"""Hot pixels and tracks of charged particles: light in a few pixels only, distinguished from stars.
 
-What comes through the optics is spread by the point spread function; charge that a particle sets free in the detector,
-or a pixel that leaks, is not. Two explanations of the pixels in the core of a source compete:
+Light through the optics is spread by the point spread function; charge freed by a particle in the detector, or leaking
+in a pixel, is not. Two models of the pixels in the core of a source are compared:
 
 - a star: the pixel-integrated Gaussian of the usual width at the fitted place, its flux and the background free;
 - a few pixels: the k brightest ones hold any amount of light, all others none.
 
-Each is measured by the weighted square of what it leaves unexplained, and each free pixel costs ``4``, what the second
-gains by picking the highest of about eight noise values. The star is granted an error of 8 % of its own light in every
+Each has its weighted sum of squared residuals, and each free pixel costs ``4``, the gain of picking the highest of
+about eight noise values. The model of the star has an error of 8 % of its own light in every
 pixel (no optics are Gaussian), so that bright stars are not refused for their wings. A source is no star where the star
 leaves more than noise explains and 7 % of the power of the light (real optics leave some percent, a single pixel
 more than that from sigma = 0.5 px on), the few pixels leave less than the star, and either
@@ -30,26 +30,26 @@ from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import Patches
 
 CORE_WIDTHS = 2.0
-"""Radius of what counts as the core of a source, in recorded star widths; half a pixel more."""
-_MODEL_ERROR = 0.08
-_PIXEL_COST = 4.0
-_MOST_PIXELS = 12
-_REFUSED_SIGMAS = 4.0
-_STAR_UNKNOWNS = 4
-_LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # of the light, unexplained by a star
-_LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4
+"""Radius of the core of a source in recorded star widths, to which half a pixel is added: 86 % of the light."""
+_MODEL_ERROR = 0.08  # relative error of the star model in a pixel: no optics are Gaussian
+_PIXEL_COST = 4.0  # of a free pixel, in chi-square: the expected square of the highest of eight noise values
+_MOST_PIXELS = 12  # in which the light of a particle may be
+_REFUSED_SIGMAS = 4.0  # excess of chi-square over its degrees of freedom, in its standard deviations
+_STAR_UNKNOWNS = 4  # x, y, flux, background
+_LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # share of the power unexplained by a star, for lines and for other shapes
+_LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4  # limit of the second moment across a line, see above; px^2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FewPixels(Value):
-    """Which of n sources are light in a few pixels.
+    """Comparison of n sources with light in a few pixels.
 
     Parameters
     ----------
     not_star : (n,) bool
-        Light in a few pixels explains the source and a star does not.
+        True if light in a few pixels explains the source and a star does not.
     n_pixels : (n,) int64
-        How many pixels the light is in.
+        Number of these pixels.
     """
 
     not_star: Mask
@@ -57,7 +57,7 @@ class FewPixels(Value):
 
 
 def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> Mask:
-    """Pixels (n, w, w) of each patch within the core of a source at ``points_px`` (n, 2)."""
+    """Mask (n, w, w) of the core of the sources at ``points_px`` (n, 2)."""
     dx, dy = patches.offsets_px(points_px)
     radius = CORE_WIDTHS * recorded_width_px(psf_sigma_px) + 0.5
     return np.asarray(np.hypot(dy[:, :, None], dx[:, None, :]) <= radius)

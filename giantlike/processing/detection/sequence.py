@@ -1,4 +1,4 @@
-"""What the images of one sequence tell about each other: fixed pattern, hot pixels, and what was there only once.
+"""Comparison of the images of a sequence: fixed pattern, hot pixels and cosmic rays.
 
 Stars move over the detector from image to image; its own pattern, hot pixels included, stays; a particle hits once.
 """
@@ -23,28 +23,30 @@ from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.processing.detection.frame import saturation_of
 from giantlike.processing.detection.options import DetectionOptions
 
-_MOST_IMAGES = 25  # more make the median no better and fill the memory
-_STRIP_PX = 1 << 22  # pixels of all images that are looked at together
-_LOOKED_AT = 3  # images in which is looked for stars that stay
-_BRIGHTEST = 30
-_STAY_PX = 1.0
-_STAY_SHARE = 0.5
-_HOT_SIGMAS = 8.0
+_MOST_IMAGES = 25  # in a pattern: its noise is a quarter of that of an image
+_STRIP_PX = 1 << 22  # pixels of all images in memory for a median: 16 MB
+_SEARCHED = 3  # images searched for sources that stay at their pixels
+_BRIGHTEST = 30  # sources of an image compared
+_STAY_PX = 1.0  # distance within which a source has stayed
+_STAY_SHARE = 0.5  # share of sources above which the images have one pointing
+_HOT_SIGMAS = 8.0  # of the pattern, and DN at least: of a million normal pixels none exceeds it
 
-_VOTERS = 80
-_VOTE_BIN_PX = 3.0
-_LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3
-_SAME_STAR_PX = 2.0
-_SAME_PIXEL_PX = 0.75
-_COMPARED = 8  # neighbors in time of an image
-_SEEN_AGAIN_SNR = 8.0  # what is that bright is found again: the detection limit and three sigma
-_HOT_SHARE = 0.5
-_CHANCES = 2
+_VOTERS = 80  # brightest stars of an image that vote for its shift: 6,400 pairs
+_VOTE_BIN_PX = 3.0  # distance within which displacements agree: roll and distortion spread them
+_LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3  # number and share of the stars that must agree on a shift; no study yet
+_SAME_STAR_PX = (
+    2.0  # distance of a star from its shifted place: below half the distance at which stars blend, plus roll
+)
+_SAME_PIXEL_PX = 0.75  # distance within which two detections are in the same pixel
+_COMPARED = 8  # images closest in time that an image is compared with
+_SEEN_AGAIN_SNR = 8.0  # signal to noise ratio of sources that are detected again: the limit of 5 and three sigma
+_HOT_SHARE = 0.5  # share of the shifted images in which a hot pixel is found
+_CHANCES = 2  # images that must show the place of a source for it to be a cosmic ray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FixedPattern(Value):
-    """What is the same in all images of a sequence.
+    """Fixed pattern of a detector, the same in all images of a sequence.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ class FixedPattern(Value):
     hot : (rows, columns) bool
         Pixels far brighter than those around, in all images.
     n_images : int
-        It was made from.
+        Number of images in the median.
     """
 
     level_dn: NDArray[np.float32]
@@ -61,10 +63,19 @@ class FixedPattern(Value):
     n_images: int
 
     def removed_from(self, pixels: ArrayLike, *, saturation_dn: float = np.inf) -> NDArray[np.float32]:
-        """Return pixels (rows, columns), DN, without the pattern; saturated ones stay as they are.
+        """Subtract the pattern from an image.
 
-        An integer image also saturates at the end of its dtype; the caller must say so to the detection, because
-        the result is floating.
+        Parameters
+        ----------
+        pixels : (rows, columns) real, DN
+        saturation_dn : float, DN
+            An integer image also saturates at the end of its dtype; the detection needs that limit, because the result
+            is floating.
+
+        Returns
+        -------
+        (rows, columns) float32, DN
+            Saturated pixels are unchanged.
 
         Raises
         ------
@@ -81,22 +92,22 @@ class FixedPattern(Value):
 
 
 def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = None) -> FixedPattern | Failure:
-    """Find what stays the same while the stars move: the median of each pixel over a sequence.
+    """Estimate the fixed pattern of a detector by the median of each pixel over a sequence.
 
-    Of an even number of images the lower of the two middle values is taken: a star that passed can only raise a pixel.
+    Of an even number of images the lower of the two middle values is used, because stars only raise pixels.
 
     Parameters
     ----------
     images : sequence of (rows, columns) real, DN
-        At least two of one size, that look at different stars; of more than 25, 25 spread over the sequence are used.
+        At least two of one size and of different stars; of more than 25, 25 spread over the sequence are used.
     detector : Detector, optional
-        For the search for stars.
+        Gain and saturation for the detection of stars.
 
     Returns
     -------
     FixedPattern or Failure
         ``degenerate_geometry``: most of the brightest sources stay at their pixels, so that stars and pattern cannot
-        be told from each other.
+        be separated.
 
     Raises
     ------
@@ -116,13 +127,13 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
     shapes = {array.shape for array in arrays}
     require(len(shapes) == 1 and arrays[0].ndim == 2, f"images of a sequence must have one size, got {sorted(shapes)}")
     finite = all(array.dtype.kind != "f" or bool(np.isfinite(array).all()) for array in arrays)
-    require(finite, "a sequence needs finite pixels; Image.open puts zeros where they are not, and masks them")
+    require(finite, "a sequence needs finite pixels: read images with Image.open, which masks the others")
     share = _staying_share(arrays, Detector() if detector is None else detector)
     if share > _STAY_SHARE:
         return Failure(
             Reason.DEGENERATE_GEOMETRY,
-            f"{share:.0%} of the brightest sources stay at their pixels: images of one pointing do not tell stars from "
-            "a fixed pattern, take images that look at different stars",
+            f"{share:.0%} of the brightest sources stay at their pixels: images of one pointing cannot separate stars "
+            "from a fixed pattern, use images of different stars",
         )
     chosen = [arrays[k] for k in enough_images(len(arrays))]
     rows, columns = arrays[0].shape[:2]
@@ -138,7 +149,7 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
 
 
 def enough_images(count: int) -> list[int]:
-    """Which of ``count`` images make the pattern: all, or as many as are enough, evenly chosen."""
+    """Indices of the images of a sequence used for the pattern: all, or 25 evenly spaced."""
     chosen: list[int] = np.unique(np.linspace(0, count - 1, min(count, _MOST_IMAGES)).round().astype(int)).tolist()
     return chosen
 
@@ -146,7 +157,7 @@ def enough_images(count: int) -> list[int]:
 def _staying_share(arrays: Sequence[NDArray[Any]], detector: Detector) -> float:
     """Share of the brightest star-like sources of an image that the others have at the same pixels; the median."""
     shares = []
-    looked_at = [arrays[k] for k in np.unique(np.linspace(0, len(arrays) - 1, _LOOKED_AT).round().astype(int))]
+    looked_at = [arrays[k] for k in np.unique(np.linspace(0, len(arrays) - 1, _SEARCHED).round().astype(int))]
     points = []
     for array in looked_at:
         found = detect_sources(array, detector=detector, options=DetectionOptions(max_sources=4 * _BRIGHTEST))
@@ -160,8 +171,8 @@ def _staying_share(arrays: Sequence[NDArray[Any]], detector: Detector) -> float:
 def compare_sequence(detections: Sequence[Detections]) -> list[Detections]:
     """Flag hot pixels and cosmic rays by what the other images of the sequence show.
 
-    The shift of the stars between two images is the one that most pairs of bright detections agree on; where there is
-    none (another field, too few stars) nothing can be said of sources that look like stars.
+    The shift of the stars between two images is the one shared by most pairs of bright detections; if there is none
+    (another field, too few stars), sources that look like stars are not compared.
 
     - ``HOT_PIXEL``: found at the same pixel in at least half of the images that the stars have moved in, or sharper
       than a star and found there in any other image.
@@ -177,7 +188,7 @@ def compare_sequence(detections: Sequence[Detections]) -> list[Detections]:
     Returns
     -------
     list of Detections
-        The same with more flags.
+        The same detections with these flags added.
     """
     if len(detections) < 2:
         return list(detections)
@@ -219,7 +230,7 @@ def _compared(k: int, detections: Sequence[Detections]) -> Detections:
 
 
 def _star_shift_px(here: Detections, there: Detections) -> Float | None:
-    """Shift (2,) that takes the stars of one image to those of another; None where no shift stands out."""
+    """Shift (2,), px, from the stars of one image to those of another; None if no shift stands out."""
     a, b = (d.points_px[d.clean][:_VOTERS] for d in (here, there))
     if min(len(a), len(b)) < _LEAST_VOTES:
         return None

@@ -1,4 +1,4 @@
-r"""Light of a point that moved during the exposure: a line as wide as the point spread function.
+r"""Streaks: fits of the light of points that moved during the exposure, lines as wide as the point spread function.
 
 The model of a pixel is :math:`b + \frac{F}{2} \int_{-1}^{1} P_x(x + t h_x)\,P_y(y + t h_y)\,dt` with the pixel shares
 :math:`P` of a round Gaussian (:mod:`giantlike.processing.detection.centroid`) and half the streak
@@ -26,11 +26,11 @@ from giantlike.core.arrays import Float, Mask, frozen
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.detection.patches import Patches, chi2_inflation, pixel_shares
 
-_MAX_STEPS = 40
-_SETTLED = 1e-3  # of a standard deviation of a free fit, or of 1e-3 px
-_NODE_SPACING = 1.5  # in widths of the line
-_SPARE_NODES = 4
-_DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8
+_MAX_STEPS = 40  # Levenberg-Marquardt steps; a line that needs more gets FIT_FAILED
+_SETTLED = 1e-3  # predicted decrease of chi-square at convergence: steps of 0.03 sigma
+_NODE_SPACING = 1.5  # between the nodes of the integral, in widths of the line: with the spare ones exact to 1e-6
+_SPARE_NODES = 4  # nodes of a line of no length
+_DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8  # relative to the diagonal of the normal matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ class LineFits(Value):
     centers_px : (n, 2) float64, px
         Middle of each.
     halves_px : (n, 2) float64, px
-        Vector from the middle to one end; its sign means nothing, and is such that x (or else y) is not negative.
+        Vector from the middle to one end, of the two the one with x (or else y) not negative.
     covariance_px2 : (n, 4, 4) float64, px^2
         Of center x, y and half x, y.
     flux_dn, background_dn : (n,) float64, DN
@@ -94,7 +94,7 @@ class LineFits(Value):
 
     @property
     def ends_px(self) -> Float:
-        """Ends (n, 2, 2), px: first axis after the source is start or end, in no order of time."""
+        """Both ends (n, 2, 2), px, in no order of time; coordinate last."""
         return np.stack([self.centers_px - self.halves_px, self.centers_px + self.halves_px], axis=1)
 
     @property

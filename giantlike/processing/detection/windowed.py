@@ -1,4 +1,4 @@
-"""Windowed centroid: the position of a small source of any shape, with the covariance that noise gives it."""
+"""Windowed centroid: the position of a small source of any shape, with its covariance from noise."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from numpy.typing import ArrayLike
 from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.values import Value
 
-_MAX_STEPS = 50
-_SETTLED_PX = 1e-5
+_MAX_STEPS = 50  # bound for iterations that do not converge
+_SETTLED_PX = 1e-5  # last step, px: a hundredth of the best centroids
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowedCentroid(Value):
-    """Where a windowed centroid came to rest.
+    """Windowed centroid of a source.
 
     Parameters
     ----------
     point_px : (2,) float64, px
     covariance_px2 : (2, 2) float64, px^2
-        Of the noise in ``variance`` alone.
+        From the noise of the pixels alone.
     snr : float
         Windowed flux over its standard deviation.
     """
@@ -40,11 +40,11 @@ def windowed_centroid(
     Parameters
     ----------
     values : (rows, columns) float64
-        Background taken off.
+        Background subtracted.
     variance : (rows, columns) float64
-        Noise variance in the square of the unit of ``values``.
+        Noise variance, in the squared unit of ``values``.
     usable : (rows, columns) bool
-        Other pixels count for nothing.
+        True for pixels to use.
     start_px : (2,), px
         Within about one window width of the source.
     window_sigma_px : float, px
@@ -62,7 +62,7 @@ def windowed_centroid(
 
     Notes
     -----
-    The fixed point of ``x += 2 sum(w I (u - x)) / sum(w I)``, where ``w`` is the Gaussian centerd at ``x`` and ``u``
+    The fixed point of ``x += 2 sum(w I (u - x)) / sum(w I)``, where ``w`` is the Gaussian centered at ``x`` and ``u``
     the pixel: the windowed position of E. Bertin's SExtractor. Its covariance follows from the implicit function
     theorem: with ``g_i = w_i (u_i - x)`` and ``A = sum I_i w_i (1 - (u_i - x)(u_i - x)^T / s^2)``, a change ``d I_i``
     of a pixel moves ``x`` by ``A^-1 g_i d I_i``.
