@@ -143,7 +143,7 @@ class _Problem:
         return replace(self, patches=self.patches.select(which))
 
     def solve(self, start: Float) -> tuple[Float, Mask]:
-        """Gauss-Newton from ``start`` (n, 5): parameters (n, 5), and a mask (n,) of those that converged near the peak."""
+        """Gauss-Newton from ``start`` (n, 5): parameters (n, 5), and a mask (n,) of fits converged near the peak."""
         parameters = start.copy()
         active = np.arange(len(start))
         last, pace = np.zeros_like(start), np.ones(len(start))

@@ -1,4 +1,4 @@
-"""Ellipses through points: hyperaccurate least squares, what noise does to them, and their geometry."""
+"""Ellipse fit: hyperaccurate least squares with covariance, and the geometry of ellipses."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 
 MIN_POINTS = 6
-_LEAST_CORRELATED = 8
-_ROUNDS = 4
+"""Fewest points of an ellipse: its five parameters and one degree of freedom."""
+_LEAST_CORRELATED = 8  # the same where sigma and correlation length are estimated too
+_ROUNDS = 4  # of reweighting
 _SECOND_ORDER = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 """Mean of the monomials of noise of unit variance."""
-_STEP = 1e-6
+_STEP = 1e-6  # of central differences, in standard deviations of the coefficients
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,8 +53,8 @@ class ConicFit(Value):
 
     @property
     def ellipse_covariance(self) -> Float:
-        """Covariance (5, 5) of :attr:`ellipse`; that of the angle means nothing for a circle."""
-        return self.carried(ellipse_of)
+        """Covariance (5, 5) of :attr:`ellipse`; for a circle the angle is undetermined."""
+        return self.propagated(ellipse_of)
 
     @property
     def mean_radius(self) -> float:
@@ -68,13 +69,22 @@ class ConicFit(Value):
             axes = ellipse_of(coefficients)[2:4]
             return np.array([math.sqrt(axes[0] * axes[1])])
 
-        return float(math.sqrt(self.carried(radius)[0, 0]))
+        return float(math.sqrt(self.propagated(radius)[0, 0]))
 
-    def carried(self, function: Callable[[Float], Float]) -> Float:
-        """Covariance (k, k) of a function (k,) of the coefficients (6,), to first order.
+    def propagated(self, function: Callable[[Float], Float]) -> Float:
+        """Covariance of a function of the coefficients, to first order.
 
-        Coefficients far apart in size, as those of an ellipse far from the origin are, take steps along the axes of
-        their covariance.
+        Steps are along the axes of their covariance, because the coefficients of an ellipse far from the origin differ
+        by orders of magnitude.
+
+        Parameters
+        ----------
+        function : callable
+            Of the coefficients (6,), returns (k,).
+
+        Returns
+        -------
+        (k, k) float64
         """
         values, vectors = np.linalg.eigh(self.covariance)
         sides = []
@@ -100,13 +110,13 @@ def fit_ellipse(
     sigma : (n,) or float, unit of the points
         Standard deviation of each coordinate.
     correlation_length : float, optional
-        Shortest distance over which errors may be shared. By default the points are independent and ``sigma`` is
-        believed; else both are estimated from the residuals.
+        Shortest correlation length of the errors. By default the points are independent and ``sigma`` is exact; else
+        both are estimated from the residuals.
 
     Returns
     -------
     ConicFit or Failure
-        ``TOO_FEW_DETECTIONS``, or ``DEGENERATE_GEOMETRY`` where the points lie on a line or on no ellipse.
+        ``TOO_FEW_DETECTIONS``, or ``DEGENERATE_GEOMETRY`` if the points lie on a line or on no ellipse.
 
     Raises
     ------
@@ -156,7 +166,7 @@ def fit_ellipse(
 
 
 def conic_matrix(coefficients: Float) -> Float:
-    """Symmetric matrix (3, 3) of the coefficients A to F (6,)."""
+    """Symmetric matrix (3, 3) of a conic with the coefficients A to F (6,)."""
     a, b, c, d, e, f = coefficients
     return np.array([[a, b, d], [b, c, e], [d, e, f]])
 
@@ -180,7 +190,7 @@ def ellipse_of(coefficients: Float) -> Float:
 
 
 def _unwound(more: Float, less: Float) -> Float:
-    """Difference of two functions whose fifth value, if there is one, is an angle that repeats after pi."""
+    """Difference of two function values whose fifth element, if any, is an angle modulo pi."""
     difference: Float = more - less
     if difference.size == 5:
         difference[4] = (difference[4] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
@@ -260,7 +270,7 @@ def _along(points: Float, center: Float) -> NDArray[np.intp]:
 def _unscaled(
     local: Float, noise: Float, theta: Float, correlation_length: float | None, middle: Float, scale: float
 ) -> ConicFit:
-    """The fit in the unit of the points, of one to points about ``middle`` in units of ``scale``."""
+    """Convert a fit to points about ``middle`` in units of ``scale`` to the unit of the points."""
     residuals, covariance = _statistics(local, noise, theta, correlation_length, scale)
     move = _moved(middle, scale)
     coefficients = move @ theta

@@ -1,4 +1,4 @@
-"""The pose of a body from three points of it: the minimal solution behind :mod:`giantlike.processing.geometry.pnp`."""
+"""Perspective-three-point: poses of a body from three of its points, the minimal case of perspective-n-point."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 
-_REAL = 1e-4  # imaginary part of a root over its size: two that meet come apart by rounding
+_REAL = 1e-4  # largest imaginary part of a real root over its size: rounding separates double roots
 
 
 def poses_of_three_points(points_body_km: Float, rays_camera: Float) -> tuple[Float, Float]:
-    r"""All poses under which three points of a body lie on three rays, for many such triples at once.
+    r"""All poses for which three points of a body lie on three rays, for many triples at once.
 
     Parameters
     ----------
@@ -29,8 +29,8 @@ def poses_of_three_points(points_body_km: Float, rays_camera: Float) -> tuple[Fl
 
     Notes
     -----
-    With the distance s to the first point, and s (1 + h p), s (1 + h t) to the others, the law of cosines in the
-    three triangles with their tips at the camera reads, for :math:`2m_{ij} = |u_i - u_j|^2 / h^2` of the rays u and
+    With the distances s, s (1 + h p) and s (1 + h t) to the points, the law of cosines in the three triangles with a
+    corner at the camera reads, for :math:`2m_{ij} = |u_i - u_j|^2 / h^2` of the rays u and
     the sides :math:`d_{ij}` of the triangle,
 
     .. math::
@@ -39,8 +39,8 @@ def poses_of_three_points(points_body_km: Float, rays_camera: Float) -> tuple[Fl
         d_{23}^2 &= s^2 h^2 ((p - t)^2 + 2(1 + hp)(1 + ht) m_{23})
 
     Dividing by the first, the difference of the other two is linear in p, which leaves a quartic in t. With h the
-    largest distance between two rays all of its coefficients are of order one however far the body is, so that a
-    narrow field costs no digits: the differences of nearly equal cosines are never formed.
+    largest distance between two rays all coefficients are of order one at any range, and no differences of nearly
+    equal cosines occur: a narrow field loses no digits.
     """
     triples, roots = _relative_distances(points_body_km, rays_camera)
     seen = rays_camera[triples] * roots[:, :, None]
@@ -48,7 +48,7 @@ def poses_of_three_points(points_body_km: Float, rays_camera: Float) -> tuple[Fl
 
 
 def _relative_distances(points: Float, rays: Float) -> tuple[NDArray[np.int64], Float]:
-    """Which triple each solution (k,) belongs to, and its three distances (k, 3), km."""
+    """Index (k,) of the triple of each solution, and its three distances (k, 3), km."""
     side = [np.sum((points[:, i] - points[:, j]) ** 2, axis=1) for i, j in ((1, 2), (0, 2), (0, 1))]
     apart = [np.sum((rays[:, i] - rays[:, j]) ** 2, axis=1) for i, j in ((1, 2), (0, 2), (0, 1))]
     h = np.sqrt(np.max(apart, axis=0))
@@ -89,7 +89,7 @@ def _padded(polynomial: Float, length: int) -> Float:
 
 
 def _roots(quartic: Float) -> tuple[Float, Mask]:
-    """Real parts (m, 4) of the roots of quartics (5, m), lowest power first, and which of them are real."""
+    """Real parts (m, 4) of the roots of quartics (5, m), lowest power first, and a mask of the real roots."""
     with np.errstate(divide="ignore", invalid="ignore"):
         monic = quartic[:4] / quartic[4]
     sound = np.isfinite(monic).all(axis=0)
@@ -102,7 +102,7 @@ def _roots(quartic: Float) -> tuple[Float, Mask]:
 
 
 def _aligned(points_body: Float, seen_camera: Float) -> tuple[Float, Float]:
-    """Rotations (k, 3, 3) and positions (k, 3) that take triples (k, 3, 3) of points to where they are seen."""
+    """Rotations (k, 3, 3) and positions (k, 3) that take triples (k, 3, 3) of points to camera axes."""
     body_middle, seen_middle = points_body.mean(axis=1), seen_camera.mean(axis=1)
     frames = [_triad(triple - triple[:, :1]) for triple in (points_body, seen_camera)]
     rotations = frames[1] @ np.swapaxes(frames[0], -1, -2)

@@ -1,7 +1,7 @@
-"""Perspective-n-point: where a body stands before a camera, and how it is turned, from points of it seen in an image.
+"""Perspective-n-point: position and attitude of a body relative to a camera from points of it in an image.
 
-Samples of the fewest points that fix a pose, and the pose that most points agree with (RANSAC); then Gauss-Newton over
-the points that agree, weighted by their covariances, with what is known of the attitude beforehand.
+RANSAC over minimal samples of points, then Gauss-Newton over the points that agree, weighted by their covariances and
+by the a priori attitude.
 """
 
 from __future__ import annotations
@@ -21,33 +21,34 @@ from giantlike.core.statistics import error_floor, squared_residuals
 from giantlike.core.values import Value
 from giantlike.processing.geometry.p3p import poses_of_three_points
 
-_SETTLED = 1e-9  # of a standard deviation
-_CONDITION_LIMIT = 1e14
-_ROUNDS = 5  # of choosing the points that agree and fitting them
-_PRIOR_SIGMAS = 3.0
-_OUTLIER_SIGMAS = 5.0
+_SETTLED = 1e-9  # predicted decrease of chi-square at convergence: steps of 3e-5 sigma
+_CONDITION_LIMIT = 1e14  # of a scaled matrix, above which the pose is undetermined: float64 has 16 digits
+_ROUNDS = 5  # of selecting the points that agree and fitting them
+_PRIOR_SIGMAS = 3.0  # of the a priori attitude, by which the inlier limit of samples is widened
+_OUTLIER_SIGMAS = 5.0  # of the scatter of the other points; a good point exceeds it once in 270,000
 _CHI2_MEDIAN = 2.0 * math.log(2.0)  # median of chi-square with two degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PnpOptions:
-    """How a pose is found.
+    """Options of the pose estimation.
 
     Parameters
     ----------
     inlier_px : float, px
-        A point agrees with a pose that projects it so near to where it was seen, and in the end not more than five
-        standard deviations off, as the scatter of the others shows them.
+        Largest distance of a point from its projection to agree with a pose; in the end also five standard deviations
+        of the scatter of the other points. Default 2.
     attitude_sigma_rad : float, rad
-        Standard deviation, about each axis, of the attitude that is given: 0 trusts it, infinity leaves it free.
+        Standard deviation of the a priori attitude about each axis: 0 fixes it, infinity leaves it free (default).
     max_samples : int
-        Samples of the fewest points that fix a pose.
+        Number of random samples. Default 200: with half of the points wrong, all samples of three contain a wrong one
+        with probability 3e-12.
     min_inliers : int
-        Fewer points that agree are a failure.
+        Fewest points that must agree. Default 5: two more than fix a pose.
     max_iterations : int
-        Gauss-Newton steps at most.
+        Largest number of Gauss-Newton steps, default 30.
     seed : int
-        Which samples are drawn.
+        Seed of the samples: equal input gives equal output.
     """
 
     inlier_px: float = 2.0
@@ -66,13 +67,13 @@ class PnpOptions:
 
     @property
     def sample_size(self) -> int:
-        """How many points fix a pose: three, or two where the attitude is known about."""
+        """Number of points of a sample: three, or two with an a priori attitude."""
         return 3 if math.isinf(self.attitude_sigma_rad) else 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PnpFix(Value):
-    """A pose that points of a body agree with.
+    """Pose of a body from its points.
 
     Parameters
     ----------
@@ -81,13 +82,13 @@ class PnpFix(Value):
     camera_from_body : Rotation
     covariance : (6, 6) float64, km and rad
         Of the position and of the small rotation ``e`` about the camera axes with
-        ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero where the attitude is trusted.
+        ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero for a fixed attitude.
     inliers : (n,) bool
-        Which points agree.
+        True for points that agree.
     residuals_px : (n, 2) float64, px
-        Seen minus projected, of all points.
+        Measured minus projected, of all points.
     floor_px : float, px
-        Standard deviation per axis of what errs beyond the covariances given; it is in ``covariance``.
+        Standard deviation per axis of the errors beyond the given covariances; included in ``covariance``.
     iterations : int
         Gauss-Newton steps of the last fit.
     """
@@ -110,24 +111,24 @@ def solve_pnp(
     *,
     options: PnpOptions = PnpOptions(),
 ) -> PnpFix | Failure:
-    r"""Pose of a body from points of it, some of which may have been taken for others.
+    r"""Estimate the pose of a body from its points, some of which may be misidentified.
 
     Parameters
     ----------
     points_body_km : (n, 3) float64, km, body axes
     observed_px : (n, 2) float64, px
-        Where they were seen.
+        Measured pixels.
     covariance_px2 : (n, 2, 2) float64, px^2
-        Of where they were seen.
+        Of the measured pixels.
     model : CameraModel
     camera_from_body : Rotation
-        A priori; counts only as far as ``options.attitude_sigma_rad`` says.
+        A priori attitude, of the weight of ``options.attitude_sigma_rad``.
     options : PnpOptions
 
     Returns
     -------
     PnpFix or Failure
-        ``TOO_FEW_MATCHES`` when too few points agree, ``DEGENERATE_GEOMETRY`` when those that do leave the pose free,
+        ``TOO_FEW_MATCHES`` if too few points agree, ``DEGENERATE_GEOMETRY`` if these do not determine the pose,
         ``NOT_CONVERGED``.
 
     Raises
@@ -138,12 +139,12 @@ def solve_pnp(
     Notes
     -----
     Samples hold three points, or two where the attitude is known, for which the position is the linear solution of
-    ``u x (r + R x) = 0``, u the ray to a point x. The cost of a pose is the sum of squared distances, each cut at that
-    of a point that does not agree.
+    ``u x (r + R x) = 0``, u the ray to a point x. The cost of a pose is the sum of squared distances, each limited to
+    that of a point that does not agree.
 
-    The residuals of the fit say what errs beyond the covariances: an isotropic variance, the same for all points, with
-    which the sum of squares equals its degrees of freedom. The covariance is widened by ``m / (m - 2)`` for m degrees
-    of freedom, because that variance is itself an estimate: squared errors then have the expectation that they claim.
+    Errors beyond the covariances are estimated from the residuals: an isotropic variance, equal for all points, for
+    which the sum of squares equals its degrees of freedom. The covariance is multiplied by ``m / (m - 2)`` for m
+    degrees of freedom, because that variance is itself an estimate: it then equals the expectation of squared errors.
     """
     points = as_floats(points_body_km, (3,), "points_body_km")
     require(points.ndim == 2, f"points_body_km must have shape (n, 3), got {points.shape}")
@@ -160,7 +161,7 @@ def solve_pnp(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem(Value):
-    """What :func:`solve_pnp` was given, checked."""
+    """Checked input of :func:`solve_pnp`."""
 
     points: Float
     pixels: Float
@@ -175,12 +176,12 @@ class _Problem(Value):
 
     @property
     def weighs_attitude(self) -> bool:
-        """Whether the attitude is estimated with what is known of it."""
+        """True if the attitude is estimated with an a priori sigma."""
         return 0.0 < self.options.attitude_sigma_rad < math.inf
 
 
 def _ransac(problem: _Problem) -> tuple[Rotation, Float, Mask] | Failure:
-    """The pose of a sample that most points agree with, and which they are."""
+    """Pose of the sample that most points agree with, and the mask of these points."""
     options, count = problem.options, len(problem.points)
     random = np.random.default_rng(options.seed)
     samples = np.argsort(random.random((options.max_samples, count)), axis=1)[:, : options.sample_size]
@@ -194,10 +195,12 @@ def _ransac(problem: _Problem) -> tuple[Rotation, Float, Mask] | Failure:
     sound = np.isfinite(positions).all(axis=1) & np.isfinite(rotations).all(axis=(1, 2))
     rotations, positions = rotations[sound], positions[sound]
     if not len(positions):
-        return Failure(Reason.DEGENERATE_GEOMETRY, "no sample of the points fixes a pose: do they lie along one line?")
+        return Failure(
+            Reason.DEGENERATE_GEOMETRY, "no sample of the points determines a pose: do they lie on one line?"
+        )
     distances = np.linalg.norm(problem.projected(rotations, positions) - problem.pixels, axis=-1)
     limit = np.full(count, options.inlier_px)
-    if problem.weighs_attitude:  # the samples trust an attitude that is a little off
+    if problem.weighs_attitude:  # samples use the a priori attitude as if exact
         limit = limit + _PRIOR_SIGMAS * options.attitude_sigma_rad * _levers_px(problem, positions)
     cost = np.where(distances < limit, (distances / limit) ** 2, 1.0).sum(axis=1)
     best = int(np.argmin(cost))
@@ -209,14 +212,14 @@ def _ransac(problem: _Problem) -> tuple[Rotation, Float, Mask] | Failure:
 
 
 def _levers_px(problem: _Problem, positions: Float) -> Float:
-    """How far (n,), px/rad, points move with a turn of the body, at most."""
+    """Largest shift (n,), px/rad, of the points by a rotation of the body."""
     range_km = float(np.median(np.linalg.norm(positions, axis=1)))
     result: Float = np.linalg.norm(problem.points, axis=1) / range_km * problem.model.focal_length_px
     return result
 
 
 def _positions(rays: Float, turned: Float) -> Float:
-    """Positions (m, 3) from rays (m, k, 3) to points that lie at ``turned`` (m, k, 3) from them; NaN where free."""
+    """Positions (m, 3) from rays (m, k, 3) to points at ``turned`` (m, k, 3) from them; NaN if undetermined."""
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
     normal = across.sum(axis=1)
     right = -np.einsum("mkij,mkj->mi", across, turned)
@@ -230,7 +233,7 @@ def _positions(rays: Float, turned: Float) -> Float:
 
 
 def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask) -> PnpFix | Failure:
-    """Fit the points that agree, choose anew which do, and so on until they are the same."""
+    """Alternate fitting and selecting the points that agree until the selection no longer changes."""
     options, floor2 = problem.options, 0.0
     for _ in range(_ROUNDS):
         fit = _gauss_newton(problem, rotation, position, agree, floor2)
@@ -274,18 +277,21 @@ def _free_parameters(problem: _Problem) -> int:
 def _gauss_newton(
     problem: _Problem, rotation: Rotation, position: Float, used: Mask, floor2: float
 ) -> tuple[Rotation, Float, int] | Failure:
-    """The best pose for some of the points, and the steps it took."""
+    """Best pose for some of the points, and the number of steps."""
     options = problem.options
     for step in range(1, options.max_iterations + 1):
         design = _design(problem, rotation, position)[used]
         left = (problem.pixels - problem.projected(rotation.as_matrix()[None], position[None])[0])[used]
         if not (np.isfinite(design).all() and np.isfinite(left).all()):
-            return Failure(Reason.NOT_CONVERGED, "the fit of the pose left the field of the camera")
+            return Failure(
+                Reason.NOT_CONVERGED, "the fit of the pose left the region that the camera model can project"
+            )
         information = _information(problem, design, used, floor2)
         scaled, scale = _scaled(information)
         if not np.linalg.cond(scaled) < _CONDITION_LIMIT:
             return Failure(
-                Reason.DEGENERATE_GEOMETRY, f"{int(used.sum())} points leave the pose free: do they lie along one line?"
+                Reason.DEGENERATE_GEOMETRY,
+                f"{int(used.sum())} points do not determine the pose: do they lie on one line?",
             )
         weights = _weights(problem, used, floor2)
         right = np.einsum("nki,nkl,nl->i", design, weights, left)
@@ -298,11 +304,11 @@ def _gauss_newton(
             rotation = Rotation.from_rotvec(change[3:]) * rotation
         if float(change @ information @ change) < _SETTLED:
             return rotation, position, step
-    return Failure(Reason.NOT_CONVERGED, f"the pose still moves after {options.max_iterations} steps")
+    return Failure(Reason.NOT_CONVERGED, f"the pose did not converge in {options.max_iterations} steps")
 
 
 def _design(problem: _Problem, rotation: Rotation, position: Float) -> Float:
-    """Derivatives (n, 2, k) of the pixels by position and, where it is not trusted, rotation about the camera axes."""
+    """Derivatives (n, 2, k) of the pixels by position and, unless it is fixed, rotation about the camera axes."""
     turned = rotate(rotation, problem.points)
     by_position = problem.model.project_jacobian(turned + position)
     if _free_parameters(problem) == 3:
@@ -322,7 +328,7 @@ def _information(problem: _Problem, design: Float, used: Mask, floor2: float) ->
 
 
 def _scaled(information: Float) -> tuple[Float, Float]:
-    """Information with ones on its diagonal, and the scales (k,) that make it so."""
+    """Information matrix scaled to a unit diagonal, and the scales (k,)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     return information * np.outer(scale, scale), scale
 

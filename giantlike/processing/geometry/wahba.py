@@ -1,4 +1,4 @@
-r"""Wahba's problem: the rotation that best takes one set of directions to another.
+r"""Wahba's problem: the rotation that best maps one set of directions to another.
 
 Three methods for one problem. Davenport's q-method: the unit quaternion that maximizes :math:`q^T K q` is the
 eigenvector of the largest eigenvalue of the symmetric 4x4 matrix K. The singular value decomposition: the rotation
@@ -18,20 +18,20 @@ from giantlike.core.arrays import Float, as_finite, as_unit, require
 from giantlike.core.outcomes import Failure, Reason
 
 MAX_SIGMA_RAD = 0.5
-"""An attitude that is less certain than this about any axis is no attitude."""
+"""Largest standard deviation of an attitude about any axis, rad: larger errors are no small rotations."""
 
-_NEWTON_STEPS = 30
+_NEWTON_STEPS = 30  # bound; Newton's method stops at the rounding of float64
 
 
 class WahbaMethod(StrEnum):
-    """How Wahba's problem is solved; all methods minimize the same sum."""
+    """Solver of Wahba's problem; all methods minimize the same sum."""
 
     Q_METHOD = "q_method"
     """Eigenvector of Davenport's matrix: the most robust."""
     SVD = "svd"
     """Singular values of the profile matrix."""
     ESOQ2 = "esoq2"
-    """Axis and angle in closed form: no decomposition. A narrow field costs it digits of the roll."""
+    """Axis and angle in closed form, without a decomposition. In a narrow field it loses digits of the roll."""
 
 
 def solve_wahba(
@@ -88,7 +88,7 @@ def solve_wahba(
     if not weakest > MAX_SIGMA_RAD**-2:
         return Failure(
             Reason.DEGENERATE_GEOMETRY,
-            f"{n} directions leave the rotation about one axis free to {max(weakest, 1e-30) ** -0.5:.2g} rad: "
+            f"{n} directions determine the rotation about one axis only to {max(weakest, 1e-30) ** -0.5:.2g} rad: "
             "they lie along one line, or are too uncertain",
         )
     rotation = _rotation(a, b, weights, method)
@@ -97,14 +97,26 @@ def solve_wahba(
 
 
 def attitude_information(vectors_camera: Float, weights: Float) -> Float:
-    r"""Information matrix (3, 3), 1/rad^2, about the camera axes: :math:`\sum_i w_i (I - b_i b_i^T)`."""
+    r"""Information matrix of an attitude from directions, :math:`\sum_i w_i (I - b_i b_i^T)`.
+
+    Parameters
+    ----------
+    vectors_camera : (n, 3) float64, unitless, camera
+        Unit vectors b_i.
+    weights : (n,) float64, 1/rad^2
+
+    Returns
+    -------
+    (3, 3) float64, 1/rad^2
+        About the camera axes.
+    """
     outer = np.einsum("i,ij,ik->jk", weights, vectors_camera, vectors_camera)
     result: Float = np.eye(3) * weights.sum() - outer
     return result
 
 
 def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weights: Float) -> Float:
-    """Optimal rotations of m independent problems of n directions each.
+    """Solve m independent Wahba problems of n directions each by the q-method.
 
     Parameters
     ----------

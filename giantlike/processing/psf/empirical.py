@@ -1,8 +1,8 @@
-"""The empirical point spread function: what the stars of an image look like, on a grid finer than the pixels.
+"""Empirical point spread function: the mean of the stars of an image on a grid finer than the pixels.
 
 Each pixel near a star samples the function (already integrated over the pixel) at the pixel's distance from the star.
-The analytic shape is taken off, and the rest averaged on the grid with the weights of the noise, so that the grid has
-to hold only what is small.
+The analytic shape is subtracted and the rest averaged on the grid with the weights of the noise, so that the grid
+represents small differences only.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from giantlike.processing.detection.detections import Detections
 from giantlike.processing.psf.estimate import UNUSABLE, PsfEstimate, star_patches
 from giantlike.processing.psf.profile import shape_shares
 
-_MOST_STARS = 400
-_PRIOR_SAMPLES = 0.5  # so many that show the analytic shape itself are added to each node
+_MOST_STARS = 400  # brightest stars averaged: bounds the time
+_PRIOR_SAMPLES = 0.5  # samples of the analytic shape added to each node: decides only where stars give none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,13 +32,13 @@ class EmpiricalPsf(Value):
     Parameters
     ----------
     shares : (m, m) float64
-        Share of the light in a pixel whose center lies at the offset of the node from the star, rows along y.
+        Share of the light in a pixel whose center has the offset of the node from the star, rows along y.
     sigma : (m, m) float64
-        Standard error of each; huge where there are no samples.
+        Standard error of each; very large without samples.
     step_px : float, px
-        Between nodes; the middle node is the star itself.
+        Spacing of the nodes; the middle node is at the star.
     n_used : int
-        Stars.
+        Number of stars.
     """
 
     shares: Float
@@ -52,7 +52,17 @@ class EmpiricalPsf(Value):
         return (len(self.shares) - 1) / 2 * self.step_px
 
     def shares_at(self, offsets_px: ArrayLike) -> Float:
-        """Shares (...,) of pixels at offsets (..., 2), px, from the star, by cubic interpolation; 0 beyond the grid."""
+        """Interpolate the shares of pixels at offsets from a star (cubic splines).
+
+        Parameters
+        ----------
+        offsets_px : (..., 2), px
+
+        Returns
+        -------
+        (...,) float64
+            0 beyond the grid.
+        """
         offsets = np.asarray(offsets_px, dtype=np.float64)
         x, y = offsets.reshape(-1, 2).T / self.step_px + (len(self.shares) - 1) / 2
         found: Float = map_coordinates(self.shares, [y, x], order=3, mode="constant")
@@ -75,24 +85,30 @@ def empirical_psf(
     ----------
     pixels : (rows, columns) real, DN
     detections : Detections
-        Of this image, best measured with ``psf`` (:func:`~giantlike.processing.psf.estimate.remeasure`): errors of
-        their places widen the result.
+        Of this image, best with centroids from :func:`~giantlike.processing.psf.estimate.remeasure`: their errors widen
+        the result.
     psf : PsfEstimate
-        What is taken off first; it gives the shape where there are no samples.
+        Analytic shape: subtracted first, and the result without samples.
     detector : Detector
         Gain, for the shot noise.
     mask : (rows, columns) bool, optional
     oversampling : int
         Nodes per pixel.
     half_px : int, px
-        Reach of the grid.
+        Half side of the grid.
+
+    Returns
+    -------
+    EmpiricalPsf
 
     Raises
     ------
     InputError
         A number is below 1.
     """
-    require(oversampling >= 1 and half_px >= 1, f"needed numbers >= 1, got {oversampling} and {half_px}")
+    require(
+        oversampling >= 1 and half_px >= 1, f"oversampling and half_px must be >= 1, got {oversampling} and {half_px}"
+    )
     usable = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)[:_MOST_STARS]
     stars = detections.select(usable)
     patches = star_patches(pixels, stars, detector=detector, mask=mask, half_px=half_px + 1)

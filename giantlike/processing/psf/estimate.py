@@ -1,10 +1,10 @@
-r"""The point spread function of an image from its own stars, the same everywhere or varying over the field.
+r"""Point spread function of an image estimated from its stars, constant or varying over the field.
 
-All chosen stars are fitted at once: place, flux and background of each, and the shape of
-:mod:`giantlike.processing.psf.profile`, whose parameters are polynomials of the place in the image. Gauss-Newton with
-noise weights; the stars are eliminated from the normal equations one by one (Schur complement), so that the cost grows
-linearly with their number. Stars that fit far worse than the others (blends, hit by particles) are left out and the
-rest is fitted again. With the shape known, :func:`remeasure` fits places, fluxes and backgrounds alone.
+All selected stars are fitted at once: position, flux and background of each, and the shape of
+:mod:`giantlike.processing.psf.profile`, whose parameters are polynomials of the position in the image. Gauss-Newton
+with noise weights; the stars are eliminated from the normal equations one by one (Schur complement), so that the cost
+grows linearly with their number. Stars that fit far worse than the others (blends, particle hits) are rejected and the
+rest is fitted again. With a known shape, :func:`remeasure` fits positions, fluxes and backgrounds only.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import Patches, chi2_inflation, cut_patches
 from giantlike.processing.psf.profile import N_SHAPE, SHAPE_NAMES, PsfKind, shape_shares
 
-_MOST_STARS = 200
-_LEAST_SNR = 15.0
-_STEPS = 25
-_SETTLED = 1e-3  # of a standard deviation
-_GAINED = 1e-6  # of the chi-square
-_DIFFERENCE = 1e-4
-_LONGEST_STEP = 0.3
-_MOST_ELONGATED, _MOST_WINGED = 0.9, 0.9
-_OUTLIER = 4.0
-_PATCH_WIDTHS = 4.0
-_REMEASURE_STEPS = 6
+_MOST_STARS = 200  # brightest stars fitted: bounds the time
+_LEAST_SNR = 15.0  # of a star: its width is then known to some 10 %
+_STEPS = 25  # bound for fits that do not converge
+_SETTLED = 1e-3  # last step in standard deviations
+_GAINED = 1e-6  # last relative decrease of chi-square
+_DIFFERENCE = 1e-4  # step of the central differences, px or unitless: truncation 1e-8, rounding 1e-12
+_LONGEST_STEP = 0.3  # largest change of a shape coefficient in one step: keeps the shape positive
+_MOST_ELONGATED, _MOST_WINGED = 0.9, 0.9  # bounds of the ellipticity and of 1/beta: at 1 the shape is degenerate
+_OUTLIER = 4.0  # robust sigmas of the reduced chi-square of a star
+_PATCH_WIDTHS = 4.0  # half side of a patch in recorded star widths: 99.99 % of a Gaussian
+_REMEASURE_STEPS = 6  # of Gauss-Newton from fitted centroids
 UNUSABLE = (
     DetectionFlag.SATURATED
     | DetectionFlag.MASKED
@@ -49,7 +49,7 @@ UNUSABLE = (
     | DetectionFlag.HOT_PIXEL
     | DetectionFlag.STREAK
 )
-"""Flags of detections that say nothing of the point spread function."""
+"""Flags of detections that cannot be used to estimate the point spread function."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,19 +60,19 @@ class PsfEstimate(Value):
     ----------
     kind : PsfKind
     coefficients : (k, t) float64
-        Of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x, y, x^2, x y, y^2, ... of
-        ``degree``, where x and y go from -1 to 1 over the image.
+        Coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x, y, x^2, x y, y^2,
+        ... of ``degree``, where x and y go from -1 to 1 over the image.
     covariance : (k t, k t) float64
-        Of the coefficients, parameter by parameter; times the reduced chi-square where that is above 1.
+        Of the coefficients, parameter by parameter; times the reduced chi-square if that is above 1.
     degree : int
+        Degree of the polynomials.
     columns, rows : int
-        Of the image.
+        Size of the image.
     reduced_chi2 : float
     residual_power : float
-        Square of what the model leaves over that of the light, median of the stars: the quality of the shape, 0 for a
-        perfect one without noise.
+        Squared residuals over the squared light, median of the stars, noise subtracted: 0 for a perfect shape.
     n_used, n_rejected : int
-        Stars.
+        Numbers of stars.
     """
 
     kind: PsfKind
@@ -87,7 +87,12 @@ class PsfEstimate(Value):
     n_rejected: int
 
     def to_mapping(self) -> dict[str, Any]:
-        """What JSON shows of it."""
+        """Return the estimate as a mapping for JSON.
+
+        Returns
+        -------
+        dict
+        """
         return {
             "kind": str(self.kind),
             "degree": self.degree,
@@ -108,7 +113,17 @@ class PsfEstimate(Value):
         }
 
     def shapes_at(self, points_px: ArrayLike) -> Float:
-        """Shape (n, 4) at pixels (n, 2): ln sigma, e1, e2, 1/beta."""
+        """Evaluate the shape at pixels.
+
+        Parameters
+        ----------
+        points_px : (n, 2), px
+
+        Returns
+        -------
+        (n, 4) float64
+            ln sigma (of px), e1, e2, 1/beta.
+        """
         points = np.atleast_2d(np.asarray(points_px, dtype=np.float64))
         free = field_terms(points, self.columns, self.rows, self.degree) @ self.coefficients.T
         return np.pad(free, ((0, 0), (0, N_SHAPE - free.shape[1])))
@@ -127,7 +142,20 @@ class PsfEstimate(Value):
 
 
 def field_terms(points_px: Float, columns: int, rows: int, degree: int) -> Float:
-    """Terms (n, t) of a polynomial of the place in the image, constant first."""
+    """Terms of a polynomial of the position in the image.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+    columns, rows : int
+        Size of the image.
+    degree : int
+
+    Returns
+    -------
+    (n, t) float64
+        Constant first; coordinates go from -1 to 1 over the image.
+    """
     half = np.array([columns - 1, rows - 1]) / 2.0
     x, y = ((points_px - half) / np.maximum(half, 1.0)).T
     return np.stack([x ** (total - k) * y**k for total in range(degree + 1) for k in range(total + 1)], axis=1)
@@ -149,15 +177,16 @@ def estimate_psf(
     ----------
     pixels : (rows, columns) real, DN
     detections : Detections
-        Of this image; the 200 brightest that have no flags and reach ``min_snr`` are used.
+        Of this image; the 200 brightest without flags and above ``min_snr`` are used.
     detector : Detector
         Gain, for the shot noise, and saturation.
     kind : PsfKind
     degree : int
-        Of the polynomials of the place in the image, 0 to 3; 0 is one function for the whole image.
+        Of the polynomials of the position in the image, 0 to 3; 0 is one function for the whole image.
     mask : (rows, columns) bool, optional
         True where a pixel is bad.
     min_snr : float
+        Lowest signal to noise ratio of the stars used, default 15.
 
     Returns
     -------
@@ -179,7 +208,7 @@ def estimate_psf(
     if len(stars) < 3 * n_terms:
         return Failure(
             Reason.TOO_FEW_DETECTIONS,
-            f"{len(stars)} stars of a signal to noise ratio of {min_snr:g} stand alone, {3 * n_terms} are needed",
+            f"{len(stars)} isolated stars have a signal to noise ratio of {min_snr:g}, {3 * n_terms} are needed",
         )
     terms = field_terms(stars.points_px, array.shape[1], array.shape[0], degree)
     problem = _Problem(patches, terms, kind.n_free)
@@ -196,7 +225,7 @@ def estimate_psf(
         problem = problem.select(kept)
         solution = problem.solve(solution.local[kept], solution.shared)
     if not solution.settled:
-        return Failure(Reason.NOT_CONVERGED, f"a {kind} function does not come to rest on {len(kept)} stars")
+        return Failure(Reason.NOT_CONVERGED, f"the fit of a {kind} function to {len(kept)} stars did not converge")
     return problem.estimate(solution, kind, degree, array.shape, len(stars))
 
 
@@ -208,10 +237,10 @@ def remeasure(
     detector: Detector,
     mask: ArrayLike | None = None,
 ) -> Detections:
-    """Fit places and fluxes again with an estimated point spread function.
+    """Fit centroids and fluxes again with an estimated point spread function.
 
-    Only what stands alone and may be a star: not what is blended, cut, saturated or no star. The others stay as they
-    were, also where the fit moves by more than a pixel.
+    Only isolated detections that may be stars: not those that are blended, cut, saturated or unlike stars. The others
+    are unchanged, as are those whose fit moves by more than a pixel.
 
     Parameters
     ----------
@@ -226,8 +255,8 @@ def remeasure(
     Returns
     -------
     Detections
-        In the same order; covariances are the inverse Fisher information, times the reduced chi-square where that is
-        more than noise explains.
+        In the same order; covariances are the inverse Fisher information, times the reduced chi-square if that is more
+        than noise explains.
     """
     chosen = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)
     if not chosen.size:
@@ -333,7 +362,7 @@ class _Problem:
         return result
 
     def jacobians(self, local: Float, shared: Float) -> tuple[Float, Float]:
-        """By local (n, 4, pixels) and by shared parameters (n, k t, pixels), by central differences."""
+        """Derivatives by local (n, 4, pixels) and shared parameters (n, k t, pixels), by central differences."""
         points, flux, shapes = local[:, :2], local[:, 2, None], self.shapes(shared)
         by_local = [
             flux * (self.shares(points + step, shapes) - self.shares(points - step, shapes)) / (2.0 * _DIFFERENCE)
@@ -352,7 +381,7 @@ class _Problem:
         return np.stack([*by_local, star, np.ones_like(star)], axis=1), by_shared.reshape(n, -1, n_pixels)
 
     def normal(self, local: Float, shared: Float) -> tuple[Float, Float, Float, Float]:
-        """Reduced normal matrix and right side of the shared parameters, and what gives the local steps."""
+        """Reduced normal matrix and right side of the shared parameters, gain and offset of the local steps."""
         left, weight, _ = self.residuals(local, shared)
         rows_local, rows_shared = self.jacobians(local, shared)
         weighted = rows_local * weight[:, None, :]
@@ -368,7 +397,7 @@ class _Problem:
         return matrix, side, gain[:, :, :-1], gain[:, :, -1]
 
     def solve(self, local: Float, shared: Float) -> _Solution:
-        """Gauss-Newton, each step as long as the chi-square falls."""
+        """Gauss-Newton with a line search on chi-square."""
         local, shared = local.copy(), shared.copy()
         cost = float(self.star_chi2(local, shared).sum())
         for _ in range(_STEPS):

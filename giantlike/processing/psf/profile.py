@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float
 
 SHAPE_NAMES = ("ln_sigma", "e1", "e2", "inverse_beta")
-"""Parameters of a shape."""
+"""Names of the parameters of a shape."""
 N_SHAPE = len(SHAPE_NAMES)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
-_OFFSETS, _SHARES = _NODES / 2.0, _WEIGHTS / 2.0
-_GAUSSIAN_BELOW = 1e-6  # of 1/beta
+_OFFSETS, _SHARES = _NODES / 2.0, _WEIGHTS / 2.0  # nodes from the pixel center, px, and their weights
+_GAUSSIAN_BELOW = 1e-6  # 1/beta below which the Moffat function is computed as a Gaussian
 
 
 class PsfKind(StrEnum):
-    """How much of the family is free."""
+    """Free parameters of the family."""
 
     GAUSSIAN = "gaussian"
     """Round: ln sigma alone."""
@@ -39,12 +39,12 @@ class PsfKind(StrEnum):
 
     @property
     def n_free(self) -> int:
-        """How many of the parameters are free; the others are zero."""
+        """Number of free parameters; the others are zero."""
         return {PsfKind.GAUSSIAN: 1, PsfKind.ELONGATED: 3, PsfKind.MOFFAT: 4}[self]
 
 
 def shape_shares(corner_px: NDArray[np.integer], size: int, points_px: Float, shapes: Float) -> Float:
-    """Share (n, size, size) of a point source in each pixel of square patches, by quadrature with 5 x 5 nodes a pixel.
+    """Share of a point source in each pixel of square patches, by quadrature with 5 x 5 nodes per pixel.
 
     Parameters
     ----------
@@ -54,6 +54,10 @@ def shape_shares(corner_px: NDArray[np.integer], size: int, points_px: Float, sh
     points_px : (n, 2) float64, px
     shapes : (n, 4) float64
         ln sigma (of px), e1, e2, 1/beta of each.
+
+    Returns
+    -------
+    (n, size, size) float64
     """
     sigma, e1, e2, inverse_beta = np.exp(shapes[:, 0]), shapes[:, 1], shapes[:, 2], shapes[:, 3]
     steps = (np.arange(size)[:, None] + _OFFSETS).ravel()
