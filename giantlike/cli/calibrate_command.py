@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -14,41 +14,61 @@ from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
+from giantlike.cli.arguments import Json, Resume, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
 from giantlike.core.atomic import write_text_atomic
-from giantlike.core.errors import OpNavError
+from giantlike.core.errors import InputError, OpNavError
 from giantlike.image import Image
 
 _CAMPAIGN = "campaign.toml"
 _ESTIMATE = "fx_px,fy_px,k1,p1,p2"
 
 
-def calibrate_command(
-    inputs: Sequence[Path],
-    *,
-    fov_deg: float | None,
-    model: str,
-    estimate: str | None,
-    board: str | None,
-    max_magnitude: float | None,
-    output: Path,
-    workers: int | None,
-    resume: bool,
-    json: bool,
+def calibrate(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CAMPAIGN.toml | IMAGE...", help="A campaign with [calibration], or images of stars or of a board."
+        ),
+    ],
+    fov: Annotated[float | None, typer.Option(help="For images: rough field of view along x.", metavar="DEG")] = None,
+    model: Annotated[str, typer.Option(help="For images: type of the camera model.")] = "brown",
+    estimate: Annotated[
+        str | None,
+        typer.Option(
+            help="For images: parameters to estimate; default fx_px,fy_px,k1,p1,p2; with a board cx_px,cy_px,k2 too.",
+            metavar="NAME,NAME,...",
+        ),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(help="Images show a checkerboard with so many inner corners.", metavar="COLUMNSxROWS"),
+    ] = None,
+    max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalog star.")] = None,
+    output: Annotated[Path, typer.Option(help="For images: output folder.", metavar="DIR")] = Path("calibration"),
+    workers: Workers = None,
+    resume: Resume = False,
+    json: Json = False,
 ) -> ExitCode:
-    """Calibrate and show the result; images are made a campaign first, whose file is kept."""
+    """Calibrate a camera from images of stars, or of a checkerboard.
+
+    Stars are identified anywhere on the sky and the camera is estimated, by turns; writes camera.toml with its
+    covariance, calibration.html, calibration.json and the attitudes with the calibrated camera. Images are made a
+    campaign first, whose file is kept.
+    """
     path = inputs[0]
     if board is not None:
-        require(fov_deg is not None, "--board needs --fov DEG, the rough field of view along x")
+        if fov is None:
+            raise InputError("--board needs --fov DEG, the rough field of view along x")
         require(max_magnitude is None, "--max-magnitude is for stars")
-        return _calibrate_board(inputs, board, fov_deg, model, estimate, output, json=json)
+        return _calibrate_board(inputs, _board_setup(board, fov, model, estimate), output, json=json)
     if len(inputs) == 1 and path.suffix.lower() == ".toml":
-        require(fov_deg is None, "--fov goes with images; a campaign file has its own [camera]")
+        require(fov is None, "--fov goes with images; a campaign file has its own [camera]")
     else:
-        require(fov_deg is not None, "give a campaign file, or images with --fov DEG")
-        path = _campaign_of_images(inputs, fov_deg, model, estimate or _ESTIMATE, max_magnitude, output)
+        require(fov is not None, "give a campaign file, or images with --fov DEG")
+        path = _campaign_of_images(inputs, fov, model, estimate or _ESTIMATE, max_magnitude, output)
     try:
         campaign = Campaign.load(path)
     except OpNavError:
@@ -95,26 +115,19 @@ def _campaign_of_images(
     return path
 
 
-def _calibrate_board(
-    images: Sequence[Path],
-    board: str,
-    fov_deg: float | None,
-    model: str,
-    estimate: str | None,
-    output: Path,
-    *,
-    json: bool,
-) -> ExitCode:
+def _board_setup(board: str, fov_deg: float, model: str, estimate: str | None) -> BoardSetup:
     across, _, down = board.lower().partition("x")
     require(across.isdecimal() and down.isdecimal(), f"--board must be COLUMNSxROWS, such as 8x6, got {board!r}")
-    assert fov_deg is not None
-    setup = BoardSetup(
+    return BoardSetup(
         across=int(across),
         down=int(down),
         fov_deg=fov_deg,
         model_type=model,
         estimate=None if estimate is None else tuple(_names(estimate)),
     )
+
+
+def _calibrate_board(images: Sequence[Path], setup: BoardSetup, output: Path, *, json: bool) -> ExitCode:
     summary = calibration_summary(calibrate_boards(images, setup, output))
     if json:
         print_json({"output": str(output), "calibration": summary})

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from giantlike.camera import Camera
+from giantlike.cli.arguments import Hdu, Images, Json, Sequence
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
 from giantlike.cli.sequence_input import sequence_pattern, without_pattern
@@ -111,24 +112,47 @@ class DetectRequest:
         return Found(found, psf)
 
 
-def detect_command(
-    images: Sequence[Path],
-    *,
-    camera_file: Path | None,
-    json: bool,
-    search: Mapping[str, Any],
-    psf: str | None = None,
-    **request: Any,
+def detect(
+    images: Images,
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file: its PSF and detector are used.", metavar="CAMERA.toml")
+    ] = None,
+    psf_sigma: Annotated[
+        float | None, typer.Option(help="Sigma of the PSF; default: the camera's, or as estimated.", metavar="PX")
+    ] = None,
+    min_snr: Annotated[float, typer.Option(help="Leave out sources of lower signal-to-noise ratio.")] = 0.0,
+    threshold: Annotated[float, typer.Option(help="Detection limit in units of the noise.", metavar="SIGMA")] = 5.0,
+    noise: Annotated[
+        NoiseSource, typer.Option(help="Source of the noise of a pixel.", case_sensitive=False)
+    ] = NoiseSource.LOCAL,
+    covered: Annotated[
+        tuple[int, int, int, int] | None,
+        typer.Option(help="For --noise covered: pixels without light.", metavar="X Y COLUMNS ROWS"),
+    ] = None,
+    streak: Annotated[
+        bool | None, typer.Option("--streak/--no-streak", help="Stars are streaks; by default this is detected.")
+    ] = None,
+    psf: Annotated[
+        PsfKind | None, typer.Option(help="Estimate the PSF from each image, and fit sources with it.")
+    ] = None,
+    psf_degree: Annotated[int, typer.Option(help="Degree of the variation of that PSF over the field, 0 to 3.")] = 0,
+    sequence: Sequence = False,
+    hdu: Hdu = None,
+    json: Json = False,
 ) -> ExitCode:
-    """Search images and show what is found.
+    """Find stars and other point sources, with their positions and covariances.
 
-    ``search`` are fields of :class:`~giantlike.processing.DetectionOptions`, ``request`` of :class:`DetectRequest`.
+    With --json all of them are listed, brightest first, with quality flags.
     """
     wanted = DetectRequest(
-        camera=None if camera_file is None else Camera.load(camera_file),
-        options=DetectionOptions(**(dict(search) | {"noise": NoiseSource(search["noise"])})),
-        psf=None if psf is None else PsfKind(psf),
-        **request,
+        camera=None if camera is None else Camera.load(camera),
+        psf_sigma_px=psf_sigma,
+        min_snr=min_snr,
+        hdu=hdu,
+        sequence=sequence,
+        psf=psf,
+        psf_degree=psf_degree,
+        options=DetectionOptions(threshold_sigma=threshold, streak=streak, noise=noise, covered=covered),
     )
     results = _all_searched(images, wanted)
     if json:
@@ -139,7 +163,7 @@ def detect_command(
     return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
 
 
-def _all_searched(images: Sequence[Path], wanted: DetectRequest) -> list[dict[str, Any]]:
+def _all_searched(images: list[Path], wanted: DetectRequest) -> list[dict[str, Any]]:
     """The JSON list."""
     pattern = sequence_pattern(images, hdu=wanted.hdu, detector=wanted.detector) if wanted.sequence else None
     outcomes = []
@@ -207,7 +231,7 @@ def _rows(found: Detections) -> list[dict[str, Any]]:
     return rows
 
 
-def _print_table(results: Sequence[dict[str, Any]]) -> None:
+def _print_table(results: list[dict[str, Any]]) -> None:
     """A line per image, and under it the brightest detections or the reason of the failure."""
     for result in results:
         rows = result["detections"]

@@ -5,16 +5,20 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
+from giantlike.cli.arguments import Json
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.core.errors import InputError
 from giantlike.relative import ESTIMATORS
 
 
-def estimators_command(name: str | None, *, json: bool) -> ExitCode:
+def estimators(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show the options of this one.")] = None,
+    json: Json = False,
+) -> ExitCode:
     """List the estimators, or show one with its options."""
     if name is not None and name not in ESTIMATORS:
         raise InputError(f"unknown estimator {name!r}; there are {', '.join(ESTIMATORS)}")

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import typer
 
+from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
 from giantlike.cli.outcome import ExitCode, print_json
-from giantlike.cli.shape_command import units_said
+from giantlike.cli.shape_commands import units_said
 from giantlike.core.errors import InputError
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks
 from giantlike.shapes import load_shape
 from giantlike.shapes.landmarks import MAPLET_SUFFIX, LandmarkCatalog, load_landmarks, save_landmarks
 
 
-def shape_landmarks(
-    source: Path,
-    target: Path,
-    *,
-    units: str,
-    count: int | None,
-    size_km: float | None,
-    samples: int | None,
-    overwrite: bool,
-    json: bool,
+def landmarks(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Shape file, SPC maplet (.MAP) or folder of maplets.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT.npz", help="New catalog of landmarks.")],
+    units: UnitsOption = Units.KM,
+    count: Annotated[int | None, typer.Option(metavar="N", help="Largest number of landmarks.  [default: 150]")] = None,
+    size_km: Annotated[
+        float | None, typer.Option(metavar="KM", help="Side of a landmark.  [default: a fifth of the mean radius]")
+    ] = None,
+    samples: Annotated[
+        int | None, typer.Option(metavar="N", help="Heights along each side of a landmark.  [default: 33]")
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
 ) -> ExitCode:
-    """Choose landmarks on a shape, or collect maplets, and write them."""
+    """Choose landmarks for surface_features: places with strong relief or albedo, spread over the shape."""
     given = {"count": count, "size_km": size_km, "samples": samples}
     chosen = {name: value for name, value in given.items() if value is not None}
     if source.is_dir() or source.suffix.lower() == MAPLET_SUFFIX:

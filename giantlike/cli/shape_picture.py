@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import PinholeModel
+from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
 from giantlike.cli.outcome import ExitCode, print_json
-from giantlike.cli.shape_command import units_said
+from giantlike.cli.shape_commands import units_said
 from giantlike.core.arrays import require
 from giantlike.core.atomic import write_bytes_atomic
 from giantlike.core.errors import InputError
@@ -58,8 +60,24 @@ class View:
         require(1 <= self.size_px <= _LARGEST_PX, f"--size must be in [1, {_LARGEST_PX}], got {self.size_px}")
 
 
-def shape_render(source: Path, target: Path, *, units: str, view: View, overwrite: bool, json: bool) -> ExitCode:
-    """Read a shape, render it, write a PNG."""
+def render_shape(
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="Shape file.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT.png", help="Picture, 8 bit gray.")],
+    units: UnitsOption = Units.KM,
+    phase: Annotated[float, typer.Option(metavar="DEG", help="Phase angle, 0 to 180; the Sun is to the right.")] = 45.0,
+    sub_observer: Annotated[
+        tuple[float, float], typer.Option(metavar="LON LAT", help="Point seen in the middle, degrees east and north.")
+    ] = (0.0, 0.0),
+    size: Annotated[int, typer.Option(metavar="PX", help="Width and height of the picture.")] = 512,
+    reflectance: Annotated[str, typer.Option(metavar="LAW", help="Reflectance law with its standard parameters.")] = (
+        "mcewen"
+    ),
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> ExitCode:
+    """Make a picture of a shape, body north up, seen from a hundred radii away."""
+    longitude, latitude = sub_observer
+    view = View(phase_deg=phase, longitude_deg=longitude, latitude_deg=latitude, size_px=size, law=reflectance)
     require(target.suffix.lower() == ".png", f"{target}: pictures end in .png")
     require(overwrite or not target.exists(), f"{target} exists: name another file, or give --overwrite")
     with units_said():

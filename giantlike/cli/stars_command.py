@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, load_catalog
+from giantlike.cli.arguments import Hdu, Images, Json, Sequence
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
 from giantlike.cli.sequence_input import sequence_pattern, without_pattern
@@ -83,13 +83,47 @@ class StarsRequest:
         )
 
 
-def stars_command(
-    images: Sequence[Path], *, camera_file: Path | None, catalog: str, json: bool, **request: Any
+def stars(
+    images: Images,
+    camera: Annotated[Path | None, typer.Option(help="Camera file.", metavar="CAMERA.toml")] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="Rough field of view along x, instead of a camera file.", metavar="DEG")
+    ] = None,
+    fov_error: Annotated[
+        float, typer.Option(help="Error that --fov may have, percent (at most 20).", metavar="PERCENT")
+    ] = 100 * _DEFAULT_FOV_ERROR,
+    lost_in_space: Annotated[
+        bool, typer.Option("--lost-in-space", help="Search the whole sky if the a priori attitude does not help.")
+    ] = False,
+    max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalog star.")] = None,
+    catalog: Annotated[str, typer.Option(help="default, a built catalog, or one in CSV.")] = "default",
+    sequence: Sequence = False,
+    bottom_up: Annotated[
+        bool, typer.Option("--bottom-up", help="The first stored row is the bottom of the picture: turn the rows.")
+    ] = False,
+    review: Annotated[
+        Path | None, typer.Option(help="Folder for pictures of detections, matches and residuals.", metavar="DIR")
+    ] = None,
+    hdu: Hdu = None,
+    json: Json = False,
 ) -> ExitCode:
-    """Solve images and show the result, one row per image; ``request`` are the fields of :class:`StarsRequest`."""
-    wanted = StarsRequest(camera=None if camera_file is None else Camera.load(camera_file), **request)
+    """Solve the attitude of star images, without a campaign file.
+
+    An image whose header has no a priori attitude is always solved lost-in-space.
+    """
+    wanted = StarsRequest(
+        camera=None if camera is None else Camera.load(camera),
+        fov_deg=fov,
+        fov_error=fov_error / 100,
+        lost_in_space=lost_in_space,
+        max_magnitude=max_magnitude,
+        hdu=hdu,
+        sequence=sequence,
+        bottom_up=bottom_up,
+        review=review,
+    )
     options = wanted.options()
-    stars = load_catalog(catalog)
+    loaded = load_catalog(catalog)
     if wanted.review is not None:
         make_folder(wanted.review)
     detector = Detector() if wanted.camera is None else wanted.camera.detector
@@ -100,7 +134,7 @@ def stars_command(
     with progress_bar() as progress:
         for number, path in enumerate(images):
             progress("solving stars", number, len(images))
-            results.append(_solve(path, stars, wanted, options, pattern))
+            results.append(_solve(path, loaded, wanted, options, pattern))
         progress("solving stars", len(images), len(images))
     if json:
         print_json(results)
@@ -158,7 +192,7 @@ def _solve(
     }
 
 
-def _print_table(results: Sequence[dict[str, Any]]) -> None:
+def _print_table(results: list[dict[str, Any]]) -> None:
     """One line per image, and under a failed one the reason."""
     width = max(len(result["file"]) for result in results)
     heads = "".join(f"{name.removesuffix('_deg'):>{size}}" for name, (size, _) in _NUMBERS.items())

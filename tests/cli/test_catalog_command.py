@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from giantlike.cli.catalog_app import catalog_app
+from giantlike.cli.app import app
 from tests.tolerances import FLOAT32, FLOAT64_ROOT, FLOAT64_SUM
 
 TABLE = "HD,RA,DE,Vmag,pm\n11,10.0,20.0,4.5,3600\n12,10.2,20.0,6.5,0\n13,190.0,-20.0,5.5,0\n"
@@ -17,7 +17,7 @@ COLUMNS = ["ids=HD", "ra_deg=RA", "dec_deg=DE", "magnitude=Vmag", "pm_dec_mas_yr
 
 
 def _run(*arguments: object, code: int = 0) -> str:
-    result = CliRunner().invoke(catalog_app, [str(argument) for argument in arguments])
+    result = CliRunner().invoke(app, ["catalog", *map(str, arguments)])
     assert result.exit_code == code, result.output
     return result.output
 

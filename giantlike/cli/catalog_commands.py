@@ -5,16 +5,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
 from giantlike.catalogs.join import join_catalogs
-from giantlike.catalogs.readers import build_catalog, column_map
+from giantlike.catalogs.readers import FORMATS, build_catalog, column_map
 from giantlike.catalogs.stored import SUFFIX, Source, catalog_header, is_catalog_file, save_catalog
 from giantlike.catalogs.table import StarTable
+from giantlike.cli.arguments import Json, Overwrite
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import Float
@@ -26,26 +27,41 @@ _SHOWN = 40
 """So many stars are listed for people unless they ask for more."""
 
 
-def catalog_build(
-    paths: Sequence[Path],
-    *,
-    form: str,
-    settings: Sequence[str],
-    columns: Path | None,
-    band: str | None,
-    name: str | None,
-    max_magnitude: float | None,
-    overwrite: bool,
-    json: bool,
+Catalog = Annotated[str, typer.Argument(metavar="CATALOG", help="default, a built catalog, or a CSV catalog.")]
+Name = Annotated[str | None, typer.Option(help="Name of the catalog; default: that of the output file.")]
+
+
+def build(
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="SOURCE... OUTPUT", help="Published files, then the new catalog (.stars).")
+    ],
+    form: Annotated[str, typer.Option("--format", help=f"Format of the source files: {', '.join(FORMATS)}.")],
+    column: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=COLUMN", help="For tables: a column, such as ra_deg=RAJ2000; repeatable."),
+    ] = None,
+    columns: Annotated[
+        Path | None, typer.Option(metavar="COLUMNS.toml", help="For tables: the same from a file.")
+    ] = None,
+    band: Annotated[str | None, typer.Option(metavar="BAND", help="For tables: band of the magnitudes.")] = None,
+    name: Name = None,
+    max_magnitude: Annotated[float | None, typer.Option(help="Leave out fainter stars.")] = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
 ) -> ExitCode:
-    """Read the sources, write the catalog, say what came of it."""
+    """Make one catalog of published files.
+
+    hipparcos: hip_main.dat or hip2.dat. tycho2: tyc2.dat and suppl_1.dat. ucac4: zone files or their folder.
+    usno-gnc: its CSV file. gaia: extracts of the archive in CSV, ECSV, FITS, Parquet or VOTable. table: any table in
+    one of these, with --column for names that differ; NAME=COLUMN*FACTOR changes the unit, NAME=NUMBER is a constant.
+    """
     if len(paths) < 2:
         raise InputError("SOURCE... OUTPUT are needed: at least one published file, and the new catalog as the last")
     *sources, target = paths
     _target(target, overwrite)
-    if form != "table" and (settings or columns is not None or band is not None):
+    if form != "table" and (column or columns is not None or band is not None):
         raise InputError("--column, --columns and --band are for --format table")
-    mapping = column_map(settings, file=columns, band=band) if form == "table" else None
+    mapping = column_map(column or [], file=columns, band=band) if form == "table" else None
     with progress_bar() as show:
         built = build_catalog(
             sources,
@@ -57,8 +73,8 @@ def catalog_build(
         )
         save_catalog(built.catalog, target, sources=built.sources)
     if json:
-        told = {"file": str(target), "stars": len(built.catalog), "band": built.catalog.band}
-        print_json(told | {"left_out": built.left_out, "repeated": built.repeated, "version": built.catalog.version})
+        shown = {"file": str(target), "stars": len(built.catalog), "band": built.catalog.band}
+        print_json(shown | {"left_out": built.left_out, "repeated": built.repeated, "version": built.catalog.version})
     else:
         typer.echo(f"wrote {target}: {len(built.catalog)} stars, magnitudes in {built.catalog.band}")
         if built.left_out:
@@ -68,8 +84,19 @@ def catalog_build(
     return ExitCode.DONE
 
 
-def catalog_join(names: Sequence[str], *, name: str | None, overwrite: bool, json: bool) -> ExitCode:
-    """Load the catalogs, write one of them all."""
+def join(
+    names: Annotated[
+        list[str],
+        typer.Argument(metavar="CATALOG... OUTPUT", help="default, built or CSV catalogs, then the new one (.stars)."),
+    ],
+    name: Name = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> ExitCode:
+    """Put catalogs together, such as your own stars on top of the default.
+
+    Where two have the same star, within 3 arcsec, the later one has it. Magnitudes are in the band of the first.
+    """
     if len(names) < 2:
         raise InputError("CATALOG... OUTPUT are needed: at least one catalog, and the new one as the last")
     target = _target(Path(names[-1]), overwrite)
@@ -78,47 +105,48 @@ def catalog_join(names: Sequence[str], *, name: str | None, overwrite: bool, jso
     sources = [source for one in names[:-1] for source in _sources(one)]
     save_catalog(made, target, sources=sources)
     if json:
-        told = {"file": str(target), "stars": len(made), "band": made.band, "version": made.version}
-        print_json(told | {"replaced": sum(len(one) for one in catalogs) - len(made)})
+        shown = {"file": str(target), "stars": len(made), "band": made.band, "version": made.version}
+        print_json(shown | {"replaced": sum(len(one) for one in catalogs) - len(made)})
     else:
         typer.echo(f"wrote {target}: {len(made)} stars, magnitudes in {made.band}")
     return ExitCode.DONE
 
 
-def catalog_query(
-    name: str,
-    *,
-    ra_deg: float,
-    dec_deg: float,
-    radius_deg: float,
-    max_magnitude: float | None,
-    epoch: float | None,
-    band: str | None,
-    limit: int | None,
-    json: bool,
+def query(
+    name: Catalog,
+    ra: Annotated[float, typer.Option(metavar="DEG", help="Right ascension, ICRS.")],
+    dec: Annotated[float, typer.Option(metavar="DEG", help="Declination, ICRS.")],
+    radius: Annotated[float, typer.Option(metavar="DEG", help="Radius of the cone.")],
+    max_magnitude: Annotated[float | None, typer.Option(help="Faintest star.")] = None,
+    epoch: Annotated[
+        float | None, typer.Option(metavar="YEAR", help="Julian year to move stars to, seen from the barycenter.")
+    ] = None,
+    band: Annotated[str | None, typer.Option(metavar="BAND", help="Give magnitudes in this band: G or V.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Show so many, the brightest.")] = None,
+    json: Json = False,
 ) -> ExitCode:
-    """List the stars that are in a cone at an epoch, at their catalog epochs by default."""
-    if not 0.0 < radius_deg <= 180.0:
-        raise InputError(f"--radius must be in (0, 180] degrees, got {radius_deg:g}")
-    if not -90.0 <= dec_deg <= 90.0:
-        raise InputError(f"--dec must be in [-90, 90] degrees, got {dec_deg:g}")
+    """List the stars of a cone at an epoch, brightest first; by default at their catalog epochs."""
+    if not 0.0 < radius <= 180.0:
+        raise InputError(f"--radius must be in (0, 180] degrees, got {radius:g}")
+    if not -90.0 <= dec <= 90.0:
+        raise InputError(f"--dec must be in [-90, 90] degrees, got {dec:g}")
     catalog = load_catalog(name, band=band)
-    axis = direction_from_radec(ra_deg, dec_deg)
-    stars = catalog.cone(axis, radius_deg * RAD_PER_DEG, max_magnitude=max_magnitude)
+    axis = direction_from_radec(ra, dec)
+    stars = catalog.cone(axis, radius * RAD_PER_DEG, max_magnitude=max_magnitude)
     if epoch is None:
         directions = direction_from_radec(stars.ra_deg, stars.dec_deg)
     else:
         directions = apparent_directions(stars, et_of_julian_year(epoch))
     distance_deg = 2.0 * np.degrees(np.arcsin(np.minimum(np.linalg.norm(directions - axis, axis=-1) / 2.0, 1.0)))
-    inside = np.flatnonzero(distance_deg <= radius_deg)
-    shown = inside[:limit]
+    inside = np.flatnonzero(distance_deg <= radius)
+    chosen = inside[:limit]
     if json:
-        print_json(_rows(stars, directions, distance_deg, shown, epoch))
+        print_json(_rows(stars, directions, distance_deg, chosen, epoch))
         return ExitCode.DONE
     typer.echo(f"{len(inside)} stars in {catalog.name}, magnitudes in {catalog.band}")
-    if len(shown):
+    if len(chosen):
         typer.echo(f"{'id':>20} {'ra_deg':>14} {'dec_deg':>14} {'mag':>7} {'distance_deg':>12}  double")
-    for row in _rows(stars, directions, distance_deg, shown[: limit or _SHOWN], epoch):
+    for row in _rows(stars, directions, distance_deg, chosen[: limit or _SHOWN], epoch):
         typer.echo(
             f"{row['id']:>20} {row['ra_deg']:>14.8f} {row['dec_deg']:>14.8f} {row['magnitude']:>7.3f} "
             f"{row['distance_deg']:>12.6f}  {'yes' if row['is_double'] else ''}".rstrip()
@@ -128,13 +156,17 @@ def catalog_query(
     return ExitCode.DONE
 
 
-def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
-    """Say what a catalog holds."""
+def info(
+    name: Catalog,
+    check: Annotated[bool, typer.Option("--check", help="Read all of a built catalog and compare its hash.")] = False,
+    json: Json = False,
+) -> ExitCode:
+    """Show the contents and sources of a catalog."""
     catalog = load_catalog(name)
     magnitude, epoch = catalog.column("magnitude"), catalog.column("epoch_jyear")
     moving = (catalog.column("pm_ra_mas_yr") != 0.0) | (catalog.column("pm_dec_mas_yr") != 0.0)
     colored = np.isfinite(catalog.column("color_bv")) | np.isfinite(catalog.column("color_bp_rp"))
-    told: dict[str, Any] = {
+    shown: dict[str, Any] = {
         "catalog": name,
         "name": catalog.name,
         "version": catalog.version,
@@ -152,16 +184,16 @@ def catalog_info(name: str, *, check: bool, json: bool) -> ExitCode:
     }
     path = Path(name)
     if name != "default" and is_catalog_file(path):
-        told |= {"sources": catalog_header(path, check=check)["sources"], "checked": check}
+        shown |= {"sources": catalog_header(path, check=check)["sources"], "checked": check}
     elif check:
         raise InputError(f"{name}: only built catalogs have a hash to check")
     if json:
-        print_json(told)
+        print_json(shown)
         return ExitCode.DONE
-    for key, value in told.items():
+    for key, value in shown.items():
         if key != "sources":
             typer.echo(f"{key.replace('_', ' '):<22}{_text(value)}")
-    for source in told["sources"]:
+    for source in shown["sources"]:
         typer.echo(f"{'source':<22}{source['name']} sha256:{source['sha256']}")
     return ExitCode.DONE
 

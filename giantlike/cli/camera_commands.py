@@ -7,12 +7,14 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
+import typer
 
 from giantlike.camera import Camera, MissionFrame
-from giantlike.camera_models.convert import convert
+from giantlike.camera_models.convert import convert as convert_model
+from giantlike.cli.arguments import Json
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
@@ -20,10 +22,24 @@ from giantlike.io.camera_import import read_foreign_camera
 from giantlike.io.camera_opencv import write_opencv_camera
 from giantlike.io.mission_frame import Boresight
 
+File = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", help="TOML; OpenCV YAML or XML; GIANT XML; SPICE IK (.ti); FITS with TAN-SIP."),
+]
+Name = Annotated[str | None, typer.Option(help="Name of the camera in a GIANT file.")]
+Instrument = Annotated[int | None, typer.Option(metavar="ID", help="NAIF code, for an instrument kernel.")]
+FirstPixel = Annotated[
+    float | None, typer.Option(metavar="0|0.5|1", help="Center of the first pixel as an instrument kernel counts.")
+]
+BoresightOption = Annotated[
+    str | None, typer.Option("--boresight", metavar="+z|-z", help="Direction of the z axis of the mission's frame.")
+]
+Size = Annotated[str | None, typer.Option(metavar="COLUMNSxROWS", help="Size, if the file does not hold it.")]
+
 
 @dataclass(frozen=True, slots=True)
 class CameraSource:
-    """A camera file, and what its reader has to be told: the options of the command line."""
+    """A camera file, and what its reader needs besides: the options of the command line."""
 
     path: Path
     name: str | None
@@ -33,24 +49,45 @@ class CameraSource:
     size: str | None
 
 
-def camera_info(source: CameraSource, *, json: bool) -> ExitCode:
-    """Show a camera."""
-    camera, notes = _read(source)
+def info(
+    file: File,
+    name: Name = None,
+    instrument: Instrument = None,
+    first_pixel: FirstPixel = None,
+    boresight: BoresightOption = None,
+    size: Size = None,
+    json: Json = False,
+) -> ExitCode:
+    """Show the model of a camera file, its field of view and the scale of its pixels."""
+    camera, notes = _read(CameraSource(file, name, instrument, first_pixel, boresight, size))
     if json:
         print_json(_summary(camera) | {"notes": notes})
     else:
-        _tell(_summary(camera), notes)
+        _show(_summary(camera), notes)
     return ExitCode.DONE
 
 
-def camera_convert(source: CameraSource, output: Path, *, type_name: str | None, json: bool) -> ExitCode:
-    """Write a camera in another file format, or as another model."""
-    camera, notes = _read(source)
+def convert(
+    file: File,
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="New file: .toml is ours, .yml and .xml are OpenCV's.")],
+    model: Annotated[str | None, typer.Option(help="Type of the new model; default: as it is.", metavar="TYPE")] = None,
+    name: Name = None,
+    instrument: Instrument = None,
+    first_pixel: FirstPixel = None,
+    boresight: BoresightOption = None,
+    size: Size = None,
+    json: Json = False,
+) -> ExitCode:
+    """Write a camera in another file format or as another model, and say what is lost.
+
+    A model of another type is fitted over the whole frame; the largest and the rms difference are shown.
+    """
+    camera, notes = _read(CameraSource(file, name, instrument, first_pixel, boresight, size))
     lost: dict[str, Any] = {}
-    if type_name is not None and type_name != camera.model.type_name:
-        conversion = convert(camera.model, type_name, columns=camera.columns, rows=camera.rows)
+    if model is not None and model != camera.model.type_name:
+        conversion = convert_model(camera.model, model, columns=camera.columns, rows=camera.rows)
         if isinstance(conversion, Failure):
-            raise InputError(f"{source.path}: {conversion.detail}")
+            raise InputError(f"{file}: {conversion.detail}")
         camera = dataclasses.replace(camera, model=conversion.model, uncertainty=None)
         lost = {"max_px": conversion.max_px, "rms_px": conversion.rms_px, "coverage": conversion.coverage}
     if output.suffix == ".toml":
@@ -62,7 +99,7 @@ def camera_convert(source: CameraSource, output: Path, *, type_name: str | None,
     if json:
         print_json(_summary(camera) | {"notes": notes, "file": str(output), "conversion": lost})
         return ExitCode.DONE
-    _tell(_summary(camera), notes)
+    _show(_summary(camera), notes)
     if lost:
         sys.stdout.write(
             f"differs from the original by {lost['rms_px']:.3g} px rms, at most {lost['max_px']:.3g} px, over "
@@ -111,7 +148,7 @@ def _summary(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _tell(summary: dict[str, Any], notes: list[str]) -> None:
+def _show(summary: dict[str, Any], notes: list[str]) -> None:
     model = summary["model"]
     lines = [f"{summary['name']}: {summary['columns']} x {summary['rows']} px, {model['type']}"]
     lines += [f"  {key} = {value!r}" for key, value in model.items() if isinstance(value, int | float)]

@@ -8,11 +8,12 @@ from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.core.errors import InputError, OpNavError
 from giantlike.shapes import TriangleMesh, load_shape, save_shape
@@ -43,8 +44,27 @@ _SHOWN = MappingProxyType(
 """Measures that are shown to people, and how they are called there."""
 
 
-def shape_info(files: Sequence[Path], *, units: str, json: bool) -> ExitCode:
-    """Measure each file; one that fails does not stop the others."""
+Input = Annotated[Path, typer.Argument(metavar="IN", help="Shape file.")]
+Output = Annotated[Path, typer.Argument(metavar="OUT", help="New shape file; the end of its name is its format.")]
+DskCenter = Annotated[int | None, typer.Option(metavar="ID", help="NAIF number of the body, for a DSK.")]
+DskFrame = Annotated[str | None, typer.Option(metavar="NAME", help="Body-fixed frame SPICE knows, for a DSK.")]
+DskKernels = Annotated[
+    list[Path] | None,
+    typer.Option("--dsk-kernel", metavar="PATH", help="Kernel that defines the frame of a DSK; repeatable."),
+]
+DskSurface = Annotated[int, typer.Option(metavar="ID", help="Number of the surface, for a DSK.")]
+
+
+def info(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Shape files of any readable format.")],
+    units: UnitsOption = Units.KM,
+    json: Json = False,
+) -> ExitCode:
+    """Measure shapes and list their defects.
+
+    A file fails when it is damaged, or holds a surface that no body can be rendered from. One that fails does not
+    stop the others.
+    """
     results = [_info(path, units) for path in files]
     if json:
         print_json(results)
@@ -55,10 +75,26 @@ def shape_info(files: Sequence[Path], *, units: str, json: bool) -> ExitCode:
     return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
 
 
-def shape_convert(
-    source: Path, target: Path, *, units: str, repair: bool, overwrite: bool, dsk: DskIdentity | None, json: bool
+def convert(
+    source: Input,
+    target: Output,
+    units: UnitsOption = Units.KM,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Drop broken facets, wind them alike and outward, close small holes.")
+    ] = False,
+    overwrite: Overwrite = False,
+    dsk_center: DskCenter = None,
+    dsk_frame: DskFrame = None,
+    dsk_surface: DskSurface = 1,
+    dsk_kernel: DskKernels = None,
+    json: Json = False,
 ) -> ExitCode:
-    """Read, mend if asked to, write."""
+    """Write a shape in another format, in km.
+
+    OBJ, PLY, plate tables (.tab, .plt) and .npz keep every digit, STL single precision; an ICQ model (.icq, .txt)
+    takes only what came from one.
+    """
+    dsk = _dsk_identity(target, dsk_center, dsk_frame, dsk_surface)
     with units_said():
         surface = read_surface(source, units=units)
     lines: list[str] = []
@@ -71,21 +107,33 @@ def shape_convert(
             f"left: {mended.after.text() or 'no defects'}",
         ]
     mesh = mesh_of(source, surface)
-    save_shape(mesh, target, overwrite=overwrite, dsk=dsk)
+    with _kernels_loaded(dsk_kernel):
+        save_shape(mesh, target, overwrite=overwrite, dsk=dsk)
     if not keeps_albedo(mesh, target):
         say(f"giantlike: {target}: the albedo is left out, this format has no room for it; .npz keeps it")
     return _written(mesh, target, lines, json=json)
 
 
-def shape_decimate(
-    source: Path, target: Path, *, facets: int, units: str, overwrite: bool, dsk: DskIdentity | None, json: bool
+def decimate(
+    source: Input,
+    target: Output,
+    facets: Annotated[int, typer.Option(metavar="N", help="Number of facets to keep.")],
+    units: UnitsOption = Units.KM,
+    overwrite: Overwrite = False,
+    dsk_center: DskCenter = None,
+    dsk_frame: DskFrame = None,
+    dsk_surface: DskSurface = 1,
+    dsk_kernel: DskKernels = None,
+    json: Json = False,
 ) -> ExitCode:
-    """Read, make coarser, write, and say what it cost."""
+    """Write a shape with fewer facets, and show how far its surface moved."""
+    dsk = _dsk_identity(target, dsk_center, dsk_frame, dsk_surface)
     with units_said():
         mesh = load_shape(source, units=units)
     coarse = decimated(mesh, facets)
     change = deviation(mesh, coarse)
-    save_shape(coarse, target, overwrite=overwrite, dsk=dsk)
+    with _kernels_loaded(dsk_kernel):
+        save_shape(coarse, target, overwrite=overwrite, dsk=dsk)
     if mesh.albedo is not None:
         say(f"giantlike: {target}: the albedo is left out, it belongs to the facets of {source}")
     share = change.max_km / mesh.mean_radius_km
@@ -98,7 +146,7 @@ def shape_decimate(
     return _written(coarse, target, lines, json=json, more=asdict(change))
 
 
-def dsk_identity(target: Path, center: int | None, frame: str | None, surface: int) -> DskIdentity | None:
+def _dsk_identity(target: Path, center: int | None, frame: str | None, surface: int) -> DskIdentity | None:
     """What a DSK is to say of itself, or None where the output is none.
 
     Raises
@@ -114,7 +162,7 @@ def dsk_identity(target: Path, center: int | None, frame: str | None, surface: i
 
 
 @contextmanager
-def kernels_loaded(paths: Sequence[Path] | None) -> Iterator[None]:
+def _kernels_loaded(paths: Sequence[Path] | None) -> Iterator[None]:
     """Load SPICE kernels, where there are any, for as long as the block runs."""
     if not paths:
         yield

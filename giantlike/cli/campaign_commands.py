@@ -1,0 +1,218 @@
+"""Commands on campaigns and scenes: ``run``, ``report``, ``export``, ``interlock``, ``render`` and ``demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from giantlike.campaign import Campaign, RunResult, load_result, run_campaign, write_report
+from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
+from giantlike.campaign.interlock import interlock_of, write_interlock
+from giantlike.campaign.render.plan import RenderPlan
+from giantlike.campaign.render.run import RenderedImage, render_images
+from giantlike.campaign.store.results import StatusCounts
+from giantlike.campaign.store.run_folder import REPORT_PAGE
+from giantlike.cli.arguments import Json, Overwrite, Resume, Run, Workers
+from giantlike.cli.outcome import ExitCode, print_json, say
+from giantlike.cli.progress import progress_bar
+
+
+def run(
+    path: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.")],
+    workers: Workers = None,
+    resume: Resume = False,
+    json: Json = False,
+) -> ExitCode:
+    """Run a campaign: attitudes from stars, then every estimator on every image.
+
+    Writes the run folder that the campaign names: tables, report.html, provenance.json, log.jsonl.
+    """
+    campaign = Campaign.load(path)
+    for warning in campaign.warnings:
+        say(f"giantlike: {warning}")
+    with progress_bar() as progress:
+        result = run_campaign(campaign, workers=workers, resume=resume, progress=progress)
+    if json:
+        print_json(result.summary())
+    else:
+        _print_tables(result)
+    return ExitCode.SOME_IMAGES_FAILED if result.failed_images else ExitCode.DONE
+
+
+def report(folder: Run, json: Json = False) -> ExitCode:
+    """Write report.html of a finished run again."""
+    path = write_report(load_result(folder))
+    if json:
+        print_json({"report": str(path)})
+    else:
+        typer.echo(f"wrote {path}")
+    return ExitCode.DONE
+
+
+def export(
+    folder: Run,
+    kind: Annotated[ExportFormat, typer.Option("--format", help="Format to write.")],
+    output: Annotated[
+        Path | None, typer.Option(help="New file; for wcs a folder. Default: in the run folder.", metavar="FILE|DIR")
+    ] = None,
+    suspect: Annotated[bool, typer.Option("--suspect", help="Suspect attitudes as well.")] = False,
+    stars_only: Annotated[
+        bool, typer.Option("--stars-only", help="Leave out attitudes transferred from neighbors.")
+    ] = False,
+    max_gap: Annotated[float, typer.Option(help="ck, aem: longest gap to interpolate over, s.")] = 600.0,
+    instrument: Annotated[int | None, typer.Option(help="ck: NAIF code of the camera frame.", metavar="ID")] = None,
+    frame: Annotated[str | None, typer.Option(help="ck, aem: name of the camera frame.", metavar="NAME")] = None,
+    sclk: Annotated[
+        Path | None, typer.Option(help="ck: clock kernel of the spacecraft; default: one is made.", metavar="FILE.tsc")
+    ] = None,
+    object_name: Annotated[str, typer.Option(help="aem: spacecraft.")] = "UNKNOWN",
+    object_id: Annotated[str, typer.Option(help="aem: its international designator.")] = "UNKNOWN",
+    originator: Annotated[str, typer.Option(help="aem: creator of the message.")] = "UNKNOWN",
+    sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 5,
+    json: Json = False,
+) -> ExitCode:
+    """Write the attitudes of a run for other programs.
+
+    csv: quaternions and covariances. ck: SPICE C-kernel of type 3. aem: CCSDS attitude ephemeris. wcs: a FITS header
+    with TAN-SIP world coordinates for each image.
+    """
+    options = ExportOptions(
+        suspect=suspect,
+        stars_only=stars_only,
+        max_gap_s=max_gap,
+        instrument_id=instrument,
+        frame_name=frame,
+        sclk=sclk,
+        object_name=object_name,
+        object_id=object_id,
+        originator=originator,
+        sip_order=sip_order,
+    )
+    suffix = {ExportFormat.CK: "bc", ExportFormat.WCS: "wcs"}.get(kind, str(kind))
+    exported = export_run(folder, output or folder / f"attitudes_export.{suffix}", kind, options)
+    if json:
+        print_json(
+            {
+                "format": str(kind),
+                "files": [str(file) for file in exported.files],
+                "n_attitudes": exported.n_attitudes,
+                "left_out": dict(exported.left_out),
+            }
+        )
+        return ExitCode.DONE
+    for file in exported.files[:10]:
+        typer.echo(f"wrote {file}")
+    if len(exported.files) > 10:
+        typer.echo(f"and {len(exported.files) - 10} more")
+    skipped = "".join(f"; left out: {count} {reason}" for reason, count in exported.left_out.items())
+    typer.echo(f"{exported.n_attitudes} attitudes{skipped}")
+    return ExitCode.DONE
+
+
+def interlock(
+    first: Annotated[Path, typer.Argument(metavar="FIRST", help="Run folder, or a table of attitudes.")],
+    second: Annotated[Path, typer.Argument(metavar="SECOND", help="The other sensor's.")],
+    output: Annotated[Path, typer.Option(help="Output folder.", metavar="DIR")] = Path("interlock"),
+    tolerance: Annotated[float, typer.Option(help="Largest time difference of a pair, s.")] = 0.05,
+    json: Json = False,
+) -> ExitCode:
+    """Estimate the rotation between two cameras, or a camera and a star tracker.
+
+    Attitudes of the same time are paired. A table of attitudes has the columns of giantlike export
+    --format csv.
+    """
+    result = interlock_of(first, second, tolerance_s=tolerance)
+    files = write_interlock(result, output)
+    summary = result.summary()
+    if json:
+        print_json(summary | {"files": [str(file) for file in files]})
+        return ExitCode.DONE
+    sigma, scatter = summary["sigma_arcsec"], summary["scatter_arcsec"]
+    typer.echo(f"{summary['n_used']} of {summary['n_pairs']} pairs used; {summary['n_unpaired']} attitudes unpaired")
+    typer.echo(f"angle of the rotation {summary['rotation_angle_deg']:.6f} deg, between boresights "
+               f"{summary['boresight_angle_deg']:.6f} deg")  # fmt: skip
+    typer.echo("second_from_first (x, y, z, w): " + ", ".join(f"{q:.9f}" for q in summary["second_from_first_xyzw"]))
+    for axis in sigma:
+        spread = "unknown" if scatter[axis] is None else f"{scatter[axis]:.3g} arcsec"
+        typer.echo(f"about {axis}: sigma of the mean {sigma[axis]:.3g} arcsec, scatter of the pairs {spread}")
+    typer.echo(f"reduced chi-square {summary['reduced_chi2']:.3g}; wrote {', '.join(str(file) for file in files)}")
+    return ExitCode.DONE
+
+
+def render(
+    path: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.")],
+    output: Annotated[
+        Path | None, typer.Option(help="Folder, or the FITS file of an only image.", metavar="DIR|FILE")
+    ] = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> ExitCode:
+    """Make images of bodies and stars, with noise and with the truth in the file."""
+    plan = RenderPlan.load(path)
+    for warning in plan.warnings:
+        say(f"giantlike: {warning}")
+    with progress_bar() as progress:
+        images = render_images(plan, output, overwrite=overwrite, progress=progress)
+    if json:
+        print_json([_fields(image) for image in images])
+    else:
+        for image in images:
+            typer.echo(_line(image))
+    return ExitCode.DONE
+
+
+def demo(
+    output: Annotated[Path, typer.Option(help="Folder for images, campaign and run.", metavar="DIR")] = Path(
+        "demo-output"
+    ),
+    workers: Workers = None,
+    json: Json = False,
+) -> ExitCode:
+    """Simulate an approach to a small body, run it as a campaign, and compare with the truth."""
+    from giantlike.campaign.demo import run_demo
+
+    with progress_bar() as progress:
+        done = run_demo(output, workers=workers, progress=progress)
+    typer.echo(done.to_json() if json else done.text())
+    return ExitCode.DONE
+
+
+def _print_tables(result: RunResult) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    title = f"{result.name}: {len(result.attitudes)} images"
+    table = Table("", "ok", "suspect", "failed", "reasons", title=escape(title))
+    rows = {"attitude": StatusCounts.of(result.attitudes)}
+    for (target, estimator), records in result.by_estimator.items():
+        rows[f"{target}: {estimator}"] = StatusCounts.of(records)
+    for name, counts in rows.items():
+        reasons = ", ".join(f"{reason} ({count})" for reason, count in counts.reasons.items())
+        table.add_row(escape(name), str(counts.ok), str(counts.suspect), str(counts.failed), reasons)
+    Console().print(table)
+    failed = result.failed_images
+    names = ", ".join(failed[:5]) + (", ..." if len(failed) > 5 else "")
+    typer.echo(f"{len(failed)} images failed" + (f": {names}" if failed else ""))
+    typer.echo(f"{result.folder}/{REPORT_PAGE} ({result.time_s:.1f} s)")
+
+
+def _fields(image: RenderedImage) -> dict[str, object]:
+    return {
+        "file": str(image.path),
+        "targets": image.targets,
+        "stars": image.stars,
+        "peak_dn": image.peak_dn,
+        "background_dn": image.background_dn,
+        "saturated_px": image.saturated_px,
+        "cosmic_px": image.cosmic_px,
+        "time_s": round(image.time_s, 3),
+    }
+
+
+def _line(image: RenderedImage) -> str:
+    places = "".join(f", {name} at ({x:.1f}, {y:.1f})" for name, (x, y) in image.targets.items())
+    light = f"peak {image.peak_dn:.0f} DN, {image.saturated_px} px saturated"
+    return f"{image.path}: {image.stars} stars{places}; {light} ({image.time_s:.1f} s)"
