@@ -159,8 +159,7 @@ def _positions(stars: StarTable, years: Float, position_au: Float) -> Float:
     away = np.sum(start * velocity, axis=-1)
     slowness = 1.0 / light_years**2 - np.sum(velocity**2, axis=-1)
     light_time = (np.sqrt(away**2 + slowness * np.sum(start**2, axis=-1)) - away) / slowness
-    result: Float = start - velocity * light_time[:, None]
-    return result
+    return np.asarray(start - velocity * light_time[:, None])
 
 
 def _true_motion(radial_seen: Float, across_seen: Float) -> tuple[Float, Float]:

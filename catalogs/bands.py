@@ -100,8 +100,7 @@ class Band:
             own, other = color_bv, _polynomial(np.clip(color_bp_rp, *_BP_RP_RANGE), _BV_OF_BP_RP)
         typical = _TYPICAL[self.color] if self.typical_color is None else self.typical_color
         color = np.where(np.isfinite(own), own, np.where(np.isfinite(other), other, typical))
-        result: Float = base_magnitude + _polynomial(np.clip(color, *self.color_range), self.coefficients)
-        return result
+        return np.asarray(base_magnitude + _polynomial(np.clip(color, *self.color_range), self.coefficients))
 
 
 _G_MINUS_HP = (-0.0223, -0.4303, 0.0992, -0.0747)
@@ -158,5 +157,4 @@ def band_between(have: str, need: str | Band) -> tuple[Band, ...]:
 
 
 def _polynomial(x: Float, coefficients: tuple[float, ...]) -> Float:
-    result: Float = np.polynomial.polynomial.polyval(x, np.array(coefficients))
-    return result
+    return np.asarray(np.polynomial.polynomial.polyval(x, np.array(coefficients)))

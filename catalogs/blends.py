@@ -62,8 +62,7 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
     weight = flux / total[leader]
 
     def mean(values: Float) -> Float:
-        sums: Float = np.bincount(leader, weights=weight * values, minlength=len(stars)).astype(np.float64)
-        return sums
+        return np.asarray(np.bincount(leader, weights=weight * values, minlength=len(stars)).astype(np.float64))
 
     columns = stars.columns()
     center = np.stack([mean(component) for component in directions.T], axis=-1)

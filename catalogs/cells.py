@@ -143,15 +143,13 @@ def margins_rad(stars: StarTable) -> Float:
     motion = np.hypot(stars.pm_ra_mas_yr, stars.pm_dec_mas_yr) * RAD_PER_MAS
     nearest = 1.0 - np.abs(stars.radial_velocity_km_s) * _PER_KM_S * parallax * YEARS_FROM_EPOCH
     across = (motion * YEARS_FROM_EPOCH + parallax * OBSERVER_AU) / np.maximum(nearest, 1e-3)
-    result: Float = np.arcsin(np.minimum(1.01 * across, 1.0))  # 1 % for light-time terms
-    return result
+    return np.asarray(np.arcsin(np.minimum(1.01 * across, 1.0)))  # 1 % for light-time terms
 
 
 def _cells_in_zones() -> NDArray[np.int64]:
     """Number (zones,) of cells in each zone."""
     middle = np.radians(-90.0 + (np.arange(ZONES) + 0.5) * 180.0 / ZONES)
-    result: NDArray[np.int64] = np.maximum(np.rint(2 * ZONES * np.cos(middle)), 1).astype(np.int64)
-    return result
+    return np.asarray(np.maximum(np.rint(2 * ZONES * np.cos(middle)), 1).astype(np.int64))
 
 
 _IN_ZONE = _cells_in_zones()
@@ -162,8 +160,7 @@ _CELLS = int(_FIRST[-1])
 def _cells_of(ra_deg: Float, dec_deg: Float) -> NDArray[np.int64]:
     zone = np.clip(np.floor((dec_deg + 90.0) * (ZONES / 180.0)), 0, ZONES - 1).astype(np.int64)
     turn = np.mod(ra_deg, 360.0) / 360.0
-    result: NDArray[np.int64] = _FIRST[zone] + np.minimum((turn * _IN_ZONE[zone]).astype(np.int64), _IN_ZONE[zone] - 1)
-    return result
+    return np.asarray(_FIRST[zone] + np.minimum((turn * _IN_ZONE[zone]).astype(np.int64), _IN_ZONE[zone] - 1))
 
 
 def _runs(axis: Float, reach_rad: float, starts: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -186,8 +183,7 @@ def _runs(axis: Float, reach_rad: float, starts: NDArray[np.int64]) -> NDArray[n
     main = np.stack([base + np.maximum(left, 0), base + np.minimum(right, count)], axis=-1)
     before = np.stack([base + left + count, base + count], axis=-1)[wraps_left]
     after = np.stack([base, base + right - count], axis=-1)[wraps_right]
-    result: NDArray[np.int64] = starts[np.concatenate([main, before, after])]
-    return result
+    return np.asarray(starts[np.concatenate([main, before, after])])
 
 
 def _half_widths(zones: NDArray[np.intp], dec: float, reach: float, low: float, high: float) -> Float:
@@ -205,10 +201,8 @@ def _half_widths(zones: NDArray[np.intp], dec: float, reach: float, low: float, 
         width = np.where((edges[0] <= at) & (at <= edges[1]), widest, width)
     else:
         width = np.where((np.abs(edges) > np.pi / 2 - 1e-9).any(axis=0), np.pi, width)
-    result: Float = width + 1e-9
-    return result
+    return np.asarray(width + 1e-9)
 
 
 def _chord_squared(angle_rad: float | Float) -> Float:
-    result: Float = 4.0 * np.sin(np.minimum(angle_rad, np.pi) / 2.0) ** 2 * (1.0 + 1e-6)
-    return result
+    return np.asarray(4.0 * np.sin(np.minimum(angle_rad, np.pi) / 2.0) ** 2 * (1.0 + 1e-6))

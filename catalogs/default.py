@@ -151,8 +151,7 @@ def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
     (n,) float64, mag
     """
     color = np.clip(np.where(np.isfinite(color_bv), color_bv, _MEDIAN_BV), *_BV_RANGE)
-    result: Float = np.polyval(coefficients, color)
-    return result
+    return np.asarray(np.polyval(coefficients, color))
 
 
 def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:

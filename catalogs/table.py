@@ -117,8 +117,7 @@ class StarTable(Value):
             Per axis.
         """
         years = julian_year(et) - self.epoch_jyear
-        sigma: Float = np.hypot(self.sigma_mas, self.sigma_pm_mas_yr * years) * RAD_PER_MAS
-        return sigma
+        return np.asarray(np.hypot(self.sigma_mas, self.sigma_pm_mas_yr * years) * RAD_PER_MAS)
 
 
 COLUMN_TYPES: Mapping[str, type[np.generic]] = MappingProxyType(

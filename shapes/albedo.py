@@ -88,8 +88,7 @@ class FacetAlbedo(Value):
         -------
         (n,) float64
         """
-        found: Float = self.values[facets]
-        return found
+        return np.asarray(self.values[facets])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,8 +139,7 @@ class VertexAlbedo(Value):
         if self.faces is None or barycentric is None:
             missing = "the facets of its mesh: use mesh.with_albedo(...)" if self.faces is None else "barycentric"
             raise InputError(f"albedo by vertex needs {missing}")
-        result: Float = np.einsum("nc,nc->n", barycentric, self.values[self.faces[facets]])
-        return result
+        return np.asarray(np.einsum("nc,nc->n", barycentric, self.values[self.faces[facets]]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

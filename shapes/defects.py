@@ -100,8 +100,7 @@ class Edges(Value):
     def inconsistent(self) -> Mask:
         """Edges (e,) of two facets that run along them in the same direction."""
         along = np.bincount(self.of_side, weights=self.forward, minlength=len(self.ends))
-        wrong: Mask = (self.facets == 2) & (along != 1)
-        return wrong
+        return np.asarray((self.facets == 2) & (along != 1))
 
 
 def edges_of(faces: Faces) -> Edges:

@@ -156,8 +156,7 @@ def _waves(points: Float, random: np.random.Generator, *, wavenumber: float, wav
 def _power_law(random: np.random.Generator, limits: tuple[float, float], count: int) -> Float:
     """Sizes between limits whose cumulative number falls as size^-_POWER_LAW, largest first."""
     low, high = (limit**-_POWER_LAW for limit in limits)
-    sizes: Float = (high + (low - high) * np.sort(random.uniform(size=count))) ** (-1.0 / _POWER_LAW)
-    return sizes
+    return np.asarray((high + (low - high) * np.sort(random.uniform(size=count))) ** (-1.0 / _POWER_LAW))
 
 
 def _craters(points: Float, random: np.random.Generator) -> Float:

@@ -286,8 +286,7 @@ def _unit_derivative(vectors: Float, derivative: Float) -> Float:
     length = np.linalg.norm(vectors, axis=1)[:, None, None]
     directions = unit(vectors)
     across = np.eye(3) - np.einsum("ki,kj->kij", directions, directions)
-    result: Float = across @ derivative / length
-    return result
+    return np.asarray(across @ derivative / length)
 
 
 def _spread(rows: Float, valid: Mask) -> Float:

@@ -123,8 +123,7 @@ class LocalMap(Value):
         number = np.arange(rows * columns).reshape(rows, columns)
         a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
         faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=2).reshape(-1, 3)
-        known: Faces = faces[np.isfinite(self.heights_km.ravel()[faces]).all(axis=1)]
-        return known
+        return np.asarray(faces[np.isfinite(self.heights_km.ravel()[faces]).all(axis=1)])
 
 
 def overlaid(body: TriangleMesh, maps: Sequence[LocalMap], *, reach_km: float | None = None) -> TriangleMesh:
@@ -266,8 +265,7 @@ def _overlapping(points: Float, faces: Faces, local: LocalMap, reach_km: float) 
     half_x, half_y = local.half_extent_km
     top, bottom = float(local.heights_km.max()) + reach_km, float(local.heights_km.min()) - reach_km
     low, high = (extreme(points[faces], axis=1) for extreme in (np.min, np.max))
-    touching: Mask = np.all((low < [half_x, half_y, top]) & (high > [-half_x, -half_y, bottom]), axis=1)
-    return touching
+    return np.asarray(np.all((low < [half_x, half_y, top]) & (high > [-half_x, -half_y, bottom]), axis=1))
 
 
 def _border(grid: Indices) -> list[tuple[Indices, int, int]]:

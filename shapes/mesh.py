@@ -91,14 +91,12 @@ class TriangleMesh(Value):
     @property
     def normals(self) -> Float:
         """Outward unit normals (m, 3) of the facets, body axes."""
-        normals: Float = self.__dict__["_normals"]
-        return normals
+        return np.asarray(self.__dict__["_normals"])
 
     @property
     def areas_km2(self) -> Float:
         """Areas (m,) of the facets, km^2."""
-        areas: Float = self.__dict__["_areas_km2"]
-        return areas
+        return np.asarray(self.__dict__["_areas_km2"])
 
     @property
     def _surface_hash(self) -> str:

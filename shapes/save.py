@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import MappingProxyType
 
 from giantlike.core.arrays import require
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
-from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.files.dsk import DskIdentity, write_dsk
-from giantlike.shapes.files.formats import DSK_SUFFIXES, WRITERS
+from giantlike.shapes.files.formats import format_of
 from giantlike.shapes.mesh import TriangleMesh
-
-_KEPT_ALBEDO = MappingProxyType({".npz": (FacetAlbedo, VertexAlbedo), ".icq": (VertexAlbedo,), ".txt": (VertexAlbedo,)})
-"""Kinds of albedo that a format can hold, by the end of the file name; none in the others."""
 
 
 def save_shape(
@@ -43,11 +38,7 @@ def save_shape(
         The file system refused the write.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    writer = WRITERS.get(suffix)
-    if writer is None and suffix not in DSK_SUFFIXES:
-        known = ", ".join(sorted({*WRITERS, *DSK_SUFFIXES}))
-        raise InputError(f"{path}: shape files end in {known}, not {path.suffix!r}")
+    writer = format_of(path).write
     require(overwrite or not path.exists(), f"{path} exists: name another file, or allow overwriting (--overwrite)")
     with replacing(path) as part:
         if writer is not None:
@@ -70,5 +61,4 @@ def keeps_albedo(mesh: TriangleMesh, path: str | Path) -> bool:
     -------
     bool
     """
-    kept = _KEPT_ALBEDO.get(Path(path).suffix.lower(), ())
-    return mesh.albedo is None or isinstance(mesh.albedo, kept)
+    return mesh.albedo is None or isinstance(mesh.albedo, format_of(Path(path)).albedo)

@@ -94,8 +94,7 @@ class Surface(Value):
     @property
     def finite_vertices(self) -> Mask:
         """Mask (n,) of the vertices with three finite coordinates."""
-        finite: Mask = np.isfinite(np.abs(self.vertices).max(axis=1))
-        return finite
+        return np.asarray(np.isfinite(np.abs(self.vertices).max(axis=1)))
 
     @property
     def valid_faces(self) -> Mask:
@@ -126,8 +125,7 @@ def split_polygons(corners: Faces) -> Faces:
         return corners
     pairs = np.stack([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], axis=1)
     wanted = np.stack([np.ones(len(corners), dtype=bool), corners[:, 3] != -1], axis=1)
-    triangles: Faces = pairs[wanted]
-    return triangles
+    return np.asarray(pairs[wanted])
 
 
 def coincident_names(vertices: Float) -> Faces:
@@ -168,8 +166,7 @@ def close_names(vertices: Float, distance: float) -> Faces:
     labels = connected_labels(len(vertices), pairs[:, 0], pairs[:, 1])
     first = np.full(labels.max(initial=-1) + 1, len(vertices))
     np.minimum.at(first, labels, np.arange(len(vertices)))
-    names: Faces = first[labels]
-    return names
+    return np.asarray(first[labels])
 
 
 def connected_labels(count: int, first: Faces, second: Faces) -> Faces:

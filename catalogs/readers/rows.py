@@ -129,8 +129,7 @@ def stars_of(
 
 def rms(a: Float, b: Float) -> Float:
     """Root mean square (n,) of two columns: the error per axis of a star."""
-    result: Float = np.hypot(a, b) / np.sqrt(2.0)
-    return result
+    return np.asarray(np.hypot(a, b) / np.sqrt(2.0))
 
 
 def parsed(word: str | bytes, of_text: Callable[[str | bytes], float] = float) -> float | None:

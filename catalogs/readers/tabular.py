@@ -124,8 +124,7 @@ class _TextTable(Value):
             values = pa.array(numbers, kind)
         if kind == "int64":
             _require_identifiers(self, name, values.is_null().to_numpy(zero_copy_only=False))
-        result: NDArray[Any] = values.to_numpy(zero_copy_only=False)
-        return result
+        return np.asarray(values.to_numpy(zero_copy_only=False))
 
 
 def _require_identifiers(table: Table, name: str, missing: Mask) -> None:

@@ -266,8 +266,7 @@ def _linear(header: Mapping[str, Any]) -> Float:
     require(not header.get("CROTA2"), "CROTA2 is not supported: CD or PC keywords are needed")
     steps = np.array([_number(header, "CDELT1"), _number(header, "CDELT2")])
     turn = np.array([[float(header.get(f"PC{name}", float(name[0] == name[2]))) for name in row] for row in names])
-    result: Float = steps[:, None] * turn
-    return result
+    return np.asarray(steps[:, None] * turn)
 
 
 def _polynomial(header: Mapping[str, Any], letter: str, offsets: Float) -> Float:

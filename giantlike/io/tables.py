@@ -5,17 +5,15 @@ A field of the dataclass is a column; :func:`column` adds unit, frame and descri
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from giantlike.core.atomic import write_bytes_atomic, write_text_atomic
-from giantlike.io.csv_rows import CsvRow, read_csv_rows
+from giantlike.core.atomic import write_bytes_atomic
+from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
 
 Row = TypeVar("Row")
 
@@ -114,11 +112,7 @@ def write_rows(stem: Path, kind: type[Row], rows: Sequence[Row]) -> None:
     """
     columns = columns_of(kind)
     names = [column.name for column in columns if column.csv]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([_csv_text(getattr(row, name)) for name in names] for row in rows)
-    write_text_atomic(stem.with_suffix(".csv"), text.getvalue())
+    write_csv_rows(stem.with_suffix(".csv"), names, ([getattr(row, name) for name in names] for row in rows))
     write_bytes_atomic(stem.with_suffix(".parquet"), _parquet(columns, rows))
 
 
@@ -149,22 +143,14 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
 
 def _cell(row: CsvRow, column: Column) -> str | int | float | None:
     text = row.text(column.name)
-    if text is None:
-        if column.required:
-            raise row.error(column.name, "a value is needed")
-        return None
-    if column.kind == "text":
+    if column.required:
+        row.needed(text, (column.name,))
+    if text is None or column.kind == "text":
         return text
     try:
         return int(text) if column.kind == "integer" else float(text)
     except ValueError:
         raise row.error(column.name, f"a value of kind {column.kind} is needed") from None
-
-
-def _csv_text(value: str | int | float | None) -> str:
-    if value is None:
-        return ""
-    return repr(value) if isinstance(value, float) else str(value)
 
 
 def _parquet(columns: Sequence[Column], rows: Sequence[Any]) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from giantlike.core.errors import InputError
 from giantlike.core.reading import reads
+from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.files.dsk import read_dsk
 from giantlike.shapes.files.exchange import read_exchange, write_obj, write_stl
 from giantlike.shapes.files.icq import is_icq, read_icq, write_icq
@@ -36,37 +38,66 @@ def read_text(path: Path) -> Surface:
     return read_icq(path) if is_icq(path) else read_plate_table(path)
 
 
-READERS: Mapping[str, tuple[str, Callable[[Path], Surface]]] = MappingProxyType(
+@dataclass(frozen=True, slots=True)
+class ShapeFormat:
+    """A format of shape files.
+
+    Parameters
+    ----------
+    name : str
+        With its article, for messages.
+    read : callable
+        Takes a path and returns a :class:`~giantlike.shapes.surface.Surface`.
+    write : callable or None
+        Takes a path and a mesh; None for a DSK, which needs its identity as well.
+    albedo : tuple of type
+        Kinds of albedo that files can hold.
+    """
+
+    name: str
+    read: Callable[[Path], Surface]
+    write: Callable[[Path, TriangleMesh], None] | None
+    albedo: tuple[type[Albedo], ...] = ()
+
+
+_DSK = ShapeFormat("a DSK file", read_dsk, None)
+FORMATS: Mapping[str, ShapeFormat] = MappingProxyType(
     {
-        ".obj": ("an OBJ file", read_exchange),
-        ".ply": ("a PLY file", read_exchange),
-        ".stl": ("an STL file", read_exchange),
-        ".tab": ("a plate table", read_text),
-        ".plt": ("a plate table", read_plate_table),
-        ".txt": ("a plate table", read_text),
-        ".icq": ("an ICQ model", read_icq),
-        ".bds": ("a DSK file", read_dsk),
-        ".dsk": ("a DSK file", read_dsk),
-        ".npz": ("a shape archive", read_npz),
+        ".obj": ShapeFormat("an OBJ file", read_exchange, write_obj),
+        ".ply": ShapeFormat("a PLY file", read_exchange, write_ply),
+        ".stl": ShapeFormat("an STL file", read_exchange, write_stl),
+        ".tab": ShapeFormat("a plate table", read_text, write_plate_table),
+        ".plt": ShapeFormat("a plate table", read_plate_table, write_plate_table),
+        ".txt": ShapeFormat("a plate table", read_text, write_icq, (VertexAlbedo,)),
+        ".icq": ShapeFormat("an ICQ model", read_icq, write_icq, (VertexAlbedo,)),
+        ".bds": _DSK,
+        ".dsk": _DSK,
+        ".npz": ShapeFormat("a shape archive", read_npz, write_npz, (FacetAlbedo, VertexAlbedo)),
     }
 )
-"""Name and reader of each format, by the end of the file name."""
+"""Formats by the end of the file name."""
 
-DSK_SUFFIXES = (".bds", ".dsk")
 
-WRITERS: Mapping[str, Callable[[Path, TriangleMesh], None]] = MappingProxyType(
-    {
-        ".obj": write_obj,
-        ".ply": write_ply,
-        ".stl": write_stl,
-        ".tab": write_plate_table,
-        ".plt": write_plate_table,
-        ".txt": write_icq,
-        ".icq": write_icq,
-        ".npz": write_npz,
-    }
-)
-"""Writer of each format, by the end of the file name; a DSK needs its identity as well."""
+def format_of(path: Path) -> ShapeFormat:
+    """Return the format that the end of a file name says.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ShapeFormat
+
+    Raises
+    ------
+    InputError
+        It is not known.
+    """
+    known = FORMATS.get(path.suffix.lower())
+    if known is None:
+        raise InputError(f"{path}: shape files end in {', '.join(sorted(FORMATS))}, not {path.suffix!r}")
+    return known
 
 
 def read_file(path: Path) -> Surface:
@@ -88,17 +119,13 @@ def read_file(path: Path) -> Surface:
     DataError
         The file is missing or damaged.
     """
-    known = READERS.get(path.suffix.lower())
-    if known is None:
-        raise InputError(f"{path}: shape files end in {', '.join(sorted(READERS))}, not {path.suffix!r}")
-    what, read = known
+    known = format_of(path)
 
-    @reads(what)
-    def surface_of(path: Path) -> Surface:
+    def read(path: Path) -> Surface:
         if path.stat().st_size == 0:
             raise ValueError("the file is empty")
-        return read(path)
+        return known.read(path)
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        return surface_of(path)
+        return reads(known.name)(read)(path)
