@@ -84,7 +84,13 @@ class StarTable(Value):
         return int(self.ids.size)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return copies of the columns (n,), by name."""
+        """Return copies of the columns.
+
+        Returns
+        -------
+        dict of str to (n,) array
+            By name, in the order of :data:`COLUMN_TYPES`.
+        """
         return {name: np.array(getattr(self, name)) for name in COLUMN_TYPES}
 
     def select(self, index: ArrayLike) -> StarTable:

@@ -9,11 +9,8 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.shapes.mesh import Faces
+from giantlike.shapes.mesh import FLAT, Faces
 from giantlike.shapes.surface import Surface, coincident_names, connected_labels
-
-FLAT = 1e-20
-"""Facets with less area, over the square of the extent of the body, count as without area, as for a mesh."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

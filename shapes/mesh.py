@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,8 @@ from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 Faces = NDArray[np.int64]
 Indices = NDArray[np.int64]
 
+FLAT = 1e-20
+"""Facets with less area, over the square of the extent of the body, count as without area: rounding of float64."""
 _OPEN = 0.2  # sum of area vectors over area: above it a surface counts as a sheet, which has no inside
 
 
@@ -41,6 +43,13 @@ class TriangleMesh(Value):
     albedo : Albedo, optional
         Relative albedo, by facet or vertex in the order given here.
 
+    Attributes
+    ----------
+    areas_km2 : (m,) float64, km^2
+        Areas of the facets.
+    normals : (m, 3) float64, unitless, body
+        Outward unit normals of the facets.
+
     Raises
     ------
     InputError
@@ -53,6 +62,9 @@ class TriangleMesh(Value):
     name: str = "mesh"
     sha256: str = ""
     albedo: Albedo | None = None
+    areas_km2: Float = field(init=False, repr=False)
+    normals: Float = field(init=False, repr=False)
+    _surface_sha256: str = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices_km, self.faces)
@@ -62,47 +74,31 @@ class TriangleMesh(Value):
         if closed and _signed_volume(vertices, faces) < 0.0:
             faces, vectors = np.ascontiguousarray(faces[:, ::-1]), -vectors
         extent = float(np.max(np.ptp(vertices, axis=0)))
-        keep = areas > 1e-20 * extent**2
+        keep = areas > FLAT * extent**2
         require(bool(keep.any()), f"mesh {self.name!r}: no facet has any area")
         if not keep.all():
             faces, vectors, areas = faces[keep], vectors[keep], areas[keep]
         surface = self.sha256 or hashlib.sha256(vertices.tobytes() + faces.tobytes()).hexdigest()
         albedo = self.albedo
         if albedo is not None:
-            albedo = fitted_to_mesh(albedo, vertices=len(vertices), faces=frozen(faces), kept=keep)
-        for field, value in (
-            ("vertices_km", frozen(vertices)),
-            ("faces", frozen(faces)),
-            ("sha256", hash_with_albedo(surface, albedo)),
-            ("albedo", albedo),
-            ("_surface_sha256", surface),
-            ("_areas_km2", frozen(areas)),
-            ("_normals", frozen(vectors / areas[:, None])),
-        ):
-            object.__setattr__(self, field, value)
+            albedo = fitted_to_mesh(albedo, vertices=len(vertices), faces=faces, kept=keep)
+        for name, value in {
+            "vertices_km": vertices,
+            "faces": faces,
+            "sha256": hash_with_albedo(surface, albedo),
+            "albedo": albedo,
+            "areas_km2": areas,
+            "normals": vectors / areas[:, None],
+            "_surface_sha256": surface,
+        }.items():
+            object.__setattr__(self, name, value)
         Value.__post_init__(self)
 
     def __reduce__(self) -> tuple[type[TriangleMesh], tuple[Float, Faces, str, str, Albedo | None]]:
-        return type(self), (self.vertices_km, self.faces, self.name, self._surface_hash, self.albedo)
+        return type(self), (self.vertices_km, self.faces, self.name, self._surface_sha256, self.albedo)
 
     def __repr__(self) -> str:
         return f"TriangleMesh({self.name!r}, {len(self.vertices_km)} vertices, {len(self.faces)} facets)"
-
-    @property
-    def normals(self) -> Float:
-        """Outward unit normals (m, 3) of the facets, body axes."""
-        return np.asarray(self.__dict__["_normals"])
-
-    @property
-    def areas_km2(self) -> Float:
-        """Areas (m,) of the facets, km^2."""
-        return np.asarray(self.__dict__["_areas_km2"])
-
-    @property
-    def _surface_hash(self) -> str:
-        """Hash of the surface without its albedo."""
-        surface: str = self.__dict__["_surface_sha256"]
-        return surface
 
     @cached_property
     def area_km2(self) -> float:
@@ -211,7 +207,7 @@ class TriangleMesh(Value):
         InputError
             The albedo has another number of values.
         """
-        return TriangleMesh(self.vertices_km, self.faces, self.name, self._surface_hash, albedo)
+        return TriangleMesh(self.vertices_km, self.faces, self.name, self._surface_sha256, albedo)
 
     def translated(self, offset_body_km: ArrayLike) -> TriangleMesh:
         """Return the mesh at another place of the body axes, with a hash of its own; the albedo moves with it.
