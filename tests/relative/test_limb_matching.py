@@ -28,7 +28,7 @@ from giantlike.ray_tracing import Body, Lambert, McEwen, Reflectance, trace_silh
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.relative.estimator import gather
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
-from giantlike.relative.limb.fix import LimbView
+from giantlike.relative.limb.fix import limb_view
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.limb.line_scan import LimbScanOptions, LineScan, Outline, lay_lines
 from giantlike.scene import Scene, Target
@@ -236,9 +236,9 @@ def test_the_whole_limb_is_used_at_opposition(phase_deg: float, law: Reflectance
     case = body_image(body(), 47, phase_deg=phase_deg, law=law, radius_px=50.0).believed(**OFF)  # type: ignore[arg-type]
     inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
     assert not isinstance(inputs, Failure)
-    view = LimbView.of(inputs)
+    view = limb_view(inputs)
     outline = Outline.traced(view, inputs.geometry.body())
-    lines = lay_lines(view.image, outline, max_lines=300, spacing_px=1.5, margin_px=0.0)
+    lines = lay_lines(view, outline, max_lines=300, spacing_px=1.5, margin_px=0.0)
     assert lines is not None
     assert lines.angles_rad.size * lines.spacing_px > 0.97 * lines.perimeter_px
     fix = fixed(case)
@@ -417,13 +417,13 @@ def test_the_limb_of_a_mesh_moves_with_it_as_the_design_says() -> None:
     case = body_image(body(), 51, phase_deg=60.0)
     inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
     assert not isinstance(inputs, Failure)
-    view, options, shape = LimbView.of(inputs), LimbMatchingOptions(), inputs.geometry.body()
+    view, options, shape = limb_view(inputs), LimbMatchingOptions(), inputs.geometry.body()
     measured = []
     for shift_px in (0.0, 0.5):
         position = case.believed(off_px=(shift_px, 0.0)).scene.geometry(case.image)
         assert not isinstance(position, Failure)
         placed = shape.at(position.position_camera_km)
-        lines = lay_lines(view.image, Outline.traced(view, placed), max_lines=400, spacing_px=1.5, margin_px=7.0)
+        lines = lay_lines(view, Outline.traced(view, placed), max_lines=400, spacing_px=1.5, margin_px=7.0)
         assert lines is not None
         scan = LineScan(view=view, body=shape, lines=lines, search=options, options=options.scan)
         limb = scan.measured(placed.position_camera_km)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,9 +14,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.limb.measurement import (
-    LimbImage,
     LimbMeasurement,
-    PointScores,
+    LimbView,
     SmoothError,
     judge_points,
     too_few,
@@ -22,7 +23,7 @@ from giantlike.processing.limb.measurement import (
 from giantlike.ray_tracing import Body, FocalPlane, McEwen, RenderOptions, Template, render
 from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
 from giantlike.relative.horizon.geometry import Altitude, Figure, fit_horizon
-from giantlike.relative.limb.fix import IteratedSearch, LimbView
+from giantlike.relative.limb.fix import IteratedSearch
 from giantlike.relative.limb.limb_matching import solve_limb
 from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
 from giantlike.shapes import Ellipsoid
@@ -55,14 +56,16 @@ def seen() -> tuple[LimbView, Body]:
     light = template.placed(SIZE, SIZE) * 3000.0 / template.brightness.max()
     rng = np.random.default_rng(4)
     pixels = rng.poisson(light) + rng.normal(0.0, 5.0, light.shape)
-    image = LimbImage(
+    view = LimbView(
         pixels_dn=pixels,
         usable=np.ones(pixels.shape, dtype=bool),
         saturated=np.zeros(pixels.shape, dtype=bool),
         detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0),
         plane=PLANE,
+        sun_direction_camera=SUN,
+        radius_px=RADIUS_PX,
     )
-    return LimbView(image=image, sun_direction_camera=SUN, radius_px=RADIUS_PX), truth
+    return view, truth
 
 
 def sigmas(position: Float, covariance: Float, truth: Float) -> float:
@@ -95,14 +98,12 @@ def test_points_are_rejected_for_the_first_reason_that_applies() -> None:
     yes = np.ones(6, dtype=bool)
     no = {number: np.arange(6) != number for number in range(6)}
     gains = np.array([1.0, 1.0, 1.0, 6.0, 1.0, 1.0])
-    scores = PointScores(
-        complete=no[0], strong=no[0] & no[1], alike=no[2], gain_dn=gains, even=True, also={"ambiguous": no[4]}
+    good, rejected = judge_points(
+        complete=no[0], strong=no[0] & no[1], alike=no[2], gain_dn=gains, also={"ambiguous": no[4]}
     )
-    good, rejected = judge_points(scores)
     assert good.tolist() == [False, False, False, False, False, True]
     assert list(rejected.values()) == [1, 1, 1, 1, 1]
-    uneven = PointScores(complete=yes, strong=yes, alike=yes, gain_dn=gains, even=False, also={})
-    assert judge_points(uneven)[0].all()
+    assert judge_points(complete=yes, strong=yes, alike=yes, gain_dn=gains, even=False)[0].all()
 
 
 @pytest.mark.parametrize(("share", "reason"), [(0.1, Reason.NO_LIMB), (0.3, Reason.SATURATED)])
@@ -110,15 +111,9 @@ def test_too_few_points_name_saturation_where_it_is_the_reason(share: float, rea
     view, _ = seen()
     saturated = np.zeros((SIZE, SIZE), dtype=bool)
     saturated[: int(share * SIZE)] = True
-    image = LimbImage(
-        pixels_dn=view.image.pixels_dn,
-        usable=~saturated,
-        saturated=saturated,
-        detector=view.image.detector,
-        plane=PLANE,
-    )
+    view = replace(view, usable=~saturated, saturated=saturated)
     everywhere, good = np.ones((SIZE, SIZE), dtype=bool), np.arange(9) < 4
-    failure = too_few(image, everywhere, good, {"too weak": 5, "ambiguous": 0}, needed=8)
+    failure = too_few(view, everywhere, good, {"too weak": 5, "ambiguous": 0}, needed=8)
     assert isinstance(failure, Failure)
     assert failure.reason is reason
     assert failure.detail.startswith("4 of 9")

@@ -44,7 +44,7 @@ from giantlike.relative.limb.fix import EdgeModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid
 from tests.limb_images import CAMERA, BodyImage, assert_sound, body_image, mean_nees_band
-from tests.tolerances import FLOAT64_SUM
+from tests.tolerances import FLOAT64_SUM, RARE
 
 LIGHT = 0.01  # of the brightest place, profile against rendered: 12 x 12 rays a pixel leave 0.5 %
 SLOPE, CURVE = 5e-3, 0.06  # of the largest: cubics through the table, straight lines for the second derivative
@@ -104,10 +104,8 @@ def test_the_profile_across_the_horizon_is_that_of_rendered_light(law: Reflectan
     arc = horizon_of(position, figure)
     table = profile_table(
         arc,
-        figure,
-        position,
-        sun_direction_camera=sun,
-        law=law,
+        sun,
+        law,
         width_px=blur_width_px(0.49),
         window_px=4.0,
         powers=1,
@@ -132,10 +130,8 @@ def test_the_slopes_of_the_profile_are_its_derivatives() -> None:
     position = np.array([0.01, 0.02, 6.0])
     table = profile_table(
         horizon_of(position, figure),
-        figure,
-        position,
-        sun_direction_camera=unit(np.array([0.7, -0.4, -0.6])),
-        law=McEwen(),
+        unit(np.array([0.7, -0.4, -0.6])),
+        McEwen(),
         width_px=0.8,
         window_px=5.0,
         powers=3,
@@ -288,7 +284,7 @@ def test_what_is_not_known_of_the_altitude_is_in_the_covariance_of_the_range_and
     assert isinstance(known, PositionFix), known
     assert_allclose(free.sigma_range_km / free.range_km, 0.003 / 0.3, rtol=0, atol=2e-3)
     assert_allclose(free.covariance_px2, known.covariance_px2, rtol=0, atol=0.1 * SIGMA_PX**2)
-    assert case.nees(free) < chi2.ppf(1.0 - 3)
+    assert case.nees(free) < chi2.ppf(1.0 - RARE, 3)
     assert math.isclose(float(free.provenance["limb_altitude_km"]), 0.004, abs_tol=0.003)
     assert float(free.provenance["altitude_sigma_km"]) > 0.0029
     assert "limb_altitude_km" in known.provenance
@@ -301,7 +297,7 @@ def test_oblateness_tells_some_of_the_altitude() -> None:
     options = SigmoidLimbOptions(limb_altitude_km=0.004, altitude_sigma_km=0.003)
     fix = fixed(case, options)
     assert float(fix.provenance["altitude_sigma_km"]) < 0.0025
-    assert case.nees(fix) < chi2.ppf(1.0 - 3)
+    assert case.nees(fix) < chi2.ppf(1.0 - RARE, 3)
 
 
 # --- no position ------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, Mask, as_finite, require
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 
 Pixels = NDArray[np.int64]
 
@@ -56,17 +56,6 @@ class EdgePoints(Value):
 
     def __len__(self) -> int:
         return len(self.points_px)
-
-    def select(self, which: Mask | NDArray[np.integer]) -> EdgePoints:
-        """The edges that a mask (n,) or indices choose."""
-        return EdgePoints(
-            pixels_px=self.pixels_px[which],
-            points_px=self.points_px[which],
-            normals_px=self.normals_px[which],
-            sigma_px=self.sigma_px[which],
-            sigma_normal_rad=self.sigma_normal_rad[which],
-            contrast_dn=self.contrast_dn[which],
-        )
 
 
 def scan_edges(
@@ -197,14 +186,15 @@ def measured_edges(
             np.int64
         )
     good = np.isfinite(off) & (off < _FAR_PX) & np.isfinite(found.sigma_px) & (found.contrast_dn > 0)
-    return EdgePoints(
+    edges = EdgePoints(
         pixels_px=middles,
         points_px=middles + found.offsets_px,
         normals_px=found.normals_px,
         sigma_px=found.sigma_px,
         sigma_normal_rad=found.sigma_normal_rad,
         contrast_dn=found.contrast_dn,
-    ).select(good)
+    )
+    return select_rows(edges, good)
 
 
 def _windows(pixels_dn: Float, middles_px: Pixels, half_px: int) -> Float:

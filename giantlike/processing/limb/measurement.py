@@ -29,8 +29,8 @@ _SATURATED_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LimbImage(Value):
-    """Pixels and what is known of how they were recorded.
+class LimbView(Value):
+    """Pixels of a body, how they were recorded, and how it is lit: all that measurements of a limb need to know.
 
     Parameters
     ----------
@@ -43,6 +43,10 @@ class LimbImage(Value):
         Noise model.
     plane : FocalPlane
         Camera model and point spread function, None where unknown.
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
+    radius_px : float, px
+        Predicted apparent radius of the body.
     """
 
     pixels_dn: Float
@@ -50,6 +54,8 @@ class LimbImage(Value):
     saturated: Mask
     detector: Detector
     plane: FocalPlane
+    sun_direction_camera: Float
+    radius_px: float
 
     @property
     def model(self) -> CameraModel:
@@ -231,9 +237,16 @@ class LimbMeasurement(Value):
         return float(np.std(left) * np.max(np.linalg.norm(leverage, axis=1)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PointScores(Value):
-    """How well each of n points on a limb was measured.
+def judge_points(
+    *,
+    complete: Mask,
+    strong: Mask,
+    alike: Mask,
+    gain_dn: Float,
+    even: bool = True,
+    also: Mapping[str, Mask] | None = None,
+) -> tuple[Mask, dict[str, int]]:
+    """Decide which points of a limb were measured well.
 
     Parameters
     ----------
@@ -247,25 +260,8 @@ class PointScores(Value):
         Brightness in the image over the expected one, in any unit.
     even : bool
         The gains of good points are alike; False where the expected brightness is not that of the body.
-    also : mapping of str to (n,) bool
+    also : mapping of str to (n,) bool, optional
         Other checks, by the reason for which points that fail them are rejected.
-    """
-
-    complete: Mask
-    strong: Mask
-    alike: Mask
-    gain_dn: Float
-    even: bool
-    also: Mapping[str, Mask]
-
-
-def judge_points(scores: PointScores) -> tuple[Mask, dict[str, int]]:
-    """Decide which points are good.
-
-    Parameters
-    ----------
-    scores : PointScores
-        Of n points.
 
     Returns
     -------
@@ -273,19 +269,19 @@ def judge_points(scores: PointScores) -> tuple[Mask, dict[str, int]]:
     rejected : dict of str to int
         Number of the others by reason, the first that applies.
     """
-    gain_ok = scores.gain_dn > 0.0
-    typical = scores.complete & scores.alike & gain_ok
-    if scores.even and typical.any():
-        low, high = np.array(GAIN_RANGE) * float(np.median(scores.gain_dn[typical]))
-        gain_ok = (scores.gain_dn > low) & (scores.gain_dn < high)
+    gain_ok = gain_dn > 0.0
+    typical = complete & alike & gain_ok
+    if even and typical.any():
+        low, high = np.array(GAIN_RANGE) * float(np.median(gain_dn[typical]))
+        gain_ok = (gain_dn > low) & (gain_dn < high)
     checks = {
-        "masked, saturated or outside the frame": scores.complete,
-        "too weak": scores.strong,
-        "not like the expected profile": scores.alike,
+        "masked, saturated or outside the frame": complete,
+        "too weak": strong,
+        "not like the expected profile": alike,
         "too bright or too dark": gain_ok,
-        **scores.also,
+        **(also or {}),
     }
-    good = np.ones(scores.complete.shape, dtype=bool)
+    good = np.ones(complete.shape, dtype=bool)
     rejected = {}
     for name, passed in checks.items():
         rejected[name] = int((good & ~passed).sum())
@@ -293,12 +289,12 @@ def judge_points(scores: PointScores) -> tuple[Mask, dict[str, int]]:
     return good, rejected
 
 
-def too_few(image: LimbImage, area: Mask, good: Mask, rejected: Mapping[str, int], *, needed: int) -> Failure:
+def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int], *, needed: int) -> Failure:
     """Return the failure of a limb with too few good points.
 
     Parameters
     ----------
-    image : LimbImage
+    view : LimbView
     area : (rows, columns) bool
         Pixels near the limb.
     good : (n,) bool
@@ -312,7 +308,7 @@ def too_few(image: LimbImage, area: Mask, good: Mask, rejected: Mapping[str, int
     Failure
         ``SATURATED`` where many of the pixels are, else ``NO_LIMB``.
     """
-    saturated = float(image.saturated[area].mean()) if area.any() else 0.0
+    saturated = float(view.saturated[area].mean()) if area.any() else 0.0
     reasons = ", ".join(f"{count} {name}" for name, count in rejected.items() if count)
     return Failure(
         Reason.SATURATED if saturated > _SATURATED_SHARE else Reason.NO_LIMB,
@@ -321,12 +317,12 @@ def too_few(image: LimbImage, area: Mask, good: Mask, rejected: Mapping[str, int
     )
 
 
-def no_lit_limb(image: LimbImage, outline_px: Float, inside: Mask, phase_rad: float) -> Failure:
+def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, phase_rad: float) -> Failure:
     """Return the failure of a predicted outline of which no lit part lies in the frame.
 
     Parameters
     ----------
-    image : LimbImage
+    view : LimbView
     outline_px : (k, 2) float64, px
         All around; points that the camera does not image are NaN or left out.
     inside : (k,) bool
@@ -339,7 +335,7 @@ def no_lit_limb(image: LimbImage, outline_px: Float, inside: Mask, phase_rad: fl
     Failure
         ``NOT_LIT`` where some of it is in the frame, else ``NO_LIMB``.
     """
-    rows, columns = image.usable.shape
+    rows, columns = view.usable.shape
     if inside.any():
         return Failure(
             Reason.NOT_LIT,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.processing.limb.measurement import LimbImage, PredictedLimb
+from giantlike.processing.limb.measurement import LimbView, PredictedLimb
 
 _COARSE_BLUR_PX = 1.0
 _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # of the radius
@@ -116,12 +116,12 @@ def search_limb(
         scales, scale_step, step = np.unique(scales), scale_step / _FINER, step / _FINER
 
 
-def find_limb(image: LimbImage, limb: PredictedLimb, center_px: Float, search: OutlineSearch) -> CoarseLimb | Failure:
+def find_limb(view: LimbView, limb: PredictedLimb, center_px: Float, search: OutlineSearch) -> CoarseLimb | Failure:
     """Find a whole outline, or tell that there is none.
 
     Parameters
     ----------
-    image : LimbImage
+    view : LimbView
     limb : PredictedLimb
     center_px : (2,) float64, px
         Point about which the outline grows.
@@ -133,16 +133,16 @@ def find_limb(image: LimbImage, limb: PredictedLimb, center_px: Float, search: O
         ``NO_LIMB`` where the contrast across the best outline is too small; ``OUT_OF_FRAME`` where the camera model
         images nothing there.
     """
-    found = search_limb(image.pixels_dn, image.usable, limb, center_px, search)
+    found = search_limb(view.pixels_dn, view.usable, limb, center_px, search)
     if found.contrast < search.min_contrast:
         return Failure(
             Reason.NO_LIMB,
             f"no limb within {search.search_px:g} px of the predicted one: the best contrast across "
             f"{len(limb.points_px)} lit limb points is {found.contrast:.3f}, needed {search.min_contrast:g}; the "
-            f"brightest good pixel holds {float(image.pixels_dn[image.usable].max()):.4g} DN over bias, noise in the "
+            f"brightest good pixel holds {float(view.pixels_dn[view.usable].max()):.4g} DN over bias, noise in the "
             f"dark is {search.noise_dn:.3g} DN",
         )
-    if not np.isfinite(image.model.unproject(center_px + found.shift_px)).all():
+    if not np.isfinite(view.model.unproject(center_px + found.shift_px)).all():
         return Failure(Reason.OUT_OF_FRAME, "the limb was found where the camera model images nothing")
     return found
 

@@ -10,11 +10,11 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
     LimbMeasurement,
-    PointScores,
+    LimbView,
     PredictedLimb,
     SmoothError,
     judge_points,
@@ -25,7 +25,7 @@ from giantlike.processing.limb.measurement import (
 )
 from giantlike.processing.limb.search import find_limb
 from giantlike.ray_tracing import Reflectance
-from giantlike.relative.horizon.cells import CellFits, LimbPixels, fit_cells, limb_pixels
+from giantlike.relative.horizon.cells import CellFits, fit_cells, limb_pixels
 from giantlike.relative.horizon.geometry import Altitude, Figure
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
 from giantlike.relative.horizon.rings import Rings
@@ -34,7 +34,6 @@ from giantlike.relative.limb.fix import (
     IteratedSearch,
     LimbState,
     LimbStep,
-    LimbView,
     agreeing_step,
     settle_limb,
 )
@@ -208,9 +207,9 @@ def measure_by_cells(
     lit = scan.lit(position_camera_km, reach_px=search.search_px)
     if isinstance(lit, Failure):
         return lit
-    model, limb = view.image.model, lit.limb(_COARSE_POINTS)
+    model, limb = view.model, lit.limb(_COARSE_POINTS)
     center_px = model.project(position_camera_km)
-    found = find_limb(view.image, limb, center_px, view.outline_search(search, options.min_contrast))
+    found = find_limb(view, limb, center_px, search.outline_search(view, options.min_contrast))
     if isinstance(found, Failure):
         return found
     range_km = float(np.linalg.norm(position_camera_km)) / found.scale
@@ -279,7 +278,7 @@ class CellScan(Value):
     @property
     def nominal_psf_px2(self) -> float:
         """Variance of the point spread function before the measurement, px^2."""
-        sigma_px = self.view.image.psf_sigma_px
+        sigma_px = self.view.psf_sigma_px
         return (UNKNOWN_PSF_SIGMA_PX if sigma_px is None else sigma_px) ** 2
 
     @property
@@ -300,15 +299,15 @@ class CellScan(Value):
         LitHorizon or Failure
             ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``DEGENERATE_GEOMETRY``.
         """
-        image, sun = self.view.image, self.view.sun_direction_camera
-        whole = horizon_arc(image.model, self.figure, position_km)
+        view, sun = self.view, self.view.sun_direction_camera
+        whole = horizon_arc(view.model, self.figure, position_km)
         if isinstance(whole, Failure):
             return whole
-        inside = image.contains(whole.points_px, margin_px=-reach_px)
-        light = brightness_inside(whole, self.figure, position_km, sun_direction_camera=sun, law=self.law)
+        inside = view.contains(whole.points_px, margin_px=-reach_px)
+        light = brightness_inside(whole, sun, self.law)
         chosen = inside & (light > MIN_BRIGHTNESS * light.max())
         if not chosen.any():
-            return no_lit_limb(image, whole.points_px, inside, phase_angle_rad(position_km, sun))
+            return no_lit_limb(view, whole.points_px, inside, phase_angle_rad(position_km, sun))
         if self.options.rings_km is not None:
             chosen &= ~Rings(*self.options.rings_km).hide(
                 whole.points_camera_km, position_km, self.figure.camera_from_axes, sun_direction_camera=sun
@@ -316,9 +315,9 @@ class CellScan(Value):
             if not chosen.any():
                 return Failure(Reason.NO_LIMB, "rings or their shadow cover all of the lit limb in the frame")
         return LitHorizon(
-            arc=whole.only(chosen),
+            arc=select_rows(whole, chosen),
             light=light[chosen],
-            cut_by_frame=not (whole.complete and bool(image.contains(whole.points_px).all())),
+            cut_by_frame=not (whole.complete and bool(view.contains(whole.points_px).all())),
         )
 
     def measure(self, state: LimbState) -> CellMeasurement | Failure:
@@ -327,39 +326,34 @@ class CellScan(Value):
         lit = self.lit(position, reach_px=0.0)
         if isinstance(lit, Failure):
             return lit
-        image, options, arc = self.view.image, self.options, lit.arc
+        view, options, arc = self.view, self.options, lit.arc
         if first:
             cells = len(arc.points_px) * arc.spacing_px / self.cell_px
             arc = arc.thinned(self.cell_px, math.ceil(cells / _FIRST_CELLS))
         psf_px2 = state.psf_px2 + (_FIRST_BLUR_PX2 if first else 0.0)
         table = profile_table(
             arc,
-            self.figure,
-            position,
-            sun_direction_camera=self.view.sun_direction_camera,
-            law=self.law if options.edges is EdgeModel.TEMPLATE else None,
+            view.sun_direction_camera,
+            self.law if options.edges is EdgeModel.TEMPLATE else None,
             width_px=blur_width_px(psf_px2),
             window_px=options.window_px,
             powers=2 if first else options.powers + 1,
         )
-        pixels = limb_pixels(
-            arc,
-            image.model,
-            self.figure,
-            position,
-            self._clear(position),
-            window_px=options.window_px,
-            cell_px=self.cell_px,
-        )
+        pixels = limb_pixels(arc, view.model, self._clear(position), window_px=options.window_px, cell_px=self.cell_px)
         across = np.arange(-options.window_px, options.window_px + 0.5, 0.5)
-        area = pixels_near(arc.points_px, arc.normals_px, across, image.usable.shape)
+        area = pixels_near(arc.points_px, arc.normals_px, across, view.usable.shape)
         if pixels is None:
-            return too_few(image, area, np.zeros(0, dtype=bool), {}, needed=options.min_cells)
-        fits = fit_cells(pixels, image.pixels_dn, table, image.detector.variance_dn2)
-        good, rejected = judge_points(_scores(pixels, fits, _MAX_UNEXPLAINED_FIRST if first else _MAX_UNEXPLAINED))
+            return too_few(view, area, np.zeros(0, dtype=bool), {}, needed=options.min_cells)
+        fits = fit_cells(pixels, view.pixels_dn, table, view.detector.variance_dn2)
+        good, rejected = judge_points(
+            complete=(pixels.filled > _MIN_FILLED) & np.isfinite(fits.chi2),
+            strong=fits.contrast > _MIN_CONTRAST_SIGMAS,
+            alike=fits.unexplained < (_MAX_UNEXPLAINED_FIRST if first else _MAX_UNEXPLAINED),
+            gain_dn=fits.gain_dn,
+        )
         if good.sum() < options.min_cells:
-            return too_few(image, area, good, rejected, needed=options.min_cells)
-        fits, middles = fits.only(good), pixels.middles[good]
+            return too_few(view, area, good, rejected, needed=options.min_cells)
+        fits, middles = select_rows(fits, good), pixels.middles[good]
         prior, prior_pull = self._prior(psf_px2)
         return CellMeasurement(
             predicted_px=arc.points_px[middles],
@@ -385,7 +379,7 @@ class CellScan(Value):
         """Step of position and blur by all cells together; blur and law are held at first where they are known."""
         keep = agreeing_step(measured, self.search.outlier_mad).keep
         measured = replace(measured, keep=keep)
-        known = self.view.image.psf_sigma_px is not None
+        known = self.view.psf_sigma_px is not None
         stiff = _STIFF if known and state.iteration < _STIFF_STEPS else 0.0
         sigma = measured.sigma_px[keep]
         design = np.concatenate([measured.design, measured.fits.shared], axis=1)[keep] / sigma[:, None]
@@ -426,7 +420,7 @@ class CellScan(Value):
     def _prior(self, psf_px2: float) -> tuple[Float, Float]:
         """What is known of blur and law before: information (2, 2), and that times the expectation (2,)."""
         sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
-        if self.view.image.psf_sigma_px is not None:
+        if self.view.psf_sigma_px is not None:
             sigma_px2 = 2.0 * self.options.psf_error * max(self.nominal_psf_px2, _LEAST_VARIANCE_PX2)
         law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
         prior = np.diag([sigma_px2**-2, law_sigma**-2])
@@ -434,22 +428,10 @@ class CellScan(Value):
 
     def _clear(self, position_km: Float) -> Mask:
         """Usable pixels (rows, columns) that no rings cover."""
-        image = self.view.image
+        view = self.view
         if self.options.rings_km is None:
-            return image.usable
+            return view.usable
         covered = Rings(*self.options.rings_km).cover(
-            image.plane, position_km, self.figure.camera_from_axes, widened_px=2.0 * UNKNOWN_PSF_SIGMA_PX
+            view.plane, position_km, self.figure.camera_from_axes, widened_px=2.0 * UNKNOWN_PSF_SIGMA_PX
         )
-        return image.usable & ~covered
-
-
-def _scores(pixels: LimbPixels, fits: CellFits, max_unexplained: float) -> PointScores:
-    """How well cells were fitted."""
-    return PointScores(
-        complete=(pixels.filled > _MIN_FILLED) & np.isfinite(fits.chi2),
-        strong=fits.contrast > _MIN_CONTRAST_SIGMAS,
-        alike=fits.unexplained < max_unexplained,
-        gain_dn=fits.gain_dn,
-        even=True,
-        also={},
-    )
+        return view.usable & ~covered

@@ -8,14 +8,14 @@ used cell by cell (the Christian-Robinson algorithm) or added up over all of the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
+from giantlike.relative.horizon.geometry import PixelRays, ray_residuals
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
 
 _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
@@ -103,10 +103,6 @@ class CellFits(Value):
         result: Float = self.pull[:, 0] / self.information[:, 0, 0]
         return result
 
-    def only(self, chosen: Mask) -> CellFits:
-        """Return the cells that are ``chosen`` (c,)."""
-        return CellFits(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
-
     def about_shared(self, keep: Mask) -> tuple[Float, Float]:
         """Information (2, 2) on blur and law of the cells in ``keep``, every shift free, and their pull (2,)."""
         gained = self.information[keep, 1:, 1:] - np.einsum(
@@ -117,27 +113,25 @@ class CellFits(Value):
 
 
 def limb_pixels(
-    arc: HorizonArc,
-    model: CameraModel,
-    figure: Figure,
-    position_camera_km: Float,
-    usable: Mask,
-    *,
-    window_px: float,
-    cell_px: float,
+    arc: HorizonArc, model: CameraModel, usable: Mask, *, window_px: float, cell_px: float
 ) -> LimbPixels | None:
-    """Gather the pixels within ``window_px`` of the points of ``arc``; None when there is no usable one.
+    """Gather the pixels near a horizon in cells.
 
     Parameters
     ----------
     arc : HorizonArc
-        The part of the horizon that counts.
+        Part of the horizon that counts.
     model : CameraModel
-    figure : Figure
-    position_camera_km : (3,) float64, km, camera axes
     usable : (rows, columns) bool
-    window_px, cell_px : float, px
-        Reach across the horizon; length of a cell along it.
+    window_px : float, px
+        Reach to both sides of the horizon.
+    cell_px : float, px
+        Length of a cell along the horizon.
+
+    Returns
+    -------
+    LimbPixels or None
+        None where there is no usable pixel.
     """
     across = np.arange(-window_px, window_px + _ACROSS_STEP_PX, _ACROSS_STEP_PX)
     pieces = max(round(arc.spacing_px / _ALONG_STEP_PX), 1)
@@ -153,8 +147,8 @@ def limb_pixels(
     pixels, nodes = pixels[inside], nodes[inside]
     first = _firsts(pixels)
     pixels, nodes = pixels[first], nodes[first]
-    rays = PixelRays(model.unproject(pixels.astype(np.float64)), arc.rays.by_pixel[nodes])
-    outward, _, _ = ray_residuals(rays, figure, position_camera_km, steps=_FOOT_STEPS)
+    rays = PixelRays(model.unproject(pixels.astype(np.float64)), arc.by_pixel[nodes])
+    outward, _, _ = ray_residuals(rays, arc.body.figure, arc.body.position_camera_km, steps=_FOOT_STEPS)
     near = (np.abs(outward) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
     if not near.any():
         return None
@@ -211,38 +205,27 @@ def fit_cells(
     information = np.swapaxes(extra, 1, 2) @ weighted - np.swapaxes(crossed, 1, 2) @ (solver @ crossed)
     left = data - (columns @ solution[..., None])[..., 0]
     pull = (np.swapaxes(weighted, 1, 2) @ left[..., None])[..., 0]
-    return _cell_fits(information, pull, left, weights, good, columns.shape[2], inside, gain)
-
-
-def _cell_fits(
-    information: Float,
-    pull: Float,
-    left: Float,
-    weights: Float,
-    good: Mask,
-    free: int,
-    inside: Float,
-    gain: Float,
-) -> CellFits:
-    """Put together; cells that say nothing get hardly any information instead of none."""
-    poor = good.sum(axis=1) < free + 3 + _MIN_FREEDOM  # rounding alone may be left of their information
-    information = np.where(poor[:, None, None], _RIDGE * np.eye(3), information)
-    least = _RIDGE * np.maximum(np.trace(information, axis1=1, axis2=2), 1e-30)
-    information = information + least[:, None, None] * np.eye(3)
+    freedom = good.sum(axis=1) - columns.shape[2] - 3
+    information = _floored(information, freedom)
     explained = np.einsum("ci,ci->c", pull, np.linalg.solve(information, pull[..., None])[..., 0])
-    free = free + 3
     remains = np.maximum((weights * left**2).sum(axis=1) - explained, 0.0)
-    chi2 = np.where(poor, np.inf, remains / np.maximum(good.sum(axis=1) - free, 1))
-    dark_noise = 1.0 / np.sqrt(weights.max(axis=1))
     rms = np.sqrt(remains / weights.sum(axis=1))
     return CellFits(
         information=information,
         pull=pull,
-        chi2=chi2,
+        chi2=np.where(freedom < _MIN_FREEDOM, np.inf, remains / np.maximum(freedom, 1)),
         gain_dn=gain,
-        contrast=inside / dark_noise,
+        contrast=inside * np.sqrt(weights.max(axis=1)),
         unexplained=np.where(inside > 0.0, rms / np.where(inside > 0.0, inside, 1.0), np.inf),
     )
+
+
+def _floored(information: Float, freedom: Indices) -> Float:
+    """Information (c, 3, 3) that can be inverted: hardly any for cells of which rounding alone is left."""
+    information = np.where((freedom < _MIN_FREEDOM)[:, None, None], _RIDGE * np.eye(3), information)
+    least = _RIDGE * np.maximum(np.trace(information, axis1=1, axis2=2), 1e-30)
+    result: Float = information + least[:, None, None] * np.eye(3)
+    return result
 
 
 def _solved(columns: Float, weights: Float, data: Float) -> tuple[Float, Float]:

@@ -15,18 +15,18 @@ from giantlike.core.arrays import Float, Mask, require, unit
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.core.statistics import robust_sigma
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.geometry.conic_fit import ConicFit, conic_matrix, fit_ellipse
 from giantlike.processing.limb.edges import EdgePoints, scan_edges
-from giantlike.processing.limb.measurement import LimbImage, LimbMeasurement, SmoothError, too_few
+from giantlike.processing.limb.measurement import LimbMeasurement, LimbView, SmoothError, too_few
 from giantlike.processing.limb.segmentation import Background, background_of
 from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidStandIn
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
 from giantlike.relative.light.phase_correction import sunlight_px
-from giantlike.relative.limb.fix import LimbSearch, LimbSolution, LimbView, limb_fix
+from giantlike.relative.limb.fix import LimbSearch, LimbSolution, limb_fix, limb_view
 
 __all__ = ["EllipseFit", "EllipseFitOptions", "position_of_cone"]
 
@@ -132,7 +132,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
         stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)
         if isinstance(stand_in, Failure):
             return stand_in
-        view = LimbView.of(inputs)
+        view = limb_view(inputs)
         measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)
         solved = measured if isinstance(measured, Failure) else fit_limb_ellipse(measured, view, stand_in, self.options)
         if isinstance(solved, Failure):
@@ -221,21 +221,20 @@ def limb_edges(
     """
     if not sunlight.any():
         return Failure(Reason.NO_LIMB, "the Sun stands behind the camera: sunlight has no direction in the image")
-    image = view.image
-    sky = _sky(image, stand_in, options.search_px)
+    sky = _sky(view, stand_in, options.search_px)
     if isinstance(sky, Failure):
         return sky
     background, body_dn = sky
     threshold = background.level_dn + max(_LIGHT_SIGMAS * background.sigma_dn, _LIGHT_SHARE * body_dn)
-    blur_px = UNKNOWN_PSF_SIGMA_PX if image.psf_sigma_px is None else image.psf_sigma_px
-    seeds = scan_edges(image.pixels_dn, image.usable, sunlight, threshold_dn=threshold, blur_sigma_px=blur_px)
+    blur_px = UNKNOWN_PSF_SIGMA_PX if view.psf_sigma_px is None else view.psf_sigma_px
+    seeds = scan_edges(view.pixels_dn, view.usable, sunlight, threshold_dn=threshold, blur_sigma_px=blur_px)
     both = []
     for size in (5, 7):
         found = zernike_edges(
-            image.pixels_dn - background.level_dn,
-            image.usable,
+            view.pixels_dn - background.level_dn,
+            view.usable,
             seeds,
-            variance_dn2=image.detector.variance_dn2,
+            variance_dn2=view.detector.variance_dn2,
             blur_sigma_px=blur_px,
             size=size,
             curvature_px=1.0 / view.radius_px,
@@ -243,14 +242,14 @@ def limb_edges(
         both.append(_near_prediction(view, found, stand_in, sunlight, options))
     small, large = _paired(*both)
     if len(small) < options.min_edges:
-        everywhere, good = np.ones(image.usable.shape, dtype=bool), np.arange(max(len(seeds), len(small))) < len(small)
+        everywhere, good = np.ones(view.usable.shape, dtype=bool), np.arange(max(len(seeds), len(small))) < len(small)
         elsewhere = {"not like the predicted limb in place, direction or contrast": len(seeds) - len(small)}
-        return too_few(image, everywhere, good, elsewhere, needed=options.min_edges)
+        return too_few(view, everywhere, good, elsewhere, needed=options.min_edges)
     shift = np.einsum("ij,ij->i", large.points_px - small.points_px, small.normals_px)
     correction = _GROWTH * _smooth(shift, small.normals_px, options.outlier_mad)
     points = small.points_px - correction[:, None] * small.normals_px
-    away_px, design, _ = horizon_residuals(points, image.model, stand_in.figure, stand_in.position_camera_km)
-    area = np.zeros(image.usable.shape, dtype=bool)
+    away_px, design, _ = horizon_residuals(points, view.model, stand_in.figure, stand_in.position_camera_km)
+    area = np.zeros(view.usable.shape, dtype=bool)
     area[small.pixels_px[:, 1], small.pixels_px[:, 0]] = True
     growth = _GROWTH_ERROR * float(np.sqrt(np.mean(correction**2)))
     return LimbMeasurement(
@@ -291,7 +290,7 @@ def fit_limb_ellipse(
         The points that lie on the ellipse, and the position of the origin of the shape. ``NO_LIMB`` or
         ``DEGENERATE_GEOMETRY``.
     """
-    model, observed_px = view.image.model, measured.observed_px
+    model, observed_px = view.model, measured.observed_px
     plane = _Plane.touching(unit(stand_in.position_camera_km))
     points = plane.points(model, observed_px)
     scale = plane.scale(model, observed_px, measured.normals_px)
@@ -329,15 +328,15 @@ def _smooth_covariances(measured: LimbMeasurement, used: NDArray[np.intp], by_el
     }
 
 
-def _sky(image: LimbImage, stand_in: EllipsoidStandIn, search_px: float) -> tuple[Background, float] | Failure:
+def _sky(view: LimbView, stand_in: EllipsoidStandIn, search_px: float) -> tuple[Background, float] | Failure:
     """Background beside the predicted body, and brightness of the body above it (upper quartile)."""
-    rows, columns = (np.arange(0, size, _SKY_STEP) for size in image.usable.shape)
+    rows, columns = (np.arange(0, size, _SKY_STEP) for size in view.usable.shape)
     x, y = (part.ravel() for part in np.meshgrid(columns, rows))
-    directions = image.model.unproject(np.stack([x, y], axis=-1).astype(np.float64))
-    keep = image.usable[y, x] & np.isfinite(directions).all(axis=1)
-    directions, values = directions[keep], image.pixels_dn[y[keep], x[keep]]
-    center_px = np.clip(image.model.project(stand_in.position_camera_km), 0, [columns[-1], rows[-1]])
-    slack = search_px * float(ifov_rad(image.model, center_px))
+    directions = view.model.unproject(np.stack([x, y], axis=-1).astype(np.float64))
+    keep = view.usable[y, x] & np.isfinite(directions).all(axis=1)
+    directions, values = directions[keep], view.pixels_dn[y[keep], x[keep]]
+    center_px = np.clip(view.model.project(stand_in.position_camera_km), 0, [columns[-1], rows[-1]])
+    slack = search_px * float(ifov_rad(view.model, center_px))
     outward = _horizon_angle(directions, stand_in.figure, stand_in.position_camera_km)
     sky, body = values[outward > slack], values[outward < -slack]
     if sky.size < _MIN_SKY:
@@ -345,7 +344,7 @@ def _sky(image: LimbImage, stand_in: EllipsoidStandIn, search_px: float) -> tupl
             Reason.NO_LIMB, f"no sky in the frame beside the body, as predicted and {search_px:g} px around it"
         )
     background = background_of(sky)
-    sigma_dn = max(background.sigma_dn, 0.1 * image.dark_noise_dn)
+    sigma_dn = max(background.sigma_dn, 0.1 * view.dark_noise_dn)
     bright = float(np.percentile(body, 75.0)) - background.level_dn if body.size else 0.0
     return Background(level_dn=background.level_dn, sigma_dn=sigma_dn), max(bright, 0.0)
 
@@ -368,9 +367,9 @@ def _near_prediction(
     """Edges that sunlight meets first and that lie and look as the predicted limb, but for the errors allowed."""
     if not len(found):
         return found
-    model, figure = view.image.model, stand_in.figure
+    model, figure = view.model, stand_in.figure
     known = np.isfinite(model.unproject(found.points_px)).all(axis=1)
-    found = found.select(np.flatnonzero(known))
+    found = select_rows(found, np.flatnonzero(known))
     away_px, _, normals = horizon_residuals(found.points_px, model, figure, stand_in.position_camera_km)
     longest_px = view.radius_px * float(figure.radii_km.max() / np.cbrt(np.prod(figure.radii_km)))
     reach = options.search_px + options.search_range * longest_px
@@ -380,7 +379,7 @@ def _near_prediction(
     good &= np.einsum("ij,ij->i", normals, found.normals_px) > math.cos(min(turn, 1.4))
     typical_dn = float(np.median(found.contrast_dn[good])) if good.any() else 0.0
     strong: Mask = found.contrast_dn > _MIN_CONTRAST * typical_dn
-    return found.select(np.flatnonzero(good & strong))
+    return select_rows(found, np.flatnonzero(good & strong))
 
 
 def _paired(small: EdgePoints, large: EdgePoints) -> tuple[EdgePoints, EdgePoints]:
@@ -388,7 +387,7 @@ def _paired(small: EdgePoints, large: EdgePoints) -> tuple[EdgePoints, EdgePoint
     width = 1 + max(int(found.pixels_px.max(initial=0)) for found in (small, large))
     keys = [found.pixels_px[:, 1] * width + found.pixels_px[:, 0] for found in (small, large)]
     _, first, second = np.intersect1d(keys[0], keys[1], return_indices=True)
-    return small.select(first), large.select(second)
+    return select_rows(small, first), select_rows(large, second)
 
 
 def _smooth(values: Float, normals: Float, outlier_mad: float) -> Float:

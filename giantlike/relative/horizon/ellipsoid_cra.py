@@ -16,8 +16,8 @@ from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, apparent_radius_px
 from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
-from giantlike.relative.horizon.geometry import CraMethod, Figure, christian_robinson, cone_weights, fit_horizon
-from giantlike.relative.limb.fix import LimbSolution, LimbView, limb_fix
+from giantlike.relative.horizon.geometry import CraMethod, Figure, christian_robinson, fit_horizon
+from giantlike.relative.limb.fix import LimbSolution, limb_fix, limb_view
 from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, TriangleMesh
 
@@ -111,7 +111,9 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
         outcome = _fitted(inputs, stand_in, self.options)
         if isinstance(outcome, Failure):
             return outcome
-        return limb_fix(inputs, *outcome, self.options)
+        measured, solution = outcome
+        allowed_px = self.options.allowed_rms_px(measured)
+        return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -176,7 +178,7 @@ def _fitted(
     inputs: EstimatorInputs, stand_in: EllipsoidStandIn, options: EllipsoidCRAOptions
 ) -> tuple[LimbMeasurement, LimbSolution] | Failure:
     """The limb as measured, and the position by the Christian-Robinson algorithm."""
-    view, altitude, law = LimbView.of(inputs), options.altitude(), inputs.geometry.target.reflectance
+    view, altitude, law = limb_view(inputs), options.altitude(), inputs.geometry.target.reflectance
     figure, start_km = altitude.above(stand_in.figure), stand_in.position_camera_km
     if isinstance(inputs.geometry.target.shape, Ellipsoid):
         measured = measure_by_cells(view, figure, law, start_km, options, options.horizon)
@@ -190,13 +192,10 @@ def _fitted(
         measured = measure_by_lines(view, body, options, options.scan, relief=stand_in.relief)
     if isinstance(measured, Failure):
         return measured
-    model, points_px = view.image.model, measured.observed_px[measured.keep]
+    model, points_px = view.model, measured.observed_px[measured.keep]
     sigma_px = measured.sigma_px[measured.keep]
     center_km = christian_robinson(points_px, model, figure, method=options.method, sigma_px=sigma_px)
     if isinstance(center_km, Failure):
         return center_km
-    weights = None
-    if options.method is not CraMethod.MAXIMUM_LIKELIHOOD:
-        weights = cone_weights(points_px, model, figure, center_km)
-    solution = fit_horizon(measured, model, figure, center_km, altitude, weights=weights)
+    solution = fit_horizon(measured, model, figure, center_km, altitude, method=options.method)
     return measured, replace(solution, position_camera_km=solution.position_camera_km - stand_in.offset_camera_km)

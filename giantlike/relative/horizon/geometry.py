@@ -87,6 +87,21 @@ class Figure(Value):
         return pull, np.outer(pull, pull) - (strength - 1.0) * self.shape_matrix
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedFigure(Value):
+    """An ellipsoid in front of the camera.
+
+    Parameters
+    ----------
+    figure : Figure
+    position_camera_km : (3,) float64, km, camera axes
+        Of its center.
+    """
+
+    figure: Figure
+    position_camera_km: Float
+
+
 @dataclass(frozen=True, slots=True)
 class Altitude:
     """How high above the surface the limb is seen, by an atmosphere or haze.
@@ -327,7 +342,7 @@ def fit_horizon(
     start_km: Float,
     altitude: Altitude,
     *,
-    weights: Float | None = None,
+    method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD,
 ) -> LimbSolution:
     """Move an ellipsoid to where the points of a measured limb want it, all of them together.
 
@@ -340,8 +355,8 @@ def fit_horizon(
     start_km : (3,) float64, km, camera axes
         Near the solution.
     altitude : Altitude
-    weights : (n,) float64, optional
-        With these the position is taken as it is, and its covariance is that of a solution so weighted.
+    method : CraMethod
+        Other than maximum likelihood, the position is taken as it is and gets the covariance of that method.
 
     Returns
     -------
@@ -362,8 +377,9 @@ def fit_horizon(
         "altitude": altitude.sigma_km**2 * np.outer(lift, lift),
     }
     covariance = np.sum(list(causes.values()), axis=0)
-    gain = solution_gain(design, covariance, weights=weights)
-    step = gain @ residuals if weights is None else np.zeros(3)
+    best = method is CraMethod.MAXIMUM_LIKELIHOOD
+    gain = solution_gain(design, covariance, weights=None if best else cone_weights(points, model, figure, start_km))
+    step = gain @ residuals if best else np.zeros(3)
     left = residuals - design @ step
     seen = altitude.after(left, design, covariance, lift)
     return LimbSolution(
@@ -397,7 +413,8 @@ def _scatter_px2(measured: LimbMeasurement, residuals: Float, design: Float) -> 
     waves = float(left[1:] @ left[:-1]) / np.sqrt(left.size)
     if max(scatter, waves) < _EXPLAINED_SIGMAS:
         return noise
-    fit = correlated_solution(residuals, design, sigma, points, min_length=measured.spacing_px)
+    spacing_px = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    fit = correlated_solution(residuals, design, sigma, points, min_length=spacing_px)
     return fit.residual_covariance(sigma, points)
 
 

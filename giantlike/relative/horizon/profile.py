@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
-from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
+from giantlike.relative.horizon.geometry import Figure, PixelRays, PlacedFigure, ray_residuals
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
 
@@ -52,8 +52,12 @@ class HorizonArc(Value):
     spacing_px, perimeter_px : float, px
     complete : bool
         All of the horizon has an image.
-    rays : PixelRays
+    directions : (k, 3) float64, unitless, camera axes
         Of the points.
+    by_pixel : (k, 3, 2) float64, 1/px
+        Change of the directions with the pixel.
+    body : PlacedFigure
+        The ellipsoid.
     """
 
     points_px: Float
@@ -64,30 +68,24 @@ class HorizonArc(Value):
     spacing_px: float
     perimeter_px: float
     complete: bool
-    rays: PixelRays
+    directions: Float
+    by_pixel: Float
+    body: PlacedFigure
 
     @property
     def tangents_px(self) -> Float:
         """Unit vectors (k, 2) along the horizon."""
         return np.stack([-self.normals_px[:, 1], self.normals_px[:, 0]], axis=-1)
 
-    def thinned(self, cell_px: float, every: int) -> HorizonArc:
-        """One cell of ``every`` so many."""
-        return self.only((self.along_px / cell_px).astype(np.int64) % every == 0)
+    @property
+    def inward(self) -> Float:
+        """Change (k, 3) of the directions by one pixel inward, 1/px."""
+        result: Float = -(self.by_pixel @ self.normals_px[..., None])[..., 0]
+        return result
 
-    def only(self, chosen: Mask) -> HorizonArc:
-        """The points that are ``chosen`` (k,)."""
-        return HorizonArc(
-            points_px=self.points_px[chosen],
-            points_camera_km=self.points_camera_km[chosen],
-            normals_px=self.normals_px[chosen],
-            design=self.design[chosen],
-            along_px=self.along_px[chosen],
-            spacing_px=self.spacing_px,
-            perimeter_px=self.perimeter_px,
-            complete=self.complete,
-            rays=PixelRays(self.rays.directions[chosen], self.rays.by_pixel[chosen]),
-        )
+    def thinned(self, cell_px: float, every: int) -> HorizonArc:
+        """Return the points in every so many-th of the cells of a length, px."""
+        return select_rows(self, (self.along_px / cell_px).astype(np.int64) % every == 0)
 
 
 def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -> HorizonArc | Failure:
@@ -137,7 +135,9 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
         spacing_px=perimeter / count,
         perimeter_px=perimeter,
         complete=bool(np.isfinite(corners).all()),
-        rays=rays,
+        directions=rays.directions,
+        by_pixel=rays.by_pixel,
+        body=PlacedFigure(figure=figure, position_camera_km=position_camera_km),
     )
 
 
@@ -170,23 +170,20 @@ class ProfileTable(Value):
 
 def profile_table(
     arc: HorizonArc,
-    figure: Figure,
-    position_camera_km: Float,
-    *,
     sun_direction_camera: Float,
     law: Reflectance | None,
+    *,
     width_px: float,
     window_px: float,
     powers: int,
 ) -> ProfileTable:
-    r"""Tabulate what a blurred image of an ellipsoid holds across its horizon.
+    r"""Tabulate the brightness that a blurred image of an ellipsoid has across its horizon.
 
     Parameters
     ----------
     arc : HorizonArc
-    figure : Figure
-    position_camera_km : (3,) float64, km, camera axes
     sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
     law : Reflectance or None
         Brightness of the surface; None for surface of brightness 1, lit or not: a plain sigmoid.
     width_px : float, px
@@ -205,18 +202,18 @@ def profile_table(
     horizon: that adds ``w^2 / 2`` times slope times curvature, ``c / (1 - c t)`` at the depth t under a horizon of
     curvature c; this is the first term of a series, whose next one counts only for disks of few widths.
     """
-    _, conic = figure.cone(position_camera_km)
+    _, conic = arc.body.figure.cone(arc.body.position_camera_km)
     deepest = window_px + _REACH_WIDTHS * width_px
     roots = 0.5 * math.sqrt(deepest) * (_DEPTHS + 1.0)
     depths, weights = roots**2, math.sqrt(deepest) * _DEPTH_WEIGHTS * roots
-    inward = -(arc.rays.by_pixel @ arc.normals_px[..., None])[..., 0]
-    light, emission = _surface(arc, figure, position_camera_km, depths, inward, sun_direction_camera, law)
+    inward = arc.inward
+    light, emission = _surface(arc, depths, sun_direction_camera, law)
     basis = np.stack([light * emission**power for power in range(powers)])  # (p, k, q)
     step = _TABLE_STEP * width_px
     count = math.ceil((window_px + 1.0) / step)
     offsets = np.arange(-count, count + 1) * step
-    sideways = (arc.rays.by_pixel @ arc.tangents_px[..., None])[..., 0]
-    slope = 2.0 * np.einsum("ki,ij,kj->k", arc.rays.directions, conic, inward)
+    sideways = (arc.by_pixel @ arc.tangents_px[..., None])[..., 0]
+    slope = 2.0 * np.einsum("ki,ij,kj->k", arc.directions, conic, inward)
     bend = -2.0 * np.einsum("ki,ij,kj->k", sideways, conic, sideways) / slope  # curvature, 1/px
     kernels = _kernels(offsets[None] + depths[:, None], width_px) * weights[:, None]
     bends = bend[:, None] / np.maximum(1.0 - bend[:, None] * depths, _LEAST_RADIUS)  # of the lines of equal depth
@@ -227,16 +224,26 @@ def profile_table(
     return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values)
 
 
-def brightness_inside(
-    arc: HorizonArc, figure: Figure, position_camera_km: Float, *, sun_direction_camera: Float, law: Reflectance
-) -> Float:
-    """Mean brightness (k,) of the first pixels inside a horizon, by the law's own scale.
+def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflectance) -> Float:
+    """Mean brightness of the first pixels inside a horizon.
 
     On the horizon itself the cosine of incidence says little: with the Sun behind the camera it is zero all around,
     however bright the limb.
+
+    Parameters
+    ----------
+    arc : HorizonArc
+        Of k points.
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
+    law : Reflectance
+
+    Returns
+    -------
+    (k,) float64
+        In the unit of the law.
     """
-    inward = -(arc.rays.by_pixel @ arc.normals_px[..., None])[..., 0]
-    light, _ = _surface(arc, figure, position_camera_km, _LIT_DEPTHS_PX, inward, sun_direction_camera, law)
+    light, _ = _surface(arc, _LIT_DEPTHS_PX, sun_direction_camera, law)
     return np.asarray(light.mean(axis=1), dtype=np.float64)
 
 
@@ -245,18 +252,11 @@ def blur_width_px(psf_variance_px2: float) -> float:
     return math.sqrt(psf_variance_px2 + PIXEL_VARIANCE_PX2)
 
 
-def _surface(
-    arc: HorizonArc,
-    figure: Figure,
-    position_km: Float,
-    depths_px: Float,
-    inward: Float,
-    sun: Float,
-    law: Reflectance | None,
-) -> tuple[Float, Float]:
+def _surface(arc: HorizonArc, depths_px: Float, sun: Float, law: Reflectance | None) -> tuple[Float, Float]:
     """Brightness and cosine of emission (k, q) of the surface at depths (q,) inside points of the horizon."""
+    figure, position_km, inward = arc.body.figure, arc.body.position_camera_km, arc.inward
     pull, conic = figure.cone(position_km)
-    rays = arc.rays.directions[:, None] + depths_px[None, :, None] * inward[:, None]
+    rays = arc.directions[:, None] + depths_px[None, :, None] * inward[:, None]
     rays /= np.sqrt(np.einsum("kqi,kqi->kq", rays, rays))[..., None]
     inside = np.einsum("kqi,kqi->kq", rays @ conic, rays)
     stretch = np.einsum("kqi,kqi->kq", rays @ figure.shape_matrix, rays)

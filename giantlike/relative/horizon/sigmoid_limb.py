@@ -9,7 +9,7 @@ from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
 from giantlike.relative.horizon.geometry import Figure, fit_horizon
-from giantlike.relative.limb.fix import LimbView, limb_fix
+from giantlike.relative.limb.fix import limb_fix, limb_view
 from giantlike.shapes import Ellipsoid
 
 _CELL_PX = 14.0
@@ -91,11 +91,11 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
                 Reason.WRONG_SHAPE,
                 f"the fit needs an ellipsoid, got a {type(shape).__name__}: use ellipsoid_cra or limb_matching",
             )
-        view, altitude, geometry = LimbView.of(inputs), self.options.altitude(), inputs.geometry
+        view, altitude, geometry = limb_view(inputs), self.options.altitude(), inputs.geometry
         figure = altitude.above(Figure(radii_km=shape.radii_km, camera_from_axes=geometry.camera_from_body))
         law, start_km = geometry.target.reflectance, geometry.position_camera_km
         measured = measure_by_cells(view, figure, law, start_km, self.options, self.options.scan)
         if isinstance(measured, Failure):
             return measured
-        solution = fit_horizon(measured, view.image.model, figure, measured.position_camera_km, altitude)
-        return limb_fix(inputs, measured, solution, self.options)
+        solution = fit_horizon(measured, view.model, figure, measured.position_camera_km, altitude)
+        return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=self.options.allowed_rms_px(measured))

@@ -15,7 +15,7 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
-from giantlike.processing.limb.measurement import LimbImage, LimbMeasurement
+from giantlike.processing.limb.measurement import LimbMeasurement, LimbView
 from giantlike.processing.limb.search import OutlineSearch
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
@@ -74,10 +74,14 @@ class LimbSearch:
         require(self.search_px <= 500, f"search_px must be <= 500, got {self.search_px}")
         require(0.0 <= self.search_range <= 0.3, f"search_range must be in [0, 0.3], got {self.search_range}")
 
-    def allowed_rms_px(self, relief_px: float) -> float:
-        """Largest residuals, px, of a position that is believed, on a body of some relief, px."""
-        del relief_px
-        return math.inf
+    def outline_search(self, view: LimbView, min_contrast: float) -> OutlineSearch:
+        """Reach of the search for the outline as a whole, and the contrast that it must have."""
+        return OutlineSearch(
+            search_px=self.search_px,
+            search_range=self.search_range,
+            min_contrast=min_contrast,
+            noise_dn=view.dark_noise_dn,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,52 +110,32 @@ class IteratedSearch(LimbSearch):
         whole = isinstance(self.max_iterations, int) and 1 <= self.max_iterations <= 50
         require(whole, f"max_iterations must be a whole number in [1, 50], got {self.max_iterations}")
 
-    def allowed_rms_px(self, relief_px: float) -> float:
-        """Largest residuals, px, of a position that is believed, on a body of some relief, px."""
-        return self.max_rms_px + _RELIEF_RMS * relief_px
+    def allowed_rms_px(self, measured: LimbMeasurement) -> float:
+        """Largest residuals of a position that is believed, px."""
+        return self.max_rms_px + _RELIEF_RMS * measured.relief_px
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LimbView(Value):
-    """What is known before the limb of a body is measured.
+def limb_view(inputs: EstimatorInputs) -> LimbView:
+    """Take what measurements of a limb need from the inputs of an estimator.
 
     Parameters
     ----------
-    image : LimbImage
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    radius_px : float, px
-        Predicted apparent radius.
+    inputs : EstimatorInputs
+
+    Returns
+    -------
+    LimbView
     """
-
-    image: LimbImage
-    sun_direction_camera: Float
-    radius_px: float
-
-    @classmethod
-    def of(cls, inputs: EstimatorInputs) -> LimbView:
-        """Take what an estimator on limbs needs from what was gathered for it."""
-        camera = inputs.camera
-        return cls(
-            image=LimbImage(
-                pixels_dn=inputs.pixels_dn,
-                usable=inputs.usable,
-                saturated=inputs.saturated,
-                detector=camera.detector,
-                plane=FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=camera.psf),
-            ),
-            sun_direction_camera=inputs.geometry.sun_direction_camera,
-            radius_px=inputs.radius_px,
-        )
-
-    def outline_search(self, search: LimbSearch, min_contrast: float) -> OutlineSearch:
-        """How far and how strictly the outline as a whole is searched."""
-        return OutlineSearch(
-            search_px=search.search_px,
-            search_range=search.search_range,
-            min_contrast=min_contrast,
-            noise_dn=self.image.dark_noise_dn,
-        )
+    camera = inputs.camera
+    return LimbView(
+        pixels_dn=inputs.pixels_dn,
+        usable=inputs.usable,
+        saturated=inputs.saturated,
+        detector=camera.detector,
+        plane=FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=camera.psf),
+        sun_direction_camera=inputs.geometry.sun_direction_camera,
+        radius_px=inputs.radius_px,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -314,7 +298,12 @@ class LimbSolution(Value):
 
 
 def limb_fix(
-    inputs: EstimatorInputs, measured: LimbMeasurement, solution: LimbSolution, search: LimbSearch
+    inputs: EstimatorInputs,
+    measured: LimbMeasurement,
+    solution: LimbSolution,
+    search: LimbSearch,
+    *,
+    allowed_rms_px: float = math.inf,
 ) -> PositionFix | Failure:
     """Judge a position from a limb and put it into a :class:`PositionFix`.
 
@@ -324,6 +313,8 @@ def limb_fix(
     measured : LimbMeasurement
     solution : LimbSolution
     search : LimbSearch
+    allowed_rms_px : float, px
+        Larger residuals are a failure.
 
     Returns
     -------
@@ -331,11 +322,11 @@ def limb_fix(
         ``LARGE_RESIDUALS`` or ``DEGENERATE_GEOMETRY``.
     """
     position_km, covariance_km2 = solution.position_camera_km, solution.covariance_camera_km2
-    rms_px, allowed_px = float(np.sqrt(np.mean(solution.residuals_px**2))), search.allowed_rms_px(measured.relief_px)
-    if rms_px > allowed_px:
+    rms_px = float(np.sqrt(np.mean(solution.residuals_px**2)))
+    if rms_px > allowed_rms_px:
         return Failure(
             Reason.LARGE_RESIDUALS,
-            f"residuals of {measured.n_used} limb points are {rms_px:.2f} px rms, allowed {allowed_px:.3g}: wrong "
+            f"residuals of {measured.n_used} limb points are {rms_px:.2f} px rms, allowed {allowed_rms_px:.3g}: wrong "
             "shape, orientation or Sun direction, or not this body",
         )
     center_px, covariance_px2 = center_of_position(inputs.camera.model, position_km, covariance_km2)

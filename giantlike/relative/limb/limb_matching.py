@@ -10,7 +10,7 @@ from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.processing.correlated_fit import correlated_solution
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
-from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, LimbView, limb_fix
+from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix, limb_view
 from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
 
 _LONGEST_WAVES, _LEAST_WAVES_PX = 1.0 / 3.0, 15.0
@@ -87,14 +87,16 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
             return Failure(
                 Reason.NO_LIMB, f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}"
             )
-        view = LimbView.of(inputs)
+        view = limb_view(inputs)
         measured = measure_by_lines(view, inputs.geometry.body(), self.options, self.options.scan)
         if isinstance(measured, Failure):
             return measured
-        return limb_fix(inputs, measured, solve_limb(measured, view.radius_px), self.options)
+        solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
+        allowed_px = self.options.allowed_rms_px(measured)
+        return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px)
 
 
-def solve_limb(measured: LimbMeasurement, radius_px: float) -> LimbSolution:
+def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: float = 1.5) -> LimbSolution:
     """Take the last step of the iteration, with the covariance that the residuals show.
 
     Parameters
@@ -102,6 +104,8 @@ def solve_limb(measured: LimbMeasurement, radius_px: float) -> LimbSolution:
     measured : LimbMeasurement
     radius_px : float, px
         Apparent radius of the body.
+    min_length_px : float, px
+        Shortest correlation length along the limb that is considered.
 
     Returns
     -------
@@ -114,7 +118,7 @@ def solve_limb(measured: LimbMeasurement, radius_px: float) -> LimbSolution:
         design,
         measured.sigma_px[keep],
         points,
-        min_length=measured.spacing_px,
+        min_length=min_length_px,
         max_length=max(_LONGEST_WAVES * radius_px, _LEAST_WAVES_PX),
     )
     return LimbSolution(

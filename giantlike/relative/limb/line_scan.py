@@ -13,9 +13,8 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
-    LimbImage,
     LimbMeasurement,
-    PointScores,
+    LimbView,
     PredictedLimb,
     SmoothError,
     judge_points,
@@ -44,7 +43,6 @@ from giantlike.relative.limb.fix import (
     IteratedSearch,
     LimbState,
     LimbStep,
-    LimbView,
     agreeing_step,
     next_motion_px,
     settle_limb,
@@ -181,7 +179,7 @@ class Outline(Value):
     @classmethod
     def traced(cls, view: LimbView, body: Body) -> Outline:
         """Trace the outline of a body all around and the light just inside it."""
-        model, sun = view.image.model, view.sun_direction_camera
+        model, sun = view.model, view.sun_direction_camera
         silhouette = trace_silhouette(body, model, _OVERVIEW_RAD, sun_direction_camera=sun)
         brightness = outline_brightness(
             silhouette.points_px,
@@ -216,13 +214,13 @@ class Outline(Value):
 
 
 def lay_lines(
-    image: LimbImage, outline: Outline, *, spacing_px: float, max_lines: int, margin_px: float
+    view: LimbView, outline: Outline, *, spacing_px: float, max_lines: int, margin_px: float
 ) -> LimbLines | None:
     """Lay lines across the lit limb in even steps.
 
     Parameters
     ----------
-    image : LimbImage
+    view : LimbView
     outline : Outline
     spacing_px : float, px
         Along the limb; longer where ``max_lines`` are not enough.
@@ -237,7 +235,7 @@ def lay_lines(
     """
     points, angles = outline.silhouette.points_px, outline.silhouette.angles_rad
     chord = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-    inside = outline.silhouette.valid & image.contains(points, margin_px=margin_px)
+    inside = outline.silhouette.valid & view.contains(points, margin_px=margin_px)
     wanted = inside & (outline.brightness > MIN_BRIGHTNESS)
     if not wanted.any():
         return None
@@ -253,7 +251,7 @@ def lay_lines(
         brightness=np.interp(chosen, angles, outline.brightness, period=2.0 * np.pi),
         spacing_px=total_px / count,
         perimeter_px=float(np.nansum(chord)),
-        cut_by_frame=not bool(image.contains(points).all()),
+        cut_by_frame=not bool(view.contains(points).all()),
     )
 
 
@@ -277,24 +275,24 @@ def measure_by_lines(
     LimbMeasurement or Failure
         ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
     """
-    image, outline = view.image, Outline.traced(view, body)
+    outline = Outline.traced(view, body)
     lines = lay_lines(
-        image, outline, spacing_px=_COARSE_SPACING_PX, max_lines=_COARSE_LINES, margin_px=-search.search_px
+        view, outline, spacing_px=_COARSE_SPACING_PX, max_lines=_COARSE_LINES, margin_px=-search.search_px
     )
     if lines is None:
         return _not_seen(view, outline.silhouette, body, -search.search_px)
     center_px = outline.silhouette.center_px
-    found = find_limb(image, outline.at(lines), center_px, view.outline_search(search, options.min_contrast))
+    found = find_limb(view, outline.at(lines), center_px, search.outline_search(view, options.min_contrast))
     if isinstance(found, Failure):
         return found
     moved = outline.moved(center_px + found.shift_px, found.scale)
     lines = lay_lines(
-        image, moved, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
+        view, moved, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
     )
     if lines is None:
         return _not_seen(view, moved.silhouette, body, options.margin_px)
     range_km = float(np.linalg.norm(body.position_camera_km)) / found.scale
-    position = range_km * image.model.unproject(center_px + found.shift_px)
+    position = range_km * view.model.unproject(center_px + found.shift_px)
     scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief)
     return settle_limb(scan, LimbState(position_camera_km=position), search)
 
@@ -377,27 +375,27 @@ class LineScan(Value):
         LimbMeasurement or Failure
             ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``.
         """
-        image, options, body = self.view.image, self.options, self.body.at(position_camera_km)
+        view, options, body = self.view, self.options, self.body.at(position_camera_km)
         search_px = options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
         limb = _traced(self.view, body, self.lines, options.margin_px)
         if isinstance(limb, Failure):
             return limb
         offsets = line_offsets(options.window_px + search_px, options.step_px)
-        scans = scan_lines(image.pixels_dn, image.usable, limb.points_px, limb.normals_px, offsets)
-        width = _psf_sigma(image, scans, options)
+        scans = scan_lines(view.pixels_dn, view.usable, limb.points_px, limb.normals_px, offsets)
+        width = _psf_sigma(view, scans, options)
         if isinstance(width, Failure):
             return width
         expected = _expected(self.view, body, scans, width, options)
         if isinstance(expected, Failure):
             return expected
-        variance = image.detector.variance_dn2
+        variance = view.detector.variance_dn2
         match = match_profiles(scans, expected, variance_dn2=variance, window_px=options.window_px, search_px=search_px)
-        good, rejected = judge_points(_scores(match, loose=self.relief_px > 0.0 or options.edges is EdgeModel.STEP))
-        area = pixels_near(limb.points_px, limb.normals_px, offsets, image.usable.shape)
+        good, rejected = _judged(match, loose=self.relief_px > 0.0 or options.edges is EdgeModel.STEP)
+        area = pixels_near(limb.points_px, limb.normals_px, offsets, view.usable.shape)
         if good.sum() < options.min_lines:
-            return too_few(image, area, good, rejected, needed=options.min_lines)
+            return too_few(view, area, good, rejected, needed=options.min_lines)
         brightness_px = match.brightness_error_px(good)
-        jacobian = image.model.project_jacobian(limb.points_camera_km[good])
+        jacobian = view.model.project_jacobian(limb.points_camera_km[good])
         return LimbMeasurement(
             predicted_px=limb.points_px[good],
             normals_px=limb.normals_px[good],
@@ -419,8 +417,8 @@ class LineScan(Value):
 
 def _traced(view: LimbView, body: Body, lines: LimbLines, margin_px: float) -> PredictedLimb | Failure:
     """The limb of a body where lines meet it in the frame."""
-    outline = trace_silhouette(body, view.image.model, lines.angles_rad, sun_direction_camera=view.sun_direction_camera)
-    seen = outline.valid & view.image.contains(outline.points_px, margin_px=margin_px)
+    outline = trace_silhouette(body, view.model, lines.angles_rad, sun_direction_camera=view.sun_direction_camera)
+    seen = outline.valid & view.contains(outline.points_px, margin_px=margin_px)
     seen &= np.isfinite(outline.normals_px).all(axis=1)
     if not seen.any():
         return _not_seen(view, outline, body, margin_px)
@@ -433,15 +431,15 @@ def _traced(view: LimbView, body: Body, lines: LimbLines, margin_px: float) -> P
 
 
 def _not_seen(view: LimbView, outline: Silhouette, body: Body, margin_px: float) -> Failure:
-    inside = outline.valid & view.image.contains(outline.points_px, margin_px=margin_px)
+    inside = outline.valid & view.contains(outline.points_px, margin_px=margin_px)
     phase = phase_angle_rad(body.position_camera_km, view.sun_direction_camera)
-    return no_lit_limb(view.image, outline.points_px[outline.valid], inside, phase)
+    return no_lit_limb(view, outline.points_px[outline.valid], inside, phase)
 
 
-def _psf_sigma(image: LimbImage, scans: Scans, options: LimbScanOptions) -> float | Failure:
+def _psf_sigma(view: LimbView, scans: Scans, options: LimbScanOptions) -> float | Failure:
     """Width of the point spread function, px: that of the camera, or as measured on the limb."""
-    if image.psf_sigma_px is not None:
-        return image.psf_sigma_px
+    if view.psf_sigma_px is not None:
+        return view.psf_sigma_px
     usable = int(scans.usable.all(axis=1).sum())
     if usable < options.min_lines:
         return Failure(
@@ -449,7 +447,7 @@ def _psf_sigma(image: LimbImage, scans: Scans, options: LimbScanOptions) -> floa
             f"the camera has no psf and only {usable} good lines across the limb to measure it, needed "
             f"{options.min_lines}",
         )
-    variance, window_px, search_px = image.detector.variance_dn2, options.window_px, options.local_search_px
+    variance, window_px, search_px = view.detector.variance_dn2, options.window_px, options.local_search_px
     width = edge_width_px(scans, variance_dn2=variance, window_px=window_px, search_px=search_px)
     return math.sqrt(max(width**2 - PIXEL_VARIANCE_PX2 - SAMPLING_VARIANCE_PX2, _MIN_WIDTH_PX**2))
 
@@ -465,7 +463,7 @@ def _expected(
     brightness = render_near(
         scans.points_px[:, None] + scans.offsets_px[compared, None] * scans.normals_px[:, None],
         body,
-        replace(view.image.plane, psf=GaussianPsf(sigma_px=psf_sigma_px)),
+        replace(view.plane, psf=GaussianPsf(sigma_px=psf_sigma_px)),
         sun_direction_camera=view.sun_direction_camera,
         rays_per_pixel_side=_rays_for(view.radius_px, options.rays_per_pixel_side),
     )
@@ -481,11 +479,11 @@ def _rays_for(radius_px: float, rays: int) -> int:
     return max(min(math.ceil(more * rays), _MAX_RAYS), rays)
 
 
-def _scores(match: ProfileMatch, *, loose: bool) -> PointScores:
-    """How well lines match; loose where the expected profile is not that of the body."""
+def _judged(match: ProfileMatch, *, loose: bool) -> tuple[Mask, dict[str, int]]:
+    """Good lines and the rejected; loose where the expected profile is not that of the body."""
     alike: Mask = match.correlation >= (_MIN_CORRELATION_LOOSE if loose else _MIN_CORRELATION)
     alike &= match.unexplained <= (_MAX_UNEXPLAINED_LOOSE if loose else _MAX_UNEXPLAINED)
-    return PointScores(
+    return judge_points(
         complete=match.complete,
         strong=match.sigma_px < _MAX_NOISE_PX,
         alike=alike,
