@@ -81,14 +81,7 @@ def identify_lost_in_space(
     ----------
     .. [1] The ODIN paper (004 of the specification), Star Identification.
     """
-    needed = max(options.min_matches, 4)
-    if len(points_px) < needed:
-        return Failure(
-            Reason.TOO_FEW_DETECTIONS,
-            f"{len(points_px)} detections, {needed} are needed: use a longer exposure or a lower detection threshold",
-        )
-    problem = _Problem(points_px, covariance_px2, camera, sky, options)
-    return _solved_or_explained(problem)
+    return _solved_or_explained(_Problem(points_px, covariance_px2, camera, sky, options))
 
 
 def identify_in_cone(
@@ -120,11 +113,7 @@ def identify_in_cone(
     RefinedAttitude or Failure
         Reasons as for :func:`identify_lost_in_space`.
     """
-    needed = max(options.min_matches, 4)
-    if len(points_px) < needed:
-        return Failure(Reason.TOO_FEW_DETECTIONS, f"the image has {len(points_px)} detections, {needed} are needed")
-    problem = _Problem(points_px, covariance_px2, camera, sky, options, camera_from_inertial)
-    return _solved_or_explained(problem)
+    return _solved_or_explained(_Problem(points_px, covariance_px2, camera, sky, options, camera_from_inertial))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,6 +309,13 @@ def _half_diagonal_rad(camera: Camera) -> float:
 
 
 def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
+    """Attitude of the image, or a failure with its cause where that can be diagnosed."""
+    count, needed = len(problem.points_px), max(problem.options.min_matches, 4)
+    if count < needed:
+        return Failure(
+            Reason.TOO_FEW_DETECTIONS,
+            f"{count} detections, {needed} are needed: use a longer exposure or a lower detection threshold",
+        )
     expected = problem.stars_expected()
     if expected < problem.options.min_matches:
         limit = problem.sky.max_magnitude

@@ -9,8 +9,9 @@ from giantlike.core.arrays import Float, Mask
 
 CODE_LOW, CODE_SPAN = 0.5 - np.sqrt(0.5), np.sqrt(2.0)
 """Lowest coordinate and diameter of the circle through (0, 0) and (1, 1) that contains C and D."""
+# Pairs of the stars of a quad, and the other two stars of each.
 _PAIRS = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
-_REST = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
+_REST = _PAIRS[::-1]
 
 
 def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp], Mask]:

@@ -15,6 +15,7 @@ Gaussian fit), with a linear filter in the place of the 5 x 5 median, which eats
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -337,16 +338,16 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
     ends = fits.ends_px
     last = np.array(frame.pixels.shape[::-1]) - 1.0
     cut = ((ends < width) | (ends > last - width)).any(axis=(1, 2))
-    flags = np.full(len(found), np.uint16(DetectionFlag.STREAK))
-    for flag, which in (
-        (DetectionFlag.SATURATED, (core & patches.saturated).any(axis=(1, 2))),
-        (DetectionFlag.MASKED, (core & ~patches.valid).any(axis=(1, 2)) & ~cut),
-        (DetectionFlag.CUT_BY_FRAME, cut),
-        (DetectionFlag.EXTENDED, unlike & fits.converged),
-        (DetectionFlag.FIT_FAILED, ~fits.converged),
-    ):
-        flags[which] |= np.uint16(flag)
-    flags[unlike | ~fits.converged] &= ~np.uint16(DetectionFlag.STREAK)
+    flags = _combined_flags(
+        {
+            DetectionFlag.STREAK: ~unlike & fits.converged,
+            DetectionFlag.SATURATED: (core & patches.saturated).any(axis=(1, 2)),
+            DetectionFlag.MASKED: (core & ~patches.valid).any(axis=(1, 2)) & ~cut,
+            DetectionFlag.CUT_BY_FRAME: cut,
+            DetectionFlag.EXTENDED: unlike & fits.converged,
+            DetectionFlag.FIT_FAILED: ~fits.converged,
+        }
+    )
     power = np.sqrt(np.sum(shares**2, axis=(1, 2)))
     failed = ~fits.converged
     covariance = np.where(failed[:, None, None], expected**2 * np.eye(2), fits.covariance_px2[:, :2, :2])
@@ -396,18 +397,24 @@ def _flags(
     sharp = (few.not_star | (fits.width_px < _SHARP_WIDTH * usual)) & (usual >= _SHARP_MIN_PSF_PX) & ~saturated
     blended = np.zeros(len(points_px), dtype=bool)
     blended[neighbor_pairs(points_px, patches.reach_px)[:, 0]] = True
-    result = np.zeros(len(points_px), dtype=np.uint16)
-    for flag, which in (
-        (DetectionFlag.SATURATED, saturated),
-        (DetectionFlag.MASKED, masked),
-        (DetectionFlag.CUT_BY_FRAME, cut),
-        (DetectionFlag.EXTENDED, found.extended | wide | long),
-        (DetectionFlag.SHARP, sharp & ~failed),
-        (DetectionFlag.COSMIC_RAY, sharp & few.not_star & (few.n_pixels > 1)),
-        (DetectionFlag.BLENDED, blended | ~found.alone),
-        (DetectionFlag.FIT_FAILED, failed),
-    ):
-        result[which] |= np.uint16(flag)
+    return _combined_flags(
+        {
+            DetectionFlag.SATURATED: saturated,
+            DetectionFlag.MASKED: masked,
+            DetectionFlag.CUT_BY_FRAME: cut,
+            DetectionFlag.EXTENDED: found.extended | wide | long,
+            DetectionFlag.SHARP: sharp & ~failed,
+            DetectionFlag.COSMIC_RAY: sharp & few.not_star & (few.n_pixels > 1),
+            DetectionFlag.BLENDED: blended | ~found.alone,
+            DetectionFlag.FIT_FAILED: failed,
+        }
+    )
+
+
+def _combined_flags(masks: Mapping[DetectionFlag, ArrayLike]) -> NDArray[np.uint16]:
+    """Combined flags (n,) of the detections for which each of them holds."""
+    flags = [np.where(mask, np.uint16(flag), np.uint16(0)) for flag, mask in masks.items()]
+    result: NDArray[np.uint16] = np.bitwise_or.reduce(flags)
     return result
 
 
