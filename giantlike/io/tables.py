@@ -49,7 +49,7 @@ class Column:
     required: bool
 
 
-def column(description: str, *, unit: str = "", frame: str = "", csv: bool = True) -> Any:
+def column(description: str, unit: str = "", frame: str = "", *, csv: bool = True) -> Any:
     """Field of a dataclass that describes a column; the type of the field decides kind and emptiness.
 
     Parameters

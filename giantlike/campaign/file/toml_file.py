@@ -7,12 +7,31 @@ import tomllib
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from giantlike.core.errors import DataError, InputError
 
 Content = TypeVar("Content", bound=BaseModel)
+
+
+def key(description: str, default: Any = ..., **limits: Any) -> Any:
+    """Field of a section: a key of the file.
+
+    Parameters
+    ----------
+    description : str
+        For the documentation.
+    default : optional
+        Without it, the key is required.
+    **limits
+        Checks as of ``pydantic.Field``.
+
+    Returns
+    -------
+    pydantic.fields.FieldInfo
+    """
+    return Field(default, description=description, **limits)
 
 
 class Section(BaseModel):
