@@ -14,7 +14,7 @@ from giantlike.camera import Camera
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
-from giantlike.core.errors import DataError
+from giantlike.core.atomic import make_folder
 from giantlike.core.frames import require_same_frame
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
 from giantlike.io.camera_sip import PosedModel
@@ -121,7 +121,7 @@ def export_run(
     camera = camera_of_run(folder)
     chosen, left_out = _chosen(result, options, needs_epoch=format_name is not ExportFormat.WCS)
     require(bool(chosen), f"{folder}: no attitude to write ({_said(left_out)})")
-    _make_folder(output if format_name is ExportFormat.WCS else output.parent)
+    make_folder(output if format_name is ExportFormat.WCS else output.parent)
     job = _Job(output=output, camera=camera, records=chosen, options=options, bottom_up=result.bottom_up)
     files = _WRITERS[format_name](job)
     return Exported(files=files, n_attitudes=len(chosen), left_out=left_out)
@@ -152,13 +152,6 @@ def _chosen(
 
 def _said(left_out: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason}" for reason, count in left_out.items()) or "it holds no images"
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(path, f"cannot make the folder: {error.strerror or error}") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.calibration.alignment import AlignmentResult, interlock
 from giantlike.campaign.store.results import attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import Float, require
-from giantlike.core.atomic import write_text_atomic
+from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
@@ -150,10 +150,7 @@ def write_interlock(result: InterlockResult, folder: Path) -> tuple[Path, ...]:
     DataError
         A file cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(folder, f"cannot make the folder: {error.strerror or error}") from error
+    make_folder(folder)
     files = tuple(folder / f"interlock.{suffix}" for suffix in ("json", "csv", "svg"))
     write_text_atomic(files[0], json.dumps(result.summary(), indent=1, allow_nan=False) + "\n")
     write_text_atomic(files[1], _table(result))

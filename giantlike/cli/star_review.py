@@ -10,14 +10,6 @@ from giantlike.image import Image
 from giantlike.processing import Detections
 
 
-def make_folder(folder: Path) -> None:
-    """Make the folder of the pictures; ``DataError`` where that is impossible."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(folder, f"cannot make the folder: {error.strerror or error}") from error
-
-
 def write_review(
     folder: Path, path: Path, image: Image, detections: Detections, outcome: AttitudeFix | Failure
 ) -> tuple[Path, ...]:

@@ -16,8 +16,9 @@ from giantlike.cli.arguments import Hdu, Images, Json, Sequence
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.progress import progress_bar
 from giantlike.cli.sequence_input import sequence_pattern, without_pattern
-from giantlike.cli.star_review import make_folder, write_review
+from giantlike.cli.star_review import write_review
 from giantlike.core.arrays import require
+from giantlike.core.atomic import make_folder
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw

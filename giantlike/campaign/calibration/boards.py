@@ -14,6 +14,7 @@ from giantlike.campaign.calibration.page import write_calibration_page
 from giantlike.campaign.calibration.solve import CampaignCalibration, calibrated_camera, write_calibration
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE
 from giantlike.core.arrays import require
+from giantlike.core.atomic import make_folder
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
@@ -101,7 +102,7 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
             lost=reasons,
             targets="corners",
         )
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_calibration(folder, result)
     write_calibration_page(folder, folder.name, camera, result)
     return result

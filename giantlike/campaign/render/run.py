@@ -14,8 +14,9 @@ import tomli_w
 
 from giantlike.campaign.render.plan import FITS_SUFFIXES, RenderPlan
 from giantlike.catalogs import StarCatalog, load_catalog
+from giantlike.core.atomic import make_folder, write_bytes_atomic, write_text_atomic
 from giantlike.core.errors import DataError, InputError
-from giantlike.io import write_bytes_atomic, write_geometry, write_text_atomic
+from giantlike.io import write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.relative import ESTIMATORS
 from giantlike.simulation import SimulatedImage, Sources, simulate_image
@@ -91,7 +92,7 @@ def render_images(
     with plan.kernels():
         shots = plan.shots()
         for path in paths:
-            _make_folder(path.parent)
+            make_folder(path.parent)
         for number, ((shot, scene), path) in enumerate(zip(shots, paths, strict=True)):
             started = time.perf_counter()
             taken = simulate_image(
@@ -122,13 +123,6 @@ def _placed(plan: RenderPlan, output: Path | None) -> tuple[RenderPlan, Path]:
     if images != 1:
         raise InputError(f"--output {output} names one image, but the scene file has {images}: give a folder")
     return replace(plan, exposures=(replace(plan.exposures[0], file=output.name),)), output.parent
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(folder, f"cannot make this folder: {error.strerror}") from error
 
 
 def _check_output(plan: RenderPlan, folder: Path, paths: list[Path], *, overwrite: bool) -> None:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from giantlike.campaign.store.log import log_event
 from giantlike.campaign.store.records import ImageRecord, ObservationsRecord
-from giantlike.core.atomic import write_text_atomic
+from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Reason
 
@@ -68,11 +68,8 @@ class RunFolder:
             The folder cannot be made, or it is to be continued and is no run folder.
         """
         folder = cls(path)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            used = any(not item.name.startswith(".") for item in path.iterdir())
-        except OSError as error:
-            raise DataError(path, f"cannot make the run folder: {error.strerror or error}") from error
+        make_folder(path)
+        used = any(not item.name.startswith(".") for item in path.iterdir())
         if used and not resume:
             raise InputError(
                 f"{path}: the run folder is not empty; continue that run with --resume, or choose another output"
@@ -81,10 +78,7 @@ class RunFolder:
             folder._check_same(inputs)
         else:
             folder.write_provenance({"inputs": inputs, "environment": environment})
-        try:
-            (path / _PARTS).mkdir(exist_ok=True)
-        except OSError as error:
-            raise DataError(path / _PARTS, f"cannot be made: {error.strerror or error}") from error
+        make_folder(path / _PARTS)
         return folder
 
     @classmethod
