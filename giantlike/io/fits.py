@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import as_finite, as_image, require
 from giantlike.core.atomic import write_bytes_atomic
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.reading import reads
 from giantlike.core.time import utc_text
@@ -77,7 +77,7 @@ def decode_fits(path: Path, data: bytes, hdu: int | str | None) -> DecodedImage:
         The file is truncated or damaged, or the HDU does not exist or holds no 2-D image.
     """
     _require_whole(data)
-    cards, pixels = _open(path, data, hdu)
+    cards, pixels = _open(data, hdu)
     exposure_s = fits_exposure_s(cards)
     epoch = fits_epoch(cards, exposure_s)
     return DecodedImage(
@@ -85,8 +85,8 @@ def decode_fits(path: Path, data: bytes, hdu: int | str | None) -> DecodedImage:
         format="fits",
         epoch=epoch,
         exposure_s=exposure_s,
-        camera_from_inertial=fits_attitude(path, cards),
-        observer=fits_observer(path, cards, epoch),
+        camera_from_inertial=fits_attitude(cards),
+        observer=fits_observer(cards, epoch),
         header={key: card.value for key, card in cards.items()},
     )
 
@@ -231,11 +231,11 @@ def _card_integer(card: str) -> int:
         raise ValueError(f"the FITS card {card.strip()!r} needs a whole number") from None
 
 
-def _open(path: Path, data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[Any]]:
+def _open(data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[Any]]:
     from astropy.io import fits
 
     with fits.open(io.BytesIO(data), memmap=False, lazy_load_hdus=False) as units:
-        unit = units[_choose(path, units, hdu)]
+        unit = units[_choose(units, hdu)]
         cards = _cards(unit.header)
         if unit is not units[0] and unit.header.get("INHERIT", True) is not False:
             inherited = _cards(units[0].header).items()
@@ -246,22 +246,22 @@ def _open(path: Path, data: bytes, hdu: int | str | None) -> tuple[dict[str, Car
     return cards, pixels.reshape(pixels.shape[-2:])
 
 
-def _choose(path: Path, units: Any, hdu: int | str | None) -> int:
+def _choose(units: Any, hdu: int | str | None) -> int:
     """Index of the HDU to read."""
     names = ", ".join(f"{k} {unit.name}".rstrip() for k, unit in enumerate(units))
     images = [k for k, unit in enumerate(units) if unit.is_image and _is_plane(getattr(unit, "shape", ()))]
     if hdu is None:
         if not images:
-            raise DataError(path, f"no HDU holds a 2-D image; HDUs are {names}")
+            raise ValueError(f"no HDU holds a 2-D image; HDUs are {names}")
         return images[0]
     if isinstance(hdu, str):
         chosen = next((k for k, unit in enumerate(units) if unit.name.upper() == hdu.strip().upper()), -1)
     else:
         chosen = hdu
     if not 0 <= chosen < len(units):
-        raise DataError(path, f"there is no HDU {hdu!r}; HDUs are {names}")
+        raise ValueError(f"there is no HDU {hdu!r}; HDUs are {names}")
     if chosen not in images:
-        raise DataError(path, f"HDU {hdu!r} holds no 2-D image; HDUs are {names}")
+        raise ValueError(f"HDU {hdu!r} holds no 2-D image; HDUs are {names}")
     return chosen
 
 

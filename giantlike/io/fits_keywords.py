@@ -6,13 +6,11 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotation_from_xyzw
 from giantlike.core.observer import ObserverState
 from giantlike.core.time import time_from_et
@@ -114,13 +112,11 @@ def fits_epoch(cards: Mapping[str, Card], exposure_s: float | None) -> Time | No
     return None if duration_s is None else delayed(start, duration_s / 2.0)
 
 
-def fits_attitude(path: Path, cards: Mapping[str, Card]) -> Rotation | None:
+def fits_attitude(cards: Mapping[str, Card]) -> Rotation | None:
     """A priori attitude ``camera_from_inertial`` of :data:`QUATERNION_KEYS`.
 
     Parameters
     ----------
-    path : Path
-        For messages.
     cards : mapping of str to Card
 
     Returns
@@ -130,25 +126,18 @@ def fits_attitude(path: Path, cards: Mapping[str, Card]) -> Rotation | None:
 
     Raises
     ------
-    DataError
+    ValueError
         Some are missing, or they make no unit quaternion.
     """
-    values = _group(path, cards, QUATERNION_KEYS)
-    if values is None:
-        return None
-    try:
-        return rotation_from_xyzw(values, "the quaternion GL_QX, GL_QY, GL_QZ, GL_QW")
-    except InputError as error:
-        raise DataError(path, str(error)) from error
+    values = _group(cards, QUATERNION_KEYS)
+    return None if values is None else rotation_from_xyzw(values, "the quaternion GL_QX, GL_QY, GL_QZ, GL_QW")
 
 
-def fits_observer(path: Path, cards: Mapping[str, Card], epoch: Time | None) -> ObserverState | None:
+def fits_observer(cards: Mapping[str, Card], epoch: Time | None) -> ObserverState | None:
     """State of the spacecraft with respect to the solar system barycenter.
 
     Parameters
     ----------
-    path : Path
-        For messages.
     cards : mapping of str to Card
     epoch : Time or None
         Mid-exposure.
@@ -160,7 +149,7 @@ def fits_observer(path: Path, cards: Mapping[str, Card], epoch: Time | None) -> 
 
     Raises
     ------
-    DataError
+    ValueError
         Some of :data:`OBSERVER_KEYS` are missing.
 
     Notes
@@ -169,7 +158,7 @@ def fits_observer(path: Path, cards: Mapping[str, Card], epoch: Time | None) -> 
     spacecraft to where the Sun was one light time ago, to which the Sun's own barycentric state of that
     time is added.
     """
-    values = _group(path, cards, OBSERVER_KEYS)
+    values = _group(cards, OBSERVER_KEYS)
     if values is not None:
         return ObserverState(position_km=np.array(values[:3]), velocity_km_s=np.array(values[3:]))
     numbers = [_number(cards.get(key)) for key in _SUN_FROM_SPACECRAFT]
@@ -237,12 +226,12 @@ def _number(card: Card | None) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _group(path: Path, cards: Mapping[str, Card], keys: tuple[str, ...]) -> list[float] | None:
+def _group(cards: Mapping[str, Card], keys: tuple[str, ...]) -> list[float] | None:
     """Numbers of keywords that only make sense together, None when none of them is there."""
     if not any(key in cards for key in keys):
         return None
     numbers = {key: _number(cards.get(key)) for key in keys}
     missing = [key for key, number in numbers.items() if number is None]
     if missing:
-        raise DataError(path, f"FITS keyword {missing[0]} must be a number: {', '.join(keys)} are needed together")
+        raise ValueError(f"FITS keyword {missing[0]} must be a number: {', '.join(keys)} are needed together")
     return [number for number in numbers.values() if number is not None]

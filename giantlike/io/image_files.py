@@ -214,18 +214,16 @@ def _sniff(data: bytes) -> str | None:
 
 def _label_beside(path: Path) -> Path | None:
     """A PDS3 label of the same name whose image is this file."""
-    for suffix in (".LBL", ".lbl"):
-        label = path.with_suffix(suffix)
-        if label != path and label.is_file():
-            pointer = image_pointer(label, parse_pds3(label, _content(label)))
-            if pointer.file is not None and pointer.file.lower() == path.name.lower():
-                return label
-    return None
+    label = _find_beside(path, path.with_suffix(".LBL").name)
+    if label is None or label == path:
+        return None
+    pointer = image_pointer(label, parse_pds3(label, _content(label)))
+    return label if (pointer.file or "").lower() == path.name.lower() else None
 
 
-def _find_beside(label: Path, name: str) -> Path | None:
-    """The file ``name`` in the folder of ``label``, whatever the case of its letters."""
-    exact = label.parent / name
+def _find_beside(path: Path, name: str) -> Path | None:
+    """File in the folder of another one by its name, whose letters may be in either case."""
+    exact = path.parent / name
     if exact.is_file():
         return exact
-    return next((p for p in sorted(label.parent.iterdir()) if p.name.lower() == name.lower()), None)
+    return next((p for p in sorted(path.parent.iterdir()) if p.name.lower() == name.lower()), None)
