@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, Mask, frozen, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.units import RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR
 from giantlike.core.values import Value
 
@@ -77,7 +77,7 @@ class StarTable(Value):
         for name, dtype in COLUMN_TYPES.items():
             column = np.asarray(getattr(self, name), dtype=dtype)
             require(column.shape == n, f"star table: {name} must have shape {n}, got {column.shape}")
-            object.__setattr__(self, name, frozen(column.view()))
+            object.__setattr__(self, name, column)
         Value.__post_init__(self)
 
     def __len__(self) -> int:

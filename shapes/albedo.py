@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, frozen, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 
@@ -193,7 +193,7 @@ class AlbedoMap(Value):
             ("values", values),
             ("longitude_edges_rad", (west, east)),
             ("latitude_edges_rad", (first, last)),
-            ("center_body_km", frozen(center)),
+            ("center_body_km", center),
             ("sha256", _hash("map", values, np.array([west, east, first, last, self.outside]), center)),
         ):
             object.__setattr__(self, name, value)
@@ -326,7 +326,7 @@ def _checked(values: ArrayLike, dimensions: int) -> Float:
     shape = "(n,)" if dimensions == 1 else "(rows, columns)"
     require(array.ndim == dimensions and array.size > 0, f"albedo values must have shape {shape}, got {array.shape}")
     require(bool(np.isfinite(array).all() and array.min() >= 0.0), "albedo values must be finite and >= 0")
-    return frozen(array)
+    return array
 
 
 def _hash(kind: str, *arrays: Float) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_finite, frozen, require
+from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo, hash_with_albedo
@@ -79,7 +79,7 @@ class Ellipsoid(Value):
     def __post_init__(self) -> None:
         radii = as_finite(self.radii_km, (3,), "radii_km")
         require(bool(np.all(radii > 0)), f"radii_km must be > 0, got {radii.tolist()}")
-        object.__setattr__(self, "radii_km", frozen(radii))
+        object.__setattr__(self, "radii_km", radii)
         require(
             not isinstance(self.albedo, FacetAlbedo | VertexAlbedo),
             "an ellipsoid has no facets or vertices: give it an AlbedoMap",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, frozen, require
+from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
 from giantlike.core.values import Value
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.mesh import Faces, TriangleMesh
@@ -62,9 +62,9 @@ class LocalMap(Value):
         )
         require(not np.isinf(heights).any(), "heights_km must be finite, or NaN where there is none")
         require(0.0 < self.spacing_km < np.inf, f"spacing_km must be > 0, got {self.spacing_km}")
-        object.__setattr__(self, "heights_km", frozen(heights))
+        object.__setattr__(self, "heights_km", heights)
         if self.albedo is not None:
-            object.__setattr__(self, "albedo", frozen(as_finite(self.albedo, heights.shape, "albedo")))
+            object.__setattr__(self, "albedo", as_finite(self.albedo, heights.shape, "albedo"))
         require(len(self._faces()) > 0, f"{self.name!r}: no cell of the map has heights at three corners")
         Value.__post_init__(self)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Mask, frozen
+from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.observer import ObserverState
 from giantlike.core.reading import reads, unzipped
@@ -116,7 +116,7 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
         file = _read_image(given, hdu)
     if not bottom_up:
         return file
-    pixels, mask = (frozen(np.ascontiguousarray(array[::-1])) for array in (file.pixels, file.mask))
+    pixels, mask = (np.ascontiguousarray(array[::-1]) for array in (file.pixels, file.mask))
     return replace(file, pixels=pixels, mask=mask)
 
 
