@@ -32,9 +32,9 @@ from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
+from giantlike.core.pixel_box import BoxPixels
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.processing.pixel_box import BoxPixels
 from giantlike.ray_tracing import Body, FocalPlane, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative import SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.landmarks.matching import fit_patch

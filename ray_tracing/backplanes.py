@@ -150,5 +150,4 @@ def _fill(planes: dict[str, NDArray[Any]], number: int, view: View, directions: 
 def _angle(first: Float, second: Float) -> Float:
     """Angles (k,), rad, between unit vectors (k, 3) and one (3,) or as many (k, 3); good to rounding also near 0."""
     across = np.linalg.norm(np.cross(first, second), axis=-1)
-    angles: Float = np.arctan2(across, np.sum(first * second, axis=-1))
-    return angles
+    return np.asarray(np.arctan2(across, np.sum(first * second, axis=-1)))

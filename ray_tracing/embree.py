@@ -61,8 +61,7 @@ class EmbreeSurface:
         """Return True (n,) where anything lies on a ray (n, 3), however far."""
         if len(_checked(origins, directions)) == 0:
             return np.zeros(0, bool)
-        blocked: Mask = self._run(origins, directions, query="OCCLUDED") == 0
-        return blocked
+        return np.asarray(self._run(origins, directions, query="OCCLUDED") == 0)
 
 
 def padded(vectors: NDArray[np.floating]) -> Float32:

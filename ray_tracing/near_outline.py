@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.pixel_box import PixelBox
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.footprint import FocalPlane, visible_box
 from giantlike.ray_tracing.options import RenderOptions
@@ -85,10 +86,7 @@ def render_near(
     patch = _spread(pixels[~uneven] - first, light[~uneven], (rows, columns), sigma_px, reach)
     light = _light(view, rays[uneven], rays_per_pixel_side)
     patch += _spread(pixels[uneven] - first, light, (rows, columns), sigma_px, reach)
-    frame = np.zeros((plane.rows, plane.columns))
-    (left, top), (right, bottom) = np.maximum(first, 0), np.minimum(first + np.array([columns, rows]), size)
-    frame[top:bottom, left:right] = patch[top - first[1] : bottom - first[1], left - first[0] : right - first[0]]
-    return frame
+    return PixelBox(x=0, y=0, width=plane.columns, height=plane.rows).cut(patch, tuple(first.tolist()))
 
 
 def outline_brightness(
@@ -136,8 +134,7 @@ def outline_brightness(
     directions[..., :3] = view.body.to_body(model.unproject(points_px[:, None] + radius_px * steps))
     traced = trace_rays(view, directions.reshape(-1, 4))
     light = np.mean(traced.brightness(view.body.reflectance).reshape(len(points_px), -1), axis=1)
-    result: Float = light / max(float(light.max()), 1e-300)
-    return result
+    return np.asarray(light / max(float(light.max()), 1e-300))
 
 
 def _pixels_near(places_px: Float, size_px: tuple[int, int], reach_px: int) -> NDArray[np.int64]:
@@ -166,8 +163,7 @@ def _uneven(pixels: NDArray[np.int64], light: Float) -> Mask:
     most[y, x], least[y, x] = light.max(axis=1), light.min(axis=1)
     around = np.ones((3, 3), np.uint8)
     range_around = cv2.dilate(most, around) - cv2.erode(least, around)
-    uneven: Mask = range_around[y, x] > _UNEVEN * float(light.max())
-    return uneven
+    return np.asarray(range_around[y, x] > _UNEVEN * float(light.max()))
 
 
 def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:

@@ -52,8 +52,7 @@ class Neighbor(Value):
         camera_km = self.neighbor_from_body @ camera_body_km + self.offset_km
         hits = self.tracer.intersect(camera_km, directions_body[:, :3] @ self.neighbor_from_body.T)
         own_km2 = np.sum((points_body_km[:, :3] - camera_body_km) ** 2, axis=1)
-        before: Mask = np.sum((hits.points_km - camera_km) ** 2, axis=1) < own_km2
-        return before
+        return np.asarray(np.sum((hits.points_km - camera_km) ** 2, axis=1) < own_km2)
 
     def dark(self, points_body_km: Float32 | Float, to_sun_body: Float) -> Mask:
         """Return True for points in the shadow of the neighbor.
@@ -72,8 +71,7 @@ class Neighbor(Value):
         return self.tracer.occluded(starts, directions)
 
     def _points(self, points_body_km: Float32 | Float) -> Float:
-        points: Float = points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km
-        return points
+        return np.asarray(points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km)
 
 
 def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbor]:

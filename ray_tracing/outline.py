@@ -260,11 +260,9 @@ def projected_normals(model: CameraModel, points_camera_km: Float, normals_camer
     y = gram[:, 0, 0] * sideways[:, 1] - gram[:, 0, 1] * sideways[:, 0]
     normal = np.stack([x, y], axis=-1) / determinant[:, None]
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    result: Float = normal / np.where(length > 0.0, length, np.nan)
-    return result
+    return np.asarray(normal / np.where(length > 0.0, length, np.nan))
 
 
 def _aside(offsets_px: Float, steps: Float) -> Float:
     """Distances (p,), px, of offsets (p, 2) from lines along ``steps`` (p, 2)."""
-    result: Float = offsets_px[:, 0] * steps[:, 1] - offsets_px[:, 1] * steps[:, 0]
-    return result
+    return np.asarray(offsets_px[:, 0] * steps[:, 1] - offsets_px[:, 1] * steps[:, 0])

@@ -105,8 +105,7 @@ def _ramp(x: Float, sigma: float) -> Float:
     if sigma == 0.0:
         return np.maximum(x, 0.0)
     z = x / sigma
-    result: Float = sigma * np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) + x * ndtr(z)
-    return result
+    return np.asarray(sigma * np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) + x * ndtr(z))
 
 
 class RayGrid:
@@ -207,8 +206,7 @@ class Interval:
         offset = ((points - self.middle) / self.half)[:, None] - self._unit_nodes
         offset[np.abs(offset) < 1e-15] = 1e-15
         terms = self._weights / offset
-        result: Float = terms / terms.sum(axis=1, keepdims=True)
-        return result
+        return np.asarray(terms / terms.sum(axis=1, keepdims=True))
 
 
 def _interpolated(by_row: Float, values: Float, by_column: Float) -> Float:

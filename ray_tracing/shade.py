@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing.footprint import Footprint
 from giantlike.ray_tracing.reflectance import Reflectance
@@ -61,13 +62,8 @@ class Template(Value):
         (rows, columns) float64
             0 outside the template; what lies outside the frame is cut off.
         """
-        frame = np.zeros((rows, columns))
-        height, width = self.brightness.shape
-        x, y = (int(v) for v in self.corner_px)
-        x0, x1, y0, y1 = max(x, 0), min(x + width, columns), max(y, 0), min(y + height, rows)
-        if x0 < x1 and y0 < y1:
-            frame[y0:y1, x0:x1] = self.brightness[y0 - y : y1 - y, x0 - x : x1 - x]
-        return frame
+        x, y = self.corner_px.tolist()
+        return PixelBox(x=0, y=0, width=columns, height=rows).cut(self.brightness, (x, y))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

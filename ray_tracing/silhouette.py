@@ -153,8 +153,7 @@ def _covered(body: Body, model: CameraModel, center_px: Float, angles_rad: Float
     places = radii_px[:, None] + (near - radii_px)[:, None] * _BEYOND
     rays = body.to_body(model.unproject(center_px + places[..., None] * steps[:, None, :]))
     met = body.tracer.occluded(body.camera_body_km, rays.reshape(-1, 3))
-    covered: Mask = np.any(met.reshape(-1, _BEYOND.size), axis=1)
-    return covered
+    return np.asarray(np.any(met.reshape(-1, _BEYOND.size), axis=1))
 
 
 def _by_position(model: CameraModel, points_camera_km: Float, normals_px: Float, angles_rad: Float) -> Float:
@@ -162,8 +161,7 @@ def _by_position(model: CameraModel, points_camera_km: Float, normals_px: Float,
     steps = np.stack([np.cos(angles_rad), np.sin(angles_rad)], axis=-1)
     outward = np.einsum("ki,kij->kj", normals_px, model.project_jacobian(points_camera_km))
     slant = np.einsum("ki,ki->k", normals_px, steps)
-    result: Float = steps[:, :, None] * (outward / np.where(slant == 0.0, np.nan, slant)[:, None])[:, None, :]
-    return result
+    return np.asarray(steps[:, :, None] * (outward / np.where(slant == 0.0, np.nan, slant)[:, None])[:, None, :])
 
 
 def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, edge_px: Float) -> Float:

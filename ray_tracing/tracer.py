@@ -129,8 +129,7 @@ class MeshTracer:
         extent = np.ptp(used, axis=0)
         scaled = used / np.where(extent > 0.0, extent, 1.0)  # a long body has its directions where it needs them
         directions, _ = geodesic_directions(_HULL_FACETS)
-        points: Float = used[np.unique([np.argmax(scaled @ direction) for direction in directions])]
-        return points
+        return np.asarray(used[np.unique([np.argmax(scaled @ direction) for direction in directions])])
 
     def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
         """First hits of rays: the facet from Embree and the point on it in float64.
@@ -147,7 +146,7 @@ class MeshTracer:
         -------
         Hits
         """
-        starts, directions = self._rays(origins_body_km, directions_body)
+        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
         found, rough, inside = self._surface.first_hit_inside(starts.astype(np.float32), directions.astype(np.float32))
         facets, distances = found.astype(np.int64), rough.astype(np.float64)
         hit = np.flatnonzero(facets >= 0)
@@ -190,7 +189,7 @@ class MeshTracer:
         -------
         (n,) bool
         """
-        starts, directions = self._rays(origins_body_km, directions_body)
+        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
         return self._surface.occluded(starts.astype(np.float32), directions.astype(np.float32))
 
     def encloses(self, point_body_km: Float) -> bool:
@@ -262,9 +261,6 @@ class MeshTracer:
         directions = np.broadcast_to(to_sun.astype(np.float32), starts.shape)  # one in memory, where there is one
         return self._surface.occluded(starts[:, :3], directions[:, :3])
 
-    def _rays(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> tuple[Float, Float]:
-        return _approached(origins_body_km, directions_body, self.radius_km)
-
 
 class EllipsoidTracer:
     """Rays against an ellipsoid about the origin, by algebra in float64; methods are those of :class:`MeshTracer`.
@@ -300,8 +296,7 @@ class EllipsoidTracer:
         """Return True for rays (n,) that meet the ellipsoid; one that starts on it and leads outward does not."""
         starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
         _, far = self._distances(starts, directions)
-        blocked: Mask = far > 1e-9 * self.radius_km
-        return blocked
+        return np.asarray(far > 1e-9 * self.radius_km)
 
     def encloses(self, point_body_km: Float) -> bool:
         """Return True if a point (3,), km, lies inside the ellipsoid."""
@@ -309,8 +304,7 @@ class EllipsoidTracer:
 
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
         """Return True for hits (n,) that face away from the Sun."""
-        dark: Mask = ~(hits.normals @ sun_body > 0.0)
-        return dark
+        return np.asarray(~(hits.normals @ sun_body > 0.0))
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
         """Trace the rays of an image."""

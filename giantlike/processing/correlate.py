@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.processing.pixel_box import PixelBox
 
 _FITTED = 4  # parameters of a correlation peak: place (two), gain and level
 _LEAST_NOISE = 1e-12  # of the light: where image and template are equal, rounding may leave none
@@ -253,8 +253,7 @@ def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, mi
     )
 
     def summed(spectrum: NDArray[np.complex128]) -> Float:
-        result: Float = fft.irfft2(spectrum, size)[:rows, :columns]
-        return result
+        return np.asarray(fft.irfft2(spectrum, size)[:rows, :columns])
 
     count = np.rint(summed(ones_i * ones_t))
     enough = count >= max(min_overlap * float(count.max()), 3.0)

@@ -86,7 +86,7 @@ class AutoOptions:
         require(0 < self.false_alarm < 0.1, f"false_alarm must be in (0, 0.1), got {self.false_alarm}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Choice:
     """Estimators for a body.
 
@@ -134,45 +134,25 @@ def choose(
     'surface_features'
     """
     size = f"{diameter_px:.3g} px wide"
+    light, template, limb = Moment.name, CrossCorrelation.name, LimbMatching.name
     if diameter_px <= options.unresolved_px:
-        return Choice(
-            estimators=(Unresolved.name, CrossCorrelation.name),
-            checks=(Moment.name,),
-            because=f"{size}, up to {options.unresolved_px:g} px: a point of light",
-        )
+        because = f"{size}, up to {options.unresolved_px:g} px: a point of light"
+        return Choice((Unresolved.name, template), (light,), because)
     if diameter_px < options.limb_px:
-        return Choice(
-            estimators=(CrossCorrelation.name, Moment.name),
-            checks=(Moment.name,),
-            because=f"{size}, below {options.limb_px:g} px: too small for its limb",
-        )
+        because = f"{size}, below {options.limb_px:g} px: too small for its limb"
+        return Choice((template, light), (light,), because)
     if limb_px < options.min_limb_px:
         because = f"{size}, {limb_px:.3g} px of lit limb in the frame, below {options.min_limb_px:g}: no limb to use"
-        if is_ellipsoid:
-            return Choice(estimators=(), checks=(), because=because)
-        return Choice(
-            estimators=(SurfaceFeatures.name, CrossCorrelation.name),
-            checks=(CrossCorrelation.name,),
-            because=because,
+        return (
+            Choice((), (), because) if is_ellipsoid else Choice((SurfaceFeatures.name, template), (template,), because)
         )
     seen = f"{size}, {in_frame:.0%} of the lit limb in the frame"
     if is_ellipsoid:
-        return Choice(
-            estimators=(EllipsoidCRA.name, LimbMatching.name, CrossCorrelation.name),
-            checks=(CrossCorrelation.name, Moment.name, EllipsoidCRA.name),
-            because=f"{seen}, an ellipsoid: its horizon, whatever its face looks like",
-        )
+        because = f"{seen}, an ellipsoid: its horizon, whatever its face looks like"
+        return Choice((EllipsoidCRA.name, limb, template), (template, light, EllipsoidCRA.name), because)
     if in_frame < 1.0:
-        return Choice(
-            estimators=(LimbMatching.name, CrossCorrelation.name, SurfaceFeatures.name),
-            checks=(CrossCorrelation.name, LimbMatching.name),
-            because=f"{seen}, cut by it: its limb",
-        )
-    return Choice(
-        estimators=(CrossCorrelation.name, LimbMatching.name, Moment.name),
-        checks=(LimbMatching.name, Moment.name, CrossCorrelation.name),
-        because=f"{seen}, of irregular shape: all of its light",
-    )
+        return Choice((limb, template, SurfaceFeatures.name), (template, limb), f"{seen}, cut by it: its limb")
+    return Choice((template, limb, light), (limb, light, template), f"{seen}, of irregular shape: all of its light")
 
 
 class Auto(BodyEstimator[AutoOptions, CenterFix]):
@@ -195,9 +175,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     """
 
     name: ClassVar[str] = "auto"
-
-    def __init__(self, options: AutoOptions | None = None) -> None:
-        super().__init__(options or AutoOptions())
+    options_type = AutoOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
         """Choose, estimate and check."""

@@ -17,10 +17,10 @@ from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
-from giantlike.processing.pixel_box import BoxPixels
 from giantlike.ray_tracing import FocalPlane
 from giantlike.scene import Scene, TargetGeometry
 
@@ -72,18 +72,19 @@ class Estimator(Protocol):
 class BodyEstimator(ABC, Generic[Options, Fix]):
     """Base of the estimators: gathers the inputs and names image, target and estimator in every failure.
 
-    A subclass has a ``name``, options and a method ``_estimate``.
+    A subclass has a ``name``, an ``options_type`` and a method ``_estimate``.
 
     Parameters
     ----------
-    options : object
-        The frozen options dataclass of the estimator.
+    options : object, optional
+        The frozen options dataclass of the estimator; its defaults if left out.
     """
 
     name: ClassVar[str]
+    options_type: ClassVar[type[Any]]
 
-    def __init__(self, options: Options) -> None:
-        self._options = options
+    def __init__(self, options: Options | None = None) -> None:
+        self._options: Options = options or self.options_type()
 
     @property
     def options(self) -> Options:

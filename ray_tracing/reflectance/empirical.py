@@ -72,8 +72,7 @@ class LommelSeeliger(SurfaceLaw):
         -------
         (n,) float64
         """
-        result: Float = 2.0 * mu0 / (mu0 + mu)
-        return result
+        return np.asarray(2.0 * mu0 / (mu0 + mu))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,8 +205,7 @@ class Minnaert(SurfaceLaw):
         (n,) float64
         """
         k = np.clip(self.k + self.k_per_deg * np.degrees(phase_rad), 0.0, 2.0)
-        result: Float = mu0 * np.maximum(mu0 * mu, _SMALLEST_PRODUCT) ** (k - 1.0)
-        return result
+        return np.asarray(mu0 * np.maximum(mu0 * mu, _SMALLEST_PRODUCT) ** (k - 1.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,8 +260,7 @@ class Akimov(SurfaceLaw):
         cos_latitude = np.minimum(0.5 * total / (cos_mirror * cos_half), 1.0)
         reach = np.minimum(np.abs(from_mirror) * (np.pi / rest), 0.5 * np.pi)
         darkening = cos_latitude ** (self.eta * phase_rad / rest)
-        result: Float = np.cos(reach) / cos_mirror * (0.5 * total / np.maximum(mu, _SMALLEST_COSINE)) * darkening
-        return result
+        return np.asarray(np.cos(reach) / cos_mirror * (0.5 * total / np.maximum(mu, _SMALLEST_COSINE)) * darkening)
 
 
 def _mixed(mu0: Float, mu: Float, share: Float) -> Float:

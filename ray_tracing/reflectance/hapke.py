@@ -106,8 +106,7 @@ class Hapke(SurfaceLaw):
         slope = math.tan(math.radians(self.theta_bar_deg))
         low, high, shadowed = _roughened(np.minimum(mu0, mu), np.maximum(mu0, mu), cos_phase, slope)
         scattered = single - 1.0 + self._multiple(low) * self._multiple(high)
-        result: Float = mu0 * shadowed * low * high / np.maximum(low + high, _TINY) * scattered
-        return result
+        return np.asarray(mu0 * shadowed * low * high / np.maximum(low + high, _TINY) * scattered)
 
     def _particle(self, cos_phase: Float) -> Float:
         """The phase function p of a single particle."""
@@ -116,15 +115,13 @@ class Hapke(SurfaceLaw):
 
     def _multiple(self, cosine: Float) -> Float:
         """Hapke's approximation of 1981 to Chandrasekhar's H function."""
-        result: Float = (1.0 + 2.0 * cosine) / (1.0 + 2.0 * math.sqrt(1.0 - self.w) * cosine)
-        return result
+        return np.asarray((1.0 + 2.0 * cosine) / (1.0 + 2.0 * math.sqrt(1.0 - self.w) * cosine))
 
 
 def _lobe(asymmetry: float, cos_phase: Float) -> Float:
     """Henyey and Greenstein's phase function."""
     base = 1.0 + asymmetry**2 + (2.0 * asymmetry) * cos_phase
-    result: Float = (1.0 - asymmetry**2) / (base * np.sqrt(base))
-    return result
+    return np.asarray((1.0 - asymmetry**2) / (base * np.sqrt(base)))
 
 
 def _roughened(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple[Float, Float, Float]:

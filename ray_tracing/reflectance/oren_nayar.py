@@ -64,5 +64,4 @@ class OrenNayar(SurfaceLaw):
         level = 1.0 - 0.5 * variance / (variance + 0.33)
         groove = 0.45 * variance / (variance + 0.09) / level
         toward_sun = np.maximum(np.cos(phase_rad) - mu0 * mu, 0.0)
-        result: Float = mu0 + groove * toward_sun * (mu0 / np.maximum(mu0, mu))
-        return result
+        return np.asarray(mu0 + groove * toward_sun * (mu0 / np.maximum(mu0, mu)))

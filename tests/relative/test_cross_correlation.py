@@ -23,9 +23,9 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.core.pixel_box import BoxPixels
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import AttitudeSource, Image
-from giantlike.processing.pixel_box import BoxPixels
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative.estimator import center_of_position
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions

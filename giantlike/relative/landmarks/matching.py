@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.correlate import find_peak, normalized_correlation
-from giantlike.processing.pixel_box import BoxPixels, PixelBox
 from giantlike.relative.landmarks.rendering import Patch
 
 _ROUNDS = 3  # linear fits of a fraction of a pixel: each leaves a small part of the last step

@@ -11,8 +11,8 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure
+from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.processing.pixel_box import PixelBox
 from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, trace_body
 from giantlike.relative.landmarks.visibility import SeenLandmarks
 from giantlike.relative.template.rendering import contrasting_law

@@ -174,9 +174,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     """
 
     name: ClassVar[str] = "surface_features"
-
-    def __init__(self, options: SurfaceFeaturesOptions | None = None) -> None:
-        super().__init__(options or SurfaceFeaturesOptions())
+    options_type = SurfaceFeaturesOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> LandmarkFix | Failure:
         """Find the body of gathered inputs."""
@@ -186,7 +184,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     def _landmarks(self, inputs: EstimatorInputs) -> LandmarkCatalog | Failure:
         """The landmarks of the file, read once, or those of the target's mesh."""
         if self.options.landmarks is not None:
-            return _read_once(str(self.options.landmarks.resolve()))
+            return _read_once(self.options.landmarks.resolve())
         shape = inputs.geometry.target.shape
         mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
         if not isinstance(mesh, TriangleMesh):
@@ -211,9 +209,7 @@ def _within_noise(before: Body, pose: PnpFix) -> bool:
     return float(step @ np.linalg.solve(pose.covariance[:3, :3], step)) < _SETTLED_SIGMA**2
 
 
-@lru_cache(maxsize=4)
-def _read_once(path: str) -> LandmarkCatalog:
-    return load_landmarks(Path(path))
+_read_once = lru_cache(maxsize=4)(load_landmarks)
 
 
 class _Search:
@@ -246,11 +242,12 @@ class _Search:
             if isinstance(found, Failure):
                 return found
             before, moved = body, _moved(body, found.pose, 1.0 if iteration < _DAMPED_AFTER else 0.5)
-            change_px = self._change_px(body, moved, seen)
+            change_px = float(np.abs((self._projected(moved) - self._projected(body))[seen.numbers]).max())
             body = moved
             if iteration > 0 and (change_px < self.options.tolerance_px or _within_noise(before, found.pose)):
                 return self._fix(body, found)
-            seen = self._seen(body) if iteration == 0 else self._again(body, seen)
+            again = replace(seen, predicted_px=self._projected(body)[seen.numbers])
+            seen = self._seen(body) if iteration == 0 else again
         detail = f"the pose still moves by {change_px:.3f} px after {self.options.max_iterations} renders"
         return Failure(Reason.NOT_CONVERGED, detail)
 
@@ -270,10 +267,6 @@ class _Search:
         elif seen.numbers.size == 0 and seen.outside > 0:
             reason = Reason.OUT_OF_FRAME
         return Failure(reason, f"{seen}; needed {options.min_landmarks}")
-
-    def _again(self, body: Body, seen: SeenLandmarks) -> SeenLandmarks:
-        """The same landmarks at another pose."""
-        return replace(seen, predicted_px=self._projected(body)[seen.numbers])
 
     def _projected(self, body: Body) -> Float:
         points = body.to_camera(self.viewer.points_body_km) + body.position_camera_km
@@ -346,10 +339,6 @@ class _Search:
         result: Float = _RADIUS_PX + self.options.search_range * arms + min(turn, _FREE_TURN_RAD) * levers
         return np.minimum(result, self.options.search_px)
 
-    def _change_px(self, before: Body, after: Body, seen: SeenLandmarks) -> float:
-        moved = self._projected(after)[seen.numbers] - self._projected(before)[seen.numbers]
-        return float(np.abs(moved).max())
-
     def _fix(self, body: Body, found: _Found) -> LandmarkFix:
         """Return the fix of a pose that has converged."""
         inputs, pose = self.inputs, found.pose
@@ -359,12 +348,10 @@ class _Search:
         center, covariance_px2 = center_of_position(inputs.camera.model, pose.position_camera_km, covariance)
         score = float(np.mean([match.score for match in used]))
         observed = found.observed_px[pose.inliers]
-        known = inputs.geometry.camera_from_body
+        known, identity = inputs.geometry.camera_from_body, inputs.identity
+        identity["provenance"] = {**inputs.provenance, "landmarks_sha256": self.catalog.sha256}
         return LandmarkFix(
-            estimator=inputs.estimator,
-            target=inputs.target_name,
-            predicted_px=inputs.predicted_px,
-            provenance={**inputs.provenance, "landmarks_sha256": self.catalog.sha256},
+            **identity,
             center_px=center,
             covariance_px2=covariance_px2,
             residuals=pose.residuals_px[pose.inliers].ravel(),

@@ -128,8 +128,7 @@ class LandmarkViewer:
             over = np.einsum("ij,ij->i", hits.points_km - points, up)
             near = np.isfinite(over) & (np.abs(over) < self.sizes_km[self._owner])
             lift = lift + np.where(near, np.maximum(over, 0.0), 0.0)
-        result: Float = points + lift[:, None] * up
-        return result
+        return np.asarray(points + lift[:, None] * up)
 
     def seen(
         self,
@@ -194,8 +193,7 @@ class LandmarkViewer:
         """Part (n,) of the points of each landmark that is marked (g,)."""
         count = len(self.points_body_km)
         totals = np.bincount(self._owner, minlength=count)
-        result: Float = np.bincount(self._owner, weights=marked, minlength=count) / np.maximum(totals, 1)
-        return result
+        return np.asarray(np.bincount(self._owner, weights=marked, minlength=count) / np.maximum(totals, 1))
 
     def _spread(self, numbers: Indices, predicted_px: Float, count: int) -> Indices:
         """At most ``count`` landmarks, each the one with the most texture times distance from those before it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -12,21 +13,28 @@ from numpy.typing import NDArray
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.detector import Detector
 from giantlike.core.outcomes import CenterFix, Failure, Reason
+from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.limb.segmentation import (
     Background,
-    Blobs,
     ExpectedBlob,
     background_of,
     connected_blobs,
     identify_blobs,
     otsu_threshold,
 )
-from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, trace_body
+from giantlike.ray_tracing import (
+    FocalPlane,
+    Lambert,
+    LommelSeeliger,
+    RenderOptions,
+    Template,
+    disk_photocenter,
+    trace_body,
+)
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, apparent_radius_px
-from giantlike.relative.light.phase_correction import Correction, modeled_correction_px, require_correction
+from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.quality import QualityChecks
 from giantlike.scene import TargetGeometry
 
@@ -110,16 +118,23 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     """
 
     name: ClassVar[str] = "moment"
-
-    def __init__(self, options: MomentOptions | None = None) -> None:
-        super().__init__(options or MomentOptions())
+    options_type = MomentOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
         """Find the body of gathered inputs."""
-        templates = _templates(inputs, margin_px=math.ceil(self.options.search_px))
+        geometry, search_px = inputs.geometry, self.options.search_px
+        templates = _templates(geometry, inputs.focal_plane(), margin_px=math.ceil(search_px))
         if isinstance(templates, Failure):
             return templates
-        light = _light_of(inputs, templates[0], _other_targets(inputs), self.options.search_px)
+        prediction = _Prediction(
+            center_px=inputs.predicted_px,
+            radius_px=inputs.radius_px,
+            reach_px=inputs.reach_px,
+            search_px=search_px,
+            template=templates[0],
+            others=_other_targets(inputs),
+        )
+        light = _light_of(inputs.pixels, inputs.masked, prediction)
         return light if isinstance(light, Failure) else _fix(inputs, templates, light, self.options)
 
 
@@ -130,7 +145,9 @@ def _fix(inputs: EstimatorInputs, templates: list[Template], light: _Light, opti
     rendered, *by_other_laws = (light.offset_px(one, threshold_dn) for one in templates)
     low_dn = _LOWER_THRESHOLD * threshold_dn
     by_threshold = light.centroid(low_dn)[0] - center_px + light.offset_px(template, low_dn) - rendered
-    offset, by_correction = _corrected(inputs, rendered, by_other_laws, Correction(options.correction))
+    kind, model = Correction(options.correction), inputs.camera.model
+    offset = phase_correction_px(kind, rendered, inputs.geometry, model, radius_px=inputs.radius_px)
+    by_correction = [other - rendered for other in (by_other_laws if kind is Correction.RENDERED else [offset])]
     size = _measured_size(light, templates, options.range_sigma)
     terms = [*by_correction, by_threshold, size.sigma * offset]
     covariance = noise_px2 + _SAMPLING_PX**2 * np.eye(2) + sum(np.outer(term, term) for term in terms)
@@ -155,16 +172,16 @@ def _fix(inputs: EstimatorInputs, templates: list[Template], light: _Light, opti
     )
 
 
-def _corrected(
-    inputs: EstimatorInputs, rendered: Float, by_other_laws: list[Float], kind: Correction
-) -> tuple[Float, list[Float]]:
-    """From the center of light to that of the figure (2,), px, and errors (2,) of it, each as one sigma."""
-    if kind is Correction.RENDERED:
-        return rendered, [other - rendered for other in by_other_laws]
-    if kind is Correction.NONE:
-        return np.zeros(2), [rendered]
-    published = modeled_correction_px(inputs.geometry, inputs.camera.model, radius_px=inputs.radius_px, kind=kind)
-    return published, [published - rendered]
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Prediction(Value):
+    """The body as predicted: center, mean and largest radius, px, its light and that of the other targets."""
+
+    center_px: Float
+    radius_px: float
+    reach_px: float
+    search_px: float
+    template: Template
+    others: list[ExpectedBlob]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -182,7 +199,8 @@ class _Light(Value):
     threshold_dn : float, DN
         Otsu's, above background.
     background : Background
-    detector : Detector
+    noise_variance_dn2 : callable
+        Variance, DN^2, of the noise of pixels of a given signal.
     shift_px : (2,) int64, px
         From a template at the predicted place to the light.
     """
@@ -192,14 +210,13 @@ class _Light(Value):
     expected: Mask
     threshold_dn: float
     background: Background
-    detector: Detector
+    noise_variance_dn2: Callable[[Float], Float]
     shift_px: NDArray[np.int64]
 
     @property
     def bright(self) -> Mask:
         """Pixels of the body above threshold."""
-        result: Mask = self.region & (self.signal_dn > self.threshold_dn)
-        return result
+        return np.asarray(self.region & (self.signal_dn > self.threshold_dn))
 
     def centroid(self, threshold_dn: float) -> tuple[Float, Float]:
         """Center of the light above a threshold (2,), px, and its covariance (2, 2) by noise, px^2."""
@@ -207,7 +224,7 @@ class _Light(Value):
         values = self.signal_dn[rows, columns]
         pixels = np.stack([columns, rows], axis=1).astype(np.float64)
         center = values @ pixels / values.sum()
-        variance = self.detector.variance_dn2(values) - float(self.detector.variance_dn2(np.zeros(1))[0])
+        variance = self.noise_variance_dn2(values) - float(self.noise_variance_dn2(np.zeros(1))[0])
         variance = variance + self.background.sigma_dn**2
         arms = (pixels - center) / values.sum()
         return center, (arms * variance[:, None]).T @ arms
@@ -225,8 +242,7 @@ class _Light(Value):
         by_column, by_row = kept.sum(axis=0), kept.sum(axis=1)
         along = np.array([by_column @ np.arange(by_column.size), by_row @ np.arange(by_row.size)])
         center = along / float(by_column.sum())
-        result: Float = template.center_px - center - template.corner_px
-        return result
+        return np.asarray(template.center_px - center - template.corner_px)
 
     def residuals_dn(self, template: Template) -> tuple[Float, float]:
         """Image minus template at the nearest whole pixels (rows, columns), DN, and the template's peak, DN."""
@@ -245,8 +261,7 @@ class _Light(Value):
         number = block[:, 1] * (int(block[:, 0].max()) + 1) + block[:, 0]
         flux = float(self.signal_dn[rows, columns].sum())
         pulls = np.stack([np.bincount(number, left * arms[:, axis]) for axis in range(2)], axis=-1) / flux
-        result: Float = pulls.T @ pulls
-        return result
+        return np.asarray(pulls.T @ pulls)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,13 +295,12 @@ def _measured_size(light: _Light, templates: list[Template], range_sigma: float)
     return _Size(scale=math.exp(weight * log_size), sigma=sigma, area_ratio=ratio, excess=excess)
 
 
-def _templates(inputs: EstimatorInputs, *, margin_px: int) -> list[Template] | Failure:
+def _templates(geometry: TargetGeometry, plane: FocalPlane, *, margin_px: int) -> list[Template] | Failure:
     """The body at its predicted place under its own law and then others."""
-    plane = inputs.focal_plane()
     trace = trace_body(
-        inputs.geometry.body(),
+        geometry.body(),
         plane.model,
-        sun_direction_camera=inputs.geometry.sun_direction_camera,
+        sun_direction_camera=geometry.sun_direction_camera,
         psf=plane.psf,
         columns=plane.columns,
         rows=plane.rows,
@@ -294,7 +308,7 @@ def _templates(inputs: EstimatorInputs, *, margin_px: int) -> list[Template] | F
     )
     if isinstance(trace, Failure):
         return trace
-    own = inputs.geometry.target.reflectance
+    own = geometry.target.reflectance
     found = []
     for law in (own, *(law for law in _OTHER_LAWS if type(law) is not type(own))):
         template = trace.with_reflectance(law).template()
@@ -304,14 +318,13 @@ def _templates(inputs: EstimatorInputs, *, margin_px: int) -> list[Template] | F
     return found
 
 
-def _light_of(
-    inputs: EstimatorInputs, template: Template, others: list[ExpectedBlob], search_px: float
-) -> _Light | Failure:
+def _light_of(image: BoxPixels, bad: Mask, prediction: _Prediction) -> _Light | Failure:
     """Find the light of the body and separate it from the dark and from other bodies."""
-    background = _background(inputs, search_px)
+    template, others, search_px = prediction.template, prediction.others, prediction.search_px
+    background = _background(image, prediction)
     if isinstance(background, Failure):
         return background
-    signal = _filled(inputs) - background.level_dn
+    signal = _filled(image.values_dn, bad) - background.level_dn
     blobs = connected_blobs(signal, signal > _LIGHT_SIGMAS * background.sigma_dn, min_area_px=_MIN_AREA_PX)
     visible = template.brightness > _VISIBLE * float(template.brightness.max())
     own = ExpectedBlob(
@@ -332,14 +345,14 @@ def _light_of(
     foreign = np.isin(blobs.labels, chosen[1:] + 1)
     shift = np.rint(blobs.centroids_px[blob] - template.photocenter_px).astype(np.int64)
     for _ in range(_SETTLING):
-        region, expected, around = _regions(inputs, template, shift, blobs, blob)
+        region, expected, around = _regions(template, shift, blobs.labels == blob + 1, prediction.radius_px)
         light = _Light(
             signal_dn=signal,
             region=region & ~foreign,
             expected=expected,
             threshold_dn=otsu_threshold(signal[around & ~foreign]),
             background=background,
-            detector=inputs.camera.detector,
+            noise_variance_dn2=image.noise_variance_dn2,
             shift_px=shift,
         )
         bright = light.bright
@@ -349,7 +362,7 @@ def _light_of(
         before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
         if np.abs(shift - before).max() <= _SETTLED_PX:
             break
-    saturated = float(inputs.saturated[bright].mean())
+    saturated = float((~image.usable & ~bad)[bright].mean())
     if saturated > _MAX_SATURATED:
         return Failure(
             Reason.SATURATED, f"{saturated:.0%} of the bright pixels are saturated, allowed {_MAX_SATURATED:.0%}"
@@ -357,12 +370,12 @@ def _light_of(
     return light
 
 
-def _background(inputs: EstimatorInputs, search_px: float) -> Background | Failure:
+def _background(image: BoxPixels, prediction: _Prediction) -> Background | Failure:
     """Level and noise of the sky: of all pixels that the body cannot reach."""
-    rows, columns = np.ogrid[: inputs.camera.rows, : inputs.camera.columns]
-    x, y = inputs.predicted_px
-    away = np.hypot(columns - x, rows - y) > inputs.reach_px + search_px
-    values = inputs.pixels_dn[away & inputs.usable]
+    rows, columns = np.ogrid[: image.usable.shape[0], : image.usable.shape[1]]
+    (x, y), search_px = prediction.center_px, prediction.search_px
+    away = np.hypot(columns - x, rows - y) > prediction.reach_px + search_px
+    values = image.values_dn[away & image.usable]
     if values.size < _MIN_BACKGROUND_PX:
         return Failure(
             Reason.OUT_OF_FRAME,
@@ -370,41 +383,33 @@ def _background(inputs: EstimatorInputs, search_px: float) -> Background | Failu
             "background; it fills the image",
         )
     found = background_of(values)
-    floor = math.sqrt(float(inputs.camera.detector.variance_dn2(np.zeros(1))[0]))
+    floor = math.sqrt(float(image.noise_variance_dn2(np.zeros(1))[0]))
     return Background(level_dn=found.level_dn, sigma_dn=max(found.sigma_dn, 0.1 * floor, 1e-9))
 
 
-def _filled(inputs: EstimatorInputs) -> Float:
+def _filled(values_dn: Float, bad: Mask) -> Float:
     """Pixels with bad ones replaced by the mean of the good ones around."""
-    bad = inputs.masked
     if not bad.any():
-        return inputs.pixels_dn
+        return values_dn
     share = cv2.blur((~bad).astype(np.float64), (5, 5))
-    near = cv2.blur(np.where(bad, 0.0, inputs.pixels_dn), (5, 5)) / np.maximum(share, 1e-6)
-    result: Float = np.where(bad, near, inputs.pixels_dn)
-    return result
+    near = cv2.blur(np.where(bad, 0.0, values_dn), (5, 5)) / np.maximum(share, 1e-6)
+    return np.asarray(np.where(bad, near, values_dn))
 
 
-def _regions(
-    inputs: EstimatorInputs, template: Template, shift_px: NDArray[np.int64], blobs: Blobs, blob: int
-) -> tuple[Mask, Mask, Mask]:
+def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius_px: float) -> tuple[Mask, Mask, Mask]:
     """Pixels of the body's light, those where it is expected, and a box with enough dark around for a threshold."""
-    rows, columns = inputs.camera.rows, inputs.camera.columns
+    rows, columns = blob.shape
+    x, y = (template.corner_px + shift_px).tolist()
     trace = template.brightness > _TRACE * float(template.brightness.max())
-    y, x = np.nonzero(trace)
-    x, y = x + template.corner_px[0] + shift_px[0], y + template.corner_px[1] + shift_px[1]
-    inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
-    expected = np.zeros((rows, columns), dtype=bool)
-    expected[y[inside], x[inside]] = True
-    margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * inputs.radius_px)
+    expected = PixelBox(x=0, y=0, width=columns, height=rows).cut(trace, (x, y))
+    margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * radius_px)
     down, right = np.ogrid[-margin : margin + 1, -margin : margin + 1]
     disk = (np.hypot(down, right) <= margin).astype(np.uint8)
     region, expected = (
-        np.asarray(cv2.dilate(part.astype(np.uint8), disk), dtype=bool)
-        for part in (expected | (blobs.labels == blob + 1), expected)
+        np.asarray(cv2.dilate(part.astype(np.uint8), disk), dtype=bool) for part in (expected | blob, expected)
     )
     y, x = np.nonzero(region)
-    more = math.ceil(_OTSU_MARGIN * inputs.radius_px)
+    more = math.ceil(_OTSU_MARGIN * radius_px)
     around = np.zeros(region.shape, dtype=bool)
     around[max(y.min() - more, 0) : y.max() + more + 1, max(x.min() - more, 0) : x.max() + more + 1] = True
     return region, expected, around

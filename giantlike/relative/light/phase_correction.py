@@ -38,22 +38,28 @@ def require_correction(name: str) -> None:
     require(name in known, f"correction must be one of {', '.join(known)}, got {name!r}")
 
 
-def modeled_correction_px(geometry: TargetGeometry, model: CameraModel, *, radius_px: float, kind: Correction) -> Float:
-    """Correction by a formula, from the center of the light to that of the figure.
+def phase_correction_px(
+    kind: Correction, rendered_px: Float, geometry: TargetGeometry, model: CameraModel, *, radius_px: float
+) -> Float:
+    """Correction from the center of the light to that of the figure.
 
     Parameters
     ----------
+    kind : Correction
+        Points get ``KAASALAINEN_TANGA`` for ``ELLIPSOID``.
+    rendered_px : (2,) float64, px
+        Correction of the rendered body.
     geometry : TargetGeometry
     model : CameraModel
     radius_px : float, px
         Apparent radius of the body.
-    kind : Correction
-        ``KAASALAINEN_TANGA`` or ``ELLIPSOID``; points always get the first.
 
     Returns
     -------
     (2,) float64, px
     """
+    if kind in (Correction.RENDERED, Correction.NONE):
+        return rendered_px if kind is Correction.RENDERED else np.zeros(2)
     shape, position_km = geometry.target.shape, geometry.position_camera_km
     by_position = model.project_jacobian(position_km)
     if kind is Correction.KAASALAINEN_TANGA or shape.circumscribing_radius_km == 0.0:
@@ -65,8 +71,7 @@ def modeled_correction_px(geometry: TargetGeometry, model: CameraModel, *, radiu
         sun_direction_body=rotate(body_from_camera, geometry.sun_direction_camera),
         observer_direction_body=-rotate(body_from_camera, unit(position_km)),
     )
-    result: Float = -by_position @ rotate(geometry.camera_from_body, light_body_km)
-    return result
+    return np.asarray(-by_position @ rotate(geometry.camera_from_body, light_body_km))
 
 
 def sunlight_px(geometry: TargetGeometry, model: CameraModel) -> Float:

@@ -9,15 +9,16 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.detector import Detector
 from giantlike.core.outcomes import CenterFix, Failure, Reason
+from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.statistics import robust_sigma
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.processing.detection.detections import DetectionFlag
 from giantlike.processing.detection.windowed import WindowedCentroid, windowed_centroid
-from giantlike.processing.pixel_box import PixelBox
 from giantlike.ray_tracing import Template
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
-from giantlike.relative.light.phase_correction import Correction, modeled_correction_px, require_correction
+from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2, UNKNOWN_BLUR_SIGMA_PX2, TemplateRenderer
@@ -97,9 +98,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
     """
 
     name: ClassVar[str] = "unresolved"
-
-    def __init__(self, options: UnresolvedOptions | None = None) -> None:
-        super().__init__(options or UnresolvedOptions())
+    options_type = UnresolvedOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
         """Find the body of gathered inputs."""
@@ -119,22 +118,29 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         template = renderer.render(renderer.start, renderer.sampling(math.ceil(options.search_px)))
         if isinstance(template, Failure):
             return template
-        found = _brightest(inputs, template, options)
+        image = inputs.pixels
+        found = _brightest(image, inputs.masked, inputs.camera.detector, template, options)
         if isinstance(found, Failure):
             return found
         start_px, rivals = found
         width_px = _width_px(template)
-        measured = _centroid(inputs, start_px, width_px)
+        measured = _centroid(image, inputs.saturated, start_px, width_px)
         if isinstance(measured, Failure):
             return measured
         offset = _offset(template, width_px)
         if isinstance(offset, Failure):
             return offset
-        fit = _fitted(inputs, renderer, template, measured.point_px + offset, options)
+        start_px, psf_known = measured.point_px + offset, inputs.psf_sigma_px is not None
+        fit = _fitted(image, renderer, template, start_px, options, psf_known=psf_known)
         if isinstance(fit, Failure):
             return fit
-        shift, systematic = _correction(inputs, template, options)
-        disagreement_px = float(np.linalg.norm(fit.state.center_px - measured.point_px - offset))
+        rendered_px = template.center_px - template.photocenter_px
+        kind, model = Correction(options.correction), inputs.camera.model
+        correction_px = phase_correction_px(kind, rendered_px, inputs.geometry, model, radius_px=inputs.radius_px)
+        shift_px = correction_px - rendered_px
+        scaled_px = options.range_sigma * correction_px * float(kind is not Correction.RENDERED)  # else in the fit
+        systematic = np.outer(shift_px, shift_px) + np.outer(scaled_px, scaled_px)
+        disagreement_px = float(np.linalg.norm(fit.state.center_px - start_px))
         checks = QualityChecks(
             off_px=np.array([np.linalg.norm(measured.point_px - template.photocenter_px), 0.0]),
             search_px=options.search_px,
@@ -145,7 +151,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         core = _disk(inputs.usable.shape, measured.point_px, _CORE_SIGMAS * width_px)
         return CenterFix(
             **inputs.identity,
-            center_px=fit.state.center_px + shift,
+            center_px=fit.state.center_px + shift_px,
             covariance_px2=fit.covariance[:2, :2] + systematic,
             residuals=fit.residuals_dn[fit.used] / float(fit.model_dn.max() - fit.offset_dn),
             n_used=int(fit.used.sum()),
@@ -155,17 +161,16 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         )
 
 
-def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedOptions) -> tuple[Float, bool] | Failure:
+def _brightest(
+    image: BoxPixels, bad: Mask, detector: Detector, template: Template, options: UnresolvedOptions
+) -> tuple[Float, bool] | Failure:
     """Position of the brightest source in the search region, and True if another comes near it."""
     expected_px, search_px = template.photocenter_px, options.search_px
-    box = _box_around(expected_px, search_px + _BACKGROUND_PX, inputs)
+    box = _box_around(expected_px, search_px + _BACKGROUND_PX, image)
     if box.width < 2 * _BACKGROUND_PX or box.height < 2 * _BACKGROUND_PX:
-        return Failure(Reason.OUT_OF_FRAME, f"predicted at {_text(inputs.predicted_px)} px, outside the image")
+        return Failure(Reason.OUT_OF_FRAME, f"the light is predicted at {_text(expected_px)} px, outside the image")
     sources = detect_sources(
-        box.cut(inputs.pixels_dn),
-        detector=inputs.camera.detector,
-        psf_sigma_px=_width_px(template),
-        mask=box.cut(inputs.masked),
+        box.cut(image.values_dn), detector=detector, psf_sigma_px=_width_px(template), mask=box.cut(bad)
     )
     if isinstance(sources, Failure):
         return sources
@@ -185,57 +190,46 @@ def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedO
 
 
 def _fitted(
-    inputs: EstimatorInputs,
+    image: BoxPixels,
     renderer: TemplateRenderer,
     template: Template,
     center_px: Float,
     options: UnresolvedOptions,
+    *,
+    psf_known: bool,
 ) -> TemplateFit | Failure:
     """Fit the rendered body to the image; another law is mixed in where its offset enters the result."""
     low = (template.corner_px + np.rint(center_px - template.center_px).astype(np.int64)).astype(np.float64)
     box = renderer.box(low, low + template.brightness.shape[::-1], _FIT_MARGIN_PX)
     return fit_template(
-        inputs.pixels.cut(box),
+        image.cut(box),
         renderer.synthesis(box, other_law=Correction(options.correction) is Correction.RENDERED),
         replace(renderer.start, center_px=center_px),
         options=TemplateFitOptions(
             log_range_sigma=options.range_sigma,
-            blur_sigma_px2=KNOWN_BLUR_SIGMA_PX2 if inputs.camera.psf is not None else UNKNOWN_BLUR_SIGMA_PX2,
+            blur_sigma_px2=KNOWN_BLUR_SIGMA_PX2 if psf_known else UNKNOWN_BLUR_SIGMA_PX2,
         ),
     )
 
 
-def _correction(inputs: EstimatorInputs, template: Template, options: UnresolvedOptions) -> tuple[Float, Float]:
-    """From the fitted center to the corrected one (2,), px, and the covariance (2, 2), px^2, that this adds."""
-    kind = Correction(options.correction)
-    if kind is Correction.RENDERED:
-        return np.zeros(2), np.zeros((2, 2))
-    to_light = template.photocenter_px - template.center_px
-    if kind is Correction.NONE:
-        return to_light, np.outer(to_light, to_light)
-    published = modeled_correction_px(inputs.geometry, inputs.camera.model, radius_px=inputs.radius_px, kind=kind)
-    difference, scaled = published + to_light, options.range_sigma * published
-    return difference, np.outer(difference, difference) + np.outer(scaled, scaled)
-
-
-def _centroid(inputs: EstimatorInputs, start_px: Float, window_px: float) -> WindowedCentroid | Failure:
+def _centroid(image: BoxPixels, saturated: Mask, start_px: Float, window_px: float) -> WindowedCentroid | Failure:
     """Centroid in the image, background and its noise from a ring around the source."""
     reach = _WINDOW_REACH_SIGMAS * window_px
-    box = _box_around(start_px, reach + _BACKGROUND_PX, inputs)
-    values, usable = box.cut(inputs.pixels_dn), box.cut(inputs.usable)
+    box = _box_around(start_px, reach + _BACKGROUND_PX, image)
+    values, usable = box.cut(image.values_dn), box.cut(image.usable)
     corner = np.array(box.corner_px)
     rows, columns = np.indices(values.shape)
     distance = np.hypot(columns + corner[0] - start_px[0], rows + corner[1] - start_px[1])
     core = distance <= _CORE_SIGMAS * window_px
     if not usable[core].all():
-        saturated = box.cut(inputs.saturated)[core].any()
+        clipped = bool(box.cut(saturated)[core].any())
         return Failure(
-            Reason.SATURATED if saturated else Reason.NO_SIGNAL,
+            Reason.SATURATED if clipped else Reason.NO_SIGNAL,
             f"{int((~usable[core]).sum())} of {int(core.sum())} pixels on the source at {_text(start_px)} px are "
-            f"{'saturated' if saturated else 'bad or outside the image'}",
+            f"{'saturated' if clipped else 'bad or outside the image'}",
         )
     level, noise = _background(values[(distance > reach) & usable])
-    signal, variance_dn2 = values - level, inputs.camera.detector.variance_dn2
+    signal, variance_dn2 = values - level, image.noise_variance_dn2
     measured = windowed_centroid(
         signal,
         variance_dn2(signal) - variance_dn2(np.zeros(1)) + noise**2,
@@ -284,10 +278,11 @@ def _width_px(template: Template) -> float:
     return math.sqrt(float((((columns - x) ** 2 + (rows - y) ** 2) * light).sum() / total) / 2)
 
 
-def _box_around(center_px: Float, half_px: float, inputs: EstimatorInputs) -> PixelBox:
+def _box_around(center_px: Float, half_px: float, image: BoxPixels) -> PixelBox:
     """Box of the image within ``half_px`` of a point, cut at the frame."""
     box = PixelBox.spanning(center_px - half_px, center_px + half_px + 1.0)
-    return box.limited(inputs.camera.columns, inputs.camera.rows)
+    rows, columns = image.usable.shape
+    return box.limited(columns, rows)
 
 
 def _disk(shape: tuple[int, ...], center_px: Float, radius_px: float) -> Mask:

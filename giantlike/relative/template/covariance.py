@@ -73,8 +73,7 @@ class VarianceModel(Value):
 
     def total(self, sizes: Float) -> Float:
         """Variance (n,) for given sizes (m,) of the errors."""
-        result: Float = self.noise + sizes @ self.shapes
-        return result
+        return np.asarray(self.noise + sizes @ self.shapes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,8 +179,7 @@ def _weighted(design: Float, values: Float, weights: Float, prior: Prior) -> Flo
     scaled = information / scale / scale[:, None]
     if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > _CONDITION_LIMIT:
         return None
-    result: Float = np.linalg.solve(scaled, right / scale) / scale
-    return result
+    return np.asarray(np.linalg.solve(scaled, right / scale) / scale)
 
 
 def _first_errors(residuals: Float, variances: VarianceModel) -> Float:
@@ -212,14 +210,12 @@ class LinearFit(Value):
     def information(self) -> Float:
         """Normal matrix (k, k), the prior included."""
         design = self.columns.reshape(len(self.columns), -1).T
-        result: Float = (design * self.weights.reshape(-1, 1)).T @ design + np.diag(self.prior.information)
-        return result
+        return np.asarray((design * self.weights.reshape(-1, 1)).T @ design + np.diag(self.prior.information))
 
     def _sandwich(self, scatter: Float) -> Float:
         """Covariance (k, k) of the parameters from that of their scores."""
         inverse = np.linalg.inv(self.information)
-        result: Float = inverse @ scatter @ inverse
-        return result
+        return np.asarray(inverse @ scatter @ inverse)
 
     def _noise_scatter(self, noise: Float) -> Float:
         """Covariance (k, k) of the scores from independent noise of given variance (h, w), and from the prior."""
@@ -299,8 +295,7 @@ class LinearFit(Value):
         seen = leverage > 0.0
         moved = np.linalg.solve(information - _LEVERAGE_LIMIT * own[seen], scores[seen][..., None])[..., 0]
         moved = moved - moved.mean(axis=0)
-        result: Float = moved.T @ moved
-        return result
+        return np.asarray(moved.T @ moved)
 
     def _block_scores(self, residuals: Float, block: int, offset: int) -> tuple[Float, Float]:
         """Scores (b, k) and information (b, k, k) of square blocks of pixels, the first starting ``offset`` early."""
@@ -354,8 +349,7 @@ def _correlated(scores: Float, length_px: float) -> Float:
     """
     if length_px < _INSIDE_PIXEL_PX:
         flat = scores.reshape(len(scores), -1)
-        result: Float = flat @ flat.T
-        return result
+        return np.asarray(flat @ flat.T)
     factor = max(int(length_px / _FINE_LENGTH_PX), 1)
     images = _block_sums(scores, factor) if factor > 1 else scores
     sigma = math.sqrt(2.0) * length_px / factor
@@ -382,8 +376,7 @@ def larger(first: Float, second: Float) -> Float:
     inverse_root = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
     wide = root @ vectors
-    result: Float = (wide * np.maximum(values, 1.0)) @ wide.T
-    return result
+    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
 
 
 def _block_sums(images: Float, block: int) -> Float:
@@ -391,5 +384,4 @@ def _block_sums(images: Float, block: int) -> Float:
     count, height, width = images.shape
     padded = np.pad(images, [(0, 0), (0, -height % block), (0, -width % block)])
     shape = (count, padded.shape[1] // block, block, padded.shape[2] // block, block)
-    result: Float = padded.reshape(shape).sum(axis=(2, 4))
-    return result
+    return np.asarray(padded.reshape(shape).sum(axis=(2, 4)))

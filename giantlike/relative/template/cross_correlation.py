@@ -10,9 +10,9 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.correlate import CorrelationOptions, locate_template
-from giantlike.processing.pixel_box import BoxPixels, PixelBox
 from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, position_of_center
 from giantlike.relative.quality import QualityChecks
@@ -135,9 +135,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     """
 
     name: ClassVar[str] = "cross_correlation"
-
-    def __init__(self, options: CrossCorrelationOptions | None = None) -> None:
-        super().__init__(options or CrossCorrelationOptions())
+    options_type = CrossCorrelationOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | PositionFix | Failure:
         """Find the body of gathered inputs: :func:`match_template` and the flags of its result."""

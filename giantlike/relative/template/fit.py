@@ -18,8 +18,8 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
-from giantlike.processing.pixel_box import BoxPixels
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, VarianceModel, larger, robust_fit
 
 _LOG = logging.getLogger("giantlike.relative")
@@ -362,8 +362,7 @@ class _Problem:
         names = [_X, _Y, _RANGE, _GAIN, _OFFSET]
         step = _unweighted(self._columns[names], self._pixels)[: _RANGE + 1]
         longest = max(float(np.hypot(step[_X], step[_Y])), abs(float(step[_RANGE])) * self.reach_px, 1e-12)
-        result: Float = step * min(1.0, _ALIGN_STEP_PX / longest)
-        return result
+        return np.asarray(step * min(1.0, _ALIGN_STEP_PX / longest))
 
     def solve(self, prior: Prior, clip_sigma: float, errors: Float | None) -> RobustFit | Failure:
         """Weighted least squares with the model-error variances that the residuals ask for."""
@@ -469,8 +468,7 @@ def _mean_over(image: Float, factor: int) -> Float:
     if height == 0 or width == 0:
         return np.zeros((1, 1))
     squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor)
-    result: Float = squares.mean(axis=(1, 3))
-    return result
+    return np.asarray(squares.mean(axis=(1, 3)))
 
 
 def _softened(image: Float) -> Float:

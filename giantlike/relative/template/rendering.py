@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
+from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.processing.pixel_box import PixelBox
 from giantlike.ray_tracing import (
     Body,
     FocalPlane,
