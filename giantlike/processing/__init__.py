@@ -1,4 +1,4 @@
-"""Arrays in, arrays out: what is done to pixels before anybody asks what they show."""
+"""Processing of pixel arrays without knowledge of bodies or stars: sources, point spread functions, limbs, geometry."""
 
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.processing.detection.detections import NOT_A_STAR, DetectionFlag, Detections

@@ -172,7 +172,7 @@ def build_index(
         Radius of the caps.
     axis : (3,) float64, unitless, inertial
     reach_rad : float, rad
-        Caps are laid within this angle of ``axis``; default: on the whole sky.
+        Caps are placed within this angle of ``axis``; default: on the whole sky.
 
     Returns
     -------

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
+import giantlike.calibration
 from giantlike.calibration import (
     AlignmentResult,
     CalibrationCriteria,
@@ -481,3 +482,10 @@ def test_a_start_that_cannot_lead_anywhere_is_a_failure() -> None:
     one = star_images(NAVCAM, 24, images=1, stars=3)
     failure = calibrate(one, ROUGH, estimate=BROWN, columns=COLUMNS, rows=ROWS)
     assert isinstance(failure, Failure)
+
+
+def test_old_names_of_results_still_work_and_warn() -> None:
+    with pytest.warns(DeprecationWarning, match="CalibrationResult"):
+        assert giantlike.calibration.CalibrationFix is CalibrationResult
+    with pytest.warns(DeprecationWarning, match="AlignmentResult"):
+        assert giantlike.calibration.AlignmentFix is AlignmentResult

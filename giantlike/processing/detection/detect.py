@@ -9,7 +9,7 @@
 
 This is the scheme of Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, section
 "Identifying Potential Stars in an Optical Image" (flatten, threshold in units of the noise, connected components,
-Gaussian fit), with a linear filter in the place of the 5 x 5 median, which eats into stars of its own size.
+Gaussian fit), with a linear filter instead of the 5 x 5 median, which removes light of stars of its own size.
 """
 
 from __future__ import annotations

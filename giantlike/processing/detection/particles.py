@@ -3,7 +3,7 @@ r"""Hot pixels and tracks of charged particles: light in a few pixels only, dist
 Light through the optics is spread by the point spread function; charge freed by a particle in the detector, or leaking
 in a pixel, is not. Two models of the pixels in the core of a source are compared:
 
-- a star: the pixel-integrated Gaussian of the usual width at the fitted place, its flux and the background free;
+- a star: the pixel-integrated Gaussian of the usual width at the fitted centroid, with its flux free;
 - a few pixels: the k brightest ones hold any amount of light, all others none.
 
 Each has its weighted sum of squared residuals, and each free pixel costs ``4``, the gain of picking the highest of

@@ -34,9 +34,7 @@ _HOT_SIGMAS = 8.0  # of the pattern, and DN at least: of a million normal pixels
 _VOTERS = 80  # brightest stars of an image that vote for its shift: 6,400 pairs
 _VOTE_BIN_PX = 3.0  # distance within which displacements agree: roll and distortion spread them
 _LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3  # number and share of the stars that must agree on a shift; no study yet
-_SAME_STAR_PX = (
-    2.0  # distance of a star from its shifted place: below half the distance at which stars blend, plus roll
-)
+_SAME_STAR_PX = 2.0  # distance of a star from its shifted place within which it is the same: a roll moves it too
 _SAME_PIXEL_PX = 0.75  # distance within which two detections are in the same pixel
 _COMPARED = 8  # images closest in time that an image is compared with
 _SEEN_AGAIN_SNR = 8.0  # signal to noise ratio of sources that are detected again: the limit of 5 and three sigma

@@ -193,7 +193,7 @@ class _Problem:
         return normal, right, cost
 
     def solve(self, start: Float) -> tuple[Float, Mask]:
-        """Levenberg-Marquardt from ``start`` (n, 6); returns parameters and which (n,) came to rest inside."""
+        """Levenberg-Marquardt from ``start`` (n, 6): parameters (n, 6), and a mask (n,) of fits converged inside."""
         best = start.copy()
         damping = np.full(len(start), _DAMPING_START)
         active = np.arange(len(start))

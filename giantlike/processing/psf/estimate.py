@@ -169,7 +169,6 @@ def estimate_psf(
     kind: PsfKind = PsfKind.GAUSSIAN,
     degree: int = 0,
     mask: ArrayLike | None = None,
-    min_snr: float = _LEAST_SNR,
 ) -> PsfEstimate | Failure:
     """Estimate the point spread function from isolated, unsaturated stars of an image.
 
@@ -177,7 +176,7 @@ def estimate_psf(
     ----------
     pixels : (rows, columns) real, DN
     detections : Detections
-        Of this image; the 200 brightest without flags and above ``min_snr`` are used.
+        Of this image; the 200 brightest without flags and with a signal to noise ratio of 15 are used.
     detector : Detector
         Gain, for the shot noise, and saturation.
     kind : PsfKind
@@ -185,8 +184,6 @@ def estimate_psf(
         Of the polynomials of the position in the image, 0 to 3; 0 is one function for the whole image.
     mask : (rows, columns) bool, optional
         True where a pixel is bad.
-    min_snr : float
-        Lowest signal to noise ratio of the stars used, default 15.
 
     Returns
     -------
@@ -201,14 +198,14 @@ def estimate_psf(
     array = np.asarray(pixels)
     require(0 <= degree <= 3, f"degree must be 0 to 3, got {degree}")
     require(array.ndim == 2, f"pixels must be a 2-D array, got shape {array.shape}")
-    usable = ((detections.flags & np.uint16(UNUSABLE)) == 0) & (detections.snr >= min_snr)
+    usable = ((detections.flags & np.uint16(UNUSABLE)) == 0) & (detections.snr >= _LEAST_SNR)
     stars = detections.select(np.flatnonzero(usable)[:_MOST_STARS])
     patches = star_patches(array, stars, detector=detector, mask=mask)
     n_terms = (degree + 1) * (degree + 2) // 2
     if len(stars) < 3 * n_terms:
         return Failure(
             Reason.TOO_FEW_DETECTIONS,
-            f"{len(stars)} isolated stars have a signal to noise ratio of {min_snr:g}, {3 * n_terms} are needed",
+            f"{len(stars)} isolated stars have a signal to noise ratio of {_LEAST_SNR:g}, {3 * n_terms} are needed",
         )
     terms = field_terms(stars.points_px, array.shape[1], array.shape[0], degree)
     problem = _Problem(patches, terms, kind.n_free)
