@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import (
-    MODELS,
     CameraModel,
     GridCorrectedModel,
     ifov_rad,
@@ -26,6 +25,7 @@ from giantlike.camera_models import (
 from giantlike.camera_models.affine import AffineModel
 from giantlike.camera_models.convert import WIDE_START, frame_grid
 from giantlike.camera_models.plane import PlaneModel
+from giantlike.camera_models.registry import lens_class
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.detector import Detector, GaussianPsf
@@ -274,11 +274,11 @@ class Camera:
         50.0
         """
         _require_size(name, columns, rows)
-        require(type_name in MODELS, f"camera model type must be one of {', '.join(sorted(MODELS))}, got {type_name!r}")
-        widest = _WIDEST_PLANE_DEG if issubclass(MODELS[type_name], PlaneModel) else _WIDEST_FISHEYE_DEG
+        kind = lens_class(type_name)
+        widest = _WIDEST_PLANE_DEG if issubclass(kind, PlaneModel) else _WIDEST_FISHEYE_DEG
         require(0 < fov_deg < widest, f"fov_deg must be between 0 and {widest:g} for {type_name}, got {fov_deg}")
         half = math.radians(fov_deg) / 2
-        unit = MODELS[type_name](fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **WIDE_START.get(type_name, {}))
+        unit = kind(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **WIDE_START.get(type_name, {}))
         focal = columns / (2 * float(unit.project([math.sin(half), 0.0, math.cos(half)])[0]))
         values = {"fx_px": focal, "fy_px": focal, "cx_px": (columns - 1) / 2, "cy_px": (rows - 1) / 2}
         return cls(name=name, columns=columns, rows=rows, model=replace(unit, **values))
@@ -455,7 +455,11 @@ class Camera:
             The window reaches over the detector, or the model cannot be shifted.
         """
         inside = 0 <= x0_px <= self.columns - columns and 0 <= y0_px <= self.rows - rows
-        require(inside, f"the window must lie on the {self.columns} by {self.rows} detector")
+        require(
+            inside,
+            f"the window must lie on the detector of {self.columns} x {self.rows} pixels, got {columns} x {rows} "
+            f"pixels from ({x0_px}, {y0_px})",
+        )
         return replace(self, columns=columns, rows=rows, model=_lens(self.model).windowed(x0_px, y0_px))
 
     def binned(self, factor: int, *, detector: Detector) -> Camera:
@@ -548,7 +552,7 @@ def _require_size(name: str, columns: int, rows: int) -> None:
 
 
 def _lens(model: CameraModel) -> AffineModel | GridCorrectedModel:
-    """The model as one that can be binned and windowed."""
+    """Narrow the type of a model to those that can be binned and windowed."""
     if not isinstance(model, AffineModel | GridCorrectedModel):
         raise InputError(f"a {model.type_name} model cannot be binned or windowed")
     return model

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, Mask, require, unit
+from giantlike.core.arrays import Float, Mask, require, require_number, unit
 from giantlike.core.errors import FrameMismatchError, InputError
 from giantlike.core.frames import rotate
 from giantlike.core.light import aberrate
@@ -208,7 +208,7 @@ class Scene(Value):
         if sun is None and isinstance(self.light, DistantLight):
             sun = self.light.direction_inertial
         if sun is None:
-            return Failure(Reason.NO_GEOMETRY, f"{image.name}: no direction from {found.name} to the Sun")
+            return Failure(Reason.NO_GEOMETRY, f"{image.name}: no direction from {found.name} to the Sun: give a light")
         turn = image.camera_from_inertial
         return TargetGeometry(
             target=found,
@@ -250,7 +250,7 @@ class Scene(Value):
             return Failure(Reason.NO_EPOCH, f"{image.name}: no epoch, so the ephemeris of {target.name} cannot be used")
         observer = self._observer_state(image, et)
         if observer is None:
-            return Failure(Reason.NO_GEOMETRY, f"{image.name}: position of the spacecraft is not known")
+            return Failure(Reason.NO_GEOMETRY, f"{image.name}: neither the image nor the scene has an observer")
         observer_km, observer_km_s = observer
         path = light_path if self.light_time else _straight
         vector, emission = path(ephemeris, et, observer_km)
@@ -306,7 +306,7 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
     InputError
         The margin is negative.
     """
-    require(np.isfinite(margin_px) and margin_px >= 0.0, f"margin_px must be >= 0, got {margin_px}")
+    require_number(margin_px, "margin_px", least=0.0)
     covered = np.zeros((camera.rows, camera.columns), dtype=np.uint8)
     angles = np.linspace(0.0, 2.0 * np.pi, _MASK_DIRECTIONS, endpoint=False)
     for target in scene.targets:
@@ -329,7 +329,7 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
 
 
 def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:
-    """Vector from an observer to the place where a source was when its light left it.
+    """Solve the light-time equation for the vector from an observer to a source at emission.
 
     Solves ``|source(et - t) - observer| = c t`` by fixed-point iteration, as SPICE does for ``CN``.
 

@@ -10,7 +10,7 @@ import numpy as np
 from giantlike.camera_models.affine import AFFINE_NAMES, TEMPERATURE_NAMES, AffineModel
 from giantlike.camera_models.base import CameraModel
 from giantlike.camera_models.plane import PlaneModel
-from giantlike.camera_models.registry import MODELS
+from giantlike.camera_models.registry import MODELS, lens_class
 from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
@@ -81,19 +81,20 @@ def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> C
     InputError
         The type is unknown or the frame empty.
     """
-    require(type_name in MODELS, f"camera model type must be one of {', '.join(sorted(MODELS))}, got {type_name!r}")
+    kind = lens_class(type_name)
     require(columns > 0 and rows > 0, f"the frame must have pixels, got {columns} by {rows}")
     points_px = frame_grid(columns, rows, nodes=_NODES)
     directions = model.unproject(points_px)
     start = _start(model, type_name)
     used = np.isfinite(start.project(directions)).all(axis=-1)
-    if issubclass(MODELS[type_name], PlaneModel):
+    if issubclass(kind, PlaneModel):
         across = np.hypot(directions[..., 0], directions[..., 1])
         used &= across < _WIDEST_PLANE * directions[..., 2]
     if np.count_nonzero(used) < len(start.parameter_names):
         return Failure(
             Reason.DEGENERATE_GEOMETRY,
-            f"a {type_name} model can image {np.count_nonzero(used)} of {used.size} places of the frame",
+            f"a {type_name} model can image {np.count_nonzero(used)} of {used.size} grid points of the frame, "
+            f"{len(start.parameter_names)} are needed",
         )
     fitted = fit_lens(start, directions[used], points_px[used])
     return Conversion(model=fitted, points_px=points_px, residuals_px=fitted.project(directions) - points_px)

@@ -37,6 +37,30 @@ MODELS: Mapping[str, type[AffineModel]] = MappingProxyType(
 """Lens model classes by the ``type`` they have in camera files; the type ``grid`` corrects one of them."""
 
 
+def lens_class(type_name: object, needed: str = "camera model type must be one of") -> type[AffineModel]:
+    """Return the class of a lens model by its type.
+
+    Parameters
+    ----------
+    type_name : str
+        A key of :data:`MODELS`.
+    needed : str
+        Beginning of the message, before the known types.
+
+    Returns
+    -------
+    type
+
+    Raises
+    ------
+    InputError
+        There is no such type.
+    """
+    if type_name not in MODELS:
+        raise InputError(f"{needed} {', '.join(sorted(MODELS))}, got {type_name!r}")
+    return MODELS[str(type_name)]
+
+
 def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
     """Build a model from the ``[model]`` table of a camera file.
 
@@ -64,10 +88,8 @@ def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
 
 
 def _lens_from_table(name: object, values: Mapping[str, Any]) -> AffineModel:
-    if name not in MODELS:
-        known = ", ".join([*sorted(MODELS), GridCorrectedModel.type_name])
-        raise InputError(f"[model] type must be one of {known}, got {name!r}")
-    return record_of_numbers(MODELS[str(name)], values, f"[model] of type {name!r}")
+    kind = lens_class(name, "[model] type must be 'grid' or one of")
+    return record_of_numbers(kind, values, f"[model] of type {name!r}")
 
 
 def _grid_from_table(values: Mapping[str, Any]) -> GridCorrectedModel:

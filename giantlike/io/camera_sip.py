@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.camera_models import MODELS, CameraModel
+from giantlike.camera_models import CameraModel
 from giantlike.camera_models.convert import Conversion, fit_lens, frame_grid
+from giantlike.camera_models.registry import lens_class
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, east_north, radec_from_direction, rotate
@@ -138,7 +139,7 @@ def camera_of_sip(
     InputError
         A keyword is missing or the projection is not TAN, or the type is unknown.
     """
-    require(type_name in MODELS, f"camera model type must be one of {', '.join(sorted(MODELS))}, got {type_name!r}")
+    lens = lens_class(type_name)
     for axis, wanted in (("CTYPE1", "RA---TAN"), ("CTYPE2", "DEC--TAN")):
         kind = str(header.get(axis, ""))
         require(kind in (wanted, wanted + "-SIP"), f"{axis} must be {wanted} or {wanted}-SIP, got {kind!r}")
@@ -159,7 +160,7 @@ def camera_of_sip(
     plane_from_px = plane_from_sky @ sky_from_px  # upper triangular
     directions = unit(np.concatenate([moved @ plane_from_px.T, np.ones((*moved.shape[:-1], 1))], axis=-1))
     px_from_plane = np.linalg.inv(plane_from_px)
-    start = MODELS[type_name](
+    start = lens(
         fx_px=px_from_plane[0, 0], fy_px=px_from_plane[1, 1], skew_px=px_from_plane[0, 1], cx_px=first[0],
         cy_px=first[1],
     )  # fmt: skip

@@ -14,7 +14,7 @@ from giantlike.catalogs import StarCatalog, apparent_directions
 from giantlike.core.arrays import Float, as_floats, require, require_number
 from giantlike.core.frames import rotate
 from giantlike.core.time import et_from_time
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.simulation.shot import Shot
 
 _REACH_SIGMA = 7.0  # half width of the drawn PSF, sigmas: the light outside is below 1e-11 of a star
@@ -55,13 +55,7 @@ class StarField(Value):
         -------
         StarField
         """
-        chosen = np.asarray(index)
-        return StarField(
-            ids=self.ids[chosen],
-            points_px=self.points_px[chosen],
-            magnitudes=self.magnitudes[chosen],
-            directions_inertial=self.directions_inertial[chosen],
-        )
+        return select_rows(self, np.asarray(index))
 
 
 def star_field(

@@ -465,7 +465,7 @@ def test_models_survive_their_file_form(model: AffineModel) -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"type": "fisheyes"}, "type must be one of"),
+        ({"type": "fisheyes"}, "type must be 'grid' or one of"),
         ({"type": "brown", "fx_px": 1.0, "fy_px": 1.0, "cx_px": 0.0, "cy_px": 0.0, "k9": 1.0}, "unknown key 'k9'"),
         ({"type": "brown", "fx_px": 1.0}, "'fy_px' is missing"),
         ({"type": "pinhole", "fx_px": "a", "fy_px": 1.0, "cx_px": 0.0, "cy_px": 0.0}, "fx_px must be a number"),
