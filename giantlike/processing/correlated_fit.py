@@ -11,13 +11,15 @@ from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 
 _ITERATIONS = 20
+"""Most iterations of robust weights; they end earlier when the residuals come to rest."""
 _REST = 0.01
 """Motion of the residuals, over the least sigma, below which robust weights need no more iterations."""
 _TUKEY_LIMIT = 1.5
-"""Where a weight reaches zero, over the limit for outliers."""
+"""Residual at which a weight reaches zero, over the limit for outliers: what is kept has some weight."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e6, 22)])
 """Variance of the correlated part over the mean variance of the noise."""
 _LENGTH_STEP = 3.0
+"""Ratio of neighboring correlation lengths of the grid: solutions are averaged over it, which needs no finer one."""
 _LEAST_SCALE = 1e-12
 """Least variance over that predicted: residuals that are exactly zero have a likelihood too."""
 
@@ -45,7 +47,19 @@ class CorrelatedFit(Value):
     correlation_length: float
 
     def residual_covariance(self, sigma: Float, points: Float) -> Float:
-        """Covariance (n, n) of residuals with noise ``sigma`` (n,) taken at ``points`` (n, d)."""
+        """Covariance of residuals.
+
+        Parameters
+        ----------
+        sigma : (n,) float64
+            Independent noise as predicted.
+        points : (n, d) float64
+            Where they were taken.
+
+        Returns
+        -------
+        (n, n) float64
+        """
         distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
         shared = self.correlated_sigma**2 * np.exp(-distances / self.correlation_length)
         result: Float = shared + np.diag((self.noise_scale * sigma) ** 2)
@@ -53,7 +67,7 @@ class CorrelatedFit(Value):
 
 
 def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_mad: float) -> tuple[Float, Mask]:
-    """Solve ``design @ solution = residuals`` and tell which residuals belong.
+    """Solve ``design @ solution = residuals`` and find the outliers among the residuals.
 
     Parameters
     ----------
@@ -69,6 +83,12 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
     -------
     solution : (k,) float64
     keep : (n,) bool
+        Residuals that are no outliers.
+
+    Raises
+    ------
+    InputError
+        There are not more residuals than parameters.
 
     Notes
     -----
@@ -173,6 +193,15 @@ def correlated_solution(
         Longest one; None is the extent of the points. Waves that long the solution takes up itself, and the residuals
         cannot tell whether there are any.
 
+    Returns
+    -------
+    CorrelatedFit
+
+    Raises
+    ------
+    InputError
+        There are too few residuals.
+
     Notes
     -----
     The residuals' covariance is modeled as ``s^2 (diag(sigma^2) + q m exp(-distance / length))``, m the mean of
@@ -209,7 +238,7 @@ def correlated_solution(
 
 
 def _whitened(values: Float, noise: Float, memory: Float, ratios: Float) -> tuple[Float, Float]:
-    """Columns of values made independent, of variance 1, under g covariances; and log determinants (g,) of those.
+    """Whiten columns of values under g covariances: values of variance 1 (g, n, columns), and log determinants (g,).
 
     Noise of variance ``noise`` (n,) is added to a part of variance ``ratios`` (g,) whose correlation from one value to
     the next is ``memory`` (n - 1, g): a Kalman filter, whose innovations are what is returned, (g, n, columns).
@@ -229,7 +258,7 @@ def _whitened(values: Float, noise: Float, memory: Float, ratios: Float) -> tupl
 
 
 def _restricted_likelihoods(white: Float, log_determinant: Float) -> tuple[Float, Float, Float, Float]:
-    """For every covariance: log likelihood (g,), solution (g, k), its covariance (g, k, k), variance scale (g,).
+    """For each covariance: log likelihood (g,), solution (g, k), its covariance (g, k, k), variance scale (g,).
 
     ``white`` (g, n, 1 + k) are residuals and design made independent.
     """
@@ -255,5 +284,5 @@ def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
 
 
 def _same(left: Float, before: Float, floor: float) -> bool:
-    """Whether residuals have come to rest."""
+    """True if the residuals have come to rest."""
     return float(np.max(np.abs(left - before))) < _REST * floor

@@ -20,11 +20,17 @@ from giantlike.core.values import Value, select_rows
 
 Pixels = NDArray[np.int64]
 
-_MIN_RUN = 3  # lit samples in a row, so that a hot pixel is no edge
+_MIN_RUN = 3
+"""Lit samples in a row that make light: a hot pixel, and its neighbors behind interpolation, are fewer."""
 _STEEPEST_WITHIN_PX = 3.0
-_SETTLED_PX = 0.65  # from the middle of the window
-_FAR_PX = 1.1
+"""Distance from the first light within which the steepest rise counts, px, besides the blur."""
+_SETTLED_PX, _FAR_PX = 0.65, 1.1
+"""Distance of an edge from the middle of its window, px: below the first it is not moved, above the second left out.
+
+More than half a pixel, so that windows do not move to and fro.
+"""
 _MOVES = 3
+"""Most moves of a window: seeds lie within two pixels of their edge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +67,7 @@ class EdgePoints(Value):
 def scan_edges(
     pixels_dn: Float, usable: Mask, sunlight: ArrayLike, *, threshold_dn: float, blur_sigma_px: float = 0.0
 ) -> Pixels:
-    """Find the pixels where sunlight first meets a body: one scan line beside the other, from the lit side.
+    """Find the pixels in which sunlight first meets a body, by parallel scan lines from the lit side.
 
     Parameters
     ----------
@@ -128,7 +134,7 @@ def _lines(values: Float, along: Float) -> tuple[Float, Pixels]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowEdges(Value):
-    """What a method finds in windows: one edge each, from the middle of its window.
+    """Edges found in windows, one each, relative to the middle of the window.
 
     Parameters
     ----------

@@ -20,9 +20,9 @@ from giantlike.ray_tracing import FocalPlane
 MIN_BRIGHTNESS = 0.1
 """Brightness of limb that is used over that of the brightest; darker limb adds hardly any information."""
 GAIN_RANGE = (0.2, 5.0)
-"""Brightness of good points over that expected, in medians of all: albedo differs by less on one body (Iapetus: 10).
+"""Brightness of good points over that expected, in medians of all; points outside lie on something else.
 
-Points outside are on something else: another body, rings, the terminator of a crescent.
+The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn they differ by 0.2-0.6 sigma.
 """
 _SATURATED_SHARE = 0.2
 """Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
@@ -73,7 +73,7 @@ class LimbView(Value):
         return math.sqrt(float(self.detector.variance_dn2(np.zeros(1))[0]))
 
     def contains(self, points_px: Float, *, margin_px: float = 0.0) -> Mask:
-        """Return which of the points (..., 2), px, lie on the detector, at least ``margin_px`` from its edge."""
+        """True for points (..., 2), px, on the detector, at least ``margin_px`` from its edge."""
         return in_frame(points_px, self.usable.shape, margin_px=margin_px)
 
 
@@ -401,7 +401,7 @@ def limb_design(normals_px: Float, projection_jacobian: Float) -> Float:
 
 
 def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0) -> Mask:
-    """Return which points lie on the pixels of an image, at least ``margin_px`` from its edge; NaN does not.
+    """Find the points that lie on the pixels of an image; NaN does not.
 
     Parameters
     ----------
@@ -409,7 +409,7 @@ def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0
     shape : (int, int)
         Rows and columns.
     margin_px : float, px
-        Negative for points as far outside.
+        Least distance from the edge of the image; negative for points as far outside.
 
     Returns
     -------
@@ -421,7 +421,18 @@ def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0
 
 
 def phase_angle_rad(position_camera_km: Float, sun_direction_camera: Float) -> float:
-    """Angle at a body (3,), km, camera axes, between camera and Sun (3,), a unit vector; rad."""
+    """Angle at a body between camera and Sun.
+
+    Parameters
+    ----------
+    position_camera_km : (3,) float64, km, camera axes
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
+
+    Returns
+    -------
+    float, rad
+    """
     cosine = -float(position_camera_km @ sun_direction_camera) / float(np.linalg.norm(position_camera_km))
     return math.acos(min(max(cosine, -1.0), 1.0))
 

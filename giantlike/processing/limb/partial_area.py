@@ -35,6 +35,10 @@ def partial_area_edges(
     blur_sigma_px : float, px
         Standard deviation of the point spread function.
 
+    Returns
+    -------
+    EdgePoints
+
     Raises
     ------
     InputError
@@ -96,7 +100,7 @@ def _measured(windows: Float, half: int, spread_px2: float, variance_dn2: Callab
 
 
 def _parabola(columns: Float, half: int, spread_px2: float) -> tuple[Float, Float, Float, Float, Float, Float]:
-    """Of columns (n, 2 half + 1, 3), light first and more of it at the right: a, b, c, contrast (n,), da/dI, db/dI."""
+    """Parabola of columns (n, 2 half + 1, 3), light first and more at the right: a, b, c, contrast, da/dI, db/dI."""
     light, dark = np.zeros(columns.shape[1:]), np.zeros(columns.shape[1:])
     light[0, 1:] = light[1, 2] = 1.0 / 3.0  # the corners that the edge leaves free
     dark[-1, :2] = dark[-2, 0] = 1.0 / 3.0

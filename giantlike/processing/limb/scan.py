@@ -25,12 +25,17 @@ from giantlike.processing.limb.measurement import in_frame
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
 """Variance of the cubic B-spline through which lines are sampled: it widens every edge by so much."""
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+"""Variance of a uniform distribution over a pixel, px^2."""
 
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
-_RIVAL_PX = 2.0
-_RIVAL_CORRELATION = 0.98
+_RIVAL_PX, _RIVAL_CORRELATION = 2.0, 0.98
+"""Distance from the best shift, px, and correlation over the best from which another shift makes a line ambiguous.
+
+Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` for the correlation.
+"""
 _REFINEMENTS = 2
+"""Linear steps after the search in multiples of the sampling step, before the last one; no study yet."""
 _MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
@@ -68,7 +73,7 @@ class Scans(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProfileMatch(Value):
-    """How far along each line its profile lies from the expected one.
+    """Shift of the profile of each line from the expected one.
 
     Parameters
     ----------
@@ -106,7 +111,16 @@ class ProfileMatch(Value):
         """Shift of the whole limb by a wrong reflectance law, px.
 
         Freeing the slope of the brightness moves a limb whose brightness is not as expected by about as much. Of that
-        motion, median over the lines that are ``good`` (n,), what chance explains is taken off.
+        motion, median over the lines, what chance explains is taken off.
+
+        Parameters
+        ----------
+        good : (n,) bool
+            Lines that count.
+
+        Returns
+        -------
+        float, px
         """
         typical, scatter = float(np.median(self.without_slope_px[good])), robust_sigma(self.without_slope_px[good])
         chance = _MEDIAN_SIGMA * scatter / math.sqrt(max(np.count_nonzero(good) / _LINES_ALIKE, 1.0))
@@ -114,7 +128,17 @@ class ProfileMatch(Value):
 
 
 def line_offsets(reach_px: float, step_px: float) -> Float:
-    """Places (m,) along a line from ``-reach_px`` to ``reach_px``, zero among them.
+    """Even places along a line, symmetric about zero and zero among them.
+
+    Parameters
+    ----------
+    reach_px : float, px
+        The last place is as far or a part of a step farther.
+    step_px : float, px
+
+    Returns
+    -------
+    (m,) float64, px
 
     >>> line_offsets(1.0, 0.5).tolist()
     [-1.0, -0.5, 0.0, 0.5, 1.0]
@@ -134,6 +158,15 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     offsets_px : (m,) float64, px
         As of :func:`line_offsets`.
 
+    Returns
+    -------
+    Scans
+
+    Raises
+    ------
+    InputError
+        Pixels and mask differ in shape.
+
     Notes
     -----
     Values are weighted means of 4 x 4 pixels, the weights a cubic B-spline about the place: smooth in the place,
@@ -152,7 +185,19 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
 
 
 def step_profile(offsets_px: Float, width_px: float) -> Float:
-    """A bright half-line up to zero seen through a Gaussian of standard deviation ``width_px``: values (m,), 1 to 0."""
+    """Profile of a bright half-line up to zero, blurred by a Gaussian.
+
+    Parameters
+    ----------
+    offsets_px : (m,) float64, px
+    width_px : float, px
+        Standard deviation.
+
+    Returns
+    -------
+    (m,) float64
+        From 1 to 0.
+    """
     result: Float = ndtr(-offsets_px / width_px)
     return result
 
@@ -182,7 +227,16 @@ def match_profiles(
         Largest shift.
     model_error : float
         Error of the expected profile as a fraction of its height: without it the dark side, where the noise is
-        least, would rule, and with it whatever little light is there besides.
+        least, would rule, and with it whatever little light is there besides. No study of the default yet.
+
+    Returns
+    -------
+    ProfileMatch
+
+    Raises
+    ------
+    InputError
+        The lines are too short.
 
     Notes
     -----
@@ -239,6 +293,23 @@ def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], windo
 
     All that blurs is in it: point spread, pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
     (:data:`SAMPLING_VARIANCE_PX2`).
+
+    Parameters
+    ----------
+    scans : Scans
+    variance_dn2 : callable
+        Noise variance of pixels of a brightness, DN^2.
+    window_px, search_px : float, px
+        As of :func:`match_profiles`.
+
+    Returns
+    -------
+    float, px
+
+    Raises
+    ------
+    InputError
+        There is no edge on any line.
     """
     misfit = []
     for width in _WIDTHS_PX:
@@ -299,7 +370,7 @@ def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Fit(Value):
-    """Fine shifts (n,), their noise, and what the fits leave."""
+    """Fine shifts (n,), their noise, and residuals of the fits."""
 
     gain_dn: Float
     shift_px: Float

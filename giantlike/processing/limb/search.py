@@ -14,18 +14,21 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import LimbView, PredictedLimb
 
 _COARSE_BLUR_PX = 1.0
-_COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # of the radius
+"""Least blur of the searched image, px: that of a half of the step, so that no limb falls between two steps."""
+_COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0
+"""First step over the radius, and the most that it may be, px."""
 _FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
+"""Least first step and last step, px; and how many of the next step go into one."""
 _SKY_STEP = 5  # pixels from one to the next that the level of the sky is found from
-_COARSE_OFFSET_PX = 1.5
+_COARSE_OFFSET_PX = 1.5  # least distance of the compared pixels from the outline: beyond the blur of a sharp limb
 _COARSE_POINTS = 80  # that the first step needs
-_COARSE_NOISE_SIGMAS = 4.0
+_COARSE_NOISE_SIGMAS = 4.0  # brightness, in noise of the dark, that is added below contrasts: noise alone has none
 _MARGIN_PX = 8  # about the outline, for the blur
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoarseLimb(Value):
-    """Where an outline as a whole fits an image best.
+    """Shift and size at which an outline as a whole fits an image best.
 
     Parameters
     ----------

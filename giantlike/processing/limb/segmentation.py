@@ -15,7 +15,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 
-_CLIP_SIGMAS, _CLIP_ROUNDS = 3.0, 8
+_CLIP_SIGMAS, _CLIP_ROUNDS = 3.0, 8  # usual clipping of bright pixels; rounds end earlier when nothing is clipped
 _NOT_THE_BODY = 1e6  # cost of an assignment that must not be
 _RIVAL_COST = 1.0  # an assignment that costs so little more is as good
 
@@ -33,7 +33,17 @@ class Background:
     sigma_dn: float
 
     def threshold_dn(self, sigmas: float) -> float:
-        """Brightness, DN, that the dark exceeds by chance only at ``sigmas`` standard deviations."""
+        """Brightness above which pixels are light.
+
+        Parameters
+        ----------
+        sigmas : float
+            Standard deviations above the level.
+
+        Returns
+        -------
+        float, DN
+        """
         return self.level_dn + sigmas * self.sigma_dn
 
 
@@ -69,7 +79,7 @@ class Blobs(Value):
 
     @property
     def touch_frame(self) -> Mask:
-        """Which blobs (n,) reach the edge of the image."""
+        """True for blobs (n,) that reach the edge of the image."""
         rows, columns = self.labels.shape
         low, high = self.boxes_px[:, :2], self.boxes_px[:, :2] + self.boxes_px[:, 2:]
         result: Mask = np.any(low <= 0, axis=1) | np.any(high >= [columns, rows], axis=1)
@@ -78,7 +88,7 @@ class Blobs(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedBlob:
-    """How a body should look.
+    """Expected place, size and brightness of a body.
 
     Parameters
     ----------
@@ -111,6 +121,11 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
         Finite, not all equal.
     bins : int
         Of the histogram between the least and the largest value.
+
+    Returns
+    -------
+    float
+        Unit of the values.
 
     Raises
     ------
@@ -150,6 +165,14 @@ def background_of(values: Float) -> Background:
 
     Median and median absolute deviation, bright pixels clipped away.
 
+    Parameters
+    ----------
+    values : (n,) float64, DN
+
+    Returns
+    -------
+    Background
+
     Raises
     ------
     InputError
@@ -178,6 +201,10 @@ def connected_blobs(pixels_dn: Float, light: Mask, *, level_dn: float = 0.0, min
         Of the background.
     min_area_px : int
         Smaller patches are left out.
+
+    Returns
+    -------
+    Blobs
 
     Raises
     ------
@@ -211,7 +238,7 @@ def connected_blobs(pixels_dn: Float, light: Mask, *, level_dn: float = 0.0, min
 def identify_blobs(
     blobs: Blobs, expected: Sequence[ExpectedBlob], *, search_px: float, log_area_sigma: float = 0.3
 ) -> NDArray[np.int64] | Failure:
-    """Tell which blob is which body, by place, size and, where it is known, brightness.
+    """Assign blobs to bodies by place, size and, where it is known, brightness.
 
     Parameters
     ----------

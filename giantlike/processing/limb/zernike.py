@@ -15,12 +15,12 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.edges import EdgePoints, Pixels, WindowEdges, measured_edges
 
 SIZES = (5, 7)
+"""Sides of the windows that have kernels, px."""
 _SUBPIXELS = 101  # along a pixel, for the integrals of the kernels
-_NODES = 41
-_REACH_SIGMAS = 5.0
+_NODES, _REACH_SIGMAS = 41, 5.0  # of the sum over the blur: a Gaussian is integrated to 1e-6
 _TABLE = np.linspace(-0.65, 0.65, 261)  # distance of the edge over the radius of the window
-_PIXEL_AND_HOLD_PX2 = 2.0 / 12.0
-_TRIALS = 32
+_PIXEL_AND_HOLD_PX2 = 2.0 / 12.0  # variance of the pixel, and of holding its value over its area
+_TRIALS = 32  # directions of edges in a right angle for the error of sampling
 
 
 def zernike_edges(
@@ -49,6 +49,10 @@ def zernike_edges(
     curvature_px : float, 1/px
         Of the edge: 1 over the radius of a bright disk, negative for a dark one.
 
+    Returns
+    -------
+    EdgePoints
+
     Raises
     ------
     InputError
@@ -75,11 +79,24 @@ def zernike_edges(
 
 
 def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
-    """Kernels (size, size) of the moments A11 and A20: ``x + iy`` and ``2 rho^2 - 1`` integrated over each pixel.
+    """Kernels of the moments A11 and A20: ``x + iy`` and ``2 rho^2 - 1`` integrated over each pixel.
 
+    Parameters
+    ----------
+    size : int, px
+
+    Returns
+    -------
+    first : (size, size) complex128
+    second : (size, size) float64
+
+    Notes
+    -----
     Unit of length is the radius of the circle, ``size / 2`` px. The first sums up to zero by symmetry, the second
     as the polynomials are orthogonal on the circle.
 
+    Examples
+    --------
     >>> first, second = zernike_kernels(5)
     >>> bool(abs(first.sum()) < 1e-12), bool(abs(second.sum()) < 1e-3)
     (True, True)

@@ -139,13 +139,18 @@ class HorizonSearch(IteratedSearch):
         self.altitude()  # checks the values
 
     def altitude(self) -> Altitude:
-        """What is known of the altitude of the limb."""
+        """Return the altitude of the limb as known before.
+
+        Returns
+        -------
+        Altitude
+        """
         return Altitude(self.limb_altitude_km, self.altitude_sigma_km)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellMeasurement(LimbMeasurement):
-    """Limb measured in cells whose blur and law are still to be solved for.
+    """Limb measured in cells, blur and law still to be solved for.
 
     Parameters
     ----------
@@ -167,7 +172,14 @@ class CellMeasurement(LimbMeasurement):
         return max(float(np.median(self.fits.chi2[self.keep])), 1.0) if self.keep.any() else 1.0
 
     def blur_and_law(self) -> tuple[Float, Float]:
-        """Blur and law error (2,) as the cells show them with every shift left free, and their covariance (2, 2)."""
+        """Estimate blur and law with every shift left free.
+
+        Returns
+        -------
+        estimate : (2,) float64
+            Variance of the blur beyond that assumed, px^2; error of the law.
+        covariance : (2, 2) float64
+        """
         information, pull = self.fits.about_shared(self.keep)
         covariance = np.asarray(np.linalg.inv(information / self.noise_scale2 + self.prior), dtype=np.float64)
         return covariance @ (pull / self.noise_scale2 + self.prior_pull), covariance
@@ -235,7 +247,7 @@ class LitHorizon(Value):
     cut_by_frame: bool
 
     def limb(self, most: int) -> PredictedLimb:
-        """At most so many points of it, evenly chosen."""
+        """Return at most ``most`` of the points, evenly chosen."""
         count = len(self.arc.points_px)
         chosen = np.unique(np.linspace(0, count - 1, most).round().astype(np.int64))
         return PredictedLimb(
@@ -277,7 +289,7 @@ class CellScan(Value):
 
     @property
     def nominal_psf_px2(self) -> float:
-        """Variance of the point spread function before the measurement, px^2."""
+        """A priori variance of the point spread function, px^2."""
         sigma_px = self.view.psf_sigma_px
         return (UNKNOWN_PSF_SIGMA_PX if sigma_px is None else sigma_px) ** 2
 
@@ -418,7 +430,7 @@ class CellScan(Value):
         )
 
     def _prior(self, psf_px2: float) -> tuple[Float, Float]:
-        """What is known of blur and law before: information (2, 2), and that times the expectation (2,)."""
+        """A priori information (2, 2) on blur and law, and that times the expectation (2,)."""
         sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
         if self.view.psf_sigma_px is not None:
             sigma_px2 = 2.0 * self.options.psf_error * max(self.nominal_psf_px2, _LEAST_VARIANCE_PX2)

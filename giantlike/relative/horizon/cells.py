@@ -19,10 +19,15 @@ from giantlike.relative.horizon.geometry import PixelRays, ray_residuals
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
 
 _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
+"""Steps in which pixels are gathered, px: less than 1 / sqrt(2), so that none is left out."""
 _FOOT_STEPS = 3
+"""Newton steps to the nearest point of the horizon, from within the window."""
 _RIDGE = 1e-12
+"""Added to normal matrices of unit diagonal: beyond rounding, below all information."""
 _REFITS = 2
+"""Fits with the noise of the brightness fitted before; no study yet."""
 _MIN_FREEDOM = 5
+"""Pixels in a cell beyond the number of its parameters; with fewer, its chi-square says nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,9 +63,9 @@ class LimbPixels(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellFits(Value):
-    """What each cell says about three things, its brightness left free.
+    """Information of each cell on three parameters, its brightness left free.
 
-    They are the outward shift of the horizon, px; the variance that the blur has besides, px^2; and the coefficient
+    These are the outward shift of the horizon, px; the variance that the blur has besides, px^2; and the coefficient
     of the next power of the cosine of emission, over the gain.
 
     Parameters
@@ -104,7 +109,18 @@ class CellFits(Value):
         return result
 
     def about_shared(self, keep: Mask) -> tuple[Float, Float]:
-        """Information (2, 2) on blur and law of the cells in ``keep``, every shift free, and their pull (2,)."""
+        """Add up what cells say about blur and law, every shift left free.
+
+        Parameters
+        ----------
+        keep : (c,) bool
+
+        Returns
+        -------
+        information : (2, 2) float64
+        pull : (2,) float64
+            Information times estimate.
+        """
         gained = self.information[keep, 1:, 1:] - np.einsum(
             "ca,cb->cab", self.information[keep, 1:, 0], self.shared[keep]
         )
@@ -169,6 +185,10 @@ def fit_cells(
         Its last power is the one that is taken for the error of the law; those before are free in each cell.
     variance_dn2 : callable
         Noise variance of pixels of a brightness, DN^2.
+
+    Returns
+    -------
+    CellFits
 
     Notes
     -----

@@ -189,7 +189,7 @@ class _Plane(Value):
         return result
 
     def scale(self, model: CameraModel, points_px: Float, normals_px: Float) -> Float:
-        """How far (n,) a step of one pixel along normals goes."""
+        """Length (n,) in the plane of one pixel along normals."""
         sides = [self.points(model, points_px + side * normals_px) for side in (0.5, -0.5)]
         result: Float = np.linalg.norm(sides[0] - sides[1], axis=1)
         return result
@@ -391,7 +391,7 @@ def _paired(small: EdgePoints, large: EdgePoints) -> tuple[EdgePoints, EdgePoint
 
 
 def _smooth(values: Float, normals: Float, outlier_mad: float) -> Float:
-    """What of values (n,) along a limb is even or goes with the direction (n, 2) of its normal."""
+    """Part of values (n,) along a limb that is even or goes with the direction (n, 2) of its normal."""
     design = np.concatenate([np.ones((len(values), 1)), normals], axis=1)
     solution, _ = robust_solution(values, design, np.full(len(values), 1e-3), outlier_mad=outlier_mad)
     result: Float = design @ solution

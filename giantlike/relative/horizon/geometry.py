@@ -20,17 +20,19 @@ from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.relative.limb.fix import LimbSolution
 
 MIN_POINTS = 4
+"""Points of a horizon that a position needs: one more than its parameters."""
 _EXPLAINED_SIGMAS = 2.5
 """Scatter of points, and the product of neighbors, that pixel noise reaches once in a hundred times."""
 _FOOT_STEPS, _NEAR_STEPS = 4, 2
-_MAX_STEPS = 25
-_STEP_PX = 1e-7
+"""Newton steps to the nearest point of the horizon, from pixels away and from the fit."""
+_MAX_STEPS, _STEP_PX = 25, 1e-7
+"""Most Gauss-Newton steps; and motion of the horizon, px, below which they end: far below any noise."""
 _ALTITUDE_STEP = 1e-4  # of the smallest radius
 _COLLINEAR_PX = 1e-6  # rounding of pixel coordinates
 
 
 class CraMethod(StrEnum):
-    """How the position is found from horizon points."""
+    """Method by which the position is found from points of the horizon."""
 
     LEAST_SQUARES = "least_squares"
     TOTAL_LEAST_SQUARES = "total_least_squares"
@@ -39,7 +41,7 @@ class CraMethod(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Figure(Value):
-    """An ellipsoid as the camera sees it turned.
+    """Ellipsoid in its attitude before the camera.
 
     Parameters
     ----------
@@ -71,9 +73,20 @@ class Figure(Value):
         return result
 
     def cone(self, position_camera_km: Float) -> tuple[Float, Float]:
-        """The vector A s (3,) and the matrix M (3, 3) of the body at s, km: rays x that graze it have ``x.M.x == 0``.
+        """Cone of the rays that graze the ellipsoid.
 
-        ``x.M.x`` is positive for rays that meet the body; ``M = A s s.A - (s.A.s - 1) A``.
+        Parameters
+        ----------
+        position_camera_km : (3,) float64, km, camera axes
+            Center s of the ellipsoid.
+
+        Returns
+        -------
+        pull : (3,) float64, 1/km
+            The vector A s.
+        conic : (3, 3) float64, 1/km^2
+            The matrix ``M = A s s.A - (s.A.s - 1) A``: ``x.M.x`` is zero for rays x that graze the body, positive for
+            those that meet it.
 
         Raises
         ------
@@ -104,7 +117,7 @@ class PlacedFigure(Value):
 
 @dataclass(frozen=True, slots=True)
 class Altitude:
-    """How high above the surface the limb is seen, by an atmosphere or haze.
+    """Altitude above the surface at which the limb is seen, by an atmosphere or haze.
 
     Parameters
     ----------
@@ -161,7 +174,7 @@ class Altitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelRays(Value):
-    """Directions of pixels and how they turn with the pixel.
+    """Directions of pixels and their change with the pixel.
 
     Parameters
     ----------
@@ -264,7 +277,7 @@ def christian_robinson(
 def horizon_residuals(
     points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike
 ) -> tuple[Float, Float, Float]:
-    """Distances of image points from the horizon, and how the horizon moves with the body.
+    """Distances of image points from the horizon, and motion of the horizon with the body.
 
     Parameters
     ----------
@@ -299,7 +312,7 @@ def horizon_residuals(
 
 
 def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike) -> Float:
-    """Outward motion (n,) of the horizon, px/km, with all radii of an ellipsoid.
+    """Outward motion of the horizon with all radii of an ellipsoid.
 
     It is nearly that with a shorter range, times range over radius: what is not known of the altitude of a limb is
     lost for the range, unless the ellipsoid is seen from so near that the two differ.
@@ -311,6 +324,10 @@ def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, po
     model : CameraModel
     figure : Figure
     position_camera_km : (3,), km, camera axes
+
+    Returns
+    -------
+    (n,) float64, px/km
     """
     rays = PixelRays.through(_points(points_px), model)
     position = as_finite(position_camera_km, (3,), "position_camera_km")
@@ -321,7 +338,20 @@ def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, po
 
 
 def cone_weights(points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike) -> Float:
-    """How much each point (n,) counts in the unweighted equations of the cone, 1/px^2."""
+    """Weights that points have in the unweighted equations of the cone.
+
+    Parameters
+    ----------
+    points_px : (n, 2), px
+        On the horizon.
+    model : CameraModel
+    figure : Figure
+    position_camera_km : (3,), km, camera axes
+
+    Returns
+    -------
+    (n,) float64, 1/px^2
+    """
     points = _points(points_px)
     position = as_finite(position_camera_km, (3,), "position_camera_km")
     normal = figure.to_sphere @ position
@@ -344,7 +374,7 @@ def fit_horizon(
     *,
     method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD,
 ) -> LimbSolution:
-    """Move an ellipsoid to where the points of a measured limb want it, all of them together.
+    """Fit the position of an ellipsoid to all points of a measured limb at once.
 
     Parameters
     ----------
@@ -433,7 +463,7 @@ def _noise_metric(cone: Float, length: Float, points_px: Float, model: CameraMod
 
 
 def _total_least_squares(cone: Float, metric: Float) -> Float:
-    """The n of ``w.n = 1`` for w with noise of covariance ``metric`` (3, 3): a plane through the w."""
+    """Solution n of ``w.n = 1`` for w with noise of covariance ``metric`` (3, 3): a plane through the w."""
     middle = cone.mean(axis=0)
     offsets = cone - middle
     _, vectors = eigh(offsets.T @ offsets, metric)
@@ -444,7 +474,7 @@ def _total_least_squares(cone: Float, metric: Float) -> Float:
 def ray_residuals(
     rays: PixelRays, figure: Figure, position_camera_km: Float, *, steps: int = _FOOT_STEPS
 ) -> tuple[Float, Float, Float]:
-    """What :func:`horizon_residuals` returns, for pixels whose rays are at hand, after some Newton steps."""
+    """Return what :func:`horizon_residuals` does, for rays instead of pixels, after some Newton steps."""
     pull, conic = figure.cone(position_camera_km)
     foot = np.zeros((len(rays.directions), 2))
     for _ in range(steps):

@@ -1,4 +1,4 @@
-"""How bright an ellipsoid is across its horizon: closed form, without a ray traced or an image rendered.
+"""Brightness of an ellipsoid across its horizon in closed form, without a ray traced or an image rendered.
 
 A blurred step whose place is that of the horizon, times brightness that grows or falls inward as the slant of the
 surface does: the ellipsoidal sigmoid that the estimators on horizons fit to pixels.
@@ -26,12 +26,14 @@ from giantlike.shapes.limbs import limb_ellipse
 Indices = NDArray[np.int64]
 
 _OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 180, 1200
+"""Points of a horizon from which its length is found; least and largest number of the points laid on it."""
 _NODE_PX = 2.0
+"""Length of horizon to a point, px: profiles change along it over a part of the radius."""
 _DEPTHS, _DEPTH_WEIGHTS = np.polynomial.legendre.leggauss(36)
 _REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
 _LEAST_RADIUS = 0.3  # of lines of equal depth over that of the horizon
 _TABLE_STEP = 0.35  # of the width of the blur
-_LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])
+_LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])  # inside the horizon, where limb counts as lit or dark
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,7 +160,20 @@ class ProfileTable(Value):
     values: Float
 
     def at(self, nodes: Indices, outward_px: Float) -> tuple[Float, Float, Float]:
-        """Brightness (n, p) and its first two derivatives at distances (n,) from points ``nodes`` (n,)."""
+        """Interpolate the table.
+
+        Parameters
+        ----------
+        nodes : (n,) int64
+            Points of the horizon.
+        outward_px : (n,) float64, px
+            Distances from them.
+
+        Returns
+        -------
+        value, slope, curve : (n, p) float64
+            Brightness and its first two derivatives, 1/px and 1/px^2.
+        """
         place = (outward_px - self.first_px) / self.step_px
         index = np.clip(np.floor(place).astype(np.int64), 0, self.values.shape[2] - 2)
         t = (place - index)[:, None]
@@ -192,6 +207,10 @@ def profile_table(
         How far from the horizon the table reaches.
     powers : int
         ``law mu^j`` is tabulated for j from 0 up to this, not included.
+
+    Returns
+    -------
+    ProfileTable
 
     Notes
     -----
@@ -248,7 +267,7 @@ def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflect
 
 
 def blur_width_px(psf_variance_px2: float) -> float:
-    """Standard deviation, px, of a point spread function and the pixel together."""
+    """Standard deviation, px, of a point spread function of some variance, px^2, and the pixel together."""
     return math.sqrt(psf_variance_px2 + PIXEL_VARIANCE_PX2)
 
 

@@ -13,13 +13,13 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate
 from giantlike.ray_tracing import FocalPlane
 
-_TURNS = 720
+_TURNS = 720  # corners of the polygons drawn: half a degree of a ring each
 _NEAREST = 1e-3  # of the distance to the body: rings nearer to the camera's plane than this are not drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Rings:
-    """A flat annulus in the plane of the first two principal axes of a body.
+    """Flat annulus in the plane of the first two principal axes of a body.
 
     Parameters
     ----------
@@ -39,7 +39,22 @@ class Rings:
     def hide(
         self, points_km: Float, center_km: Float, camera_from_axes: Rotation, *, sun_direction_camera: Float
     ) -> Mask:
-        """Which points (n, 3), km, camera axes, of a body at ``center_km`` lie behind the rings or in their shadow."""
+        """Find the points of a body that lie behind the rings or in their shadow.
+
+        Parameters
+        ----------
+        points_km : (n, 3) float64, km, camera axes
+        center_km : (3,) float64, km, camera axes
+            Position of the body.
+        camera_from_axes : Rotation
+            Takes vectors along the principal axes to camera axes.
+        sun_direction_camera : (3,) float64, unitless, camera axes
+            Unit vector from body to Sun.
+
+        Returns
+        -------
+        (n,) bool
+        """
         to_axes = camera_from_axes.inv()
         points = rotate(to_axes, points_km - center_km)
         toward_camera = rotate(to_axes, -points_km)
@@ -47,7 +62,22 @@ class Rings:
         return self._crossed(points, toward_camera) | self._crossed(points, np.broadcast_to(toward_sun, points.shape))
 
     def cover(self, plane: FocalPlane, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
-        """Pixels (rows, columns) of the camera on which the rings lie, before or behind the body, and a margin."""
+        """Find the pixels on which the rings lie, before or behind the body.
+
+        Parameters
+        ----------
+        plane : FocalPlane
+        center_km : (3,) float64, km, camera axes
+            Position of the body.
+        camera_from_axes : Rotation
+            Takes vectors along the principal axes to camera axes.
+        widened_px : float, px
+            Margin around the rings.
+
+        Returns
+        -------
+        (rows, columns) bool
+        """
         turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
         circle = np.stack([np.cos(turns), np.sin(turns), np.zeros(_TURNS)], axis=-1)
         area = np.zeros((plane.rows, plane.columns), dtype=np.uint8)
@@ -63,7 +93,7 @@ class Rings:
         return result
 
     def _crossed(self, points: Float, directions: Float) -> Mask:
-        """Whether half-lines from points (n, 3) along directions (n, 3), principal axes, meet the annulus."""
+        """True for half-lines from points (n, 3) along directions (n, 3), principal axes, that meet the annulus."""
         with np.errstate(divide="ignore", invalid="ignore"):
             length = -points[:, 2] / directions[:, 2]
             meets = points + length[:, None] * directions

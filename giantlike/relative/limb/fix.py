@@ -75,7 +75,18 @@ class LimbSearch:
         require(0.0 <= self.search_range <= 0.3, f"search_range must be in [0, 0.3], got {self.search_range}")
 
     def outline_search(self, view: LimbView, min_contrast: float) -> OutlineSearch:
-        """Reach of the search for the outline as a whole, and the contrast that it must have."""
+        """Return the reach and limits of the search for the outline as a whole.
+
+        Parameters
+        ----------
+        view : LimbView
+        min_contrast : float
+            Contrast across the outline below which there is none.
+
+        Returns
+        -------
+        OutlineSearch
+        """
         return OutlineSearch(
             search_px=self.search_px,
             search_range=self.search_range,
@@ -111,7 +122,17 @@ class IteratedSearch(LimbSearch):
         require(whole, f"max_iterations must be a whole number in [1, 50], got {self.max_iterations}")
 
     def allowed_rms_px(self, measured: LimbMeasurement) -> float:
-        """Largest residuals of a position that is believed, px."""
+        """Return the residuals beyond which a position is a failure.
+
+        Parameters
+        ----------
+        measured : LimbMeasurement
+            Its relief is allowed for.
+
+        Returns
+        -------
+        float, px
+        """
         return self.max_rms_px + _RELIEF_RMS * measured.relief_px
 
 
@@ -196,7 +217,7 @@ class LimbScan(Protocol[Measured]):
         ...
 
     def step(self, measured: Measured, state: LimbState) -> LimbStep:
-        """Find the step to where the points want the body."""
+        """Find the step of the body that the points ask for."""
         ...
 
     def settled(self, measured: Measured, step: LimbStep, moved_px: float, state: LimbState) -> bool:

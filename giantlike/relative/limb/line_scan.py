@@ -54,7 +54,7 @@ _COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
 _LEAST_LINES = 8
 """Lines laid on the shortest limb; fewer than the options ask for, which then say that there are too few."""
 _FIRST_SEARCH_PX = 3.0
-"""How much farther lines are searched in the first measurement: twice the error of the search as a whole."""
+"""Distance that lines are searched farther in the first measurement, px: room for the error of the coarse search."""
 _FIRST_LINES, _FIRST_RAYS = 100, 2
 """Lines and rays of the first measurement, which only needs to be good to the width of a profile."""
 _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
