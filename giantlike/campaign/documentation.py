@@ -57,7 +57,8 @@ def _sections(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
     if own:
         yield "| key | type | default | meaning |\n| --- | --- | --- | --- |"
         for name, field in own.items():
-            yield f"| `{name}` | {_type_text(field.annotation)} | {_default_text(field)} | {field.description} |"
+            meaning = " ".join((field.description or "").split())
+            yield f"| `{name}` | {_type_text(field.annotation)} | {_default_text(field)} | {meaning} |"
         yield ""
     for name, field in model.model_fields.items():
         inner = model_in(field.annotation)

@@ -47,7 +47,7 @@ class ExportOptions:
     stars_only : bool
         Leave out attitudes that were transferred from other images.
     max_gap_s : float, s
-        CK and AEM: longest gap to interpolate over. No study: a longer one joins segments that a slew may separate.
+        CK and AEM: longest gap to interpolate over. The default was chosen without a study.
     instrument_id : int, optional
         CK: NAIF code of the camera frame.
     frame_name : str, optional

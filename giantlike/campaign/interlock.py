@@ -89,6 +89,7 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
         :func:`~giantlike.io.attitude_series.read_attitude_csv` reads them.
     tolerance_s : float, s
         Attitudes at most so far apart in time are a pair; the rotation in between is an error.
+        The default was chosen without a study: at 1 arcsec/s it adds 0.05 arcsec.
 
     Returns
     -------

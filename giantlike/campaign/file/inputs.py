@@ -43,7 +43,22 @@ class SpiceSetup:
     camera_from_frame: FrameRotation | None
 
     def camera_from_inertial(self, et: float) -> FrameRotation | None:
-        """Attitude of the camera at ``et``; None without a camera frame, ``DataError`` where no kernel covers it."""
+        """Attitude of the camera by SPICE.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        FrameRotation or None
+            None without a camera frame.
+
+        Raises
+        ------
+        DataError
+            No kernel covers the time.
+        """
         turn = self.camera_from_frame
         if turn is None:
             return None

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from giantlike.core.errors import DataError, InputError
@@ -15,29 +15,13 @@ from giantlike.core.errors import DataError, InputError
 Content = TypeVar("Content", bound=BaseModel)
 
 
-def key(description: str, default: Any = ..., **limits: Any) -> Any:
-    """Field of a section: a key of the file.
-
-    Parameters
-    ----------
-    description : str
-        For the documentation.
-    default : optional
-        Without it, the key is required.
-    **limits
-        Checks as of ``pydantic.Field``.
-
-    Returns
-    -------
-    pydantic.fields.FieldInfo
-    """
-    return Field(default, description=description, **limits)
-
-
 class Section(BaseModel):
-    """Base of the tables of a file: types are strict, unknown keys are refused, values are immutable."""
+    """Base of the tables of a file: types are strict, unknown keys are refused, values are immutable.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    The text below a field describes its key.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
 
 def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dict[str, Any]]:

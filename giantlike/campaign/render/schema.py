@@ -1,6 +1,6 @@
-"""Keys of a scene file for ``giantlike render``: one pydantic field per key holds its type, limits and description.
+"""Keys of a scene file for ``giantlike render``: one pydantic field per key, with the description below it.
 
-The checks on reading and the page ``docs/scene_file.md`` both follow from these fields.
+The checks on reading, the defaults and the page ``docs/scene_file.md`` follow from these fields.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 
 from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.schema import BodySection, SpiceSection
-from giantlike.campaign.file.toml_file import Section, key
+from giantlike.campaign.file.toml_file import Section
 from giantlike.simulation.cosmic_rays import CosmicRays
 from giantlike.simulation.effects import DarkCurrent, FrameTransfer, FullWell, StrayLight
 
@@ -28,112 +28,145 @@ class SceneSection(Section):
 class RenderSection(SceneSection):
     """``[render]``: where the images go, and how they are made."""
 
-    output: str = key("Folder of the images.", "rendered")
-    seed: int = key("Seed of all noise; equal seeds give equal images.", 0, ge=0)
-    rays_per_pixel_side: int = key(
-        "Rays along the side of a pixel; its square is their number in a pixel.", 4, ge=1, le=32
-    )
-    geometry: str | None = key("Geometry table that takes the place of `[[images]]`.", None)
-    truth: bool = key("Add the truth as FITS extensions.", True)
-    backplanes: bool = key("Add maps of what each pixel sees as FITS extensions.", False)
-    preview: bool = key("Write a PNG for each image.", False)
-    campaign: bool = key("Write a campaign, camera and geometry for `giantlike run`.", False)
-    estimators: list[str] = key("Estimators of that campaign.", ["cross_correlation", "limb_matching"])
+    output: str = "rendered"
+    """Folder of the images."""
+    seed: int = Field(default=0, ge=0)
+    """Seed of all noise; equal seeds give equal images."""
+    rays_per_pixel_side: int = Field(default=4, ge=1, le=32)
+    """Rays along the side of a pixel; its square is their number in a pixel."""
+    geometry: str | None = None
+    """Geometry table that takes the place of `[[images]]`."""
+    truth: bool = True
+    """Add the truth as FITS extensions."""
+    backplanes: bool = False
+    """Add maps of what each pixel sees as FITS extensions."""
+    preview: bool = False
+    """Write a PNG for each image."""
+    campaign: bool = False
+    """Write a campaign, camera and geometry for `giantlike run`."""
+    estimators: list[str] = Field(default=["cross_correlation", "limb_matching"])
+    """Estimators of that campaign."""
 
 
 class LightSection(SceneSection):
     """``[light]``: the Sun."""
 
-    direction: Vector | None = key(
-        "From the targets to the Sun, inertial axes, of any length; default: from SPICE.", None
-    )
-    distance_au: float = key("Distance of the Sun from the targets, au.", 1.0, gt=0)
-    extended: bool = key("The Sun has a disk, so that shadows have soft edges.", False)
+    direction: Vector | None = None
+    """From the targets to the Sun, inertial axes, of any length; default: from SPICE."""
+    distance_au: float = Field(default=1.0, gt=0)
+    """Distance of the Sun from the targets, au."""
+    extended: bool = False
+    """The Sun has a disk, so that shadows have soft edges."""
 
 
 class PhotometrySection(SceneSection):
     """``[photometry]``: brightness of stars."""
 
-    zero_point_e_s: float = key("Signal of a star of magnitude 0, electrons per second.", 200000.0, gt=0)
+    zero_point_e_s: float = Field(default=200000.0, gt=0)
+    """Signal of a star of magnitude 0, electrons per second."""
 
 
 class SkySection(SceneSection):
     """``[stars]``: the star catalog; without this section there are no stars."""
 
-    catalog: str = key("`default`, or the file of a built catalog or CSV.", "default")
-    max_magnitude: float | None = key("Faintest star drawn.", None)
+    catalog: str = "default"
+    """`default`, or the file of a built catalog or CSV."""
+    max_magnitude: float | None = None
+    """Faintest star drawn."""
 
 
 class HotPixelSection(SceneSection):
     """``[detector.hot_pixels]``: pixels of high dark current."""
 
-    count: int = key("Number of hot pixels.", 0, ge=0)
-    median_e_s: float = key("Median of their rates, electrons per second.", 500.0, gt=0)
+    count: int = Field(default=0, ge=0)
+    """Number of hot pixels."""
+    median_e_s: float = Field(default=500.0, gt=0)
+    """Median of their rates, electrons per second."""
 
 
 class DetectorSection(SceneSection):
     """``[detector]``: detector effects beyond the ``[detector]`` of the camera file."""
 
-    pattern_seed: int = key("Seed of what all images share: pixel response, hot and dead pixels.", 0, ge=0)
-    shot_noise: bool = key("Add the Poisson noise of light and dark current.", True)
-    bits: int = key("Bits of the converter.", 16)
-    dark: Annotated[DarkCurrent, options_validator(DarkCurrent)] = key("Dark current.", DarkCurrent())
-    stray: Annotated[StrayLight, options_validator(StrayLight)] = key("Stray light.", StrayLight())
-    transfer: Annotated[FrameTransfer, options_validator(FrameTransfer)] = key(
-        "Smear of a frame-transfer detector.", FrameTransfer()
-    )
-    cosmic_rays: Annotated[CosmicRays, options_validator(CosmicRays)] = key("Hits of cosmic rays.", CosmicRays())
-    well: Annotated[FullWell, options_validator(FullWell)] = key("Full well and blooming.", FullWell())
+    pattern_seed: int = Field(default=0, ge=0)
+    """Seed of what all images share: pixel response, hot and dead pixels."""
+    shot_noise: bool = True
+    """Add the Poisson noise of light and dark current."""
+    bits: int = 16
+    """Bits of the converter."""
+    dark: Annotated[DarkCurrent, options_validator(DarkCurrent)] = DarkCurrent()
+    """Dark current."""
+    stray: Annotated[StrayLight, options_validator(StrayLight)] = StrayLight()
+    """Stray light."""
+    transfer: Annotated[FrameTransfer, options_validator(FrameTransfer)] = FrameTransfer()
+    """Smear of a frame-transfer detector."""
+    cosmic_rays: Annotated[CosmicRays, options_validator(CosmicRays)] = CosmicRays()
+    """Hits of cosmic rays."""
+    well: Annotated[FullWell, options_validator(FullWell)] = FullWell()
+    """Full well and blooming."""
     hot_pixels: HotPixelSection = HotPixelSection()
-    dead_pixels: int = key("Number of pixels without signal.", 0, ge=0)
-    response_rms: float = key("Relative rms of the pixel response.", 0.0, ge=0, lt=0.3)
-    response_file: str | None = key("Image of the pixel response, instead of a random one.", None)
-    vignetting: float = key("Relative loss of light in the corners.", 0.0, ge=0, le=1)
+    dead_pixels: int = Field(default=0, ge=0)
+    """Number of pixels without signal."""
+    response_rms: float = Field(default=0.0, ge=0, lt=0.3)
+    """Relative rms of the pixel response."""
+    response_file: str | None = None
+    """Image of the pixel response, instead of a random one."""
+    vignetting: float = Field(default=0.0, ge=0, le=1)
+    """Relative loss of light in the corners."""
 
 
 class PlaceSection(SceneSection):
     """Position, orientation and illumination of a target."""
 
-    position_km: Vector | None = key("Apparent vector from camera to target center, inertial axes, km.", None)
-    body_from_inertial_xyzw: Quaternion | None = key("Orientation when the light left, quaternion, scalar last.", None)
-    sun_direction: Vector | None = key(
-        "From the target to the Sun, inertial axes, where it is not `light.direction`.", None
-    )
+    position_km: Vector | None = None
+    """Apparent vector from camera to target center, inertial axes, km."""
+    body_from_inertial_xyzw: Quaternion | None = None
+    """Orientation when the light left, quaternion, scalar last."""
+    sun_direction: Vector | None = None
+    """From the target to the Sun, inertial axes, where it is not `light.direction`."""
 
 
 class RenderTargetSection(PlaceSection, BodySection):
     """``[[targets]]``: a body, and its place unless an image gives another."""
 
-    albedo: float = key("Geometric albedo.", 0.045, gt=0)
+    albedo: float = Field(default=0.045, gt=0)
+    """Geometric albedo."""
 
 
 class ObserverSection(SceneSection):
     """``observer``: the spacecraft relative to the solar system barycenter, for parallax and aberration."""
 
-    position_km: Vector = key("Inertial axes, km.")
-    velocity_km_s: Vector = key("Inertial axes, km/s.")
+    position_km: Vector
+    """Inertial axes, km."""
+    velocity_km_s: Vector
+    """Inertial axes, km/s."""
 
 
 class ImageSection(SceneSection):
     """``[[images]]``: an exposure; its attitude is a quaternion or a pointing."""
 
-    file: str = key("FITS file to write, relative to the output folder.", min_length=1)
-    epoch_utc: str = key("Mid-exposure, ISO 8601.")
-    exposure_s: float = key("Exposure, s.", gt=0)
-    camera_from_inertial_xyzw: Quaternion | None = key("Attitude, quaternion, scalar last.", None)
-    pointing_deg: Vector | None = key("Right ascension, declination and roll of the boresight, deg.", None)
-    angular_rate_deg_s: Vector = key(
-        "Rotation of the camera during the exposure, about its own axes, deg/s.", (0.0, 0.0, 0.0)
-    )
+    file: str = Field(min_length=1)
+    """FITS file to write, relative to the output folder."""
+    epoch_utc: str
+    """Mid-exposure, ISO 8601."""
+    exposure_s: float = Field(gt=0)
+    """Exposure, s."""
+    camera_from_inertial_xyzw: Quaternion | None = None
+    """Attitude, quaternion, scalar last."""
+    pointing_deg: Vector | None = None
+    """Right ascension, declination and roll of the boresight, deg."""
+    angular_rate_deg_s: Vector = (0.0, 0.0, 0.0)
+    """Rotation of the camera during the exposure, about its own axes, deg/s."""
     observer: ObserverSection | None = None
-    targets: dict[str, PlaceSection] = key("Places of targets in this image, by name.", {})
+    targets: dict[str, PlaceSection] = Field(default_factory=dict)
+    """Places of targets in this image, by name."""
 
 
 class RenderFile(SceneSection):
     """A whole scene file."""
 
     render: RenderSection = RenderSection()
-    camera: dict[str, Any] = key("`file`, the name of a camera file with `[psf]`, or the keys of one.")
+    camera: dict[str, Any]
+    """`file`, the name of a camera file with `[psf]`, or the keys of one."""
     light: LightSection = LightSection()
     photometry: PhotometrySection = PhotometrySection()
     stars: SkySection | None = None
