@@ -199,11 +199,9 @@ def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = Fa
         raise InputError(f"{path} exists; give --overwrite to replace it")
     maps = [landmark.map for landmark in catalog.landmarks]
     painted = [local.albedo for local in maps if local.albedo is not None]
-    arrays: dict[str, Any] = {
-        "format": _FORMAT,
-        "version": _VERSION,
-        "body_name": catalog.body_name,
-        "shape_sha256": catalog.shape_sha256,
+    arrays: dict[str, NDArray[Any]] = {
+        "body_name": np.array(catalog.body_name),
+        "shape_sha256": np.array(catalog.shape_sha256),
         "names": np.array([local.name for local in maps]),
         "centers_body_km": np.stack([local.center_body_km for local in maps]),
         "body_from_map": np.stack([local.body_from_map.as_quat() for local in maps]),
@@ -215,7 +213,7 @@ def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = Fa
         "albedo": np.concatenate([np.zeros(0), *[albedo.ravel() for albedo in painted]]).astype(np.float32),
     }
     with replacing(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, allow_pickle=False, format=_FORMAT, version=_VERSION, **arrays)
 
 
 def landmark_of(local: LocalMap) -> Landmark:

@@ -116,27 +116,27 @@ def write_opencv_camera(path: str | Path, model: CameraModel, *, columns: int, r
     write_text_atomic(Path(path), storage.releaseAndGetString())
 
 
+def _node(storage: Any, keys: Sequence[str]) -> Any:
+    """The first node of a storage that there is under one of several keys, else an empty one."""
+    nodes = [storage.getNode(key) for key in keys]
+    return next((node for node in nodes if not node.empty()), nodes[0])
+
+
 def _matrix(storage: Any, keys: Sequence[str]) -> Float | None:
-    for key in keys:
-        node = storage.getNode(key)
-        if not node.empty() and node.mat() is not None:
-            return np.asarray(node.mat(), dtype=np.float64)
-    return None
+    matrix = _node(storage, keys).mat()
+    return None if matrix is None else np.asarray(matrix, dtype=np.float64)
 
 
 def _whole(storage: Any, keys: Sequence[str]) -> int | None:
-    for key in keys:
-        node = storage.getNode(key)
-        if not node.empty() and node.isInt():
-            return int(node.real())
-    return None
+    node = _node(storage, keys)
+    return int(node.real()) if node.isInt() else None
 
 
 def _is_fisheye(storage: Any) -> bool:
-    node, named = storage.getNode("fisheye_model"), storage.getNode("distortion_model")
-    if not named.empty() and named.isString():
+    named = _node(storage, ("distortion_model",))
+    if named.isString():
         return str(named.string()) in {"fisheye", "equidistant"}
-    return not node.empty() and node.isInt() and bool(node.real())
+    return bool(_whole(storage, ("fisheye_model",)))
 
 
 def _model(matrix: Float, coefficients: Float, fisheye: bool) -> AffineModel:

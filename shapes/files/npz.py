@@ -80,8 +80,8 @@ def write_npz(path: Path, mesh: TriangleMesh) -> None:
     mesh : TriangleMesh
     """
     faces = mesh.faces.astype(np.uint32) if len(mesh.vertices_km) <= np.iinfo(np.uint32).max else mesh.faces
-    arrays: dict[str, Any] = {"vertices": mesh.vertices_km, "faces": faces}
+    arrays: dict[str, NDArray[Any]] = {"vertices": mesh.vertices_km, "faces": faces}
     if isinstance(mesh.albedo, VertexAlbedo | FacetAlbedo):
         arrays |= {name: mesh.albedo.values for name, kind in _ALBEDO.items() if isinstance(mesh.albedo, kind)}
     with path.open("wb") as file:
-        np.savez(file, format=_FORMAT, version=_VERSION, units="km", name=mesh.name, **arrays)
+        np.savez(file, allow_pickle=False, format=_FORMAT, version=_VERSION, units="km", name=mesh.name, **arrays)
