@@ -1,6 +1,6 @@
-"""Ray tracing: how light gets from the Sun over a body to the camera, and where the body's outline lies.
+"""Ray tracing: light from the Sun over a body to the camera, and the outline of the body.
 
-``Body`` is what is seen; ``render`` makes a template of it and ``trace_silhouette`` finds its limb.
+``render`` makes a template of a ``Body`` and ``trace_silhouette`` finds its limb.
 """
 
 from giantlike.ray_tracing.backplanes import Backplanes, trace_backplanes
@@ -25,9 +25,7 @@ from giantlike.ray_tracing.reflectance import (
     UserReflectance,
     reflectance_from_mapping,
 )
-from giantlike.ray_tracing.render import render
-from giantlike.ray_tracing.scene_render import SceneRender, render_scene
-from giantlike.ray_tracing.shade import Template
+from giantlike.ray_tracing.render import SceneRender, Template, render, render_scene
 from giantlike.ray_tracing.silhouette import Silhouette, trace_silhouette
 
 __all__ = [

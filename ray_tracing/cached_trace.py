@@ -16,9 +16,8 @@ from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.render import ray_grid
+from giantlike.ray_tracing.render import Template, gathered, ray_grid, shade_tile, unless_dark
 from giantlike.ray_tracing.sampling import Tile
-from giantlike.ray_tracing.shade import Template, gathered, shade_tile, unless_dark
 from giantlike.ray_tracing.trace import TracedRays, View, in_order, sunlight, trace_rays, view_of
 
 

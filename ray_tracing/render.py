@@ -1,26 +1,139 @@
-"""Render a body into a template: single-bounce ray tracing through the real camera model and its PSF."""
+"""Renders: bodies become templates by single-bounce ray tracing through the real camera model and its PSF."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_finite, unit
+from giantlike.core.arrays import Float, as_finite, as_floats, unit
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.ray_tracing.body import Body
+from giantlike.core.pixel_box import PixelBox
+from giantlike.core.values import Value
+from giantlike.ray_tracing.body import Body, suns_of
 from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
-from giantlike.ray_tracing.neighbors import Neighbor
+from giantlike.ray_tracing.neighbors import Neighbor, neighbors_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
-from giantlike.ray_tracing.sampling import RayGrid, Tile
-from giantlike.ray_tracing.shade import ShadedTile, Template, gathered, shade_tile, unless_dark
-from giantlike.ray_tracing.trace import View, in_order, trace_rays, view_of
+from giantlike.ray_tracing.reflectance import Reflectance
+from giantlike.ray_tracing.sampling import RayGrid, Tile, spread_over
+from giantlike.ray_tracing.trace import TracedRays, View, in_order, trace_rays, view_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Template(Value):
+    """A rendered body, cut out to the pixels that its light reaches.
+
+    Parameters
+    ----------
+    brightness : (h, w) float64
+        Mean over the pixel, relative: 1 is a surface seen and lit along its normal. The PSF is in it.
+    coverage : (h, w) float64
+        Fraction of each pixel that the body covers, lit or not, before the PSF.
+    corner_px : (2,) int64, px
+        Image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame.
+    center_px : (2,) float64, px
+        Projection of the origin of the shape, in the distorted image.
+    photocenter_px : (2,) float64, px
+        Centroid of the light before PSF and pixels, so that it holds for a body inside one pixel too.
+    lit_fraction : float
+        Part of the rays on the body that end on lit surface.
+    rendered_from_camera : Rotation
+        Takes camera axes to those that the body was rendered in: no turn, unless it was recentered.
+    """
+
+    brightness: Float
+    coverage: Float
+    corner_px: NDArray[np.int64]
+    center_px: Float
+    photocenter_px: Float
+    lit_fraction: float
+    rendered_from_camera: Rotation = field(default_factory=Rotation.identity)
+
+    def placed(self, columns: int, rows: int) -> Float:
+        """Return the brightness in a whole frame.
+
+        Parameters
+        ----------
+        columns, rows : int, px
+            Size of the frame.
+
+        Returns
+        -------
+        (rows, columns) float64
+            0 outside the template; what lies outside the frame is cut off.
+        """
+        x, y = self.corner_px.tolist()
+        return PixelBox(x=0, y=0, width=columns, height=rows).cut(self.brightness, (x, y))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SceneRender(Value):
+    """Several bodies, rendered.
+
+    Parameters
+    ----------
+    columns, rows : int, px
+        Size of the frame.
+    templates : tuple of Template or Failure
+        One for each body, in the order they were given: what is seen of it, shadows of the others in. A body that
+        is seen but wholly in the dark is a black template with a NaN photocenter, not a failure.
+        Failures: ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around
+        the camera, which hides nothing.
+    """
+
+    columns: int
+    rows: int
+    templates: tuple[Template | Failure, ...]
+
+    @property
+    def brightness(self) -> Float:
+        """Sum of all bodies in the whole frame (rows, columns), relative: 1 is a surface lit and seen along its normal.
+
+        It is computed at each access.
+        """
+        return self.weighted(np.ones(len(self.templates)))
+
+    def weighted(self, weights: ArrayLike) -> Float:
+        """Return the sum of all bodies, each times its own weight: irradiance, say, or albedo.
+
+        Parameters
+        ----------
+        weights : (n,)
+
+        Returns
+        -------
+        (rows, columns) float64
+        """
+        factors = as_floats(weights, (len(self.templates),), "weights")
+        frame = np.zeros((self.rows, self.columns))
+        for factor, template in zip(factors, self.templates, strict=True):
+            if isinstance(template, Template):
+                frame += factor * template.placed(self.columns, self.rows)
+        return frame
+
+    def coverage(self, number: int) -> Float:
+        """Return the fraction of each pixel of the frame that a body covers, others before it cut out.
+
+        Parameters
+        ----------
+        number : int
+            Of the body, in the order they were given.
+
+        Returns
+        -------
+        (rows, columns) float64
+        """
+        template = self.templates[number]
+        if isinstance(template, Failure):
+            return np.zeros((self.rows, self.columns))
+        return replace(template, brightness=template.coverage).placed(self.columns, self.rows)
 
 
 def render(
@@ -84,6 +197,55 @@ def render(
     return replace(template, rendered_from_camera=turn) if isinstance(template, Template) else template
 
 
+def render_scene(
+    bodies: Sequence[Body],
+    model: CameraModel,
+    *,
+    sun_direction_camera: ArrayLike,
+    psf: GaussianPsf | None = None,
+    columns: int,
+    rows: int,
+    options: RenderOptions = DEFAULT_OPTIONS,
+) -> SceneRender:
+    """Render bodies that hide each other and shade each other.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        In any order, none inside another.
+    model : CameraModel
+    sun_direction_camera : (3,) or (n, 3), unitless, camera axes
+        Unit vector to the Sun, for all bodies or for each.
+    psf : GaussianPsf, optional
+    columns, rows : int, px
+    options : RenderOptions
+        For every body; each is sampled as finely as its size in the image asks for.
+
+    Returns
+    -------
+    SceneRender
+        Always; a body that is not seen is a ``Failure`` in its ``templates``. The Sun shines on all bodies alike:
+        differences in distance are the caller's ``weights``.
+
+    Raises
+    ------
+    InputError
+        A size is not positive, or a direction is not a unit vector or not one for each body.
+
+    Notes
+    -----
+    Every body is rendered as :func:`~giantlike.ray_tracing.render` does, but rays that meet another body first are
+    dropped, and shadow rays are tested against all bodies. Light that one body casts on another is left out.
+    """
+    plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
+    bodies = [body.seen_by(model) for body in bodies]
+    templates = tuple(
+        rendered(body, plane, sun, options, tuple(neighbors_of(bodies, number, sun, options.sun_radius_rad)))
+        for number, (body, sun) in enumerate(zip(bodies, suns_of(bodies, sun_direction_camera), strict=True))
+    )
+    return SceneRender(columns=columns, rows=rows, templates=templates)
+
+
 def rendered(
     body: Body,
     plane: FocalPlane,
@@ -142,3 +304,113 @@ def shortest_turn(start: Float, stop: Float) -> Rotation:
     if sine < 1e-12:  # parallel or opposite to rounding: any axis across
         axis = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
     return Rotation.from_rotvec(math.atan2(sine, cosine) * unit(axis))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShadedTile(Value):
+    """Light and coverage of a tile of cells.
+
+    Parameters
+    ----------
+    tile : Tile
+    light : (w, rows) float64
+        By pixel columns of the template and rows of cells; blurred along x.
+    by_column : (columns,) float64
+        Brightness summed over the rows, for each column of cells of the tile.
+    by_row : (rows,) float64
+    cover : (height, columns) int64
+        Number of hits on the template's pixels, from row ``first_row`` on.
+    first_row : int
+    hits, lit : int
+        Number of rays that meet the body, and of those that see the Sun too.
+    """
+
+    tile: Tile
+    light: Float
+    by_column: Float
+    by_row: Float
+    cover: NDArray[np.int64]
+    first_row: int
+    hits: int
+    lit: int
+
+
+def shade_tile(footprint: Footprint, tile: Tile, traced: TracedRays, law: Reflectance) -> ShadedTile:
+    """Light of the cells of a tile under a reflectance law, on the pixel columns of the template.
+
+    Parameters
+    ----------
+    footprint : Footprint
+    tile : Tile
+    traced : TracedRays
+        One ray for each cell of the tile, column after column.
+    law : Reflectance
+
+    Returns
+    -------
+    ShadedTile
+    """
+    brightness = np.zeros((footprint.cells[0].count, tile.rows))
+    inside = brightness[tile.left : tile.right]
+    inside[:] = traced.brightness(law).reshape(inside.shape)
+    first_row, cover = footprint.counted(tile, traced.sight.rays)
+    return ShadedTile(
+        tile=tile,
+        light=spread_over(footprint.spread[0], brightness),
+        by_column=inside.sum(axis=1),
+        by_row=inside.sum(axis=0),
+        cover=cover,
+        first_row=first_row,
+        hits=int(traced.sight.rays.size),
+        lit=traced.lit,
+    )
+
+
+def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> Template | Failure:
+    """Template of tiles, added up in their order.
+
+    Parameters
+    ----------
+    view : View
+    footprint : Footprint
+    tiles : iterable of ShadedTile
+
+    Returns
+    -------
+    Template or Failure
+        A body seen in the dark gives a black template with a NaN photocenter; ``NO_SIGNAL`` where neighbors hide it,
+        ``OUT_OF_FRAME`` where no ray meets it.
+    """
+    x, y = (cells.centers_px for cells in footprint.cells)
+    width, height = footprint.size_px
+    light, counts = np.zeros((y.size, width)), np.zeros((height, width), np.int64)
+    by_column, by_row = np.zeros(x.size), np.zeros(y.size)
+    n_hit = n_lit = 0
+    for part in tiles:
+        rows = slice(part.tile.start, part.tile.stop)
+        light[rows] = part.light.T
+        counts[part.first_row : part.first_row + len(part.cover)] += part.cover
+        by_column[part.tile.left : part.tile.right] += part.by_column
+        by_row[rows] = part.by_row
+        n_hit, n_lit = n_hit + part.hits, n_lit + part.lit
+    if n_hit == 0 and view.neighbors:
+        return Failure(Reason.NO_SIGNAL, "no ray of the frame meets the body, or other bodies stand before it")
+    if n_hit == 0:
+        return Failure(Reason.OUT_OF_FRAME, "no ray of the frame meets the body, though its bounds touch the frame")
+    with np.errstate(invalid="ignore"):
+        photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
+    return Template(
+        brightness=spread_over(footprint.spread[1], light),
+        coverage=counts / footprint.cells[0].per_px ** 2,
+        corner_px=footprint.corner_px,
+        center_px=view.body.center_px(footprint.plane.model),
+        photocenter_px=photocenter_px,
+        lit_fraction=n_lit / n_hit,
+    )
+
+
+def unless_dark(template: Template | Failure) -> Template | Failure:
+    """Return the template, or a failure ``NOT_LIT`` for one without any lit surface."""
+    if isinstance(template, Template) and template.lit_fraction == 0.0:
+        return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
+    return template

@@ -31,13 +31,37 @@ class PixelBox:
 
     @classmethod
     def spanning(cls, low_px: Float, high_px: Float, margin_px: int = 0) -> PixelBox:
-        """Return the box from pixel ``low_px`` (2,) up to, not including, ``high_px`` (2,), and a margin around it."""
+        """Return the box between two pixels, and a margin around it.
+
+        Parameters
+        ----------
+        low_px, high_px : (2,) float64, px
+            First pixel, and the one after the last; rounded outward.
+        margin_px : int, px
+
+        Returns
+        -------
+        PixelBox
+        """
         low = np.floor(low_px).astype(np.int64) - margin_px
         (x, y), (width, height) = low.tolist(), (np.ceil(high_px).astype(np.int64) + margin_px - low).tolist()
         return cls(x=x, y=y, width=width, height=height)
 
     def limited(self, columns: int, rows: int, border_px: int = 0) -> PixelBox:
-        """Return the part within a frame widened by ``border_px``; at least one pixel."""
+        """Return the part of the box within a frame.
+
+        Parameters
+        ----------
+        columns, rows : int, px
+            Size of the frame.
+        border_px : int, px
+            Pixels around the frame that may belong to the box.
+
+        Returns
+        -------
+        PixelBox
+            Of one pixel at least.
+        """
         frame = np.array([columns, rows])
         corner = np.array([self.x, self.y])
         low = np.clip(corner, -border_px, frame)
