@@ -296,7 +296,7 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
 
     Returns
     -------
-    mask : (rows, columns) bool, or Failure
+    (rows, columns) bool or Failure
         True on a body, lit or not, and in the margin. The outermost outline counts: bays of an irregular body are
         covered too. A target of which the camera images no limb leaves the mask as it is, unless the body fills the
         view: then everything is covered.
