@@ -74,7 +74,6 @@ class QualityChecks(Value):
     def __post_init__(self) -> None:
         require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
         Value.__post_init__(self)
-        Value.__post_init__(self)
 
     @property
     def far_from_prediction(self) -> bool:
