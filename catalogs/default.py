@@ -241,21 +241,22 @@ def _same_stars(gaia: StarTable, hipparcos: StarTable) -> NDArray[np.intp]:
 
 
 def _with_motion(gaia: StarTable, hipparcos: StarTable, pairs: NDArray[np.intp]) -> StarTable:
-    """The Gaia stars, those in ``pairs`` with proper motion, parallax and color."""
+    """Gaia stars, those in ``pairs`` with proper motion, parallax and color."""
     where, partner = pairs[:, 0], hipparcos.select(pairs[:, 1])
     years = GAIA_EPOCH - HIPPARCOS_EPOCH
-    mine = replace(
+    matched = replace(
         gaia.select(where),
         parallax_mas=partner.parallax_mas,
         radial_velocity_km_s=radial_velocities(gaia.ids[where]),
     )
-    pm = _motion_from(mine, direction_from_radec(partner.ra_deg, partner.dec_deg), HIPPARCOS_EPOCH)
-    pace = np.linalg.norm(pm, axis=-1) * RAD_PER_MAS * partner.parallax_mas * RAD_PER_MAS
-    unknown = mine.radial_velocity_km_s == 0.0
-    bent = pace * (SPREAD_RADIAL_KM_S * SECONDS_PER_JULIAN_YEAR / AU_KM) * years / RAD_PER_MAS
-    sigma = np.hypot(np.hypot(partner.sigma_mas, SIGMA_GAIA_MAS) / years, np.where(unknown, bent, 0.0))
-    then = replace(partner, radial_velocity_km_s=mine.radial_velocity_km_s)
-    missed = apparent_directions(then, et_of_julian_year(GAIA_EPOCH)) - direction_from_radec(mine.ra_deg, mine.dec_deg)
+    pm = _motion_from(matched, direction_from_radec(partner.ra_deg, partner.dec_deg), HIPPARCOS_EPOCH)
+    bending = np.linalg.norm(pm, axis=-1) * RAD_PER_MAS * partner.parallax_mas * RAD_PER_MAS
+    unknown = matched.radial_velocity_km_s == 0.0
+    sigma_bending = bending * (SPREAD_RADIAL_KM_S * SECONDS_PER_JULIAN_YEAR / AU_KM) * years / RAD_PER_MAS
+    sigma = np.hypot(np.hypot(partner.sigma_mas, SIGMA_GAIA_MAS) / years, np.where(unknown, sigma_bending, 0.0))
+    moved = replace(partner, radial_velocity_km_s=matched.radial_velocity_km_s)
+    seen = direction_from_radec(matched.ra_deg, matched.dec_deg)
+    missed = apparent_directions(moved, et_of_julian_year(GAIA_EPOCH)) - seen
     conflict = np.linalg.norm(missed, axis=-1) / (RAD_PER_MAS * years)
     disagree = conflict > 5.0 * np.hypot(sigma, partner.sigma_pm_mas_yr)
     columns = gaia.columns()
@@ -263,7 +264,7 @@ def _with_motion(gaia: StarTable, hipparcos: StarTable, pairs: NDArray[np.intp])
         "pm_ra_mas_yr": pm[:, 0],
         "pm_dec_mas_yr": pm[:, 1],
         "parallax_mas": partner.parallax_mas,
-        "radial_velocity_km_s": mine.radial_velocity_km_s,
+        "radial_velocity_km_s": matched.radial_velocity_km_s,
         "color_bv": partner.color_bv,
         "sigma_pm_mas_yr": np.where(disagree, np.hypot(sigma, conflict), sigma),
         "is_double": partner.is_double | disagree,
@@ -273,11 +274,11 @@ def _with_motion(gaia: StarTable, hipparcos: StarTable, pairs: NDArray[np.intp])
 
 
 def _motion_from(stars: StarTable, directions: Float, year: float) -> Float:
-    """Proper motions (n, 2), mas/yr, with which stars were seen in given directions (n, 3) in a given year."""
+    """Proper motions (n, 2), mas/yr, that lead from given directions (n, 3) in a given year to the stars."""
     axes = east_north(stars.ra_deg, stars.dec_deg)
     years = stars.epoch_jyear - year
     for _ in range(3):  # nearly linear: each round gains four digits
-        ahead = apparent_directions(stars, et_of_julian_year(year)) - directions
-        more = [np.sum(ahead * axis, axis=-1) / (RAD_PER_MAS * years) for axis in axes]
-        stars = replace(stars, pm_ra_mas_yr=stars.pm_ra_mas_yr + more[0], pm_dec_mas_yr=stars.pm_dec_mas_yr + more[1])
+        offset = apparent_directions(stars, et_of_julian_year(year)) - directions
+        steps = [np.sum(offset * axis, axis=-1) / (RAD_PER_MAS * years) for axis in axes]
+        stars = replace(stars, pm_ra_mas_yr=stars.pm_ra_mas_yr + steps[0], pm_dec_mas_yr=stars.pm_dec_mas_yr + steps[1])
     return np.stack([stars.pm_ra_mas_yr, stars.pm_dec_mas_yr], axis=-1)

@@ -17,7 +17,7 @@ from giantlike.core.units import RAD_PER_ARCSEC
 SAME_STAR_ARCSEC = 3.0
 """Stars of two catalogs this close to each other at the epoch of the later one are the same star."""
 UNNAMED_BAND = "user"
-"""Magnitudes in this band are taken as if they were in that of the first catalog."""
+"""Magnitudes in this band are taken to be in the band of the first catalog."""
 
 
 def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCatalog:

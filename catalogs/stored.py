@@ -55,7 +55,7 @@ _DTYPES: Mapping[str, str] = MappingProxyType(
     | {"directions": "<f4", "rank": "<i4", "starts": "<i8", "fast_margin_rad": "<f8"}
 )
 _INDEX = ("directions", "rank", "starts", "fast_margin_rad")
-_MENDED = "build the catalog again with `giantlike catalog build`"
+_REMEDY = "build the catalog again with `giantlike catalog build`"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,7 +217,7 @@ def catalog_header(path: str | Path, *, check: bool = False) -> CatalogHeader:
         start = _START + int.from_bytes(raw[8:_START].tobytes(), "little")
         found = hashlib.sha256(raw[start:].data).hexdigest()
         if found != header["sha256"]:
-            raise DataError(path, f"is damaged: sha256 is {found}, the header says {header['sha256']}; {_MENDED}")
+            raise DataError(path, f"is damaged: sha256 is {found}, the header says {header['sha256']}; {_REMEDY}")
     return header
 
 
@@ -249,23 +249,23 @@ def _blocks(arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
 def _opened(path: Path) -> tuple[CatalogHeader, NDArray[np.uint8]]:
     """Header, checked for the keys that the reader relies on, and all bytes of the file."""
     if not is_catalog_file(path):
-        raise DataError(path, f"is no built star catalog (it does not begin with GLSTARS); {_MENDED}")
+        raise DataError(path, f"is no built star catalog (it does not begin with GLSTARS); {_REMEDY}")
     size = path.stat().st_size
     raw = np.memmap(path, dtype=np.uint8, mode="r")
     length = int.from_bytes(raw[8:_START].tobytes(), "little") if size >= _START else size
     if _START + length > size:
-        raise DataError(path, f"is cut off within its header, after {size} bytes; {_MENDED}")
+        raise DataError(path, f"is cut off within its header, after {size} bytes; {_REMEDY}")
     try:
         header = json.loads(raw[_START : _START + length].tobytes())
         missing = [key for key in CatalogHeader.__annotations__ if key not in header]
     except (ValueError, TypeError) as error:
-        raise DataError(path, f"has a damaged header ({error}); {_MENDED}") from error
+        raise DataError(path, f"has a damaged header ({error}); {_REMEDY}") from error
     if missing:
-        raise DataError(path, f"has a damaged header (no {missing[0]}); {_MENDED}")
+        raise DataError(path, f"has a damaged header (no {missing[0]}); {_REMEDY}")
     if header["format"] != FORMAT or header["zones"] != ZONES:
-        raise DataError(path, f"is of format {header['format']}, this version reads format {FORMAT}; {_MENDED}")
+        raise DataError(path, f"is of format {header['format']}, this version reads format {FORMAT}; {_REMEDY}")
     if size != header["size"]:
-        raise DataError(path, f"has {size} bytes where its header says {header['size']}; {_MENDED}")
+        raise DataError(path, f"has {size} bytes where its header says {header['size']}; {_REMEDY}")
     return cast(CatalogHeader, header), np.asarray(raw)
 
 
@@ -284,12 +284,17 @@ def _arrays(path: Path, header: CatalogHeader, raw: NDArray[np.uint8]) -> dict[s
         missing = (set(COLUMN_TYPES) | set(_INDEX)) - set(arrays) - set(header["constants"])
         if missing:
             raise ValueError(f"no column {sorted(missing)[0]}")
-        odd = [name for name, array in arrays.items() if name not in _INDEX[2:] and array.shape[-1:] != (count,)]
+        wrong = [name for name, array in arrays.items() if name not in _INDEX[2:] and array.shape[-1:] != (count,)]
         starts = arrays["starts"]
-        if odd or starts[0] != 0 or starts[-1] + arrays["fast_margin_rad"].size != count or (np.diff(starts) < 0).any():
-            raise ValueError(f"the lengths of {odd or 'the index'} do not fit {count} stars")
+        if (
+            wrong
+            or starts[0] != 0
+            or starts[-1] + arrays["fast_margin_rad"].size != count
+            or (np.diff(starts) < 0).any()
+        ):
+            raise ValueError(f"the lengths of {wrong or 'the index'} do not fit {count} stars")
     except (ValueError, KeyError, TypeError) as error:
-        raise DataError(path, f"has a damaged header ({error}); {_MENDED}") from error
+        raise DataError(path, f"has a damaged header ({error}); {_REMEDY}") from error
     return arrays
 
 

@@ -334,7 +334,7 @@ def _hash(kind: str, *arrays: Float) -> str:
 
 
 def _neighbors(place: Float, count: int) -> tuple[Indices, Float]:
-    """The sample (n,) at or before each place, -1 before the first, and the weight of the next.
+    """Index (n,) of the sample at or before each position, -1 before the first, and the weight of the next.
 
     Samples lie at 0 to count - 1, and the edges, half a step beyond, at -0.5 and count - 0.5.
     """

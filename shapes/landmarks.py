@@ -30,7 +30,7 @@ _FORMAT, _VERSION = "giantlike landmarks", 1
 
 @dataclass(frozen=True, eq=False)
 class Landmark(Value):
-    """A place on a body.
+    """A landmark: a local map of a place on a body.
 
     Parameters
     ----------
@@ -231,8 +231,8 @@ def landmark_of(local: LocalMap) -> Landmark:
     known = np.isfinite(tilts).all(axis=0)
     rows, columns = np.nonzero(known)
     bend = np.column_stack([np.ones(rows.size), rows, columns])  # an even bend shades evenly: nothing to match
-    left = tilts[:, known].T - bend @ np.linalg.lstsq(bend, tilts[:, known].T, rcond=None)[0]
-    roughness = float(np.sum(left**2)) / max(rows.size, 1)
+    residual = tilts[:, known].T - bend @ np.linalg.lstsq(bend, tilts[:, known].T, rcond=None)[0]
+    roughness = float(np.sum(residual**2)) / max(rows.size, 1)
     contrast = 0.0
     if local.albedo is not None and float(local.albedo.mean()) > 0.0:
         contrast = float(np.var(local.albedo[np.isfinite(local.heights_km)]) / np.mean(local.albedo) ** 2)

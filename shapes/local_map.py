@@ -211,7 +211,7 @@ class _Surface:
 
 
 def _laid_over(body: TriangleMesh, local: LocalMap, reach_km: float) -> TriangleMesh:
-    """One map over one body, which keeps what lies farther than ``reach_km`` below or above the map."""
+    """Lay one map over a body; surface farther than ``reach_km`` below or above the map is kept."""
     vertices, faces, albedo = _with_vertex_albedo(body)
     surface = _Surface(local.to_map(vertices), albedo)
     half = local.half_extent_km

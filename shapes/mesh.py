@@ -210,7 +210,7 @@ class TriangleMesh(Value):
         return TriangleMesh(self.vertices_km, self.faces, self.name, self._surface_sha256, albedo)
 
     def translated(self, offset_body_km: ArrayLike) -> TriangleMesh:
-        """Return the mesh at another place of the body axes, with a hash of its own; the albedo moves with it.
+        """Return the mesh translated in body axes, with a hash of its own; the albedo moves with it.
 
         Parameters
         ----------

@@ -106,7 +106,7 @@ def _neighbors(faces: Faces) -> tuple[Faces, Faces, Mask]:
 
 
 def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
-    """Faces of which all neighbors are wound alike, and the mask (m,) of those that were turned for it.
+    """Faces whose neighbors are all wound alike, and the mask (m,) of those that were reversed.
 
     Each facet is two nodes of a graph, as it is and turned; neighbors join the nodes that agree. The component that
     holds the first facet of a piece as it is says how the others must be. Where both nodes of a facet are in
@@ -124,7 +124,7 @@ def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
 
 
 def _outward(surface: Surface) -> tuple[Faces, Mask]:
-    """Faces whose connected pieces all enclose a positive volume, and the mask (m,) of those turned for it."""
+    """Faces whose connected pieces all enclose a positive volume, and the mask (m,) of those reversed."""
     left, right, _ = _neighbors(surface.faces)
     piece = connected_labels(len(surface.faces), left, right)
     corners = surface.vertices[surface.faces] - surface.vertices.mean(axis=0)

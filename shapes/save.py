@@ -15,7 +15,7 @@ from giantlike.shapes.mesh import TriangleMesh
 def save_shape(
     mesh: TriangleMesh, path: str | Path, *, overwrite: bool = False, dsk: DskIdentity | None = None
 ) -> None:
-    """Write a mesh in km, in the format that the end of the file name says.
+    """Write a mesh in km, in the format that belongs to the end of the file name.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def save_shape(
 
 
 def keeps_albedo(mesh: TriangleMesh, path: str | Path) -> bool:
-    """Return True if :func:`save_shape` writes all of the albedo in the format that the file name says.
+    """Return True if :func:`save_shape` writes all of the albedo in the format of a file.
 
     Parameters
     ----------

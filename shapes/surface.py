@@ -1,4 +1,4 @@
-"""Surfaces as files hold them: nothing merged, dropped or turned over yet, and not checked."""
+"""Surfaces as files hold them: vertices not yet merged, facets not yet dropped, reversed or checked."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ FORMATS: Mapping[str, Reader] = MappingProxyType(
         "table": read_mapped,
     }
 )
-"""Readers by the names of their formats; each takes the path and ``max_magnitude``, that of tables a column map too."""
+"""Readers by format; each takes the path and ``max_magnitude``, the reader of tables also a column map."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

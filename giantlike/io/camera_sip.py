@@ -225,8 +225,8 @@ def sip_header(posed: PosedModel, *, order: int = 4) -> SipHeader:
             cards |= {f"A_{p}_{q}": float(a / scale ** (p + q)), f"B_{p}_{q}": float(b / scale ** (p + q))}
         cards |= {f"AP_{p}_{q}": float(ap / scale ** (p + q)), f"BP_{p}_{q}": float(bp / scale ** (p + q))}
     plane = np.radians(design @ fitted)
-    said = rotate(camera_from_inertial, up + plane[:, :1] * east + plane[:, 1:] * north)
-    lost = np.linalg.norm(model.project(said) - points_px, axis=1)
+    seen = rotate(camera_from_inertial, up + plane[:, :1] * east + plane[:, 1:] * north)
+    lost = np.linalg.norm(model.project(seen) - points_px, axis=1)
     at = (design @ fitted) @ np.linalg.inv(linear).T
     inverse = np.linalg.norm(scale * at + _design(at, powers) @ back - offsets, axis=1)
     return SipHeader(

@@ -184,12 +184,12 @@ def write_fits(
             unit.header[key] = (plain, comment)
         except ValueError as error:
             raise InputError(f"FITS keyword {key} cannot hold {plain!r}: {error}") from error
-    more = [
+    others = [
         fits.BinTableHDU(part, name=name) if part.dtype.names else fits.ImageHDU(part, name=name)
         for name, part in (extensions or {}).items()
     ]
     buffer = io.BytesIO()
-    fits.HDUList([unit, *more]).writeto(buffer)
+    fits.HDUList([unit, *others]).writeto(buffer)
     write_bytes_atomic(path, buffer.getvalue())
 
 

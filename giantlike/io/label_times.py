@@ -168,7 +168,7 @@ def _utc_of_day(year: int, day: int, clock: str) -> Time | None:
 
 
 def _positive(value: object) -> float | None:
-    """A duration: not negative, not a word such as ``UNK``."""
+    """Duration of a label value; None where it is negative or a word such as ``UNK``."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < 1e9:
         return None
     return float(value)

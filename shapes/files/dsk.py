@@ -85,7 +85,7 @@ def read_dsk(path: Path) -> Surface:
 
 
 def _segments(spice: Any, handle: int, size: int) -> list[tuple[Float, Faces]]:
-    """Vertices and plates, from 0, of every segment of an open DSK of so many bytes."""
+    """Vertices and plates, numbered from 0, of every segment of an open DSK of ``size`` bytes."""
     from spiceypy.utils.exceptions import NotFoundError
 
     segments: list[tuple[Float, NDArray[np.int64]]] = []

@@ -79,7 +79,7 @@ FORMATS: Mapping[str, ShapeFormat] = MappingProxyType(
 
 
 def format_of(path: Path) -> ShapeFormat:
-    """Return the format that the end of a file name says.
+    """Return the format of a file by the end of its name.
 
     Parameters
     ----------

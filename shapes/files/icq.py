@@ -75,9 +75,9 @@ def read_icq(path: Path) -> Surface:
     first, names, quadrilaterals = _lattice(q)
     copies = table[:, :3]
     with np.errstate(invalid="ignore"):
-        apart = np.abs(copies - copies[first][names]).max()
-        if apart > _COPY_TOLERANCE * np.abs(copies).max():
-            raise ValueError(f"vertices that two faces of the cube share differ by up to {apart:.3g}")
+        difference = np.abs(copies - copies[first][names]).max()
+        if difference > _COPY_TOLERANCE * np.abs(copies).max():
+            raise ValueError(f"vertices that two faces of the cube share differ by up to {difference:.3g}")
     albedo = VertexAlbedo(table[first, 3]) if table.shape[1] == 4 else None
     return Surface(vertices=copies[first], faces=split_polygons(names[quadrilaterals]), albedo=albedo)
 
