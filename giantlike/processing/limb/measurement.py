@@ -73,7 +73,18 @@ class LimbView(Value):
         return math.sqrt(float(self.detector.variance_dn2(np.zeros(1))[0]))
 
     def contains(self, points_px: Float, *, margin_px: float = 0.0) -> Mask:
-        """True for points (..., 2), px, on the detector, at least ``margin_px`` from its edge."""
+        """Find the points that lie on the detector.
+
+        Parameters
+        ----------
+        points_px : (..., 2) float64, px
+        margin_px : float, px
+            Least distance from the edge; negative for points as far outside.
+
+        Returns
+        -------
+        (...) bool
+        """
         return in_frame(points_px, self.usable.shape, margin_px=margin_px)
 
 
@@ -119,7 +130,17 @@ class SmoothError:
     length_px: float
 
     def covariance_px2(self, points_px: Float) -> Float:
-        """Covariance (n, n), px^2, across the limb at points (n, 2), px."""
+        """Covariance of the error between points of a limb.
+
+        Parameters
+        ----------
+        points_px : (n, 2) float64, px
+
+        Returns
+        -------
+        (n, n) float64, px^2
+            Across the limb.
+        """
         apart = np.linalg.norm(points_px[:, None] - points_px[None], axis=-1)
         result: Float = self.sigma_px**2 * np.exp(-apart / self.length_px)
         return result
@@ -223,14 +244,28 @@ class LimbMeasurement(Value):
         return min(self.n_used * self.spacing_px / self.perimeter_px, 1.0)
 
     def smooth_covariances(self) -> dict[str, Float]:
-        """Covariances (3, 3) of an unweighted position, km^2, camera axes, by each of the smooth errors."""
+        """Covariances of an unweighted position by each of the smooth errors.
+
+        Returns
+        -------
+        dict of str to (3, 3) float64, km^2, camera axes
+        """
         points, design = self.predicted_px[self.keep], self.design[self.keep]
         return {
             error.name: error.solution_covariance(points, design, np.ones(len(points))) for error in self.smooth_errors
         }
 
     def motion_sigma_px(self, step_km: Float) -> float:
-        """Standard deviation of the limb where it is least certain, px, by the scatter about a step (3,), km."""
+        """Standard deviation of the limb where it is least certain, by the scatter of the points about a step.
+
+        Parameters
+        ----------
+        step_km : (3,) float64, km, camera axes
+
+        Returns
+        -------
+        float, px
+        """
         design = self.design[self.keep]
         left = self.shift_px[self.keep] - design @ step_km
         leverage = np.linalg.qr(design)[0]

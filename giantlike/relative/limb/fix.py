@@ -271,7 +271,18 @@ def settle_limb(scan: LimbScan[Measured], start: LimbState, search: IteratedSear
 
 
 def agreeing_step(measured: LimbMeasurement, outlier_mad: float) -> LimbStep:
-    """Robust least-squares step of the position, km, and the points that agree on it."""
+    """Take a robust least-squares step of the position.
+
+    Parameters
+    ----------
+    measured : LimbMeasurement
+    outlier_mad : float
+        Points beyond so many robust sigmas do not agree.
+
+    Returns
+    -------
+    LimbStep
+    """
     step, keep = robust_solution(measured.shift_px, measured.design, measured.sigma_px, outlier_mad=outlier_mad)
     return LimbStep(position_km=step, keep=keep)
 
@@ -281,6 +292,18 @@ def next_motion_px(before_px: float, moved_px: float) -> float:
 
     The iteration converges by about the same factor each time; after the first step nothing is known of it.
 
+    Parameters
+    ----------
+    before_px : float, px
+        Infinite where there was no step before.
+    moved_px : float, px
+
+    Returns
+    -------
+    float, px
+
+    Examples
+    --------
     >>> round(next_motion_px(1.0, 0.05), 6)
     0.0025
     """

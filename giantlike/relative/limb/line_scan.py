@@ -48,7 +48,7 @@ from giantlike.relative.limb.fix import (
     settle_limb,
 )
 
-_OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)
+_OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)  # of an outline all around: a degree is 2 px at a radius of 100
 _COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
 """Lines for the search of the outline as a whole: at most so many, and so far apart at least."""
 _LEAST_LINES = 8
