@@ -1,1 +1,1 @@
-"""Errors, outcomes, frames, units and time: what every layer speaks of. Imports nothing of ours."""
+"""Errors, outcomes, frames, units, time and checks for every layer; imports no other package of giantlike."""
