@@ -27,6 +27,7 @@ from giantlike.ray_tracing.reflectance import (
 )
 from giantlike.ray_tracing.render import SceneRender, Template, render, render_scene
 from giantlike.ray_tracing.silhouette import Silhouette, trace_silhouette
+from giantlike.ray_tracing.trace import surface_albedo
 
 __all__ = [
     "REFLECTANCES",
@@ -56,6 +57,7 @@ __all__ = [
     "render",
     "render_near",
     "render_scene",
+    "surface_albedo",
     "trace_backplanes",
     "trace_body",
     "trace_silhouette",
