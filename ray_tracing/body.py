@@ -64,7 +64,7 @@ class Body(Value):
         return tracer_for(self.shape.finest if isinstance(self.shape, LevelsOfDetail) else self.shape)
 
     def seen_by(self, model: CameraModel) -> Body:
-        """Return the body with a shape that rays can meet, as fine as a camera can tell.
+        """Return the body with a shape that rays can meet, as fine as a camera resolves.
 
         Of several levels of detail that is the one for the pixels at the near side of the body; for a point a sphere of
         a thousandth of a pixel. Any other shape is itself.

@@ -37,7 +37,7 @@ def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
     -----
     ``1/pi`` times the integral of ``law mu`` over the lit and visible lune of the unit sphere, in photometric longitude
     and latitude, by Gauss-Legendre on either side of the mirror meridian, where some laws have a kink. Right to 1e-9,
-    to 1e-6 for Oren-Nayar and to what the kinks allow for tables.
+    to 1e-6 for Oren-Nayar; tables are limited by their kinks.
 
     Examples
     --------

@@ -72,10 +72,10 @@ def facets_around(
     """
     sideways = unit(np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)]))
     plane = np.stack([sideways, np.cross(directions, sideways)], axis=1)
-    beside = starts_km[:, None, :] + radius_km * np.einsum("rc,kcx->krx", _AROUND, plane)
-    rays = np.broadcast_to(directions[:, None, :], beside.shape)
+    nearby = starts_km[:, None, :] + radius_km * np.einsum("rc,kcx->krx", _AROUND, plane)
+    rays = np.broadcast_to(directions[:, None, :], nearby.shape)
     found, _ = surface.first_hit(
-        np.ascontiguousarray(beside.reshape(-1, 3), np.float32), np.ascontiguousarray(rays.reshape(-1, 3), np.float32)
+        np.ascontiguousarray(nearby.reshape(-1, 3), np.float32), np.ascontiguousarray(rays.reshape(-1, 3), np.float32)
     )
     facets = found.reshape(-1, len(_AROUND)).astype(np.int64)
     starts = np.broadcast_to(starts_km[:, None, :], rays.shape)

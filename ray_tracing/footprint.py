@@ -88,7 +88,7 @@ class VisibleBox(Value):
     Parameters
     ----------
     low_px, high_px : (2,) float64, px
-        Corners, cut at the edges of the detector and what is sampled beyond.
+        Corners, cut at the edges of the detector and the margin that is sampled.
     extent_px : float, px
         Narrow side of the whole body.
     outline_px : (k, 2) float64, px, optional

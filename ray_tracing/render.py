@@ -82,7 +82,7 @@ class SceneRender(Value):
     columns, rows : int, px
         Size of the frame.
     templates : tuple of Template or Failure
-        One for each body, in the order they were given: what is seen of it, shadows of the others in. A body that
+        One for each body, in the order they were given: its visible part, with the shadows of the others. A body that
         is seen but wholly in the dark is a black template with a NaN photocenter, not a failure.
         Failures: ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around
         the camera, which hides nothing.
@@ -161,7 +161,7 @@ def render(
         Size of the detector; the template is cut at its edges plus ``options.margin_px``.
     options : RenderOptions
     recenter : bool
-        Where no light of the body can fall on the frame, turn the camera until its middle looks at the body and render
+        Where no light of the body can fall on the frame, turn the camera until its middle points at the body and render
         that; ``Template.rendered_from_camera`` is the turn, and pixels are those of the turned camera.
 
     Returns

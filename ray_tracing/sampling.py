@@ -25,7 +25,7 @@ class Cells:
     Parameters
     ----------
     first, count : int
-        Cell number of the first one, and how many; cell 0 starts at the left edge of pixel 0, x = -0.5.
+        Number of the first cell, and number of cells; cell 0 starts at the left edge of pixel 0, x = -0.5.
     per_px : int
     """
 

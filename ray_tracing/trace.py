@@ -166,7 +166,7 @@ def trace_rays(view: View, directions: Float, *, stratum: int = 0) -> TracedRays
 
 
 def sunlight(view: View, sight: Sight, directions: Float, *, stratum: int) -> tuple[Sunlight, ...]:
-    """Bounce what is seen along ``directions`` (n, 4) to the points of the Sun."""
+    """Send rays from the surface seen along ``directions`` (n, 4) to the points of the Sun."""
     options = view.options
     suns = [view.sun_body]
     if options.sun_radius_rad > 0.0:

@@ -168,13 +168,13 @@ class MeshTracer:
         exact = facet_distances(self._vertices_km[self._faces[facets[which]]], starts[which], directions[which])
         met = np.isfinite(exact)
         distances[which[met]] = exact[met]
-        beside = which[~met]
-        if beside.size:
+        missed = which[~met]
+        if missed.size:
             found, exact = facets_around(
-                self._surface, self._vertices_km, self._faces, starts[beside], directions[beside], self.radius_km
+                self._surface, self._vertices_km, self._faces, starts[missed], directions[missed], self.radius_km
             )
             met = np.isfinite(exact)
-            facets[beside[met]], distances[beside[met]] = found[met], exact[met]
+            facets[missed[met]], distances[missed[met]] = found[met], exact[met]
 
     def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
         """Return True for rays that meet the mesh.

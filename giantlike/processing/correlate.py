@@ -16,7 +16,7 @@ from giantlike.core.values import Value
 
 _FITTED = 4  # parameters of a correlation peak: place (two), gain and level
 _LEAST_NOISE = 1e-12  # of the light: where image and template are equal, rounding may leave none
-_CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums cannot tell less from a constant
+_CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums do not resolve less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

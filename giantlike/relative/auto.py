@@ -222,7 +222,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         self, fix: CenterFix, choice: Choice, taken: str, outcome: Callable[[str], CenterFix | Failure]
     ) -> tuple[Quality, dict[str, str]]:
         """Flag of the check of a fix, and its provenance."""
-        # What uses something else comes first; another way to look at the same light is better than nothing.
+        # Estimators that use another part of the image come first; another use of the same light is better than none.
         for name in sorted(choice.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1]):
             if name == taken:
                 continue

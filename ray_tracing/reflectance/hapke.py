@@ -137,7 +137,7 @@ def _roughened(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple
     cos_azimuth = np.clip((cos_phase - low * high) / sines, -1.0, 1.0)
     versine = 0.5 * (1.0 - cos_azimuth)
     hidden = np.exp(-2.0 * np.sqrt(versine / np.maximum(1.0 - versine, _TINY)))
-    # The divisor goes to 0 where Sun and camera both graze from opposite sides, slower than what it divides.
+    # The divisor goes to 0 where Sun and camera both graze from opposite sides, slower than its dividend.
     divisor = np.maximum(2.0 - low_once - np.arccos(cos_azimuth) / math.pi * high_once, _SMALL)
     low_rough = low + low_sine * slope * (low_twice - versine * high_twice) / divisor
     high_rough = high + high_sine * slope * (cos_azimuth * low_twice + versine * high_twice) / divisor

@@ -24,7 +24,7 @@ BORDER_PX = 3
 _TOGETHER = 3.0  # one render for all, as long as it has no more pixels than this times those of the patches
 _LEAST_PIXELS = 40  # px of its own ground: a landmark of less has hardly any texture. No study yet
 _COVERED = 1.0 - 1e-9  # of a pixel: wholly covered, to rounding
-_ERODED = np.ones((5, 5), np.uint8)  # px: the point spread function carries in what lies beside a map
+_ERODED = np.ones((5, 5), np.uint8)  # px: the point spread function carries in light from outside a map
 _OUTLINE_POINTS = 9  # along each side of a landmark; their hull is its outline
 _OUTLINE_BITS = 4  # fractional bits of outlines drawn: a sixteenth of a pixel
 
@@ -84,7 +84,7 @@ class Patch(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Images(Value):
-    """Renders (h, w) of a part of the image: under the law of the body, under another one, and what is covered."""
+    """Renders (h, w) of a part of the image: under the law of the body and another one, and pixels wholly covered."""
 
     light: Float
     other: Float | None

@@ -151,7 +151,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     """Full position of a body, and its attitude if asked, from landmarks on its surface.
 
     The landmarks that can be seen at the predicted pose are rendered and correlated with the image. The shift that most
-    of them share is found first, then each near it; a pose that most agree with (RANSAC) tells the wrong ones. Rendered
+    of them share is found first, then each near it; a pose that most agree with (RANSAC) rejects wrong ones. Rendered
     anew there, each is fitted to the pixels, and the pose improved by least squares, until it converges.
 
     ``score`` of the fix is the mean correlation of the landmarks used; ``residuals`` are measured minus projected, px,

@@ -91,11 +91,11 @@ class MomentOptions:
 class Moment(BodyEstimator[MomentOptions, CenterFix]):
     """Center of the light of a body that is all in the frame, and a correction for its phase.
 
-    Bright pixels are joined to blobs; that of the target, told from those of the other targets of the scene by place
-    and size, is separated from the dark by Otsu's method, and the brightness above background gives the center of light
-    (paper 1 eq. 4). The correction to the center of the figure is by default that of the body rendered at its predicted
-    geometry, its light cut at the same level; ``kaasalainen_tanga`` is the one of the paper. It grows with the size of
-    the body, predicted (``range_sigma``) and measured by the lit area.
+    Bright pixels are joined to blobs; that of the target, distinguished from those of the other targets of the scene by
+    place and size, is separated from the dark by Otsu's method, and the brightness above background gives the center of
+    light (paper 1 eq. 4). The correction to the center of the figure is by default that of the body rendered at its
+    predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is the one of the paper. It grows with
+    the size of the body, predicted (``range_sigma``) and measured by the lit area.
 
     No limb and no detail of the surface is used, so that nothing can be mistaken for them; in return the reflectance
     law is fully trusted. ``score`` is the lit area over that expected, ``residuals`` are image minus template, shifted

@@ -135,7 +135,7 @@ def ellipsoid_photocenter_km(
     Returns
     -------
     (3,) float64, km, body
-        From the origin of the shape to the mean place of what is seen and lit, weighted by how bright it appears; its
+        From the origin of the shape to the mean place of the visible lit surface, weighted by its brightness; its
         projection is the photocenter. Towards new phase it goes to the end of the crescent's middle.
 
     Raises

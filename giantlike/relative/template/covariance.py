@@ -34,7 +34,7 @@ _INSIDE_PIXEL_PX = 0.3
 _FINE_LENGTH_PX = 4.0
 """Pixels to a correlation length that remain when scores are summed over blocks: the Gaussian is still well sampled."""
 _BLOCKS_PER_PARAMETER = 3.0
-"""Effective blocks to a parameter that the jackknife needs; with fewer its own scatter exceeds what it measures."""
+"""Effective blocks to a parameter that the jackknife needs; with fewer its own scatter exceeds the covariance."""
 _MANY_BLOCKS = 150  # so many average the choice of their first corner; with fewer two grids are averaged
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 _LEVERAGE_LIMIT = 0.95

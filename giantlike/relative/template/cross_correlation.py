@@ -31,7 +31,7 @@ from giantlike.relative.template.rendering import (
 
 _ALIGN_RADIUS_PX = 12.0  # px, below which the peak of the correlation is close enough to start the fit from
 _BOX_MARGIN = 0.08  # of the radius of the body: room for an error of the range ...
-_ALIGNED_MARGIN = 0.02  # ... and what is left of it after the alignment
+_ALIGNED_MARGIN = 0.02  # ... and for the error that remains after the alignment
 _BOX_MARGIN_PX = 6  # px, for the derivatives, the point spread function and some sky
 _EDGE_LIGHT = 1e-3  # of the brightest pixel: a box may end where the light is fainter
 _LIT = 0.02  # of the brightest pixel: fainter ones are not counted as the light of the body

@@ -135,7 +135,7 @@ class TemplateImages(Value):
         Of ``light``, by x and y of the center in px, the logarithm of the range and the variance of the point spread
         function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
         sharp as a point spread function, which does not matter on wide bodies. On small ones, shift, range, blur and
-        law nearly do the same to the image, and with such errors they seem to be told apart.
+        law nearly do the same to the image, and with such errors they seem to be distinguishable.
     """
 
     light: Float

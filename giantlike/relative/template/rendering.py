@@ -30,7 +30,7 @@ from giantlike.relative.template.fit import FIT_BORDER_PX, Synthesis, TemplateIm
 UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 """A priori standard deviation, px^2, of the variance of a point spread function that the camera does not know."""
 KNOWN_BLUR_SIGMA_PX2 = 0.15
-"""The same where the camera knows it: a tenth of a usual width, and what the sampling of renders adds."""
+"""The same where the camera knows it: a tenth of a usual width, and the blur by the sampling of renders."""
 
 _POINT_PX = 1e-3  # px: smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_across`` samples them finely enough
