@@ -51,7 +51,7 @@ CACHED_ON_DISK = ("index_store", "pattern_database", "star_index", "quads", "tet
 """Modules that build indexes of patterns, which are kept in files: see ``identification.py`` for those."""
 NOT_A_CHOICE = frozenset(
     {
-        "EPOCH_WHEN_UNKNOWN", "PIXEL_VARIANCE_PX2", "SAMPLING_VARIANCE_PX2", "_CHI2_MEDIAN", "_FULL_MOON",
+        "EPOCH_WHEN_UNKNOWN", "NOT_A_STAR", "PIXEL_VARIANCE_PX2", "SAMPLING_VARIANCE_PX2", "_CHI2_MEDIAN", "_FULL_MOON",
         "_IQR_PER_SIGMA", "_MEDIAN_CHI2", "_MEDIAN_SIGMA", "_PIXEL_AND_HOLD_PX2", "_QUANTIZATION_DN", "_SPLINE_NOISE",
         "_SPLINE_NOISE_VARIANCE_PX2",
     }
@@ -292,12 +292,14 @@ def names_used(case: Case) -> set[tuple[str, str]]:
 def is_used(constant: Constant, used: set[tuple[str, str]]) -> bool:
     """True if a case calls a function that refers to a constant, in its own module or where that is imported."""
     name = constant.name.partition("[")[0]
-    value = getattr(sys.modules[constant.module], name)
-    return any((module.__file__, name) in used for module in holders(name, value))
+    return any((module.__file__, name) in used for module in holders(constant.module, name))
 
 
-def holders(name: str, value: object) -> list[ModuleType]:
-    """Modules of giantlike that hold this very object under this name."""
+def holders(home: str, name: str) -> list[ModuleType]:
+    """The module of a constant and, for a public one, those that import it; equal whole numbers are one object."""
+    if name.startswith("_"):
+        return [sys.modules[home]]
+    value = getattr(sys.modules[home], name)
     ours = [module for key, module in list(sys.modules.items()) if key.startswith("giantlike")]
     return [module for module in ours if vars(module).get(name, _MISSING) is value]
 
@@ -325,7 +327,7 @@ def changed(constant: Constant, value: float) -> Iterator[None]:
     new: object = value
     if index:
         new = tuple(value if k == int(index[:-1]) else each for k, each in enumerate(old))
-    places = holders(name, old)
+    places = holders(constant.module, name)
     try:
         for module in places:
             setattr(module, name, new)

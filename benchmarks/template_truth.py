@@ -63,7 +63,7 @@ class Truth:
     @property
     def dn_per_brightness(self) -> float:
         """Signal of a surface of relative brightness 1."""
-        return PEAK_DN / rendered(self.body, self.sun, RenderOptions(rays_per_pixel_side=2)).brightness.max()
+        return PEAK_DN / float(rendered(self.body, self.sun, RenderOptions(rays_per_pixel_side=2)).brightness.max())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

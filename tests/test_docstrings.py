@@ -1,10 +1,6 @@
 """numpydoc lint of every exported name: the checks are listed in ``[tool.numpydoc_validation]`` of pyproject.toml.
 
-Names in ``tests/docstrings_pending.txt`` are excused until somebody writes their docstring. To see every finding and to
-renew that list (which only ever gets shorter)::
-
-    python -m tests.test_docstrings            # findings, one per line
-    python -m tests.test_docstrings --pending  # names only: redirect to tests/docstrings_pending.txt
+``python -m tests.test_docstrings`` prints the findings without pytest.
 """
 
 from __future__ import annotations
@@ -21,7 +17,6 @@ from numpydoc.validate import Validator, validate
 from tests.exported import exported_objects, public_methods
 
 ROOT = Path(__file__).resolve().parents[1]
-PENDING = Path(__file__).with_name("docstrings_pending.txt")
 CHECKS = frozenset(
     tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["numpydoc_validation"]["checks"]
 )
@@ -61,14 +56,8 @@ def _bases_document_parameters(name: str) -> bool:
     return set(inspect.signature(cls).parameters) <= set().union(*documented)
 
 
-def pending() -> set[str]:
-    """Names that are excused for now."""
-    return set(PENDING.read_text(encoding="utf-8").split()) if PENDING.exists() else set()
-
-
 def test_exported_names_have_complete_numpydoc_docstrings() -> None:
-    excused = pending()
-    wrong = {name: found for name in documented_names() if name not in excused and (found := findings(name))}
+    wrong = {name: found for name in documented_names() if (found := findings(name))}
     lines = [f"{name}: {text}" for name, found in wrong.items() for text in found]
     assert not wrong, "complete these docstrings:\n" + "\n".join(lines)
 
@@ -77,5 +66,5 @@ if __name__ == "__main__":
     everything = documented_names()
     incomplete = {each: texts for each in everything if (texts := findings(each))}
     for each, texts in incomplete.items():
-        print(each if "--pending" in sys.argv else "\n    ".join([each, *texts]))
+        print("\n    ".join([each, *texts]))
     print(f"{len(everything) - len(incomplete)} of {len(everything)} exported names are complete", file=sys.stderr)

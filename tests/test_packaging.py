@@ -44,6 +44,10 @@ def test_every_public_name_can_be_imported() -> None:
         _ = giantlike.Nonsense
 
 
+def test_the_citation_names_this_version() -> None:
+    assert f"\nversion: {giantlike.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
 def test_importing_the_package_loads_nothing_heavy() -> None:
     code = "import sys, giantlike, giantlike.cli; print(','.join(sorted(sys.modules)))"
     loaded = set(

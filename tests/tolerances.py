@@ -24,6 +24,18 @@ FLOAT64_ROOT = 1e-7
 FLOAT32 = 1e-6
 """Single precision inside (Embree, OpenCV, STL, texture maps), or what is cut off a Gaussian at five sigma (6e-7)."""
 
+FLOAT32_SUM = 1e-5
+"""Sums of many numbers in single precision, and quadratures with a few hundred nodes."""
+
+FIVE_DIGITS = 1e-4
+"""Numbers that are published or written with four or five digits, and relations to first order in 1e-2."""
+
+SAMPLED = 2e-3
+"""Relative: sums over rays or facets that sample a smooth body some hundred times across."""
+
+SAME_PLACE_PX = 0.02
+"""Brightness centers of two images that should show the same: twice the navigator's gate for one image."""
+
 SETTLED = 1e-6
 """Where iterations, quadratures, differences and inverses of ill-conditioned matrices in float64 stop."""
 

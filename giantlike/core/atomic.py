@@ -45,13 +45,35 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def write_bytes_atomic(path: str | Path, data: bytes) -> None:
-    """Write ``data`` to ``path``; see :func:`replacing`."""
+    """Write a file as a whole or not at all; see :func:`replacing`.
+
+    Parameters
+    ----------
+    path : path-like
+    data : bytes
+
+    Raises
+    ------
+    DataError
+        The folder does not exist, or the file system refused the write; an old file is untouched.
+    """
     with replacing(path) as part:
         part.write_bytes(data)
 
 
 def write_text_atomic(path: str | Path, text: str) -> None:
-    """Write ``text`` as UTF-8, line ends as given; see :func:`replacing`."""
+    """Write a text as a whole or not at all, as UTF-8 with its line ends as they are; see :func:`replacing`.
+
+    Parameters
+    ----------
+    path : path-like
+    text : str
+
+    Raises
+    ------
+    DataError
+        The folder does not exist, or the file system refused the write; an old file is untouched.
+    """
     write_bytes_atomic(path, text.encode("utf-8"))
 
 

@@ -140,8 +140,10 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
 
     Parameters
     ----------
-    patterns, base
-        As for :func:`find_kernels`.
+    patterns : sequence of path-like
+        Paths or glob patterns, as for :func:`find_kernels`.
+    base : path-like
+        Folder that relative paths start from.
 
     Returns
     -------

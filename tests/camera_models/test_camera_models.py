@@ -37,7 +37,7 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
 from tests.numerical import numerical_jacobian
-from tests.tolerances import FLOAT64, FLOAT64_CHAIN, FLOAT64_DIGIT, FLOAT64_SUM, ROUND_TRIP_PX, SETTLED
+from tests.tolerances import FIVE_DIGITS, FLOAT64, FLOAT64_CHAIN, FLOAT64_DIGIT, FLOAT64_SUM, ROUND_TRIP_PX, SETTLED
 
 JACOBIAN_RELATIVE = 1e-7  # central differences with a step of the cube root of float64 rounding
 COLUMNS, ROWS = 2592, 1944
@@ -271,7 +271,7 @@ def test_decentering_brings_the_fold_nearer() -> None:
     radial = BrownModel(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, k1=-0.3)
     tilted = BrownModel(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, k1=-0.3, p2=-0.02)
     x = tilted.max_radius  # along x the map is x - 0.3 x^3 - 0.06 x^2
-    assert_allclose(1 - 0.9 * x**2 - 0.12 * x, 0.0, rtol=0, atol=1e-4)
+    assert_allclose(1 - 0.9 * x**2 - 0.12 * x, 0.0, rtol=0, atol=FIVE_DIGITS)
     assert x < radial.max_radius
 
 
@@ -488,7 +488,7 @@ def test_a_camera_knows_its_field_with_a_lens_that_leaves_the_corners_dark() -> 
     assert camera.in_field([0.0, 0.0, -1.0]).tolist() is False
     assert np.isnan(lens.unproject([-0.5, -0.5])).all()
     assert np.radians(120.0) < camera.half_diagonal_rad <= np.pi
-    assert_allclose(camera.ifov_rad(), 0.01, rtol=1e-4, atol=0)
+    assert_allclose(camera.ifov_rad(), 0.01, rtol=FIVE_DIGITS, atol=0)
 
 
 def test_a_camera_is_windowed_binned_and_warmed_as_its_model_is() -> None:

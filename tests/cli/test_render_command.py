@@ -26,7 +26,7 @@ from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.image import Image
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid, save_shape, sphere
 from giantlike.simulation.preview import preview_png
-from tests.tolerances import EPOCH_S, FLOAT64, FLOAT64_SUM, PLACE_PX
+from tests.tolerances import EPOCH_S, FLOAT32_SUM, FLOAT64, FLOAT64_SUM, PLACE_PX
 
 POINTING_DEG = (80.0, 30.0, 10.0)
 ALONG = camera_from_inertial_of_pointing(*POINTING_DEG).inv()
@@ -217,7 +217,7 @@ def test_stars_come_from_the_catalog_and_their_table_tells_where(tmp_path: Path)
     seen = fits.getdata(tmp_path / "one.fits", extname="STARS")
     assert_allclose([seen["x_px"][0], seen["y_px"][0]], [69.5, 59.5], rtol=0, atol=PLACE_PX)
     assert_allclose(seen["electrons"][0], 2.0e5 * 2.0 * 10.0**-2.0, rtol=FLOAT64_SUM)
-    assert_allclose(expected_electrons(tmp_path / "one.fits").sum(), 4000.0, rtol=1e-5)
+    assert_allclose(expected_electrons(tmp_path / "one.fits").sum(), 4000.0, rtol=FLOAT32_SUM)
 
 
 def test_a_preview_shows_black_where_nothing_is_and_white_where_the_light_is() -> None:

@@ -39,6 +39,7 @@ from giantlike.ray_tracing import (
     render,
 )
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, mesh_from_ellipsoid
+from tests.tolerances import FIVE_DIGITS
 
 GOLDEN = Path(__file__).parent / "golden"
 SIZE_PX = 64
@@ -204,7 +205,7 @@ def _assert_invariant(found: Float, expected: Float) -> None:
     shift_px, off = _difference(found, expected)
     assert shift_px < INVARIANT_PX
     assert off <= FRACTION_OFF
-    assert found.sum() == pytest.approx(expected.sum(), rel=1e-4)
+    assert found.sum() == pytest.approx(expected.sum(), rel=FIVE_DIGITS)
 
 
 @settings(max_examples=6, deadline=None)

@@ -24,6 +24,7 @@ from giantlike.relative.horizon.geometry import (
 from giantlike.shapes import Ellipsoid
 from tests.limb_images import horizon_covariance
 from tests.numerical import numerical_jacobian
+from tests.tolerances import FIVE_DIGITS
 
 EXACT_RELATIVE = 1e-6  # of the range: silhouettes are traced to 1e-6 px of a radius of some hundred
 TRACED_PX = 2e-6
@@ -132,7 +133,7 @@ def test_the_motion_of_the_horizon_with_the_altitude_is_its_derivative() -> None
     step_km = 0.5
     high = Altitude(step_km).above(TRIAXIAL)
     raised = horizon_residuals(low, DISTORTED, high, PLACE)[0] / -step_km
-    assert_allclose(altitude_design(low, DISTORTED, TRIAXIAL, PLACE), raised, rtol=0, atol=1e-4)
+    assert_allclose(altitude_design(low, DISTORTED, TRIAXIAL, PLACE), raised, rtol=0, atol=FIVE_DIGITS)
 
 
 def test_a_sphere_higher_by_its_altitude_and_farther_in_proportion_looks_the_same() -> None:
@@ -141,7 +142,7 @@ def test_a_sphere_higher_by_its_altitude_and_farther_in_proportion_looks_the_sam
     points = horizon(ORION, MOON, truth, np.linspace(0, 6.2, 40))
     radial = horizon_residuals(points, ORION, MOON, truth)[1] @ (truth / 252_400.0)
     lift = altitude_design(points, ORION, MOON, truth)
-    assert_allclose(lift * 1737.4, -radial * 252_400.0, rtol=1e-4, atol=0)
+    assert_allclose(lift * 1737.4, -radial * 252_400.0, rtol=FIVE_DIGITS, atol=0)
 
 
 def test_ranges_from_a_limb_of_uncertain_altitude_scatter_as_stated() -> None:

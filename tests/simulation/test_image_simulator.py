@@ -34,7 +34,7 @@ from giantlike.simulation.effects import (
 from giantlike.simulation.incident import IncidentLight, SimulationOptions, incident_light
 from giantlike.simulation.shot import Photometry, instants
 from tests.simulated import OBSERVER, catalog_at, shot_of, small_camera, small_catalog, sphere_scene
-from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SETTLED
+from tests.tolerances import FLOAT32, FLOAT32_SUM, FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SAME_PLACE_PX, SETTLED
 
 SIGMAS = 4.5  # a normal error exceeds it once in 150,000 times
 WIDE = Detector(gain_e_per_dn=2.5, read_noise_e=8.0, bias_dn=200.0)
@@ -349,7 +349,7 @@ def test_moments_of_an_exposure_integrate_a_gaussian_over_its_path() -> None:
     mine = (shares * np.exp(-0.5 * ((at - offsets) / 0.8) ** 2)).sum(axis=1)
     fine = np.linspace(-12.5, 12.5, 100_001)[None, :]
     exact = np.array([np.exp(-0.5 * ((x - fine) / 0.8) ** 2).mean() for x in at[:, 0]])
-    assert_allclose(mine, exact, rtol=0, atol=1e-5)
+    assert_allclose(mine, exact, rtol=0, atol=FLOAT32_SUM)
     assert len(instants(3.0, 0.01, 0.8)) == 1
 
 
@@ -361,7 +361,7 @@ def test_a_body_is_smeared_like_the_stars_about_it() -> None:
     assert_allclose(moved.sum(), still.sum(), rtol=1e-3)  # sampling of a sphere of 40 px
     at_rest, width = moments(still)
     centroid, variance = moments(moved)
-    assert_allclose(centroid, at_rest, rtol=0, atol=0.02)
+    assert_allclose(centroid, at_rest, rtol=0, atol=SAME_PLACE_PX)
     assert_allclose(variance - width, [[5.0**2 / 12.0, 0.0], [0.0, 0.0]], rtol=0, atol=0.2)
 
 

@@ -97,7 +97,7 @@ def test_propagate_turns_the_covariance_with_the_camera() -> None:
     quarter = Rotation.from_euler("z", 90.0, degrees=True)
     near = dataclasses.replace(star(0.0), apriori=attitude(0.0))
     result = fixed(transfer_attitude(1.0, [near], apriori=quarter * attitude(0.0), options=PROPAGATE))
-    assert_allclose(np.diag(result.covariance_rad2), [4e-10, 1e-10, 1e-8], rtol=0, atol=1e-20)
+    assert_allclose(np.diag(result.covariance_rad2), [4e-10, 1e-10, 1e-8], rtol=0, atol=1e-8 * FLOAT64)
 
 
 def test_the_blended_covariance_follows_the_weights_for_small_turns() -> None:
@@ -106,7 +106,7 @@ def test_the_blended_covariance_follows_the_weights_for_small_turns() -> None:
     for et, weight in ((25.0, 0.25), (50.0, 0.5), (90.0, 0.9)):
         result = fixed(transfer_attitude(et, still, options=INTERPOLATE))
         expected = np.eye(3) * 4e-10 * ((1 - weight) ** 2 + weight**2)
-        assert_allclose(result.covariance_rad2, expected, rtol=0, atol=1e-20)
+        assert_allclose(result.covariance_rad2, expected, rtol=0, atol=1e-8 * FLOAT64)
 
 
 @pytest.mark.parametrize("weight", [0.2, 0.7])
@@ -147,7 +147,7 @@ def test_drift_grows_with_the_gap_and_is_pinned_at_both_ends_of_an_interpolation
     both = dataclasses.replace(INTERPOLATE, drift_arcsec_per_sqrt_s=2.0)
     for options, et, seconds in ((one, 20.0, 20.0), (both, 20.0, 16.0), (both, 50.0, 25.0), (both, 100.0, 0.0)):
         result = fixed(transfer_attitude(et, stars, options=options))
-        assert_allclose(result.covariance_rad2, np.eye(3) * variance * seconds, rtol=0, atol=1e-22)
+        assert_allclose(result.covariance_rad2, np.eye(3) * variance * seconds, rtol=0, atol=1e-10 * FLOAT64)
 
 
 def test_a_solution_too_far_in_time_is_not_used() -> None:
@@ -209,7 +209,7 @@ def test_interpolation_does_not_depend_on_the_direction_of_time(numbers: list[fl
         for times, et in (((0.0, 1.0), weight), ((1.0, 0.0), 1.0 - weight))
     )
     assert angle_rad(forward.camera_from_inertial, backward.camera_from_inertial) <= 1e-9
-    assert_allclose(forward.covariance_rad2, backward.covariance_rad2, rtol=0, atol=1e-16)
+    assert_allclose(forward.covariance_rad2, backward.covariance_rad2, rtol=0, atol=1e-4 * FLOAT64)
 
 
 def test_options_out_of_range_are_refused() -> None:
