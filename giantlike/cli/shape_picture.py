@@ -23,11 +23,10 @@ from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing import Body, RenderOptions, reflectance_from_mapping, render
 from giantlike.shapes import TriangleMesh, load_shape
 
-_DISTANCE_RADII = 100.0
-_FILL = 0.95
-"""How much of the picture the sphere around the body takes."""
-_WHITE_QUANTILE = 0.999
-_LARGEST_PX = 8192
+_DISTANCE_RADII = 100.0  # far enough that perspective is below a percent of the radius
+_FILL = 0.95  # diameter of the sphere around the body over the width of the picture
+_WHITE_QUANTILE = 0.999  # a thousandth of the lit pixels may be clipped: glints do not darken the rest
+_LARGEST_PX = 8192  # 64 megapixels; bounds the memory of a picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

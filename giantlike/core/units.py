@@ -10,11 +10,11 @@ SPEED_OF_LIGHT_KM_S = 299792.458
 AU_KM = 149597870.7
 """IAU 2012 resolution B2, exact."""
 
-SECONDS_PER_DAY = 86400.0
+SECONDS_PER_DAY = 86400.0  # TDB or TAI seconds
 SECONDS_PER_JULIAN_YEAR = 365.25 * SECONDS_PER_DAY
 """By definition of the Julian year."""
 
-RAD_PER_DEG = math.pi / 180.0
+RAD_PER_DEG = math.pi / 180.0  # exact, as the following
 RAD_PER_ARCSEC = RAD_PER_DEG / 3600.0
 ARCSEC_PER_RAD = 1.0 / RAD_PER_ARCSEC
 RAD_PER_MAS = RAD_PER_ARCSEC / 1000.0

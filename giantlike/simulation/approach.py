@@ -123,7 +123,7 @@ class ApproachOptions:
 
     Notes
     -----
-    The defaults describe the demonstration; no result of an estimator depends on them.
+    The defaults are the scenario of the demonstration; they set how hard its images are, not how they are processed.
     """
 
     seed: int = 7
