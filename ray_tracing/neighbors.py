@@ -66,12 +66,9 @@ class Neighbor(Value):
         -------
         (k,) bool
         """
-        starts = self._points(points_body_km)
+        starts = points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km
         directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbor_from_body.T, starts.shape)
         return self.tracer.occluded(starts, directions)
-
-    def _points(self, points_body_km: Float32 | Float) -> Float:
-        return np.asarray(points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km)
 
 
 def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbor]:

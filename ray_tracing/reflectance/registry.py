@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from giantlike.core.errors import InputError
+from giantlike.core.tables import checked_table
 from giantlike.ray_tracing.reflectance.custom import TabulatedReflectance
 from giantlike.ray_tracing.reflectance.empirical import Akimov, Lambert, LommelSeeliger, LunarLambert, McEwen, Minnaert
 from giantlike.ray_tracing.reflectance.hapke import Hapke
@@ -55,14 +56,9 @@ def reflectance_from_mapping(table: Mapping[str, Any]) -> Reflectance:
     if not isinstance(name, str) or name not in REFLECTANCES:
         raise InputError(f"reflectance model must be one of {', '.join(sorted(REFLECTANCES))}, got {name!r}")
     law = REFLECTANCES[name]
-    parameters = {field.name: field.default is MISSING for field in fields(law)}  # type: ignore[arg-type]
-    for key in values:
-        if key not in parameters:
-            keys = ", ".join(["model", *parameters])
-            raise InputError(f"reflectance: unknown key {key!r} for model {name!r}; keys are {keys}")
-    missing = [key for key, needed in parameters.items() if needed and key not in values]
-    if missing:
-        raise InputError(f"reflectance: model {name!r} needs {', '.join(missing)}")
+    parameters = fields(law)  # type: ignore[arg-type]
+    required = [field.name for field in parameters if field.default is MISSING]
+    checked_table(values, f"reflectance {name}", [field.name for field in parameters], required)
     return law(**{key: _as_value(value) for key, value in values.items()})
 
 

@@ -12,10 +12,10 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import CenterFix, Failure, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
-from giantlike.core.statistics import robust_sigma
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.processing.detection.detections import DetectionFlag
 from giantlike.processing.detection.windowed import WindowedCentroid, windowed_centroid
+from giantlike.processing.limb.segmentation import background_of
 from giantlike.ray_tracing import Template
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
@@ -27,7 +27,6 @@ _BACKGROUND_PX = 12  # px, width of the ring around the search region for the ba
 _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the centroid
 _WINDOW_REACH_SIGMAS = 5.0  # of the window: less than 4e-6 of a Gaussian lies beyond
 _RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival. No study yet
-_CLIP_SIGMA, _CLIP_ROUNDS = 3.0, 5  # of the background: 0.3 % of its noise is clipped, stars are brighter
 _FIT_MARGIN_PX = 4  # px around the template: derivatives take so many, and the background is fitted
 _RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # finer is lost in noise
 _LARGE_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid and fit: then one sees something else
@@ -228,11 +227,14 @@ def _centroid(image: BoxPixels, saturated: Mask, start_px: Float, window_px: flo
             f"{int((~usable[core]).sum())} of {int(core.sum())} pixels on the source at {_text(start_px)} px are "
             f"{'saturated' if clipped else 'bad or outside the image'}",
         )
-    level, noise = _background(values[(distance > reach) & usable])
-    signal, variance_dn2 = values - level, image.noise_variance_dn2
+    ring = (distance > reach) & usable
+    if not ring.any():
+        return Failure(Reason.NO_SIGNAL, f"no good pixel around the source at {_text(start_px)} px for a background")
+    sky = background_of(values[ring])
+    signal, variance_dn2 = values - sky.level_dn, image.noise_variance_dn2
     measured = windowed_centroid(
         signal,
-        variance_dn2(signal) - variance_dn2(np.zeros(1)) + noise**2,
+        variance_dn2(signal) - variance_dn2(np.zeros(1)) + sky.sigma_dn**2,
         usable & (distance <= reach),
         start_px - corner,
         window_sigma_px=window_px,
@@ -257,25 +259,11 @@ def _offset(template: Template, window_px: float) -> Float | Failure:
     return template.center_px - (found.point_px + template.corner_px)
 
 
-def _background(values: Float) -> tuple[float, float]:
-    """Level and standard deviation of ring pixels, stars clipped."""
-    for _ in range(_CLIP_ROUNDS):
-        level = float(np.median(values))
-        noise = robust_sigma(values, level)
-        kept = np.abs(values - level) <= _CLIP_SIGMA * max(noise, 1e-12)
-        if kept.all():
-            break
-        values = values[kept]
-    return float(np.mean(values)), max(noise, float(np.std(values)))
-
-
 def _width_px(template: Template) -> float:
     """Standard deviation, px, of the recorded light along one axis, mean of both axes."""
     light = template.brightness
-    rows, columns = np.indices(light.shape)
-    total = light.sum()
-    x, y = (columns * light).sum() / total, (rows * light).sum() / total
-    return math.sqrt(float((((columns - x) ** 2 + (rows - y) ** 2) * light).sum() / total) / 2)
+    spread = np.cov(np.indices(light.shape).reshape(2, -1), aweights=light.ravel(), ddof=0)
+    return math.sqrt(float(np.trace(spread)) / 2)
 
 
 def _box_around(center_px: Float, half_px: float, image: BoxPixels) -> PixelBox:
