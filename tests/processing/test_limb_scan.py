@@ -8,11 +8,12 @@ from numpy.testing import assert_allclose
 from scipy.special import ndtr
 from scipy.stats import chi2
 
+from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution, robust_solution
-from giantlike.processing.limb.measurement import PredictedLimb
+from giantlike.processing.limb.measurement import LimbView, PredictedLimb
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
@@ -23,7 +24,8 @@ from giantlike.processing.limb.scan import (
     scan_lines,
     step_profile,
 )
-from giantlike.processing.limb.search import OutlineSearch, search_limb
+from giantlike.processing.limb.search import search_limb
+from giantlike.ray_tracing import FocalPlane
 from tests.tolerances import FLOAT64_SUM
 
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
@@ -56,6 +58,18 @@ def limb_of(points: Float, normals: Float) -> PredictedLimb:
         points_camera_km=np.zeros((len(points), 3)),
         normals_px=normals,
         brightness=np.ones(len(points)),
+    )
+
+
+def view_of(image: Float) -> LimbView:
+    return LimbView(
+        pixels_dn=image,
+        usable=np.ones(image.shape, dtype=bool),
+        saturated=np.zeros(image.shape, dtype=bool),
+        detector=DETECTOR,
+        plane=FocalPlane(model=PinholeModel(fx_px=1e3, fy_px=1e3, cx_px=150.0, cy_px=150.0), columns=SIZE, rows=SIZE),
+        sun_direction_camera=np.array([-1.0, 0.0, 0.0]),
+        radius_px=RADIUS_PX,
     )
 
 
@@ -166,11 +180,7 @@ def test_an_outline_is_found_far_from_its_prediction(moved_px: tuple[float, floa
     image = disk(center_px=center, radius_px=radius * grown, level_dn=300.0) + rng.normal(0.0, 5.0, (SIZE, SIZE))
     image *= np.indices(image.shape)[1] > center[0] - 0.35 * radius  # night on one side
     coarse = search_limb(
-        image,
-        np.ones(image.shape, dtype=bool),
-        limb_of(points[lit], normals[lit]),
-        CENTER_PX,
-        OutlineSearch(search_px=40.0, search_range=0.03, noise_dn=5.0),
+        view_of(image), limb_of(points[lit], normals[lit]), CENTER_PX, search_px=40.0, search_range=0.03
     )
     limb_error = normals[lit] @ (coarse.shift_px - moved_px) + radius * (coarse.scale - grown)
     assert np.abs(limb_error).max() < 2.0
@@ -180,13 +190,7 @@ def test_an_outline_is_found_far_from_its_prediction(moved_px: tuple[float, floa
 def test_noise_has_no_outline() -> None:
     points, normals = circle(120, radius_px=80.0)
     image = np.random.default_rng(2).normal(0.0, 5.0, (SIZE, SIZE))
-    coarse = search_limb(
-        image,
-        np.ones(image.shape, dtype=bool),
-        limb_of(points, normals),
-        CENTER_PX,
-        OutlineSearch(search_px=30.0, search_range=0.03, noise_dn=5.0),
-    )
+    coarse = search_limb(view_of(image), limb_of(points, normals), CENTER_PX, search_px=30.0, search_range=0.03)
     assert coarse.contrast < 0.2
 
 

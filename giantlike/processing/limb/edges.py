@@ -155,7 +155,7 @@ class WindowEdges(Value):
 
 
 def measured_edges(
-    pixels_dn: Float, usable: Mask, seeds_px: Pixels, *, half_px: int, measure: Callable[[Float, Pixels], WindowEdges]
+    pixels_dn: Float, usable: Mask, seeds_px: Pixels, *, half_px: int, measure: Callable[[Float], WindowEdges]
 ) -> EdgePoints:
     """Measure edges in windows about pixels, moving each window to where its edge goes through the middle pixel.
 
@@ -168,7 +168,7 @@ def measured_edges(
     half_px : int, px
         Windows have ``2 half_px + 1`` pixels a side; those that reach over the frame or bad pixels are left out.
     measure : callable
-        From windows (n, side, side) and their middles (n, 2) to a :class:`WindowEdges`.
+        From windows (n, side, side) to a :class:`WindowEdges`.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def measured_edges(
         inside = np.all((middles >= half_px) & (middles < np.array(pixels_dn.shape[::-1]) - half_px), axis=1)
         middles = np.unique(middles[inside], axis=0)
         middles = middles[clean[middles[:, 1], middles[:, 0]]]
-        found = measure(_windows(pixels_dn, middles, half_px), middles)
+        found = measure(_windows(pixels_dn, middles, half_px))
         off = np.abs(found.offsets_px).max(axis=1, initial=0.0)
         if move == _MOVES or not bool(np.any(off > _SETTLED_PX)):
             break

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
@@ -352,7 +352,7 @@ def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int],
     )
 
 
-def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, phase_rad: float) -> Failure:
+def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera_km: Float) -> Failure:
     """Return the failure of a predicted outline of which no lit part lies in the frame.
 
     Parameters
@@ -362,8 +362,8 @@ def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, phase_rad: floa
         All around; points that the camera does not image are NaN or left out.
     inside : (k,) bool
         Points in the frame.
-    phase_rad : float, rad
-        Phase angle, for the text.
+    position_camera_km : (3,) float64, km, camera axes
+        Of the body, for the phase angle in the text.
 
     Returns
     -------
@@ -372,10 +372,11 @@ def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, phase_rad: floa
     """
     rows, columns = view.usable.shape
     if inside.any():
+        cosine = -float(unit(position_camera_km) @ view.sun_direction_camera)
         return Failure(
             Reason.NOT_LIT,
             f"{inside.mean():.0%} of the predicted outline lies in the frame, but the body is dark there (phase angle "
-            f"{math.degrees(phase_rad):.0f} deg)",
+            f"{math.degrees(math.acos(min(max(cosine, -1.0), 1.0))):.0f} deg)",
         )
     known = outline_px[np.isfinite(outline_px).all(axis=1)]
     size = np.ptp(known, axis=0) if len(known) else np.full(2, np.nan)
@@ -453,23 +454,6 @@ def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0
     low, high = margin_px - 0.5, np.array(shape[1::-1]) - 0.5 - margin_px
     result: Mask = np.all((points_px >= low) & (points_px <= high), axis=-1)
     return result
-
-
-def phase_angle_rad(position_camera_km: Float, sun_direction_camera: Float) -> float:
-    """Angle at a body between camera and Sun.
-
-    Parameters
-    ----------
-    position_camera_km : (3,) float64, km, camera axes
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-
-    Returns
-    -------
-    float, rad
-    """
-    cosine = -float(position_camera_km @ sun_direction_camera) / float(np.linalg.norm(position_camera_km))
-    return math.acos(min(max(cosine, -1.0), 1.0))
 
 
 def _encloses(polygon_px: Float, points_px: NDArray[np.int64]) -> bool:

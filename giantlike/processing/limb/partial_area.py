@@ -59,8 +59,7 @@ def partial_area_edges(
     half = math.ceil(_CLEAR_PX + _CLEAR_SIGMAS * blur_sigma_px)
     spread_px2 = blur_sigma_px**2 + 1.0 / 12.0
 
-    def measure(windows: Float, middles: Pixels) -> WindowEdges:
-        del middles
+    def measure(windows: Float) -> WindowEdges:
         return _measured(windows, half, spread_px2, variance_dn2)
 
     return measured_edges(pixels_dn, usable, seeds_px, half_px=half, measure=measure)

@@ -270,17 +270,17 @@ def match_profiles(
         solution = _solve(columns, data, weights)
         shift = np.clip(shift + _quotient(solution), -step, step)
         columns = _design(_moved(expected, shift / step), offsets, part, step)
-    fit = _fit(data, columns, offsets, variance, weights)
-    shift = np.clip(shift + fit.shift_px, -step, step)
-    height = np.abs(fit.gain_dn) * np.ptp(profile, axis=1)
+    solution, sigma_px, without_slope_px = _fit(data, columns, offsets, variance, weights)
+    shift = np.clip(shift + _quotient(solution), -step, step)
+    left = data - np.einsum("nwk,nk->nw", columns, solution)
     with np.errstate(divide="ignore", invalid="ignore"):
-        unexplained = fit.rms_dn / height
+        unexplained = np.sqrt(np.mean(left**2, axis=1)) / (np.abs(solution[:, 0]) * np.ptp(profile, axis=1))
     return ProfileMatch(
         complete=np.all(scans.usable[:, near], axis=1),
         shift_px=(lag - most) * step + shift,
-        sigma_px=fit.sigma_px,
-        without_slope_px=fit.without_slope_px,
-        gain_dn=fit.gain_dn,
+        sigma_px=sigma_px,
+        without_slope_px=without_slope_px,
+        gain_dn=solution[:, 0],
         correlation=best,
         unexplained=np.where(np.isfinite(unexplained), unexplained, np.inf),
         at_border=(lag == 0) | (lag == 2 * most),
@@ -368,17 +368,6 @@ def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
     return np.stack([profile, np.ones_like(profile), outward, offsets * profile], axis=-1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Fit(Value):
-    """Fine shifts (n,), their noise, and residuals of the fits."""
-
-    gain_dn: Float
-    shift_px: Float
-    sigma_px: Float
-    without_slope_px: Float
-    rms_dn: Float
-
-
 def _weights(
     data: Float, columns: Float, variance_dn2: Callable[[Float], Float], model_error: float
 ) -> tuple[Float, Float]:
@@ -389,8 +378,11 @@ def _weights(
     return variance, 1.0 / (variance + (model_error * bright.max(axis=1, keepdims=True)) ** 2)
 
 
-def _fit(data: Float, columns: Float, offsets: Float, variance: Float, weights: Float) -> _Fit:
-    """Weighted fit of data (n, w) by columns (n, w, 4), slopes held as :func:`_stiffness` says."""
+def _fit(data: Float, columns: Float, offsets: Float, variance: Float, weights: Float) -> tuple[Float, Float, Float]:
+    """Weighted fit of data (n, w) by columns (n, w, 4), slopes held as :func:`_stiffness` says.
+
+    Solution (n, 4), standard deviation (n,) of the shift by noise, px, and further shift (n,) without slopes, px.
+    """
     free = _solve(columns, data, weights)
     stiff = _solve(columns[..., :3], data, weights)
     operator = _gain(columns, weights, _stiffness(columns, weights, free))
@@ -399,16 +391,9 @@ def _fit(data: Float, columns: Float, offsets: Float, variance: Float, weights: 
     correlation = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
     noise = operator[:, 2] * np.sqrt(variance)
     sigma = np.sqrt(np.einsum("nw,nw->n", noise @ correlation, noise))
-    left = data - np.einsum("nwk,nk->nw", columns, solution)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = sigma / np.abs(solution[:, 0])
-    return _Fit(
-        gain_dn=solution[:, 0],
-        shift_px=_quotient(solution),
-        sigma_px=np.where(np.isfinite(sigma), sigma, np.inf),
-        without_slope_px=_quotient(stiff) - _quotient(free),
-        rms_dn=np.sqrt(np.mean(left**2, axis=1)),
-    )
+    return solution, np.where(np.isfinite(sigma), sigma, np.inf), _quotient(stiff) - _quotient(free)
 
 
 def _stiffness(columns: Float, weights: Float, free: Float) -> Float:

@@ -45,42 +45,22 @@ class CoarseLimb(Value):
     contrast: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutlineSearch:
-    """Reach and limits of a search for a whole outline.
-
-    Parameters
-    ----------
-    search_px : float, px
-        Largest shift, in both coordinates.
-    search_range : float
-        Largest relative change of size: 0.03 means 3 %.
-    noise_dn : float, DN
-        Standard deviation of a dark pixel: contrasts below a few times this count little.
-    min_contrast : float
-        Contrast below which :func:`find_limb` finds no limb.
-    """
-
-    search_px: float
-    search_range: float
-    noise_dn: float
-    min_contrast: float = 0.0
-
-
 def search_limb(
-    pixels_dn: Float, usable: Mask, limb: PredictedLimb, center_px: Float, search: OutlineSearch
+    view: LimbView, limb: PredictedLimb, center_px: Float, *, search_px: float, search_range: float
 ) -> CoarseLimb:
     """Find shift and size of a whole outline by the contrast across it.
 
     Parameters
     ----------
-    pixels_dn : (rows, columns) float64, DN
-    usable : (rows, columns) bool
+    view : LimbView
     limb : PredictedLimb
         Its brightness is the weight of each point.
     center_px : (2,) float64, px
         Point about which the outline grows.
-    search : OutlineSearch
+    search_px : float, px
+        Largest shift, in both coordinates.
+    search_range : float
+        Largest relative change of size: 0.03 means 3 %.
 
     Returns
     -------
@@ -91,13 +71,13 @@ def search_limb(
     radius_px = float(np.max(np.linalg.norm(points_px - center_px, axis=1)))
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
     coarsest = step
-    corner, crop, good = _around_outline(pixels_dn, usable, limb, center_px, search)
+    corner, crop, good = _around_outline(view, center_px + (1.0 + search_range) * (points_px - center_px), search_px)
     sky = float(np.percentile(crop[good][::_SKY_STEP], 1.0)) if good.any() else 0.0
     dark_sky = np.where(good, crop - sky, 0.0).astype(np.float32)
-    scales = _around(1.0, search.search_range, int(np.ceil(search.search_range * radius_px / step)))
+    scales = _around(1.0, search_range, int(np.ceil(search_range * radius_px / step)))
     best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
-    shifts = _around(0.0, search.search_px, int(np.ceil(search.search_px / step)))
-    scale_step = search.search_range / max(scales.size // 2, 1)
+    shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
+    scale_step = search_range / max(scales.size // 2, 1)
     while True:
         blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32)
         offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
@@ -105,30 +85,37 @@ def search_limb(
         contrasts = _ContrastSearch(
             blurred,
             good,
-            arms=points_px[thin] - center_px,
-            steps=offset_px * limb.normals_px[thin],
-            weights=limb.brightness[thin],
-            reach=search,
+            points_px[thin] - center_px,
+            offset_px * limb.normals_px[thin],
+            limb.brightness[thin] / limb.brightness[thin].mean(),
+            floor_dn=_COARSE_NOISE_SIGMAS * view.dark_noise_dn + 1e-6,
         )
         found = contrasts.best(center_px - corner, best.shift_px, shifts, scales, steepest=step < coarsest)
         best = found if step == coarsest else replace(found, contrast=best.contrast)
         if step <= _LEAST_STEP_PX:
             return best
         shifts = _around(0.0, step, _FINER)
-        scales = np.clip(_around(best.scale, scale_step, _FINER), 1.0 - search.search_range, 1.0 + search.search_range)
+        scales = np.clip(_around(best.scale, scale_step, _FINER), 1.0 - search_range, 1.0 + search_range)
         scales, scale_step, step = np.unique(scales), scale_step / _FINER, step / _FINER
 
 
-def find_limb(view: LimbView, limb: PredictedLimb, center_px: Float, search: OutlineSearch) -> CoarseLimb | Failure:
+def find_limb(
+    view: LimbView,
+    limb: PredictedLimb,
+    center_px: Float,
+    *,
+    search_px: float,
+    search_range: float,
+    min_contrast: float,
+) -> CoarseLimb | Failure:
     """Find a whole outline, or tell that there is none.
 
     Parameters
     ----------
-    view : LimbView
-    limb : PredictedLimb
-    center_px : (2,) float64, px
-        Point about which the outline grows.
-    search : OutlineSearch
+    view, limb, center_px, search_px, search_range
+        As of :func:`search_limb`.
+    min_contrast : float
+        Contrast across the outline below which there is none.
 
     Returns
     -------
@@ -136,31 +123,28 @@ def find_limb(view: LimbView, limb: PredictedLimb, center_px: Float, search: Out
         ``NO_LIMB`` where the contrast across the best outline is too small; ``OUT_OF_FRAME`` where the camera model
         images nothing there.
     """
-    found = search_limb(view.pixels_dn, view.usable, limb, center_px, search)
-    if found.contrast < search.min_contrast:
+    found = search_limb(view, limb, center_px, search_px=search_px, search_range=search_range)
+    if found.contrast < min_contrast:
         return Failure(
             Reason.NO_LIMB,
-            f"no limb within {search.search_px:g} px of the predicted one: the best contrast across "
-            f"{len(limb.points_px)} lit limb points is {found.contrast:.3f}, needed {search.min_contrast:g}; the "
-            f"brightest good pixel holds {float(view.pixels_dn[view.usable].max()):.4g} DN over bias, noise in the "
-            f"dark is {search.noise_dn:.3g} DN",
+            f"no limb within {search_px:g} px of the predicted one: the best contrast across {len(limb.points_px)} lit "
+            f"limb points is {found.contrast:.3f}, needed {min_contrast:g}; the brightest good pixel holds "
+            f"{float(view.pixels_dn[view.usable].max()):.4g} DN over bias, noise in the dark is "
+            f"{view.dark_noise_dn:.3g} DN",
         )
     if not np.isfinite(view.model.unproject(center_px + found.shift_px)).all():
         return Failure(Reason.OUT_OF_FRAME, "the limb was found where the camera model images nothing")
     return found
 
 
-def _around_outline(
-    pixels_dn: Float, usable: Mask, limb: PredictedLimb, center_px: Float, search: OutlineSearch
-) -> tuple[Float, Float, Mask]:
-    """Corner (2,) of the part of an image where the outline can be, its pixels and which of them are usable."""
-    grown = center_px + (1.0 + search.search_range) * (limb.points_px - center_px)
-    low = np.floor(np.min(grown, axis=0) - search.search_px - _MARGIN_PX)
-    high = np.ceil(np.max(grown, axis=0) + search.search_px + _MARGIN_PX)
-    last = np.array(pixels_dn.shape[::-1]) - 1
+def _around_outline(view: LimbView, outline_px: Float, search_px: float) -> tuple[Float, Float, Mask]:
+    """Corner (2,) of the part of an image within reach of an outline (n, 2), its pixels and the usable ones."""
+    low = np.floor(np.min(outline_px, axis=0) - search_px - _MARGIN_PX)
+    high = np.ceil(np.max(outline_px, axis=0) + search_px + _MARGIN_PX)
+    last = np.array(view.usable.shape[::-1]) - 1
     x0, y0 = np.clip(low, 0, last).astype(int)
     x1, y1 = np.clip(high, 0, last).astype(int) + 1
-    return np.array([x0, y0], dtype=np.float64), pixels_dn[y0:y1, x0:x1], usable[y0:y1, x0:x1]
+    return np.array([x0, y0], dtype=np.float64), view.pixels_dn[y0:y1, x0:x1], view.usable[y0:y1, x0:x1]
 
 
 def _around(middle: float, reach: float, steps: int) -> Float:
@@ -172,21 +156,12 @@ class _ContrastSearch:
     """Contrast across an outline at many places at once, by nearest pixels of a blurred image."""
 
     def __init__(
-        self,
-        image: NDArray[np.float32],
-        good: Mask,
-        *,
-        arms: Float,
-        steps: Float,
-        weights: Float,
-        reach: OutlineSearch,
+        self, image: NDArray[np.float32], good: Mask, arms: Float, steps: Float, weights: Float, *, floor_dn: float
     ) -> None:
-        self._pad = int(np.ceil(reach.search_px)) + _MARGIN_PX
-        self._values, self._good = np.pad(image, self._pad).ravel(), np.pad(good, self._pad).ravel()
-        self._size = np.array(image.shape[::-1]) + 2 * self._pad
-        self._arms, self._steps = arms, steps
-        self._weights = (weights / weights.mean()).astype(np.float32)
-        self._floor = np.float32(_COARSE_NOISE_SIGMAS * reach.noise_dn + 1e-6)
+        self._values, self._good = np.pad(image, 1).ravel(), np.pad(good, 1).ravel()  # a border that counts nothing
+        self._size = np.array(image.shape[::-1]) + 2
+        self._arms, self._steps, self._weights = arms, steps, weights.astype(np.float32)
+        self._floor = np.float32(floor_dn)
 
     def best(self, center_px: Float, about_px: Float, shifts_px: Float, scales: Float, *, steepest: bool) -> CoarseLimb:
         """Find the highest contrast among a square of shifts about one, for every scale.
@@ -222,7 +197,7 @@ class _ContrastSearch:
     def _index(self, points: Float, shifts: Float) -> NDArray[np.intp]:
         """Flat index (k, n) of the pixels nearest to points (n, 2) moved by shifts (k, 2), or as near as the border."""
         columns, rows = (
-            np.clip(np.rint(points[:, i] + shifts[:, i, None]).astype(np.intp) + self._pad, 0, self._size[i] - 1)
+            np.clip(np.rint(points[:, i] + shifts[:, i, None]).astype(np.intp) + 1, 0, self._size[i] - 1)
             for i in range(2)
         )
         index: NDArray[np.intp] = rows * self._size[0] + columns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -71,8 +71,7 @@ def zernike_edges(
     require(size in SIZES, f"size must be 5 or 7, got {size}")
     table = _table(size, round(float(blur_sigma_px), 6))
 
-    def measure(windows: Float, middles: Pixels) -> WindowEdges:
-        del middles
+    def measure(windows: Float) -> WindowEdges:
         return _measured(windows, table, curvature_px * table.radius_px, variance_dn2)
 
     return measured_edges(pixels_dn, usable, seeds_px, half_px=size // 2, measure=measure)
@@ -168,9 +167,7 @@ def _table(size: int, blur_sigma_px: float) -> _Table:
         radius_px=radius,
         sampling_px=0.0,
     )
-    return _Table(
-        bare.first, bare.second, bare.ratio, bare.per_curvature, bare.height, radius, _sampling_px(bare, blur_sigma_px)
-    )
+    return replace(bare, sampling_px=_sampling_px(bare, blur_sigma_px))
 
 
 def _sampling_px(table: _Table, blur_sigma_px: float) -> float:

@@ -19,7 +19,6 @@ from giantlike.processing.limb.measurement import (
     SmoothError,
     judge_points,
     no_lit_limb,
-    phase_angle_rad,
     pixels_near,
     too_few,
 )
@@ -219,43 +218,30 @@ def measure_by_cells(
     lit = scan.lit(position_camera_km, reach_px=search.search_px)
     if isinstance(lit, Failure):
         return lit
-    model, limb = view.model, lit.limb(_COARSE_POINTS)
+    model, (arc, light, _) = view.model, lit
+    some = np.unique(np.linspace(0, light.size - 1, _COARSE_POINTS).round().astype(np.int64))
+    limb = PredictedLimb(
+        points_px=arc.points_px[some],
+        points_camera_km=arc.points_camera_km[some],
+        normals_px=arc.normals_px[some],
+        brightness=light[some],
+    )
     center_px = model.project(position_camera_km)
-    found = find_limb(view, limb, center_px, search.outline_search(view, options.min_contrast))
+    found = find_limb(
+        view,
+        limb,
+        center_px,
+        search_px=search.search_px,
+        search_range=search.search_range,
+        min_contrast=options.min_contrast,
+    )
     if isinstance(found, Failure):
         return found
     range_km = float(np.linalg.norm(position_camera_km)) / found.scale
     position = range_km * model.unproject(center_px + found.shift_px)
-    return settle_limb(scan, LimbState(position_camera_km=position, psf_px2=scan.nominal_psf_px2), search)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LitHorizon(Value):
-    """Part of a horizon that is lit and in the frame.
-
-    Parameters
-    ----------
-    arc : HorizonArc
-    light : (k,) float64
-        Brightness just inside.
-    cut_by_frame : bool
-        Part of the whole horizon lies outside the frame.
-    """
-
-    arc: HorizonArc
-    light: Float
-    cut_by_frame: bool
-
-    def limb(self, most: int) -> PredictedLimb:
-        """Return at most ``most`` of the points, evenly chosen."""
-        count = len(self.arc.points_px)
-        chosen = np.unique(np.linspace(0, count - 1, most).round().astype(np.int64))
-        return PredictedLimb(
-            points_px=self.arc.points_px[chosen],
-            points_camera_km=self.arc.points_camera_km[chosen],
-            normals_px=self.arc.normals_px[chosen],
-            brightness=self.light[chosen],
-        )
+    start = LimbState(position_camera_km=position, psf_px2=scan.nominal_psf_px2)
+    closest_km = float(figure.radii_km.max())
+    return settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -278,16 +264,6 @@ class CellScan(Value):
     options: HorizonScan
 
     @property
-    def closest_km(self) -> float:
-        """Largest radius of the ellipsoid, km."""
-        return float(self.figure.radii_km.max())
-
-    @property
-    def min_points(self) -> int:
-        """Least number of good cells."""
-        return self.options.min_cells
-
-    @property
     def nominal_psf_px2(self) -> float:
         """A priori variance of the point spread function, px^2."""
         sigma_px = self.view.psf_sigma_px
@@ -298,7 +274,7 @@ class CellScan(Value):
         """Length of the cells, px."""
         return max(min(self.options.cell_px, _CELL_RADII * self.view.radius_px), _LEAST_CELL_PX)
 
-    def lit(self, position_km: Float, *, reach_px: float) -> LitHorizon | Failure:
+    def lit(self, position_km: Float, *, reach_px: float) -> tuple[HorizonArc, Float, bool] | Failure:
         """Part of the horizon that is lit and in the frame, or not farther outside than ``reach_px``.
 
         Parameters
@@ -308,8 +284,14 @@ class CellScan(Value):
 
         Returns
         -------
-        LitHorizon or Failure
-            ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``DEGENERATE_GEOMETRY``.
+        arc : HorizonArc
+            Of k points.
+        light : (k,) float64
+            Brightness just inside.
+        cut_by_frame : bool
+            Part of the whole horizon lies outside the frame.
+
+        Or a Failure: ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``DEGENERATE_GEOMETRY``.
         """
         view, sun = self.view, self.view.sun_direction_camera
         whole = horizon_arc(view.model, self.figure, position_km)
@@ -319,18 +301,15 @@ class CellScan(Value):
         light = brightness_inside(whole, sun, self.law)
         chosen = inside & (light > MIN_BRIGHTNESS * light.max())
         if not chosen.any():
-            return no_lit_limb(view, whole.points_px, inside, phase_angle_rad(position_km, sun))
+            return no_lit_limb(view, whole.points_px, inside, position_km)
         if self.options.rings_km is not None:
             chosen &= ~Rings(*self.options.rings_km).hide(
                 whole.points_camera_km, position_km, self.figure.camera_from_axes, sun_direction_camera=sun
             )
             if not chosen.any():
                 return Failure(Reason.NO_LIMB, "rings or their shadow cover all of the lit limb in the frame")
-        return LitHorizon(
-            arc=select_rows(whole, chosen),
-            light=light[chosen],
-            cut_by_frame=not (whole.complete and bool(view.contains(whole.points_px).all())),
-        )
+        cut_by_frame = not (whole.complete and bool(view.contains(whole.points_px).all()))
+        return select_rows(whole, chosen), light[chosen], cut_by_frame
 
     def measure(self, state: LimbState) -> CellMeasurement | Failure:
         """Measure the horizon at a position: at first with few cells, more blur and a stiff profile."""
@@ -338,7 +317,7 @@ class CellScan(Value):
         lit = self.lit(position, reach_px=0.0)
         if isinstance(lit, Failure):
             return lit
-        view, options, arc = self.view, self.options, lit.arc
+        view, options, (arc, _, cut_by_frame) = self.view, self.options, lit
         if first:
             cells = len(arc.points_px) * arc.spacing_px / self.cell_px
             arc = arc.thinned(self.cell_px, math.ceil(cells / _FIRST_CELLS))
@@ -379,7 +358,7 @@ class CellScan(Value):
             position_camera_km=position,
             spacing_px=float(np.median(np.diff(arc.along_px[pixels.middles]))) if good.size > 1 else self.cell_px,
             perimeter_px=arc.perimeter_px,
-            cut_by_frame=lit.cut_by_frame,
+            cut_by_frame=cut_by_frame,
             rejected=rejected,
             area=area,
             fits=fits,

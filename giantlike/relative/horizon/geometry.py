@@ -100,21 +100,6 @@ class Figure(Value):
         return pull, np.outer(pull, pull) - (strength - 1.0) * self.shape_matrix
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlacedFigure(Value):
-    """An ellipsoid in front of the camera.
-
-    Parameters
-    ----------
-    figure : Figure
-    position_camera_km : (3,) float64, km, camera axes
-        Of its center.
-    """
-
-    figure: Figure
-    position_camera_km: Float
-
-
 @dataclass(frozen=True, slots=True)
 class Altitude:
     """Altitude above the surface at which the limb is seen, by an atmosphere or haze.

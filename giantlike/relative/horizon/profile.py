@@ -19,7 +19,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
-from giantlike.relative.horizon.geometry import Figure, PixelRays, PlacedFigure, ray_residuals
+from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
 
@@ -34,6 +34,21 @@ _REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window d
 _LEAST_RADIUS = 0.3  # of lines of equal depth over that of the horizon
 _TABLE_STEP = 0.35  # of the width of the blur
 _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])  # inside the horizon, where limb counts as lit or dark
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedFigure(Value):
+    """An ellipsoid in front of the camera.
+
+    Parameters
+    ----------
+    figure : Figure
+    position_camera_km : (3,) float64, km, camera axes
+        Of its center.
+    """
+
+    figure: Figure
+    position_camera_km: Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,7 +16,6 @@ from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.measurement import LimbMeasurement, LimbView
-from giantlike.processing.limb.search import OutlineSearch
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.estimator import EstimatorInputs, center_of_position
 from giantlike.relative.quality import QualityChecks
@@ -73,26 +72,6 @@ class LimbSearch:
             require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
         require(self.search_px <= 500, f"search_px must be <= 500, got {self.search_px}")
         require(0.0 <= self.search_range <= 0.3, f"search_range must be in [0, 0.3], got {self.search_range}")
-
-    def outline_search(self, view: LimbView, min_contrast: float) -> OutlineSearch:
-        """Return the reach and limits of the search for the outline as a whole.
-
-        Parameters
-        ----------
-        view : LimbView
-        min_contrast : float
-            Contrast across the outline below which there is none.
-
-        Returns
-        -------
-        OutlineSearch
-        """
-        return OutlineSearch(
-            search_px=self.search_px,
-            search_range=self.search_range,
-            min_contrast=min_contrast,
-            noise_dn=view.dark_noise_dn,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,16 +181,6 @@ class LimbStep(Value):
 class LimbScan(Protocol[Measured]):
     """A way to measure the limb of a body where it is thought to be."""
 
-    @property
-    def closest_km(self) -> float:
-        """Distance, km, from the center of the body that the camera cannot go below."""
-        ...
-
-    @property
-    def min_points(self) -> int:
-        """Number of good points below which there is no limb."""
-        ...
-
     def measure(self, state: LimbState) -> Measured | Failure:
         """Measure the limb across the body in a state; all of its points are kept."""
         ...
@@ -229,7 +198,9 @@ class LimbScan(Protocol[Measured]):
         ...
 
 
-def settle_limb(scan: LimbScan[Measured], start: LimbState, search: IteratedSearch) -> LimbMeasurement | Failure:
+def settle_limb(
+    scan: LimbScan[Measured], start: LimbState, search: IteratedSearch, *, min_points: int, closest_km: float
+) -> LimbMeasurement | Failure:
     """Measure a limb and move the body until the limb stands still.
 
     Parameters
@@ -238,6 +209,10 @@ def settle_limb(scan: LimbScan[Measured], start: LimbState, search: IteratedSear
     start : LimbState
         Good to a few pixels.
     search : IteratedSearch
+    min_points : int
+        Number of good points below which there is no limb.
+    closest_km : float, km
+        Distance from the center of the body that the camera cannot go below.
 
     Returns
     -------
@@ -254,14 +229,14 @@ def settle_limb(scan: LimbScan[Measured], start: LimbState, search: IteratedSear
         moved_px = share * float(np.max(np.abs(measured.design[step.keep] @ step.position_km)))
         _LOG.debug("limb moved by %.3g px in iteration %d", moved_px, state.iteration + 1)
         if scan.settled(measured, step, moved_px, state):
-            return _agreed(scan.finish(measured, step), scan.min_points)
+            return _agreed(scan.finish(measured, step), min_points)
         state = LimbState(
             position_camera_km=state.position_camera_km + share * step.position_km,
             psf_px2=max(state.psf_px2 + share * step.psf_px2, LEAST_PSF_PX2) if step.psf_px2 else state.psf_px2,
             iteration=state.iteration + 1,
             moved_px=moved_px,
         )
-        if not float(np.linalg.norm(state.position_camera_km)) > scan.closest_km:
+        if not float(np.linalg.norm(state.position_camera_km)) > closest_km:
             break
     return Failure(
         Reason.NOT_CONVERGED,

@@ -20,7 +20,6 @@ from giantlike.processing.limb.measurement import (
     judge_points,
     limb_design,
     no_lit_limb,
-    phase_angle_rad,
     pixels_near,
     too_few,
 )
@@ -282,7 +281,14 @@ def measure_by_lines(
     if lines is None:
         return _not_seen(view, outline.silhouette, body, -search.search_px)
     center_px = outline.silhouette.center_px
-    found = find_limb(view, outline.at(lines), center_px, search.outline_search(view, options.min_contrast))
+    found = find_limb(
+        view,
+        outline.at(lines),
+        center_px,
+        search_px=search.search_px,
+        search_range=search.search_range,
+        min_contrast=options.min_contrast,
+    )
     if isinstance(found, Failure):
         return found
     moved = outline.moved(center_px + found.shift_px, found.scale)
@@ -294,7 +300,9 @@ def measure_by_lines(
     range_km = float(np.linalg.norm(body.position_camera_km)) / found.scale
     position = range_km * view.model.unproject(center_px + found.shift_px)
     scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief)
-    return settle_limb(scan, LimbState(position_camera_km=position), search)
+    closest_km = body.shape.circumscribing_radius_km
+    start = LimbState(position_camera_km=position)
+    return settle_limb(scan, start, search, min_points=options.min_lines, closest_km=closest_km)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -324,16 +332,6 @@ class LineScan(Value):
     def relief_px(self) -> float:
         """Root mean square of the relief, px."""
         return 0.0 if self.relief is None else self.relief.sigma_px
-
-    @property
-    def closest_km(self) -> float:
-        """Radius of the sphere around the body, km."""
-        return self.body.shape.circumscribing_radius_km
-
-    @property
-    def min_points(self) -> int:
-        """Least number of good lines."""
-        return self.options.min_lines
 
     def measure(self, state: LimbState) -> LimbMeasurement | Failure:
         """Measure the limb across the body in a state, roughly at first."""
@@ -432,8 +430,7 @@ def _traced(view: LimbView, body: Body, lines: LimbLines, margin_px: float) -> P
 
 def _not_seen(view: LimbView, outline: Silhouette, body: Body, margin_px: float) -> Failure:
     inside = outline.valid & view.contains(outline.points_px, margin_px=margin_px)
-    phase = phase_angle_rad(body.position_camera_km, view.sun_direction_camera)
-    return no_lit_limb(view, outline.points_px[outline.valid], inside, phase)
+    return no_lit_limb(view, outline.points_px[outline.valid], inside, body.position_camera_km)
 
 
 def _psf_sigma(view: LimbView, scans: Scans, options: LimbScanOptions) -> float | Failure:
