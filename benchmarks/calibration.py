@@ -11,6 +11,7 @@ rendered images), ``speed`` (500 images of 100 stars) and ``real``. Stars are si
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +35,8 @@ from giantlike.image import Image
 from giantlike.stars import StarNavigation
 
 SIGMA_PX, IMAGES, STARS, TRIALS = 0.1, 20, 50, 200
-STARS_DIR = Path(__file__).resolve().parents[2] / "shared" / "data" / "stars"
+BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
+STARS_DIR = Path(os.environ.get("GIANTLIKE_TEST_DATA", BESIDE)) / "stars"
 CENTER = {"cx_px": 1268.7, "cy_px": 949.6}
 NAVCAM_FRAME, MAPCAM_FRAME = (2592, 1944), (1024, 1024)
 TRUTHS: Mapping[str, dict[str, float]] = {

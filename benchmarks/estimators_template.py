@@ -72,7 +72,7 @@ def table_rows() -> dict[str, Row]:
     )
 
     def changed(row: Row, **changes: object) -> Row:
-        return Row(**({name: getattr(row, name) for name in Row.__dataclass_fields__} | changes))  # type: ignore[arg-type]
+        return Row(**({name: getattr(row, name) for name in Row.__dataclass_fields__} | changes))
 
     told = CrossCorrelation(_TOLD)
     corrections = {

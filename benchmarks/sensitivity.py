@@ -236,9 +236,9 @@ def constants_of(module: ModuleType) -> list[Constant]:
     """Numbers that a module assigns at its top level, and those in tuples."""
     names = []
     for node in ast.parse(inspect.getsource(module)).body:
-        targets = (
-            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-        )
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or "range(" in ast.unparse(node):  # names of indices
+            continue
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
         names += [leaf.id for target in targets for leaf in ast.walk(target) if isinstance(leaf, ast.Name)]
     found = []
     for name in dict.fromkeys(names):

@@ -79,11 +79,10 @@ def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run_python(*arguments: str | Path, cwd: Path) -> str:
+def run_python(*arguments: str | Path, cwd: Path, python: str | Path = sys.executable) -> str:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        [sys.executable, *map(str, arguments)], cwd=cwd, env=environment, capture_output=True, text=True, check=False
-    )
+    command = [str(python), *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -114,10 +113,8 @@ def test_an_editable_install_of_a_clone_without_links_imports_the_outer_folders(
     run_python("-m", "venv", "--without-pip", "venv", cwd=tmp_path)
     python = tmp_path / "venv" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     code = "import sysconfig; print(sysconfig.get_paths()['purelib'])"
-    home = Path(subprocess.run([python, "-c", code], capture_output=True, text=True, check=True).stdout.strip())
-    libraries = [
-        path for path in sys.path if path.endswith("site-packages")
-    ]  # without giantlike, which is linked there
+    home = Path(run_python("-c", code, cwd=tmp_path, python=python).strip())
+    libraries = [path for path in sys.path if path.endswith("site-packages")]  # giantlike is linked there, not in them
     (home / "libraries.pth").write_text("\n".join(libraries))
     run_python("-m", "pip", "--python", python, "install", "-q", "--no-deps", "--no-build-isolation", "--no-index",
                "-e", clone, cwd=tmp_path)  # fmt: skip
@@ -125,9 +122,7 @@ def test_an_editable_install_of_a_clone_without_links_imports_the_outer_folders(
         "import giantlike, giantlike.shapes.files, giantlike.catalogs.readers, giantlike.ray_tracing.reflectance as r;"
         "print(giantlike.__file__, r.__file__, sep='\\n')"
     )
-    found = subprocess.run(
-        [python, "-c", check], cwd=tmp_path, capture_output=True, text=True, check=True
-    ).stdout.split()
+    found = run_python("-c", check, cwd=tmp_path, python=python).split()
     assert [Path(path).resolve() for path in found] == [
         (clone / part).resolve() for part in ("giantlike/__init__.py", "ray_tracing/reflectance/__init__.py")
     ]
