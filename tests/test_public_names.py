@@ -10,11 +10,14 @@ from typing import Any
 
 import pytest
 
-from tests.exported import constructor_keywords
+from tests.exported import constructor_keywords, parameter_names
 
 PROMISED: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("public_names_0_1_0.json").read_text(encoding="utf-8")
 )
+
+RENAMED_PARAMETERS = {"render": {"recentre"}}
+"""Parameters of functions that have another name since, by CHANGELOG.md."""
 
 
 def current(package: str, name: str) -> Any:
@@ -41,3 +44,16 @@ def test_constructors_take_every_keyword_that_they_took_in_0_1_0(package: str) -
         if (lack := had - set(constructor_keywords(current(package, name))))
     }
     assert not lost, f"constructors of {package} lost keywords"
+
+
+@pytest.mark.parametrize("package", PROMISED)
+def test_functions_take_every_parameter_that_they_took_in_0_1_0(package: str) -> None:
+    promised = {
+        name: promise["function"] for name, promise in PROMISED[package].items() if promise and "function" in promise
+    }
+    lost = {
+        name: lack
+        for name, had in promised.items()
+        if (lack := set(had) - set(parameter_names(current(package, name))) - RENAMED_PARAMETERS.get(name, set()))
+    }
+    assert not lost, f"functions of {package} lost parameters"
