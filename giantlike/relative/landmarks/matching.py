@@ -18,7 +18,7 @@ from giantlike.relative.landmarks.rendering import Patch
 
 _ROUNDS = 3  # linear fits of a fraction of a pixel: each leaves a small part of the last step
 _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12.0  # central, of fourth order, 1/px
-_LEAST_OVERLAP = 0.6  # of the ground of a landmark that must be usable. No study yet
+_LEAST_OVERLAP = 0.6  # of the ground of a landmark that must be usable: see benchmarks/sensitivity.md
 _LEAST_PIXELS = 20  # usable: three times the parameters of the fit
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 _NEAR_SEARCH_PX = 8  # px: a wider search takes the ground around a landmark along, which makes it more distinct

@@ -22,7 +22,7 @@ BORDER_PX = 3
 """Pixels of a patch around those that are matched: derivatives need them, and the point spread function."""
 
 _TOGETHER = 3.0  # one render for all, as long as it has no more pixels than this times those of the patches
-_LEAST_PIXELS = 40  # px of its own ground: a landmark of less has hardly any texture. No study yet
+_LEAST_PIXELS = 40  # px of its own ground: a landmark of less has hardly any texture: see benchmarks/sensitivity.md
 _COVERED = 1.0 - 1e-9  # of a pixel: wholly covered, to rounding
 _ERODED = np.ones((5, 5), np.uint8)  # px: the point spread function carries in light from outside a map
 _OUTLINE_POINTS = 9  # along each side of a landmark; their hull is its outline

@@ -29,9 +29,9 @@ from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks
 _NEAR_PX = 3  # px, search once a pose is known
 _FREE_TURN_RAD = 0.03  # rad, error of a free attitude that the first search allows for, at most
 _LOW_SCORE = 0.6
-"""Mean correlation of the landmarks below which a fix is flagged. No study yet."""
+"""Mean correlation of the landmarks below which a fix is flagged. Half and double: benchmarks/sensitivity.md."""
 _LARGE_RESIDUALS_PX = 0.5
-"""Root mean square of the residuals, px, above which a fix is flagged. No study yet."""
+"""Root mean square of the residuals, px, above which a fix is flagged. Half and double: benchmarks/sensitivity.md."""
 _SETTLED_SIGMA = 0.3  # of the standard deviation of the position: a last step so small adds 5 % to it
 _DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
 _LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
@@ -72,6 +72,10 @@ class SurfaceFeaturesOptions:
     ------
     InputError
         A value is out of its range.
+
+    Notes
+    -----
+    Half and double of the defaults move no result of ``benchmarks/sensitivity.md`` by more than 0.8 of its sigma.
     """
 
     landmarks: Path | None = None

@@ -22,8 +22,8 @@ Indices = NDArray[np.int64]
 
 _GRID = 5  # points along each side of a landmark whose sight and light are tested
 _LIFT = 0.005  # of the size: height over the ground at which rays start, so that maps do not lie under facets
-_MAX_HIDDEN = 0.1  # of the points that other ground may hide: two of the 25. No study yet
-_LEAST_INSIDE = 0.6  # of the points that must lie in the frame: the center and more than half. No study yet
+_MAX_HIDDEN = 0.1  # of the points that other ground may hide: two of the 25: see benchmarks/sensitivity.md
+_LEAST_INSIDE = 0.6  # of the points that must lie in the frame: see benchmarks/sensitivity.md
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +47,12 @@ class VisibilityOptions:
     ------
     InputError
         A value is out of its range.
+
+    Notes
+    -----
+    Half and double of each default: ``benchmarks/sensitivity.md``. The angles decide most: half of either leaves so few
+    landmarks that errors double or the image is lost. Half of ``max_landmarks`` and of ``min_size_px`` moves results by
+    1 sigma; sizes of 20 px and more leave too few landmarks on a body of 200 px.
     """
 
     max_incidence_deg: float = 75.0

@@ -26,7 +26,7 @@ from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2, UNKNOWN_
 _BACKGROUND_PX = 12  # px, width of the ring around the search region for the background and its noise
 _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the centroid
 _WINDOW_REACH_SIGMAS = 5.0  # of the window: less than 4e-6 of a Gaussian lies beyond
-_RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival. No study yet
+_RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival: see benchmarks/sensitivity.md
 _FIT_MARGIN_PX = 4  # px around the template: derivatives take so many, and the background is fitted
 _RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # finer is lost in noise
 _LARGE_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid and fit: then one sees something else
@@ -52,6 +52,10 @@ class UnresolvedOptions:
     ------
     InputError
         A value is out of its range.
+
+    Notes
+    -----
+    Half and double of the defaults move no center of ``benchmarks/sensitivity.md`` by more than 0.4 of its sigma.
     """
 
     max_diameter_px: float = 12.0

@@ -28,7 +28,7 @@ _SIGNIFICANT = 2.0
 """Standard deviations of a sample autocorrelation, 1 / sqrt(n): a smaller one counts as noise."""
 _MOST_ABSORBED = 0.75
 """Part of a correlated error that parameters can take out of the residuals, at most, so that the scaled variance stays
-finite. No study yet."""
+finite. Half and double: benchmarks/sensitivity.md."""
 _INSIDE_PIXEL_PX = 0.3
 """Correlation lengths below this are none: exp(-d^2 / (4 b^2)) is then less than 0.07 between neighboring pixels."""
 _FINE_LENGTH_PX = 4.0

@@ -36,12 +36,13 @@ _BOX_MARGIN_PX = 6  # px, for the derivatives, the point spread function and som
 _EDGE_LIGHT = 1e-3  # of the brightest pixel: a box may end where the light is fainter
 _LIT = 0.02  # of the brightest pixel: fainter ones are not counted as the light of the body
 _MAX_UNUSABLE_LIGHT = 0.5
-"""Share of the light on saturated or bad pixels above which there is no fit. No study yet."""
+"""Light on saturated or bad pixels above which there is no fit. Half and double: benchmarks/sensitivity.md."""
 _LOW_SCORE = 0.7
-"""Correlation of the fitted template below which it is flagged. No study yet."""
+"""Correlation of the fitted template below which it is flagged. Half and double: benchmarks/sensitivity.md."""
 _LARGE_CHI, _LARGE_RESIDUAL = 5.0, 0.3
 """Residuals over noise, and over the light, that are large where both are exceeded: bright bodies exceed their noise
-by far wherever the model is not exact, and faint ones differ by much from noise alone. No study yet."""
+by far wherever the model is not exact, and faint ones differ by much from noise alone. Half and double:
+benchmarks/sensitivity.md."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 
 
@@ -78,6 +79,10 @@ class CrossCorrelationOptions:
     ------
     InputError
         A value is out of its range.
+
+    Notes
+    -----
+    Half and double of the defaults move no center of ``benchmarks/sensitivity.md`` by more than 0.7 of its sigma.
     """
 
     search_px: int = 40

@@ -54,7 +54,7 @@ _ALIGN_STEP_PX = 2.0  # px of the reduced image: the reach of its slopes after _
 _ALIGN_BLUR_PX = 0.6  # px of the reduced image: block means alias without it
 _WARPED_OVER = 4  # pixels averaged after an image was moved: the errors of the interpolation average with them
 _BLOCK = 0.35
-"""Side of the blocks of the jackknife over the root mean square radius of the light. No study yet."""
+"""Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
 _MAX_BLOCK_PX = 32  # px: enough blocks remain on large bodies
 
 
