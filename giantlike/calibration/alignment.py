@@ -12,6 +12,7 @@ from scipy.special import gammainc
 from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.statistics import squared_residuals
 from giantlike.core.values import Value
 
 _STEPS = 20  # of Gauss-Newton and rejection
@@ -70,8 +71,7 @@ class AlignmentResult(Value):
         scipy Rotation
         """
         turn = self.rate_rad_per_c * (temperature_c - self.reference_c)
-        result: Rotation = Rotation.from_rotvec(turn) * self.rotation
-        return result
+        return Rotation.from_rotvec(turn) * self.rotation
 
     def frame_rotation_at(self, temperature_c: float) -> FrameRotation:
         """Return ``second_from_first`` at a temperature with the names of the two frames, which products check.
@@ -140,12 +140,11 @@ def align(
     if drifts and not np.ptp(temperatures) > 0:
         detail = f"all rotations were measured at {reference:g} C: omit temperatures_c for a static alignment"
         return Failure(Reason.DEGENERATE_GEOMETRY, detail)
-    weights = np.asarray(np.linalg.inv(covariances), dtype=np.float64)
-    rotation, rate, used = _converged(rotations, weights, offsets, drifts, outlier_sigma)
+    rotation, rate, used = _converged(rotations, covariances, offsets, drifts, outlier_sigma)
     residuals = _residuals(rotations, rotation, rate, offsets)
-    _, covariance = _step(residuals, weights, offsets, used, drifts)
+    _, covariance = _step(residuals, covariances, offsets, used, drifts)
     freedom = max(3 * int(used.sum()) - (6 if drifts else 3), 1)
-    chi2 = float(_squares(residuals, weights)[used].sum())
+    chi2 = float(squared_residuals(residuals, covariances)[used].sum())
     if gammainc(freedom / 2.0, chi2 / 2.0) > _NOISE_EXPLAINS:
         covariance *= chi2 / freedom
     return AlignmentResult(
@@ -213,7 +212,7 @@ def _named(attitudes: FrameRotation | Rotation) -> FrameRotation:
 
 
 def _converged(
-    rotations: Rotation, weights: Float, offsets_c: Float, drifts: bool, outlier_sigma: float
+    rotations: Rotation, covariances: Float, offsets_c: Float, drifts: bool, outlier_sigma: float
 ) -> tuple[Rotation, Float, Mask]:
     """Rotation at the reference temperature, rate, and mask (n,) of the measurements that agree with them."""
     used: Mask = np.ones(len(rotations), dtype=bool)
@@ -221,20 +220,15 @@ def _converged(
     rate: Float = np.zeros(3)
     for _ in range(_STEPS):
         residuals = _residuals(rotations, rotation, rate, offsets_c)
-        step, _ = _step(residuals, weights, offsets_c, used, drifts)
+        step, _ = _step(residuals, covariances, offsets_c, used, drifts)
         rotation, rate = Rotation.from_rotvec(step[:3]) * rotation, rate + step[3:]
         before = used
-        squares = _squares(residuals, weights)
+        squares = squared_residuals(residuals, covariances)
         spread = max(float(np.median(squares)) / _MEDIAN_CHI2, 1.0)
         used = np.asarray(squares <= outlier_sigma**2 * spread)
         if np.abs(step).max() < _SMALL_RAD and np.array_equal(before, used):
             break
     return rotation, rate, used
-
-
-def _squares(residuals: Float, weights: Float) -> Float:
-    """Squared residuals (n,) in units of their covariance."""
-    return np.asarray(np.einsum("ni,nij,nj->n", residuals, weights, residuals), dtype=np.float64)
 
 
 def _residuals(rotations: Rotation, rotation: Rotation, rate: Float, offsets_c: Float) -> Float:
@@ -243,12 +237,14 @@ def _residuals(rotations: Rotation, rotation: Rotation, rate: Float, offsets_c: 
     return np.asarray((rotations * fitted.inv()).as_rotvec(), dtype=np.float64)
 
 
-def _step(residuals: Float, weights: Float, offsets_c: Float, used: Mask, drifts: bool) -> tuple[Float, Float]:
+def _step(residuals: Float, covariances: Float, offsets_c: Float, used: Mask, drifts: bool) -> tuple[Float, Float]:
     """Correction (6,) of rotation and rate, and their covariance (6, 6); those of a rate not estimated are zero."""
     size = 6 if drifts else 3
-    design = np.concatenate([np.broadcast_to(np.eye(3), weights.shape), offsets_c[:, None, None] * np.eye(3)], axis=2)
+    design = np.concatenate(
+        [np.broadcast_to(np.eye(3), covariances.shape), offsets_c[:, None, None] * np.eye(3)], axis=2
+    )
     design = design[used][:, :, :size]
-    weighted = np.swapaxes(design, 1, 2) @ weights[used]
+    weighted = np.swapaxes(design, 1, 2) @ np.linalg.inv(covariances[used])
     normal = np.sum(weighted @ design, axis=0)
     units = 1.0 / np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)

@@ -257,8 +257,7 @@ class NormalEquations(Value):
     def pose_covariance(self, camera_covariance: Float) -> Float:
         """Covariance (m, p, p) of the poses, that of the camera (k, k) included, rad^2 (and squares of lengths)."""
         by_camera, _ = self._pose_steps()
-        result: Float = np.linalg.inv(self.poses) + by_camera @ camera_covariance @ np.swapaxes(by_camera, 1, 2)
-        return result
+        return np.linalg.inv(self.poses) + by_camera @ camera_covariance @ np.swapaxes(by_camera, 1, 2)
 
     def information(self) -> Float:
         """Inverse covariance (k, k) of the camera parameters, poses eliminated."""
@@ -303,8 +302,7 @@ def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> Normal
 
 def _gram(rows: Float) -> Float:
     flat = rows.reshape(-1, rows.shape[-1])
-    result: Float = flat.T @ flat
-    return result
+    return flat.T @ flat
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,13 +21,13 @@ from giantlike.calibration.result import CalibrationResult, ImageCalibration, Re
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.statistics import MEDIAN_CHI2
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.processing.geometry.wahba import solve_wahba
 
 _LOG = logging.getLogger("giantlike.calibration")
 
-_MEDIAN_CHI2 = 2.0 * math.log(2.0)  # median of chi-square with two degrees of freedom
 _NOISE_EXPLAINS = 0.9999  # chi-square probability up to which noise explains the residuals: 1 false alarm in 10,000
 _SMALLEST_SPREAD = 1e-4  # of squares: residuals a hundred times below their sigmas are rounding, not a scale
 _MIN_PER_IMAGE = 2  # observations that determine the orientation of an image
@@ -175,7 +175,7 @@ def _agreeing(state: State, data: Data, used: Mask, options: CalibrationOptions)
     squares = np.sum(residuals**2, axis=1) / data.sigma_px**2
     squares = np.where(np.isfinite(squares), squares, np.inf)
     count, free = int(used.sum()), len(data.estimated) + data.pose * (len(data.offsets) - 1)
-    spread = float(np.median(squares[used])) / _MEDIAN_CHI2 * 2 * count / max(2 * count - free, 1)
+    spread = float(np.median(squares[used])) / MEDIAN_CHI2 * 2 * count / max(2 * count - free, 1)
     spread = max(spread, _SMALLEST_SPREAD)
     limit = 2.0 * math.log(max(len(squares) / options.false_rejections, 2.0))  # chi-square with two degrees
     keep = np.asarray(squares <= limit * spread)

@@ -30,8 +30,7 @@ class Loss(StrEnum):
             beyond = 2.0 * np.sqrt(_HUBER_SQUARE * squares) - _HUBER_SQUARE
             return np.where(squares <= _HUBER_SQUARE, squares, beyond)
         if self is Loss.CAUCHY:
-            result: Float = _CAUCHY_SQUARE * np.log1p(squares / _CAUCHY_SQUARE)
-            return result
+            return _CAUCHY_SQUARE * np.log1p(squares / _CAUCHY_SQUARE)
         return squares
 
     def weight(self, squares: Float) -> Float:
@@ -39,8 +38,7 @@ class Loss(StrEnum):
         if self is Loss.HUBER:
             return np.sqrt(_HUBER_SQUARE / np.maximum(squares, _HUBER_SQUARE))
         if self is Loss.CAUCHY:
-            result: Float = 1.0 / (1.0 + squares / _CAUCHY_SQUARE)
-            return result
+            return 1.0 / (1.0 + squares / _CAUCHY_SQUARE)
         return np.ones_like(squares)
 
 

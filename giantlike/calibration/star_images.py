@@ -18,7 +18,7 @@ from giantlike.calibration.options import CalibrationOptions
 from giantlike.calibration.result import CalibrationResult
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, model_from_mapping, model_to_mapping
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
 from giantlike.core.values import Value
@@ -26,14 +26,13 @@ from giantlike.image import Image
 from giantlike.stars.field import Sky, StarField
 from giantlike.stars.matching import attitudes_of_sky
 from giantlike.stars.navigation import StarNavigation, sky_of
-from giantlike.stars.options import StarOptions
+from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude, scaled_model
 
 DEFAULT_MIN_SNR = 20.0
 """Signal to noise ratio of the stars that a camera is calibrated from: their centroids are known to some 0.05 px. The
 real frames of ``benchmarks/calibration.py`` have a residual of 0.166 px at 20, 0.123 at 15 and 0.145 at 10."""
 _MAX_ROUNDS = 8  # of identification and calibration
-_BRIGHTEST = 20  # stars of an image kept whatever their signal to noise ratio: 40 equations for its 3 unknowns
 _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solution so far outside the predicted field
 
 
@@ -205,16 +204,7 @@ def observations_of_fix(
         A star of the fix is not in the catalog where the camera points.
     """
     field = _stars_of_ids(sky, camera, fix.camera_from_inertial, fix.star_ids, name)
-    return ImageObservations(
-        name=name,
-        targets=field.directions_inertial,
-        points_px=fix.observed_px,
-        sigma_px=fix.sigma_px,
-        camera_from_reference=fix.camera_from_inertial,
-        temperature_c=temperature_c,
-        labels=fix.star_ids,
-        magnitudes=field.stars.magnitude,
-    )
+    return _observations(name, field, fix.camera_from_inertial, fix.observed_px, fix.sigma_px, temperature_c)
 
 
 def start_model(model: CameraModel, estimate: Sequence[str], type_name: str | None, focal_ratio: float) -> CameraModel:
@@ -377,27 +367,27 @@ def _identified_with(
     return observations, failed
 
 
-def _bright(snr: Float, min_snr: float) -> Mask:
-    """True (k,) for matches bright enough to calibrate from."""
-    order = np.argsort(-snr, kind="stable")
-    bright: Mask = snr >= min_snr
-    bright[order[:_BRIGHTEST]] = True
-    return bright
-
-
 def _first_observations(image: StarImage, camera: Camera, min_snr: float) -> ImageObservations:
-    """Observations of the bright stars of the first solution of an image."""
-    bright = _bright(image.snr[image.source_indices], min_snr)
-    ids = image.star_ids[bright]
-    field = _stars_of_ids(image.sky, camera, image.camera_from_inertial, ids, image.name)
+    """Observations of the bright stars of the first identification."""
+    bright = bright_enough(image.snr[image.source_indices], min_snr)
+    rotation = image.camera_from_inertial
+    field = _stars_of_ids(image.sky, camera, rotation, image.star_ids[bright], image.name)
+    points_px = image.points_px[image.source_indices[bright]]
+    return _observations(image.name, field, rotation, points_px, image.sigma_px[bright], image.temperature_c)
+
+
+def _observations(
+    name: str, field: StarField, rotation: Rotation, points_px: Float, sigma_px: Float, temperature_c: float
+) -> ImageObservations:
+    """Observations of the stars of a field, which are its targets."""
     return ImageObservations(
-        name=image.name,
+        name=name,
         targets=field.directions_inertial,
-        points_px=image.points_px[image.source_indices[bright]],
-        sigma_px=image.sigma_px[bright],
-        camera_from_reference=image.camera_from_inertial,
-        temperature_c=image.temperature_c,
-        labels=ids,
+        points_px=points_px,
+        sigma_px=sigma_px,
+        camera_from_reference=rotation,
+        temperature_c=temperature_c,
+        labels=field.stars.ids,
         magnitudes=field.stars.magnitude,
     )
 
@@ -419,7 +409,6 @@ def _refined(
     image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions
 ) -> RefinedAttitude | Failure:
     camera = replace(camera, model=camera.model.at_temperature(image.temperature_c))
-    focal, half = camera.model.focal_length_px, float(np.hypot(camera.columns, camera.rows)) / 2.0
     return refine_attitude(
         image.sky.field(camera, camera_from_inertial, count=depth_for(len(image.points_px))),
         image.points_px,
@@ -427,7 +416,7 @@ def _refined(
         camera,
         camera_from_inertial,
         radius_px=options.inlier_px,
-        trials=lambda radius_px: attitudes_of_sky(radius_px, focal, half, 0.0),
+        trials=lambda radius_px: attitudes_of_sky(radius_px, camera),
         options=options,
     )
 
@@ -439,15 +428,8 @@ def _identified(
     refined = _refined(image, camera, camera_from_inertial, options)
     if isinstance(refined, Failure):
         return refined
-    bright = _bright(image.snr[refined.matches.detection_indices], min_snr)
-    chosen = refined.matches.star_indices[bright]
-    return ImageObservations(
-        name=image.name,
-        targets=refined.field.directions_inertial[chosen],
-        points_px=image.points_px[refined.matches.detection_indices[bright]],
-        sigma_px=refined.solution.sigma_px[bright],
-        camera_from_reference=refined.solution.camera_from_inertial,
-        temperature_c=image.temperature_c,
-        labels=refined.field.stars.ids[chosen],
-        magnitudes=refined.field.stars.magnitude[chosen],
-    )
+    solution, detected = refined.solution, refined.matches.detection_indices
+    bright = bright_enough(image.snr[detected], min_snr)
+    field = refined.field.select(refined.matches.star_indices[bright])
+    points_px, rotation = image.points_px[detected[bright]], solution.camera_from_inertial
+    return _observations(image.name, field, rotation, points_px, solution.sigma_px[bright], image.temperature_c)

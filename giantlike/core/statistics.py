@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,8 @@ MAD_TO_SIGMA = 1.482602218505602
 
 IQR_PER_SIGMA = 1.3489795003921634
 """Interquartile range of a normal distribution of unit standard deviation: twice the inverse normal CDF at 3/4."""
+MEDIAN_CHI2 = 2.0 * math.log(2.0)
+"""Median of chi-square with two degrees of freedom: of the squared length of a normalized residual in the image."""
 
 
 def quartile_sigma(values: ArrayLike) -> float:
@@ -50,22 +52,23 @@ def squared_residuals(residuals: Float, covariance: Float) -> Float:
     return np.where(np.isfinite(squares), squares, np.inf)
 
 
-def error_floor(residuals: Float, covariance: Float, statistic: Callable[[Float], float]) -> float:
+def error_floor(residuals: Float, covariance: Float, *, freedom: int | None = None) -> float:
     """Standard deviation per axis that explains residuals larger than their covariances do.
 
     Parameters
     ----------
-    residuals : (n, k) float64
-    covariance : (n, k, k) float64
+    residuals : (n, 2) float64
+    covariance : (n, 2, 2) float64
         Of each residual, positive definite.
-    statistic : callable
-        Of the squared residuals (n,): 1 where these are as large as expected, such as their mean over its expectation.
+    freedom : int, optional
+        Degrees of freedom that the sum of squared residuals is brought to; default: their median is brought to that of
+        chi-square, whatever some outliers are.
 
     Returns
     -------
     float
-        Unit of the residuals: the isotropic error that, added in quadrature to every covariance, brings the statistic
-        to 1; 0 if it is below 1 without.
+        Unit of the residuals: the isotropic error that, added in quadrature to every covariance, makes the squared
+        residuals as large as expected; 0 if they are no larger without.
     """
     from scipy.optimize import brentq  # slow to import
 
@@ -73,7 +76,8 @@ def error_floor(residuals: Float, covariance: Float, statistic: Callable[[Float]
     along = np.einsum("nji,nj->ni", axes, residuals) ** 2
 
     def excess(floor: float) -> float:
-        return statistic(np.sum(along / (variances + floor**2), axis=1)) - 1.0
+        squares = np.sum(along / (variances + floor**2), axis=1)
+        return float(np.median(squares) / MEDIAN_CHI2 if freedom is None else squares.sum() / freedom) - 1.0
 
     if excess(0.0) <= 0.0:
         return 0.0

@@ -13,6 +13,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
+from giantlike.stars.field import half_diagonal_px
 from giantlike.stars.matching import (
     Matches,
     attitudes_within,
@@ -93,7 +94,8 @@ def identify_apriori(
         )
     if len(points_px) < options.min_matches:
         return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {options.min_matches} are needed")
-    spread = _spread_px(camera, options)
+    # a turn of the camera moves stars alike but for roll, which moves those of the corners most
+    spread = options.inlier_px + options.max_pixel_distance * half_diagonal_px(camera) / camera.model.focal_length_px
     voters, points = predicted[near[:_VOTING_STARS]], points_px[:_VOTING_POINTS]
     outcome = _identify_shifted(directions_inertial, points_px, camera, predicted, spread, options)
     for radius in (min(options.inlier_px, spread), spread):
@@ -187,7 +189,7 @@ def ransac_attitude(
         return Rotation.identity(), 0
     rng = np.random.default_rng(options.seed)
     samples = np.argsort(rng.random((options.ransac_iterations, len(points))), axis=1)[:, :size]
-    rotations = Rotation.from_quat(davenport_quaternions(directions[samples], vectors[samples], np.ones(samples.shape)))
+    rotations = Rotation.from_quat(davenport_quaternions(directions[samples], vectors[samples]))
     predicted = camera.model.project(np.einsum("sij,kj->ski", rotations.as_matrix(), directions))
     squares = np.sum((predicted - points) ** 2, axis=-1)
     inside = squares <= options.inlier_px**2  # NaN compares false
@@ -195,11 +197,9 @@ def ransac_attitude(
     costs = np.where(inside, squares, 0.0).sum(axis=1)
     best = int(np.lexsort((costs, -counts))[0])
     chosen = inside[best]
-    if chosen.sum() < 2:
-        return rotations[best], int(chosen.sum())
-    weights = np.ones((1, int(chosen.sum())))
-    quaternion = davenport_quaternions(directions[chosen][None], vectors[chosen][None], weights)[0]
-    return Rotation.from_quat(quaternion), int(chosen.sum())
+    if counts[best] < 2:
+        return rotations[best], int(counts[best])
+    return Rotation.from_quat(davenport_quaternions(directions[chosen], vectors[chosen])), int(counts[best])
 
 
 def _verified(
@@ -219,9 +219,3 @@ def _verified(
             f"stars to {options.inlier_px:g} px; chance does that with probability up to {probability:.1e}",
         )
     return Identification(camera_from_inertial=rotation, matches=matches, false_match_probability=probability)
-
-
-def _spread_px(camera: Camera, options: StarOptions) -> float:
-    """Spread of the displacements over the image, px, for an attitude error of ``max_pixel_distance``."""
-    half_diagonal = float(np.hypot(camera.columns, camera.rows)) / 2.0
-    return options.inlier_px + options.max_pixel_distance * half_diagonal / camera.model.focal_length_px

@@ -26,7 +26,6 @@ _MAX_ROUNDS = 10  # of fit and rejection
 _NOISE_EXPLAINS = 0.977
 """Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal
 distribution, one-sided."""
-_MEDIAN_CHI2 = 2.0 * np.log(2.0)  # median of chi-square with two degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,11 +247,12 @@ def _without_outliers(
     """Fit and reject outliers in rounds, until the selection no longer changes."""
     for _ in range(_MAX_ROUNDS):
         chosen = stars.select(used)
-        fitted = fit(state, chosen.inflated(_median_floor(chosen, state)), scale)
+        floor = error_floor(chosen.residuals(state), chosen.covariance_px2)
+        fitted = fit(state, chosen.inflated(floor), scale)
         if isinstance(fitted, Failure):
             return fitted
         state, _ = fitted
-        allowed = stars.inflated(_median_floor(chosen, state))
+        allowed = stars.inflated(error_floor(chosen.residuals(state), chosen.covariance_px2))
         keep = np.asarray(squared_residuals(allowed.residuals(state), allowed.covariance_px2) <= outlier_sigma**2)
         if 2 * int(keep.sum()) < 4 + scale:
             return Failure(Reason.NOT_CONVERGED, f"only {int(keep.sum())} of {len(keep)} stars agree with one attitude")
@@ -272,8 +272,7 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
     plain = float(squared_residuals(chosen.residuals(fitted[0]), chosen.covariance_px2).sum())
     floor = 0.0
     if freedom > 0 and float(gammainc(freedom / 2.0, plain / 2.0)) > _NOISE_EXPLAINS:
-        residuals = chosen.residuals(state)
-        floor = error_floor(residuals, chosen.covariance_px2, lambda squares: float(squares.sum()) / freedom)
+        floor = error_floor(chosen.residuals(state), chosen.covariance_px2, freedom=freedom)
         fitted = fit(state, chosen.inflated(floor), scale)
         if isinstance(fitted, Failure):
             return fitted
@@ -289,9 +288,3 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
         error_floor_px=floor,
         reduced_chi2=plain / max(freedom, 1),
     )
-
-
-def _median_floor(stars: _Stars, state: _State) -> float:
-    """Error floor, px, that makes the median of the squares that of chi-square with two degrees of freedom."""
-    residuals = stars.residuals(state)
-    return error_floor(residuals, stars.covariance_px2, lambda squares: float(np.median(squares)) / _MEDIAN_CHI2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, StarTable, apparent_directions, et_of_julian_year
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import rotate
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 
 EPOCH_WHEN_UNKNOWN = 2016.0
 """Julian epoch of the stars for an image without time, years: that of most positions in the default catalog."""
@@ -65,11 +65,7 @@ class StarField(Value):
         -------
         StarField
         """
-        return StarField(
-            stars=self.stars.select(which),
-            directions_inertial=self.directions_inertial[which],
-            sigma_rad=self.sigma_rad[which],
-        )
+        return replace(select_rows(self, which), stars=self.stars.select(which))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,9 +112,8 @@ class Sky(Value):
         -------
         StarField
         """
-        axis = rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px))
-        radius = _half_diagonal_rad(camera) * _MARGIN + margin_px / camera.model.focal_length_px
-        return self.cone(axis / np.linalg.norm(axis), min(radius, np.pi), count=count)
+        radius = half_diagonal_rad(camera) * _MARGIN + margin_px / camera.model.focal_length_px
+        return self.cone(line_of_sight(camera, camera_from_inertial), min(radius, np.pi), count=count)
 
     def cone(self, direction_inertial: ArrayLike, radius_rad: float, *, count: int | None = None) -> StarField:
         """Stars in a cone.
@@ -150,9 +145,27 @@ class Sky(Value):
         return StarField(stars=stars, directions_inertial=directions, sigma_rad=stars.sigma_rad(et))
 
 
-def _half_diagonal_rad(camera: Camera) -> float:
-    """Angle from the image center to its corners; that of a pinhole if the model cannot unproject the corners."""
+def line_of_sight(camera: Camera, camera_from_inertial: Rotation) -> Float:
+    """Return the unit vector through the image center.
+
+    Parameters
+    ----------
+    camera : Camera
+    camera_from_inertial : Rotation
+
+    Returns
+    -------
+    (3,) float64, unitless, inertial
+    """
+    return unit(rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px)))
+
+
+def half_diagonal_px(camera: Camera) -> float:
+    """Distance of the corners of an image from its center, px."""
+    return float(np.hypot(camera.columns, camera.rows)) / 2.0
+
+
+def half_diagonal_rad(camera: Camera) -> float:
+    """Largest angle of an image from its center, rad; that of a pinhole camera if the lens images no edge."""
     radius = camera.half_diagonal_rad
-    if np.isfinite(radius):
-        return radius
-    return float(np.arctan(np.hypot(camera.columns, camera.rows) / 2.0 / camera.model.focal_length_px))
+    return radius if np.isfinite(radius) else float(np.arctan(half_diagonal_px(camera) / camera.model.focal_length_px))

@@ -17,12 +17,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, Mask, unit
-from giantlike.core.frames import rotate
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
-from giantlike.stars.field import Sky, StarField
+from giantlike.stars.field import Sky, StarField, half_diagonal_rad, line_of_sight
 from giantlike.stars.matching import (
     attitudes_of_sky,
     attitudes_within_angle,
@@ -53,7 +52,6 @@ _SAMPLED_RAD = 0.3  # spacing of the directions in which catalog stars are count
 _BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # number of searches that solve most images
 _GAINED = 3  # matches that a fit may add to those of a hypothesis
 _FIRST_RADIUS = 0.008  # first match radius over the image width: distortion left by a pinhole of the right focal length
-Bools = Mask
 
 
 def identify_lost_in_space(
@@ -188,9 +186,7 @@ class _Problem(Value):
         good = np.isfinite(seen).all(axis=1)
         if int(good.sum()) < 3:
             return hypothesis.camera_from_inertial
-        directions = field.directions_inertial[theirs[good]]
-        weights = np.ones((1, len(directions)))
-        return Rotation.from_quat(davenport_quaternions(directions[None], seen[good][None], weights)[0])
+        return Rotation.from_quat(davenport_quaternions(field.directions_inertial[theirs[good]], seen[good]))
 
     def hypotheses(self, brief: bool) -> Iterator[Hypothesis]:
         """Hypotheses from patterns and then from tetra3rs, lazily and without repetitions."""
@@ -237,7 +233,7 @@ class _Problem(Value):
         steps = 2 * math.ceil(error / _SCALE_STEP) + 1
         return Scope(
             tolerance_rad=edge_px * ifov,
-            half_size_rad=0.7 * _half_diagonal_rad(self.camera),
+            half_size_rad=0.7 * half_diagonal_rad(self.camera),
             scales=np.linspace(1.0 - error, 1.0 + error, steps) if free else np.ones(1),
         )
 
@@ -254,16 +250,14 @@ class _Problem(Value):
         rays = self.camera.model.unproject([[right, middle[1]], [middle[0], bottom]])
         cosines = rays @ self.camera.model.unproject(middle)
         angles = np.arccos(np.clip(cosines[np.isfinite(cosines)], -1.0, 1.0))
-        return float(angles.min(initial=_half_diagonal_rad(self.camera)))
+        return float(angles.min(initial=half_diagonal_rad(self.camera)))
 
     def index(self, pattern: Pattern, radius_rad: float) -> StarIndex:
         """Index of the whole sky, or of the cone that the a priori attitude leaves."""
         catalog, limit = self.sky.catalog, self.sky.max_magnitude
         if self.apriori is None:
             return sky_index(catalog, pattern, radius_rad, max_magnitude=limit)
-        axis = rotate(self.apriori.inv(), self.camera.model.unproject(self.camera.center_px))
-        axis = axis / np.linalg.norm(axis)
-        reach = self.reach_rad()
+        axis, reach = line_of_sight(self.camera, self.apriori), self.reach_rad()
         share = (1.0 - math.cos(reach)) / 2.0
         count = math.ceil(2.0 * share * density_for(radius_rad).stars_wanted(radius_rad)) + _BRIGHTEST
         field = self.sky.cone(axis, reach, count=count)
@@ -276,36 +270,29 @@ class _Problem(Value):
             return math.inf
         axes, reach = caps(_SAMPLED_RAD), _SAMPLED_RAD / 4.0
         if self.apriori is not None:
-            axes = rotate(self.apriori.inv(), self.camera.model.unproject(self.camera.center_px))[None]
-            reach = self.reach_rad()
+            axes, reach = line_of_sight(self.camera, self.apriori)[None], self.reach_rad()
         limit = self.sky.max_magnitude
-        found = [len(self.sky.catalog.cone(axis, reach, max_magnitude=limit)) for axis in unit(axes)]
+        found = [len(self.sky.catalog.cone(axis, reach, max_magnitude=limit)) for axis in axes]
         return float(np.mean(found)) * 4.0 * half**2 / (2.0 * math.pi * (1.0 - math.cos(reach)))
 
     def reach_rad(self) -> float:
         """Largest angle between the a priori boresight and a star of the image, rad."""
-        return min(_half_diagonal_rad(self.camera) + math.radians(self.options.attitude_error_deg), np.pi)
+        return min(half_diagonal_rad(self.camera) + math.radians(self.options.attitude_error_deg), np.pi)
 
-    def _near(self, matrices: Float) -> Bools:
+    def _near(self, matrices: Float) -> Mask:
         """True (k,) for attitudes (k, 3, 3) within the error of the a priori one."""
         assert self.apriori is not None
         traces = np.einsum("kij,ij->k", matrices, self.apriori.as_matrix())
-        allowed: Bools = traces >= 1.0 + 2.0 * math.cos(math.radians(self.options.attitude_error_deg))
+        allowed: Mask = traces >= 1.0 + 2.0 * math.cos(math.radians(self.options.attitude_error_deg))
         return allowed
 
     def trials(self, radius_px: float) -> float:
         """Number of distinguishable attitudes (and cameras) in the search, for a match radius."""
-        focal, half = self.camera.model.focal_length_px, float(np.hypot(self.camera.columns, self.camera.rows)) / 2.0
         error = self.options.scale_error if self.options.estimate_scale else 0.0
         if self.apriori is None:
-            return attitudes_of_sky(radius_px, focal, half, error)
+            return attitudes_of_sky(radius_px, self.camera, scale_error=error)
         angle = math.radians(self.options.attitude_error_deg)
-        return attitudes_within_angle(radius_px, focal, half, angle, error)
-
-
-def _half_diagonal_rad(camera: Camera) -> float:
-    angle = camera.half_diagonal_rad
-    return angle if math.isfinite(angle) else math.pi / 2.0
+        return attitudes_within_angle(radius_px, self.camera, angle, scale_error=error)
 
 
 def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:

@@ -14,6 +14,7 @@ from giantlike.camera import Camera
 from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.core.values import Value
+from giantlike.stars.field import half_diagonal_px
 
 BLEND_PX = 4.0
 """Distance below which two stars shift each other's centroid, px: five widths of a star of 0.8 px."""
@@ -166,26 +167,24 @@ def log_chance(n_matched: NDArray[np.intp], n_detected: int, chance: Float) -> F
     return np.where(share > chance, exponent, 0.0)
 
 
-def attitudes_of_sky(radius_px: float, focal_length_px: float, half_size_px: float, scale_error: float) -> float:
+def attitudes_of_sky(radius_px: float, camera: Camera, *, scale_error: float = 0.0) -> float:
     """Number of attitudes on the whole sky (times cameras) that move stars by a match radius from each other."""
-    directions = 4.0 * np.pi * (focal_length_px / radius_px) ** 2
-    rolls = max(2.0 * np.pi * half_size_px / radius_px, 1.0)
-    return float(directions * rolls * _cameras(radius_px, half_size_px, scale_error))
+    directions = 4.0 * np.pi * (camera.model.focal_length_px / radius_px) ** 2
+    rolls = max(2.0 * np.pi * half_diagonal_px(camera) / radius_px, 1.0)
+    return float(directions * rolls * _cameras(radius_px, camera, scale_error))
 
 
-def attitudes_within_angle(
-    radius_px: float, focal_length_px: float, half_size_px: float, angle_rad: float, scale_error: float
-) -> float:
+def attitudes_within_angle(radius_px: float, camera: Camera, angle_rad: float, *, scale_error: float = 0.0) -> float:
     """Number of attitudes (times cameras) within ``angle_rad`` about every axis, a match radius from each other."""
-    directions = max(2.0 * angle_rad * focal_length_px / radius_px, 1.0) ** 2
-    rolls = max(2.0 * angle_rad * half_size_px / radius_px, 1.0)
-    return float(directions * rolls * _cameras(radius_px, half_size_px, scale_error))
+    directions = max(2.0 * angle_rad * camera.model.focal_length_px / radius_px, 1.0) ** 2
+    rolls = max(2.0 * angle_rad * half_diagonal_px(camera) / radius_px, 1.0)
+    return float(directions * rolls * _cameras(radius_px, camera, scale_error))
 
 
-def _cameras(radius_px: float, half_size_px: float, scale_error: float) -> float:
-    """Number of focal lengths and radial distortions that move the edge of the image by a match radius."""
-    scales = max(2.0 * scale_error * half_size_px / radius_px, 1.0)
-    bends = max(2.0 * _DISTORTION * half_size_px / radius_px, 1.0) if scale_error > 0.0 else 1.0
+def _cameras(radius_px: float, camera: Camera, scale_error: float) -> float:
+    """Number of focal lengths and radial distortions that move the corner of the image by a match radius."""
+    scales = max(2.0 * scale_error * half_diagonal_px(camera) / radius_px, 1.0)
+    bends = max(2.0 * _DISTORTION * half_diagonal_px(camera) / radius_px, 1.0) if scale_error > 0.0 else 1.0
     return scales * bends
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.patterns import describe_quads, describe_triads
@@ -175,9 +175,7 @@ def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
     """Rotations (k, 3, 3) that take a1 + a2 and a2 - a1 to b1 + b2 and b2 - b1, unit vectors (k, 3)."""
     frames = []
     for first, second in ((b1, b2), (a1, a2)):
-        along, across = first + second, second - first
-        along = along / np.linalg.norm(along, axis=1)[:, None]
-        across = across / np.linalg.norm(across, axis=1)[:, None]
+        along, across = unit(first + second), unit(second - first)
         frames.append(np.stack([along, across, np.cross(along, across)], axis=-1))
     return np.asarray(frames[0] @ np.swapaxes(frames[1], 1, 2))
 
@@ -238,9 +236,8 @@ def _shared(
     detection, star = detection[once & only], star[once & only]
     scale = float(np.median(candidates.scales[members]))
     seen = vectors[int(np.abs(scope.scales - scale).argmin()), detection]
-    quaternion = davenport_quaternions(index.directions[star][None], seen[None], np.ones((1, len(star))))[0]
     return Hypothesis(
-        camera_from_inertial=Rotation.from_quat(quaternion),
+        camera_from_inertial=Rotation.from_quat(davenport_quaternions(index.directions[star], seen)),
         scale=scale,
         star_ids=index.ids[star],
         detection_indices=detection,
@@ -293,16 +290,11 @@ def searches(vectors: Float, half_fov_rad: float, pattern: Pattern) -> Iterator[
     yield Search(radius, (seen[:at_first],))
     if len(seen) > at_first:
         yield Search(radius, (seen[:later],))
-        yield Search(radius, tuple(half[:at_first] for half in _halves(vectors, seen)))
+        x, y = vectors[seen, 0], vectors[seen, 1]
+        yield Search(radius, tuple(seen[half][:at_first] for half in (x < 0.0, x >= 0.0, y < 0.0, y >= 0.0)))
     if len(seen) > 2 * later:
         yield from _in_parts(vectors, seen, min(crowded, radius / np.sqrt(2.0)))
     yield Search(cap_radius_rad(2.0 * radius), (seen[:at_first],))
-
-
-def _halves(vectors: Float, seen: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    x, y = vectors[seen, 0], vectors[seen, 1]
-    for half in (x < 0.0, x >= 0.0, y < 0.0, y >= 0.0):
-        yield seen[half]
 
 
 def _in_parts(vectors: Float, seen: NDArray[np.intp], radius_rad: float) -> Iterator[Search]:

@@ -186,7 +186,7 @@ def build_index(
     combinations = combinations[np.unique(scattered(combinations), return_index=True)[1]]
     widest = float(2.0 * np.sin(min(radius_rad, np.pi / 2.0)))
     parts = [
-        _cells(*_codes(pattern, directions, combinations[start : start + _CHUNK], widest))
+        _cells(pattern, directions, combinations[start : start + _CHUNK], widest)
         for start in range(0, max(len(combinations), 1), _CHUNK)
     ]
     cell, ordered = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -246,19 +246,14 @@ def rotation_to(axis: ArrayLike) -> Rotation:
     return Rotation.from_rotvec(np.arctan2(np.hypot(x, y), z) * np.array([-np.sin(turn), np.cos(turn), 0.0]))
 
 
-def _codes(
+def _cells(
     pattern: Pattern, vectors: Float, combinations: NDArray[np.intp], widest: float
-) -> tuple[Float, NDArray[np.intp]]:
-    """Codes (k, d) in [0, 1] and ordered stars (k, size) of patterns."""
-    if pattern is Pattern.QUAD:
-        codes, ordered, _ = describe_quads(vectors, combinations)
-        return codes, ordered
-    sides, ordered, _ = describe_triads(vectors, combinations)
-    return sides / widest, ordered
-
-
-def _cells(codes: Float, ordered: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Cell (k,) of each code, and the stars as they are."""
+) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Cells (k,) of the codes of patterns, and their ordered stars (k, size)."""
+    describe = describe_quads if pattern is Pattern.QUAD else describe_triads
+    codes, ordered, _ = describe(vectors, combinations)
+    if pattern is Pattern.TRIAD:
+        codes = codes / widest
     d = codes.shape[1]
     n = _CELLS[d]
     cell = np.clip((codes * n).astype(np.int64), 0, n - 1)
@@ -273,9 +268,8 @@ def _brightest_in_caps(directions: Float, radius_rad: float, centers: Float, per
     nearest, _ = tree.query(centers, distance_upper_bound=chord)
     centers = centers[np.isfinite(nearest)]
     table = np.full((len(centers), per_cap), n, dtype=np.intp)
-    for row, inside in enumerate(tree.query_ball_point(centers, chord, return_sorted=True)):
-        chosen = inside[:per_cap]
-        table[row, : len(chosen)] = chosen
+    for row, inside in zip(table, tree.query_ball_point(centers, chord, return_sorted=True), strict=True):
+        row[: len(inside)] = inside[:per_cap]
     return table
 
 

@@ -107,7 +107,7 @@ def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
     middle_x, middle_y = camera.center_px
     for half in (x < middle_x, x >= middle_x, y < middle_y, y >= middle_y):
         yield _Attempt(half, edge_error=_HALF_EDGE_ERROR)
-    yield _Attempt(everything & (np.arange(len(points_px)) < _BRIGHTEST))
+    yield _Attempt(np.arange(len(points_px)) < _BRIGHTEST)
     yield _Attempt(everything, pattern_stars=_MANY_PATTERN_STARS)
 
 
@@ -129,20 +129,13 @@ def _undistorted_px(points_px: Float, camera: Camera, fov_deg: float) -> Float:
     plane = vectors[:, :2] / depth
     half = math.tan(math.radians(fov_deg) / 2.0) * max(1.0, camera.rows / camera.columns)
     inside = np.abs(plane).max(axis=1) <= _MARGIN * half
-    result: Float = np.where(inside[:, None], plane * camera.model.focal_length_px, np.nan)
-    return result
+    return np.where(inside[:, None], plane * camera.model.focal_length_px, np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class _Density:
-    """Settings of a database; narrow fields need more stars of the sky, so fewer patterns of each."""
-
-    lattice_field_oversampling: int
-    patterns_per_lattice_field: int
-    verification_stars_per_fov: int
-
-
-_DENSITIES = ((8.0, _Density(100, 50, 150)), (3.0, _Density(25, 25, 50)), (0.0, _Density(10, 20, 30)))
+_DENSITIES = ((8.0, 100, 50, 150), (3.0, 25, 25, 50), (0.0, 10, 20, 30))
+"""Rows of the least field of view, degrees, and three settings of a database: the oversampling of the fields that cover
+the sky, the patterns of each and the stars of a field for verification. Narrow fields need more stars of the sky, so
+fewer patterns of each."""
 
 
 def pattern_database(fov_deg: float) -> tetra3rs.SolverDatabase:
@@ -169,13 +162,13 @@ def _database(step: int) -> tetra3rs.SolverDatabase:
             return tetra3rs.SolverDatabase.load_from_file(str(path))
         except (OSError, ValueError, RuntimeError):
             pass  # damaged: made again and replaced
-    density = next(density for limit, density in _DENSITIES if fov_deg >= limit)
+    _, oversampling, patterns, verification_stars = next(row for row in _DENSITIES if fov_deg >= row[0])
     database = tetra3rs.SolverDatabase.generate_from_gaia(
         max_fov_deg=fov_deg * math.sqrt(_STEP),
         min_fov_deg=fov_deg / math.sqrt(_STEP),
-        lattice_field_oversampling=density.lattice_field_oversampling,
-        patterns_per_lattice_field=density.patterns_per_lattice_field,
-        verification_stars_per_fov=density.verification_stars_per_fov,
+        lattice_field_oversampling=oversampling,
+        patterns_per_lattice_field=patterns,
+        verification_stars_per_fov=verification_stars,
         epoch_proper_motion_year=None,  # what that catalog calls proper motion is none: see catalogs.default
     )
     write_to_cache(name, lambda target: database.save_to_file(str(target)))

@@ -187,8 +187,7 @@ def _relative(
         if rates is not None:
             return rates.turn(star.et, et)
         if apriori is not None and star.apriori is not None:
-            result: Rotation = apriori * star.apriori.inv()
-            return result
+            return apriori * star.apriori.inv()
     return Rotation.identity()
 
 
@@ -239,8 +238,7 @@ def _left_jacobian(rotvec: Float) -> Float:
         second, third = 1 / 2, 1 / 6
     else:
         second, third = (1 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
-    result: Float = np.eye(3) + second * cross + third * (cross @ cross)
-    return result
+    return np.eye(3) + second * cross + third * (cross @ cross)
 
 
 def _disagreement(

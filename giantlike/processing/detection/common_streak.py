@@ -155,8 +155,7 @@ def _mostly_long(frame: Frame, peaks_px: NDArray[np.int64]) -> bool:
 def _level_dn(patches: Patches) -> Float:
     """Median (n,) of the valid pixels of each patch."""
     values = np.where(patches.valid, patches.values_dn, np.nan).reshape(len(patches.valid), -1)
-    result: Float = np.nanmedian(values, axis=1)
-    return result
+    return np.nanmedian(values, axis=1)
 
 
 def _from_moments(patches: Patches) -> Lines:

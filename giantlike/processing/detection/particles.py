@@ -122,5 +122,4 @@ def _star_light(light: Float, share: Float, used: Mask, floor: Float, gain_e_per
             / np.maximum(np.sum(weight * share, axis=1, keepdims=True), 1e-300),
             0.0,
         )
-    result: Float = flux * share
-    return result
+    return flux * share

@@ -89,8 +89,7 @@ class LineFits(Value):
     @property
     def lengths_px(self) -> Float:
         """Distance (n,) between the ends, px."""
-        result: Float = 2.0 * np.hypot(self.halves_px[:, 0], self.halves_px[:, 1])
-        return result
+        return 2.0 * np.hypot(self.halves_px[:, 0], self.halves_px[:, 1])
 
     @property
     def ends_px(self) -> Float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,49 +52,20 @@ class ConicFit(Value):
 
     @property
     def ellipse_covariance(self) -> Float:
-        """Covariance (5, 5) of :attr:`ellipse`; for a circle the angle is undetermined."""
-        return self.propagated(ellipse_of)
+        """Covariance (5, 5) of :attr:`ellipse` to first order; for a circle the angle is undetermined.
 
-    @property
-    def mean_radius(self) -> float:
-        """Radius of the circle of the same area."""
-        return float(math.sqrt(self.ellipse[2] * self.ellipse[3]))
-
-    @property
-    def sigma_mean_radius(self) -> float:
-        """Standard deviation of :attr:`mean_radius`."""
-
-        def radius(coefficients: Float) -> Float:
-            axes = ellipse_of(coefficients)[2:4]
-            return np.array([math.sqrt(axes[0] * axes[1])])
-
-        return float(math.sqrt(self.propagated(radius)[0, 0]))
-
-    def propagated(self, function: Callable[[Float], Float]) -> Float:
-        """Covariance of a function of the coefficients, to first order.
-
-        Steps are along the axes of their covariance, because the coefficients of an ellipse far from the origin differ
-        by orders of magnitude.
-
-        Parameters
-        ----------
-        function : callable
-            Of the coefficients (6,), returns (k,).
-
-        Returns
-        -------
-        (k, k) float64
+        Differences are along the axes of the covariance of the coefficients, because the coefficients of an ellipse far
+        from the origin differ by orders of magnitude.
         """
         values, vectors = np.linalg.eigh(self.covariance)
         sides = []
         for value, vector in zip(values, vectors.T, strict=True):
-            step = math.sqrt(max(float(value), 0.0)) * _STEP
-            if step > 0.0:
-                more, less = function(self.coefficients + step * vector), function(self.coefficients - step * vector)
-                sides.append(_unwound(more, less) / (2.0 * _STEP))
+            step = math.sqrt(max(float(value), 0.0)) * _STEP * vector
+            change = ellipse_of(self.coefficients + step) - ellipse_of(self.coefficients - step)
+            change[4] = (change[4] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+            sides.append(change / (2.0 * _STEP))
         spread = np.array(sides)
-        result: Float = spread.T @ spread
-        return result
+        return spread.T @ spread
 
 
 def fit_ellipse(
@@ -174,8 +144,7 @@ def conic_matrix(coefficients: Float) -> Float:
 def ellipse_center(coefficients: Float) -> Float:
     """Center (2,) of a conic A to F (6,)."""
     a, b, c, d, e, _ = coefficients
-    result: Float = -np.linalg.solve(np.array([[a, b], [b, c]]), np.array([d, e]))
-    return result
+    return -np.linalg.solve(np.array([[a, b], [b, c]]), np.array([d, e]))
 
 
 def ellipse_of(coefficients: Float) -> Float:
@@ -189,14 +158,6 @@ def ellipse_of(coefficients: Float) -> Float:
     return np.array([*center, major, minor, math.atan2(axis[1], axis[0]) % math.pi])
 
 
-def _unwound(more: Float, less: Float) -> Float:
-    """Difference of two function values whose fifth element, if any, is an angle modulo pi."""
-    difference: Float = more - less
-    if difference.size == 5:
-        difference[4] = (difference[4] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-    return difference
-
-
 def _monomials(points: Float) -> tuple[Float, Float]:
     """``xi`` (n, 6) and its covariance for unit noise (n, 6, 6)."""
     x, y = points.T
@@ -208,8 +169,7 @@ def _monomials(points: Float) -> tuple[Float, Float]:
 
 
 def _value(points: Float, theta: Float) -> Float:
-    result: Float = _monomials(points)[0] @ theta
-    return result
+    return _monomials(points)[0] @ theta
 
 
 def _hyper(points: Float, sigma: Float) -> Float:
@@ -234,8 +194,7 @@ def _hyper(points: Float, sigma: Float) -> Float:
         theta = theta / np.linalg.norm(theta)
         weights = 1.0 / (variance * np.einsum("i,nij,j->n", theta, spread, theta))
         weights = weights / weights.mean()
-    result: Float = theta
-    return result
+    return theta
 
 
 def _statistics(
@@ -284,15 +243,7 @@ def _unscaled(
 
 def _moved(middle: Float, scale: float) -> Float:
     """Matrix (6, 6) from coefficients in ``(point - middle) / scale`` to those in the point itself."""
-    x, y = middle
-    s = 1.0 / scale
-    return np.array(
-        [
-            [s * s, 0, 0, 0, 0, 0],
-            [0, s * s, 0, 0, 0, 0],
-            [0, 0, s * s, 0, 0, 0],
-            [-s * s * x, -s * s * y, 0, s, 0, 0],
-            [0, -s * s * x, -s * s * y, 0, s, 0],
-            [s * s * x * x, 2 * s * s * x * y, s * s * y * y, -2 * s * x, -2 * s * y, 1],
-        ]
-    )
+    x, y = middle / scale
+    to_local = np.array([[1.0 / scale, 0.0, -x], [0.0, 1.0 / scale, -y], [0.0, 0.0, 1.0]])
+    matrices: Float = to_local.T @ np.array([conic_matrix(one) for one in np.eye(6)]) @ to_local
+    return matrices[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]].T

@@ -26,7 +26,6 @@ _CONDITION_LIMIT = 1e14  # of a scaled matrix, above which the pose is undetermi
 _ROUNDS = 5  # of selecting the points that agree and fitting them
 _PRIOR_SIGMAS = 3.0  # of the a priori attitude, by which the inlier limit of samples is widened
 _OUTLIER_SIGMAS = 5.0  # of the scatter of the other points; a good point exceeds it once in 270,000
-_CHI2_MEDIAN = 2.0 * math.log(2.0)  # median of chi-square with two degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,6 +173,15 @@ class _Problem(Value):
         """Pixels (m, n, 2) of all points under poses (m, 3, 3), (m, 3)."""
         return self.model.project(self.points @ np.swapaxes(rotations, -1, -2) + positions[:, None])
 
+    def residuals(self, rotation: Rotation, position: Float) -> Float:
+        """Observed less projected pixels (n, 2) of a pose."""
+        return np.asarray(self.pixels - self.projected(rotation.as_matrix()[None], position[None])[0])
+
+    @property
+    def n_free(self) -> int:
+        """Number of unknowns: the position alone if the attitude is exact."""
+        return 3 if self.options.attitude_sigma_rad == 0.0 else 6
+
     @property
     def weighs_attitude(self) -> bool:
         """True if the attitude is estimated with an a priori sigma."""
@@ -201,7 +209,9 @@ def _ransac(problem: _Problem) -> tuple[Rotation, Float, Mask] | Failure:
     distances = np.linalg.norm(problem.projected(rotations, positions) - problem.pixels, axis=-1)
     limit = np.full(count, options.inlier_px)
     if problem.weighs_attitude:  # samples use the a priori attitude as if exact
-        limit = limit + _PRIOR_SIGMAS * options.attitude_sigma_rad * _levers_px(problem, positions)
+        range_km = float(np.median(np.linalg.norm(positions, axis=1)))
+        levers_px = np.linalg.norm(problem.points, axis=1) / range_km * problem.model.focal_length_px
+        limit = limit + _PRIOR_SIGMAS * options.attitude_sigma_rad * levers_px
     cost = np.where(distances < limit, (distances / limit) ** 2, 1.0).sum(axis=1)
     best = int(np.argmin(cost))
     agree: Mask = distances[best] < limit
@@ -209,13 +219,6 @@ def _ransac(problem: _Problem) -> tuple[Rotation, Float, Mask] | Failure:
         detail = f"{int(agree.sum())} of {count} points agree to {options.inlier_px:g} px, needed {options.min_inliers}"
         return Failure(Reason.TOO_FEW_MATCHES, detail)
     return Rotation.from_matrix(rotations[best]), positions[best], agree
-
-
-def _levers_px(problem: _Problem, positions: Float) -> Float:
-    """Largest shift (n,), px/rad, of the points by a rotation of the body."""
-    range_km = float(np.median(np.linalg.norm(positions, axis=1)))
-    result: Float = np.linalg.norm(problem.points, axis=1) / range_km * problem.model.focal_length_px
-    return result
 
 
 def _positions(rays: Float, turned: Float) -> Float:
@@ -240,38 +243,31 @@ def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask
         if isinstance(fit, Failure):
             return fit
         rotation, position, iterations = fit
-        left = problem.pixels - problem.projected(rotation.as_matrix()[None], position[None])[0]
+        left = problem.residuals(rotation, position)
         before, agree = agree, _agreeing(left, problem.spread, agree, options.inlier_px)
         if int(agree.sum()) < options.min_inliers:
             detail = f"{int(agree.sum())} points agree to {options.inlier_px:g} px, needed {options.min_inliers}"
             return Failure(Reason.TOO_FEW_MATCHES, detail)
-        freedom = 2 * int(agree.sum()) - _free_parameters(problem)
-        was, floor2 = floor2, _floor2(left[agree], problem.spread[agree], freedom)
+        freedom = 2 * int(agree.sum()) - problem.n_free
+        was, floor2 = floor2, 0.0
+        if freedom > 0:
+            floor2 = error_floor(left[agree], problem.spread[agree], freedom=freedom) ** 2
         if np.array_equal(before, agree) and abs(floor2 - was) <= 1e-3 * (was + 1e-12):
             break
-    design = _design(problem, rotation, position)[agree]
-    information = _information(problem, design, agree, floor2)
-    scaled, scale = _scaled(information)
+    scaled, scale = _scaled(_normal_equations(problem, rotation, position, agree, floor2)[0])
     covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
     if freedom > 2:
         share = floor2 / (floor2 + 0.5 * float(np.mean(np.trace(problem.spread[agree], axis1=1, axis2=2))))
         covariance = covariance * (1.0 + 2.0 * share / (freedom - 2.0))
-    whole = np.zeros((6, 6))
-    size = len(covariance)
-    whole[:size, :size] = covariance
     return PnpFix(
         position_camera_km=position,
         camera_from_body=rotation,
-        covariance=whole,
+        covariance=np.pad(covariance, (0, 6 - problem.n_free)),
         inliers=agree,
         residuals_px=left,
         floor_px=math.sqrt(floor2),
         iterations=iterations,
     )
-
-
-def _free_parameters(problem: _Problem) -> int:
-    return 3 if problem.options.attitude_sigma_rad == 0.0 else 6
 
 
 def _gauss_newton(
@@ -280,25 +276,18 @@ def _gauss_newton(
     """Best pose for some of the points, and the number of steps."""
     options = problem.options
     for step in range(1, options.max_iterations + 1):
-        design = _design(problem, rotation, position)[used]
-        left = (problem.pixels - problem.projected(rotation.as_matrix()[None], position[None])[0])[used]
-        if not (np.isfinite(design).all() and np.isfinite(left).all()):
+        information, gradient = _normal_equations(problem, rotation, position, used, floor2)
+        if not (np.isfinite(information).all() and np.isfinite(gradient).all()):
             return Failure(
                 Reason.NOT_CONVERGED, "the fit of the pose left the region that the camera model can project"
             )
-        information = _information(problem, design, used, floor2)
         scaled, scale = _scaled(information)
         if not np.linalg.cond(scaled) < _CONDITION_LIMIT:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY,
                 f"{int(used.sum())} points do not determine the pose: do they lie on one line?",
             )
-        weights = _weights(problem, used, floor2)
-        right = np.einsum("nki,nkl,nl->i", design, weights, left)
-        if problem.weighs_attitude:
-            turned = (rotation * problem.known.inv()).as_rotvec()
-            right[3:] -= turned / options.attitude_sigma_rad**2
-        change = scale * np.linalg.solve(scaled, scale * right)
+        change = scale * np.linalg.solve(scaled, scale * gradient)
         position = position + change[:3]
         if len(change) == 6:
             rotation = Rotation.from_rotvec(change[3:]) * rotation
@@ -307,24 +296,21 @@ def _gauss_newton(
     return Failure(Reason.NOT_CONVERGED, f"the pose did not converge in {options.max_iterations} steps")
 
 
-def _design(problem: _Problem, rotation: Rotation, position: Float) -> Float:
-    """Derivatives (n, 2, k) of the pixels by position and, unless it is fixed, rotation about the camera axes."""
-    turned = rotate(rotation, problem.points)
-    by_position = problem.model.project_jacobian(turned + position)
-    if _free_parameters(problem) == 3:
-        return by_position
-    return np.concatenate([by_position, -by_position @ skew(turned)], axis=-1)
-
-
-def _weights(problem: _Problem, used: Mask, floor2: float) -> Float:
-    return np.asarray(np.linalg.inv(problem.spread[used] + floor2 * np.eye(2)), dtype=np.float64)
-
-
-def _information(problem: _Problem, design: Float, used: Mask, floor2: float) -> Float:
-    result: Float = np.einsum("nki,nkl,nlj->ij", design, _weights(problem, used, floor2), design)
+def _normal_equations(
+    problem: _Problem, rotation: Rotation, position: Float, used: Mask, floor2: float
+) -> tuple[Float, Float]:
+    """Information matrix (k, k) and gradient (k,) of position and, unless exact, rotation about camera axes."""
+    turned = rotate(rotation, problem.points[used])
+    design = problem.model.project_jacobian(turned + position)
+    if problem.n_free == 6:
+        design = np.concatenate([design, -design @ skew(turned)], axis=-1)
+    weights = np.linalg.inv(problem.spread[used] + floor2 * np.eye(2))
+    information: Float = np.einsum("nki,nkl,nlj->ij", design, weights, design)
+    gradient: Float = np.einsum("nki,nkl,nl->i", design, weights, problem.residuals(rotation, position)[used])
     if problem.weighs_attitude:
-        result[3:, 3:] += np.eye(3) / problem.options.attitude_sigma_rad**2
-    return result
+        information[3:, 3:] += np.eye(3) / problem.options.attitude_sigma_rad**2
+        gradient[3:] -= (rotation * problem.known.inv()).as_rotvec() / problem.options.attitude_sigma_rad**2
+    return information, gradient
 
 
 def _scaled(information: Float) -> tuple[Float, Float]:
@@ -333,17 +319,10 @@ def _scaled(information: Float) -> tuple[Float, Float]:
     return information * np.outer(scale, scale), scale
 
 
-def _floor2(residuals: Float, spread: Float, freedom: int) -> float:
-    """Variance per axis, px^2, that brings the sum of squares of residuals (n, 2) to its degrees of freedom."""
-    if freedom <= 0:
-        return 0.0
-    return error_floor(residuals, spread, lambda squares: float(squares.sum()) / freedom) ** 2
-
-
 def _agreeing(residuals: Float, spread: Float, before: Mask, inlier_px: float) -> Mask:
     """Mask (n,) of points near enough, and no further off than the scatter of those before explains."""
     near = np.linalg.norm(residuals, axis=1) < inlier_px
-    floor = error_floor(residuals[before], spread[before], lambda squares: float(np.median(squares)) / _CHI2_MEDIAN)
+    floor = error_floor(residuals[before], spread[before])
     scatter = spread + min(floor, inlier_px) ** 2 * np.eye(2)
     agree: Mask = near & (squared_residuals(residuals, scatter) < _OUTLIER_SIGMAS**2)
     return agree

@@ -115,27 +115,28 @@ def attitude_information(vectors_camera: Float, weights: Float) -> Float:
     return result
 
 
-def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weights: Float) -> Float:
-    """Solve m independent Wahba problems of n directions each by the q-method.
+def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weights: ArrayLike = 1.0) -> Float:
+    """Solve independent Wahba problems of n directions each by the q-method.
 
     Parameters
     ----------
-    vectors_inertial, vectors_camera : (m, n, 3) float64, unitless
-    weights : (m, n) float64
+    vectors_inertial, vectors_camera : (..., n, 3) float64, unitless
+    weights : (..., n) array_like, optional
+        Default: all directions count the same.
 
     Returns
     -------
-    (m, 4) float64
+    (..., 4) float64
         Quaternions camera_from_inertial, scalar last.
     """
-    profile = np.einsum("mi,mij,mik->mjk", weights, vectors_camera, vectors_inertial)  # sum of w b a^T
-    quaternions: Float = np.linalg.eigh(_davenport(profile))[1][:, :, -1]
-    return quaternions
+    weighted = np.asarray(weights)[..., None] * vectors_camera
+    profile = np.swapaxes(weighted, -1, -2) @ vectors_inertial  # sum of w b a^T
+    return np.linalg.eigh(_davenport(profile))[1][..., -1]
 
 
 def _rotation(a: Float, b: Float, weights: Float, method: WahbaMethod) -> Rotation:
     if method is WahbaMethod.Q_METHOD:
-        return Rotation.from_quat(davenport_quaternions(a[None], b[None], weights[None])[0])
+        return Rotation.from_quat(davenport_quaternions(a, b, weights))
     profile = np.einsum("i,ij,ik->jk", weights / weights.sum(), b, a)
     if method is WahbaMethod.SVD:
         left, _, right = np.linalg.svd(profile)
@@ -155,7 +156,7 @@ def _esoq2(profile: Float) -> Rotation:
     flips = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
     flip = flips[np.argmin(flips @ np.diag(profile))]
     turned = profile * flip
-    davenport = _davenport(turned[None])[0]
+    davenport = _davenport(turned)
     largest = _largest_eigenvalue(davenport)
     trace, z = davenport[3, 3], davenport[:3, 3]
     matrix = (largest - trace) * ((largest + trace) * np.eye(3) - turned - turned.T) - np.outer(z, z)
@@ -163,8 +164,7 @@ def _esoq2(profile: Float) -> Rotation:
     axis = crosses[np.argmax(np.linalg.norm(crosses, axis=1))]
     axis = axis / np.linalg.norm(axis)
     found = Rotation.from_quat([*((largest - trace) * axis), z @ axis])
-    result: Rotation = found * Rotation.from_matrix(np.diag(flip))
-    return result
+    return found * Rotation.from_matrix(np.diag(flip))
 
 
 def _largest_eigenvalue(davenport: Float) -> float:
@@ -188,17 +188,10 @@ def _largest_eigenvalue(davenport: Float) -> float:
 
 def _davenport(profile: Float) -> Float:
     """Matrices K (m, 4, 4) of profile matrices B (m, 3, 3), for quaternions with the scalar last."""
-    trace = np.trace(profile, axis1=1, axis2=2)
-    axis = np.stack(
-        [
-            profile[:, 2, 1] - profile[:, 1, 2],
-            profile[:, 0, 2] - profile[:, 2, 0],
-            profile[:, 1, 0] - profile[:, 0, 1],
-        ],
-        axis=-1,
-    )
-    davenport = np.empty((len(profile), 4, 4))
-    davenport[:, :3, :3] = profile + np.swapaxes(profile, 1, 2) - trace[:, None, None] * np.eye(3)
-    davenport[:, :3, 3] = davenport[:, 3, :3] = axis
-    davenport[:, 3, 3] = trace
+    trace = np.trace(profile, axis1=-2, axis2=-1)
+    twist = profile[..., [2, 0, 1], [1, 2, 0]] - profile[..., [1, 2, 0], [2, 0, 1]]
+    davenport = np.empty((*trace.shape, 4, 4))
+    davenport[..., :3, :3] = profile + np.swapaxes(profile, -1, -2) - trace[..., None, None] * np.eye(3)
+    davenport[..., :3, 3] = davenport[..., 3, :3] = twist
+    davenport[..., 3, 3] = trace
     return davenport
