@@ -102,27 +102,33 @@ def search_limb(
 def find_limb(
     view: LimbView,
     limb: PredictedLimb,
-    center_px: Float,
+    position_camera_km: Float,
     *,
     search_px: float,
     search_range: float,
     min_contrast: float,
-) -> CoarseLimb | Failure:
-    """Find a whole outline, or tell that there is none.
+) -> tuple[Float, CoarseLimb] | Failure:
+    """Find a whole outline and the position of its body, or tell that there is none.
 
     Parameters
     ----------
-    view, limb, center_px, search_px, search_range
+    view : LimbView
+    limb : PredictedLimb
+        At the predicted position.
+    position_camera_km : (3,) float64, km, camera axes
+        That position.
+    search_px, search_range
         As of :func:`search_limb`.
     min_contrast : float
         Contrast across the outline below which there is none.
 
     Returns
     -------
-    CoarseLimb or Failure
+    (position_camera_km, CoarseLimb) or Failure
         ``NO_LIMB`` where the contrast across the best outline is too small; ``OUT_OF_FRAME`` where the camera model
         images nothing there.
     """
+    center_px = view.model.project(position_camera_km)
     found = search_limb(view, limb, center_px, search_px=search_px, search_range=search_range)
     if found.contrast < min_contrast:
         return Failure(
@@ -132,9 +138,11 @@ def find_limb(
             f"{float(view.pixels_dn[view.usable].max()):.4g} DN over bias, noise in the dark is "
             f"{view.dark_noise_dn:.3g} DN",
         )
-    if not np.isfinite(view.model.unproject(center_px + found.shift_px)).all():
+    range_km = float(np.linalg.norm(position_camera_km)) / found.scale
+    position_km: Float = range_km * view.model.unproject(center_px + found.shift_px)
+    if not np.isfinite(position_km).all():
         return Failure(Reason.OUT_OF_FRAME, "the limb was found where the camera model images nothing")
-    return found
+    return position_km, found
 
 
 def _around_outline(view: LimbView, outline_px: Float, search_px: float) -> tuple[Float, Float, Mask]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
@@ -33,6 +33,7 @@ from giantlike.relative.limb.fix import (
     IteratedSearch,
     LimbState,
     LimbStep,
+    ScanOptions,
     agreeing_step,
     settle_limb,
 )
@@ -67,7 +68,7 @@ _MAX_UNEXPLAINED, _MAX_UNEXPLAINED_FIRST = 0.12, 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HorizonScan:
+class HorizonScan(ScanOptions):
     """Options of the cells along the horizon of an ellipsoid.
 
     Parameters
@@ -89,24 +90,17 @@ class HorizonScan:
         Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out.
     """
 
-    edges: EdgeModel = EdgeModel.TEMPLATE
-    window_px: float = 5.0
     cell_px: float = 7.0
     min_cells: int = 8
-    min_contrast: float = 0.35
     psf_error: float = 0.05
     rings_km: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        known = [str(kind) for kind in EdgeModel]
-        require(self.edges in known, f"edges must be one of {', '.join(known)}, got {self.edges!r}")
-        object.__setattr__(self, "edges", EdgeModel(self.edges))
-        for name in ("window_px", "cell_px"):
-            value = getattr(self, name)
-            require(math.isfinite(value) and 2.0 <= value <= 50.0, f"{name} must be in [2, 50], got {value}")
-        require(self.min_cells >= 6, f"min_cells must be >= 6, got {self.min_cells}")
-        require(0.0 < self.min_contrast < 1.0, f"min_contrast must be in (0, 1), got {self.min_contrast}")
-        require(0.0 < self.psf_error <= 1.0, f"psf_error must be in (0, 1], got {self.psf_error}")
+        ScanOptions.__post_init__(self)
+        require_number(self.window_px, "window_px", least=2.0)
+        require_number(self.cell_px, "cell_px", least=2.0, most=50.0)
+        require_number(self.min_cells, "min_cells", least=6)
+        require_number(self.psf_error, "psf_error", above=0.0, most=1.0)
         if self.rings_km is not None:
             require(len(self.rings_km) == 2, f"rings_km must be an inner and an outer radius, got {self.rings_km}")
             object.__setattr__(self, "rings_km", tuple(float(radius) for radius in self.rings_km))
@@ -218,7 +212,7 @@ def measure_by_cells(
     lit = scan.lit(position_camera_km, reach_px=search.search_px)
     if isinstance(lit, Failure):
         return lit
-    model, (arc, light, _) = view.model, lit
+    arc, light, _ = lit
     some = np.unique(np.linspace(0, light.size - 1, _COARSE_POINTS).round().astype(np.int64))
     limb = PredictedLimb(
         points_px=arc.points_px[some],
@@ -226,20 +220,17 @@ def measure_by_cells(
         normals_px=arc.normals_px[some],
         brightness=light[some],
     )
-    center_px = model.project(position_camera_km)
     found = find_limb(
         view,
         limb,
-        center_px,
+        position_camera_km,
         search_px=search.search_px,
         search_range=search.search_range,
         min_contrast=options.min_contrast,
     )
     if isinstance(found, Failure):
         return found
-    range_km = float(np.linalg.norm(position_camera_km)) / found.scale
-    position = range_km * model.unproject(center_px + found.shift_px)
-    start = LimbState(position_camera_km=position, psf_px2=scan.nominal_psf_px2)
+    start = LimbState(position_camera_km=found[0], psf_px2=scan.nominal_psf_px2)
     closest_km = float(figure.radii_km.max())
     return settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
 

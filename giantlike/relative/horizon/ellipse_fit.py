@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel, ifov_rad
-from giantlike.core.arrays import Float, Mask, require, unit
+from giantlike.core.arrays import Float, Mask, require, require_number, unit
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.core.statistics import robust_sigma
@@ -86,9 +86,7 @@ class EllipseFitOptions(LimbSearch):
 
     def __post_init__(self) -> None:
         LimbSearch.__post_init__(self)
-        require(
-            math.isfinite(self.max_relief) and self.max_relief > 0, f"max_relief must be > 0, got {self.max_relief}"
-        )
+        require_number(self.max_relief, "max_relief", above=0.0)
         require(
             8 <= self.min_edges <= self.max_edges <= 1000,
             f"edges must be 8 <= min_edges <= max_edges <= 1000, got {self.min_edges} and {self.max_edges}",
@@ -308,7 +306,8 @@ def fit_limb_ellipse(
         return solved
     position_km, covariance_km2 = solved
     _, design, normals = horizon_residuals(observed_px[used], model, stand_in.figure, position_km)
-    by_ellipse = np.concatenate([design, _free_shape(normals)], axis=1)
+    x, y = normals.T
+    by_ellipse = np.column_stack([design, x * x - y * y, 2.0 * x * y])  # the flattening along two directions is free
     systematic = _smooth_covariances(measured, used, by_ellipse)
     return replace(measured, keep=kept), LimbSolution(
         position_camera_km=position_km - stand_in.offset_camera_km,
@@ -442,9 +441,3 @@ def _position(fit: ConicFit, plane: _Plane, figure: Figure) -> tuple[Float, Floa
         return Failure(Reason.DEGENERATE_GEOMETRY, "the ellipse is not the horizon of the body: too short an arc")
     spread = np.array(moves)
     return position, spread.T @ spread
-
-
-def _free_shape(normals: Float) -> Float:
-    """The two ways (n, 2) in which the outline is free besides center and size: flattening along two directions."""
-    x, y = normals.T
-    return np.stack([x * x - y * y, 2 * x * y], axis=-1)

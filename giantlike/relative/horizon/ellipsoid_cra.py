@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, require, require_number
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.core.values import Value
@@ -68,9 +67,7 @@ class EllipsoidCRAOptions(HorizonSearch):
         HorizonSearch.__post_init__(self)
         require(self.method in list(CraMethod), f"method must be one of {', '.join(CraMethod)}, got {self.method!r}")
         object.__setattr__(self, "method", CraMethod(self.method))
-        require(
-            math.isfinite(self.max_relief) and self.max_relief > 0, f"max_relief must be > 0, got {self.max_relief}"
-        )
+        require_number(self.max_relief, "max_relief", above=0.0)
 
 
 class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import correlated_solution, solution_gain
@@ -115,11 +115,8 @@ class Altitude:
     sigma_km: float = 0.0
 
     def __post_init__(self) -> None:
-        require(bool(np.isfinite(self.altitude_km)), f"limb_altitude_km must be finite, got {self.altitude_km}")
-        require(
-            bool(np.isfinite(self.sigma_km)) and self.sigma_km >= 0.0,
-            f"altitude_sigma_km must be >= 0, got {self.sigma_km}",
-        )
+        require_number(self.altitude_km, "limb_altitude_km")
+        require_number(self.sigma_km, "altitude_sigma_km", least=0.0)
 
     def above(self, figure: Figure) -> Figure:
         """Return the ellipsoid that is seen in place of a body."""

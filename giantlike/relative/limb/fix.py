@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
@@ -46,6 +46,30 @@ class EdgeModel(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ScanOptions:
+    """Options of all ways to measure the points of a limb.
+
+    Parameters
+    ----------
+    edges : EdgeModel
+    window_px : float, px
+        How far to both sides of the limb pixels are used.
+    min_contrast : float
+        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    """
+
+    edges: EdgeModel = EdgeModel.TEMPLATE
+    window_px: float = 5.0
+    min_contrast: float = 0.35
+
+    def __post_init__(self) -> None:
+        require(self.edges in list(EdgeModel), f"edges must be one of {', '.join(EdgeModel)}, got {self.edges!r}")
+        object.__setattr__(self, "edges", EdgeModel(self.edges))
+        require_number(self.window_px, "window_px", above=0.0, most=50.0)
+        require_number(self.min_contrast, "min_contrast", above=0.0, most=1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LimbSearch:
     """Options of all estimators on limbs: how far limbs are searched and which points and fixes are believed.
 
@@ -67,11 +91,10 @@ class LimbSearch:
     large_rms_px: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("search_px", "outlier_mad", "large_rms_px"):
-            value = getattr(self, name)
-            require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
-        require(self.search_px <= 500, f"search_px must be <= 500, got {self.search_px}")
-        require(0.0 <= self.search_range <= 0.3, f"search_range must be in [0, 0.3], got {self.search_range}")
+        require_number(self.search_px, "search_px", above=0.0, most=500.0)
+        require_number(self.search_range, "search_range", least=0.0, most=0.3)
+        require_number(self.outlier_mad, "outlier_mad", above=0.0)
+        require_number(self.large_rms_px, "large_rms_px", above=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,9 +117,8 @@ class IteratedSearch(LimbSearch):
 
     def __post_init__(self) -> None:
         LimbSearch.__post_init__(self)
-        for name in ("tolerance_px", "max_rms_px"):
-            value = getattr(self, name)
-            require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
+        require_number(self.tolerance_px, "tolerance_px", above=0.0)
+        require_number(self.max_rms_px, "max_rms_px", above=0.0)
         whole = isinstance(self.max_iterations, int) and 1 <= self.max_iterations <= 50
         require(whole, f"max_iterations must be a whole number in [1, 50], got {self.max_iterations}")
 
@@ -229,7 +251,12 @@ def settle_limb(
         moved_px = share * float(np.max(np.abs(measured.design[step.keep] @ step.position_km)))
         _LOG.debug("limb moved by %.3g px in iteration %d", moved_px, state.iteration + 1)
         if scan.settled(measured, step, moved_px, state):
-            return _agreed(scan.finish(measured, step), min_points)
+            if step.keep.sum() >= min_points:
+                return scan.finish(measured, step)
+            text = (
+                f"only {step.keep.sum()} of {step.keep.size} limb points agree with one position, needed {min_points}"
+            )
+            return Failure(Reason.LARGE_RESIDUALS, text)
         state = LimbState(
             position_camera_km=state.position_camera_km + share * step.position_km,
             psf_px2=max(state.psf_px2 + share * step.psf_px2, LEAST_PSF_PX2) if step.psf_px2 else state.psf_px2,
@@ -384,16 +411,6 @@ def limb_fix(
         position_camera_km=position_km,
         covariance_camera_km2=covariance_km2,
         limb_px=solution.limb_px,
-    )
-
-
-def _agreed(measured: LimbMeasurement, min_points: int) -> LimbMeasurement | Failure:
-    """The measurement, or a failure where too few of its points agree."""
-    if measured.n_used >= min_points:
-        return measured
-    return Failure(
-        Reason.LARGE_RESIDUALS,
-        f"only {measured.n_used} of {measured.keep.size} limb points agree with one position, needed {min_points}",
     )
 
 

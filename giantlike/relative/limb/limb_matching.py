@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from giantlike.core.arrays import require
+from giantlike.core.arrays import require_number
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.processing.correlated_fit import correlated_solution
 from giantlike.processing.limb.measurement import LimbMeasurement
@@ -49,7 +49,7 @@ class LimbMatchingOptions(IteratedSearch):
 
     def __post_init__(self) -> None:
         IteratedSearch.__post_init__(self)
-        require(self.min_diameter_px >= 0.0, f"min_diameter_px must be >= 0, got {self.min_diameter_px}")
+        require_number(self.min_diameter_px, "min_diameter_px", least=0.0)
 
 
 class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
@@ -42,6 +42,7 @@ from giantlike.relative.limb.fix import (
     IteratedSearch,
     LimbState,
     LimbStep,
+    ScanOptions,
     agreeing_step,
     next_motion_px,
     settle_limb,
@@ -71,7 +72,7 @@ _FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LimbScanOptions:
+class LimbScanOptions(ScanOptions):
     """Options of the lines across a limb.
 
     Parameters
@@ -95,33 +96,21 @@ class LimbScanOptions:
         Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
     """
 
-    edges: EdgeModel = EdgeModel.TEMPLATE
     spacing_px: float = 1.5
     max_lines: int = 400
     min_lines: int = 12
-    window_px: float = 5.0
     local_search_px: float = 4.0
     step_px: float = 0.5
     rays_per_pixel_side: int = 5
-    min_contrast: float = 0.35
 
     def __post_init__(self) -> None:
-        known = [str(kind) for kind in EdgeModel]
-        require(self.edges in known, f"edges must be one of {', '.join(known)}, got {self.edges!r}")
-        object.__setattr__(self, "edges", EdgeModel(self.edges))
-        for name in ("spacing_px", "window_px", "local_search_px", "step_px"):
-            value = getattr(self, name)
-            require(math.isfinite(value) and value > 0, f"{name} must be > 0, got {value}")
-        require(self.step_px <= 1.0, f"step_px must be <= 1, got {self.step_px}")
-        require(self.min_lines >= 6, f"min_lines must be >= 6, got {self.min_lines}")
-        require(
-            self.min_lines <= self.max_lines <= 1000, f"max_lines must be in [min_lines, 1000], got {self.max_lines}"
-        )
-        require(
-            1 <= self.rays_per_pixel_side <= 16,
-            f"rays_per_pixel_side must be in [1, 16], got {self.rays_per_pixel_side}",
-        )
-        require(0.0 < self.min_contrast < 1.0, f"min_contrast must be in (0, 1), got {self.min_contrast}")
+        ScanOptions.__post_init__(self)
+        require_number(self.spacing_px, "spacing_px", above=0.0)
+        require_number(self.local_search_px, "local_search_px", above=0.0)
+        require_number(self.step_px, "step_px", above=0.0, most=1.0)
+        require_number(self.min_lines, "min_lines", least=6)
+        require_number(self.max_lines, "max_lines", least=self.min_lines, most=1000)
+        require_number(self.rays_per_pixel_side, "rays_per_pixel_side", least=1, most=16)
 
     @property
     def margin_px(self) -> float:
@@ -280,25 +269,23 @@ def measure_by_lines(
     )
     if lines is None:
         return _not_seen(view, outline.silhouette, body, -search.search_px)
-    center_px = outline.silhouette.center_px
     found = find_limb(
         view,
         outline.at(lines),
-        center_px,
+        body.position_camera_km,
         search_px=search.search_px,
         search_range=search.search_range,
         min_contrast=options.min_contrast,
     )
     if isinstance(found, Failure):
         return found
-    moved = outline.moved(center_px + found.shift_px, found.scale)
+    position, coarse = found
+    moved = outline.moved(outline.silhouette.center_px + coarse.shift_px, coarse.scale)
     lines = lay_lines(
         view, moved, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
     )
     if lines is None:
         return _not_seen(view, moved.silhouette, body, options.margin_px)
-    range_km = float(np.linalg.norm(body.position_camera_km)) / found.scale
-    position = range_km * view.model.unproject(center_px + found.shift_px)
     scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief)
     closest_km = body.shape.circumscribing_radius_km
     start = LimbState(position_camera_km=position)
