@@ -217,7 +217,9 @@ def test_light_time_and_aberration_can_be_left_out() -> None:
     assert isinstance(still, TargetGeometry)
     assert_allclose(still.position_camera_km, [1e6, 0.0, 0.0], rtol=0, atol=0)
     assert_allclose(moved.position_camera_km, aberrate([1e6, 0.0, 0.0], velocity), rtol=0, atol=FLOAT64_SUM)
-    assert_allclose(moved.position_camera_km[1], 1e6 * 30.0 / SPEED_OF_LIGHT_KM_S, rtol=0, atol=1e-2)
+    assert_allclose(
+        moved.position_camera_km[1], 1e6 * 30.0 / SPEED_OF_LIGHT_KM_S, rtol=0, atol=1e-2
+    )  # (v/c)^2 of 1e6 km
     assert_allclose(np.degrees(still.phase_angle_rad), 90.0, rtol=0, atol=FLOAT64_SUM)
 
 

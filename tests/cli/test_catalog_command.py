@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from giantlike.cli.app import app
-from tests.tolerances import FLOAT32, FLOAT64_ROOT, FLOAT64_SUM
+from tests.tolerances import FIVE_DIGITS, FLOAT32, FLOAT64_ROOT, FLOAT64_SUM
 
 TABLE = "HD,RA,DE,Vmag,pm\n11,10.0,20.0,4.5,3600\n12,10.2,20.0,6.5,0\n13,190.0,-20.0,5.5,0\n"
 COLUMNS = ["ids=HD", "ra_deg=RA", "dec_deg=DE", "magnitude=Vmag", "pm_dec_mas_yr=pm"]
@@ -36,7 +36,7 @@ def test_a_catalog_is_built_and_asked(tmp_path: Path) -> None:
     assert [row["id"] for row in rows] == [11, 12]
     assert rows[0]["magnitude"] == 4.5
     assert rows[0]["color_bv"] is None
-    assert rows[1]["distance_deg"] == pytest.approx(0.18794, abs=1e-4)
+    assert rows[1]["distance_deg"] == pytest.approx(0.18794, abs=FIVE_DIGITS)
     bright = json.loads(_run("query", made, "--ra", 10, "--dec", 20, "--radius", 1, "--max-magnitude", 5, "--json"))
     assert [row["id"] for row in bright] == [11]
 
@@ -79,7 +79,7 @@ def test_the_two_stars_of_the_lorri_images_are_joined_as_a_users_table(tmp_path:
     assert [row["id"] for row in wolf] == [2]
     proxima = json.loads(_run("query", both, "--ra", 217.392, "--dec", -62.676, "--radius", 0.002, "--json"))
     assert [row["id"] for row in proxima] == [1]
-    assert proxima[0]["parallax_mas"] == pytest.approx(768.0665, abs=1e-3)
+    assert proxima[0]["parallax_mas"] == pytest.approx(768.0665, abs=FIVE_DIGITS)
 
 
 def test_people_get_a_list_with_a_heading(tmp_path: Path) -> None:

@@ -219,7 +219,7 @@ def test_sep_finds_the_same_stars_less_accurately() -> None:
     assert (truth < 0.5).all()
     # Twice the variance of a fit of the flux alone: background and width are unknown as well.
     flux_sigma = np.sqrt(2.0 * (flux / GAIN + flux_of_snr(1.0, 0.8) ** 2))
-    assert_allclose((found.flux_dn[ours] - flux) / flux_sigma, 0.0, rtol=0, atol=5.0)
+    assert_allclose((found.flux_dn[ours] - flux) / flux_sigma, 0.0, rtol=0, atol=5.0)  # sigmas
     their_error, _ = paired(points, their_points)
     assert np.sqrt(np.mean(truth**2)) < np.sqrt(np.mean(their_error**2))
 

@@ -224,7 +224,7 @@ def test_an_index_is_kept_on_disk_and_belongs_to_its_stars(catalog: MemoryCatalo
     from giantlike.stars import star_index
 
     radius = cap_radius_rad(np.radians(12.0))
-    assert np.degrees(radius) == pytest.approx(11.31, abs=0.01)
+    assert np.degrees(radius) == pytest.approx(11.31, abs=0.01)  # two decimals
     made = sky_index(catalog, Pattern.TRIAD, radius)
     star_index._memory.clear()
     read = sky_index(catalog, Pattern.TRIAD, radius)
