@@ -35,7 +35,10 @@ _RIVAL_PX, _RIVAL_CORRELATION = 2.0, 0.98
 Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` for the correlation.
 """
 _REFINEMENTS = 2
-"""Linear steps after the search in multiples of the sampling step, before the last one; no study yet."""
+"""Linear steps before the last one, after the search in multiples of the sampling step.
+
+One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivity.md``).
+"""
 _MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter

@@ -33,7 +33,7 @@ _MAX_RANGE_SIGMA = 0.25
 LEAST_PSF_PX2 = 0.01
 """Least variance of a point spread function that is estimated, px^2: a tenth of that of a pixel."""
 _RELIEF_RMS, _RELIEF_LARGE_RMS = 2.0, 1.5
-"""Residuals in units of the relief that are allowed, and that are not yet large; no study yet."""
+"""Residuals in units of the relief that are allowed, and that are not yet large; no study on bodies with relief yet."""
 
 
 class EdgeModel(StrEnum):
