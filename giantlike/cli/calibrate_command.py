@@ -12,7 +12,6 @@ from giantlike.campaign.calibration.boards import BoardSetup, calibrate_boards
 from giantlike.campaign.calibration.solve import calibration_summary
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
-from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.cli.arguments import Json, Resume, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
@@ -83,16 +82,14 @@ def calibrate(
         say(f"giantlike: {warning}")
     with progress_bar() as progress:
         result = run_campaign(campaign, workers=workers, resume=resume, bodies=False, progress=progress)
-    return _show(result, json=json)
+    summary = result.summary()
+    _show(summary, f"{result.folder / CALIBRATION_PAGE} ({result.time_s:.1f} s)", json=json)
+    done = summary["calibration"]["status"] == "ok" and not result.failed_images
+    return ExitCode.DONE if done else ExitCode.SOME_IMAGES_FAILED
 
 
 def _campaign_of_images(
-    images: Sequence[Path],
-    fov_deg: float | None,
-    model: str,
-    estimate: str,
-    max_magnitude: float | None,
-    output: Path,
+    images: Sequence[Path], fov_deg: float | None, model: str, estimate: str, max_magnitude: float | None, output: Path
 ) -> Path:
     """Write a campaign file for images that lie anywhere, and return its path."""
     import tomli_w
@@ -129,11 +126,7 @@ def _board_setup(board: str, fov_deg: float, model: str, estimate: str | None) -
 
 def _calibrate_board(images: Sequence[Path], setup: BoardSetup, output: Path, *, json: bool) -> ExitCode:
     summary = calibration_summary(calibrate_boards(images, setup, output))
-    if json:
-        print_json({"output": str(output), "calibration": summary})
-    else:
-        _print_calibration(summary)
-        typer.echo(output / CALIBRATION_PAGE)
+    _show({"output": output, "calibration": summary}, str(output / CALIBRATION_PAGE), json=json)
     return ExitCode.DONE if summary["status"] == "ok" and not summary["images_lost"] else ExitCode.SOME_IMAGES_FAILED
 
 
@@ -141,24 +134,18 @@ def _names(estimate: str) -> list[str]:
     return [name.strip() for name in estimate.split(",")]
 
 
-def _show(result: RunResult, *, json: bool) -> ExitCode:
-    calibration = result.calibration or {}
-    done = calibration["status"] == "ok"
+def _show(summary: dict[str, Any], page: str, *, json: bool) -> None:
+    """Write JSON; or the table, what took no part, why the camera is not used, and where the page is."""
     if json:
-        print_json(result.summary())
-    else:
-        _print_calibration(calibration)
-        typer.echo(f"{result.folder / CALIBRATION_PAGE} ({result.time_s:.1f} s)")
-    return ExitCode.DONE if done and not result.failed_images else ExitCode.SOME_IMAGES_FAILED
-
-
-def _print_calibration(calibration: dict[str, Any]) -> None:
-    """The table, what took no part, and why the camera is not used."""
+        print_json(summary)
+        return
+    calibration = summary["calibration"]
     _print_table(calibration)
     for row in calibration["images_lost"]:
         say(f"giantlike: {row['file']}: {row['problem']}")
     if calibration["problem"]:
         say(f"giantlike: {calibration['problem']}")
+    typer.echo(page)
 
 
 def _print_table(calibration: dict[str, Any]) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -16,6 +14,7 @@ from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models.convert import convert as convert_model
 from giantlike.cli.arguments import Json
 from giantlike.cli.outcome import ExitCode, print_json, say
+from giantlike.core.arrays import finite_or_none
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
 from giantlike.io.camera_import import read_foreign_camera
@@ -37,18 +36,6 @@ BoresightOption = Annotated[
 Size = Annotated[str | None, typer.Option(metavar="COLUMNSxROWS", help="Size, if the file does not hold it.")]
 
 
-@dataclass(frozen=True, slots=True)
-class CameraSource:
-    """A camera file, and what its reader needs besides: the options of the command line."""
-
-    path: Path
-    name: str | None
-    instrument_id: int | None
-    first_pixel: float | None
-    boresight: str | None
-    size: str | None
-
-
 def info(
     file: File,
     name: Name = None,
@@ -59,7 +46,7 @@ def info(
     json: Json = False,
 ) -> ExitCode:
     """Show the model of a camera file, its field of view and the scale of its pixels."""
-    camera, notes = _read(CameraSource(file, name, instrument, first_pixel, boresight, size))
+    camera, notes = _read(file, name, instrument, first_pixel, boresight, size)
     if json:
         print_json(_summary(camera) | {"notes": notes})
     else:
@@ -82,7 +69,7 @@ def convert(
 
     A model of another type is fitted over the whole frame; the largest and the rms difference are shown.
     """
-    camera, notes = _read(CameraSource(file, name, instrument, first_pixel, boresight, size))
+    camera, notes = _read(file, name, instrument, first_pixel, boresight, size)
     lost: dict[str, Any] = {}
     if model is not None and model != camera.model.type_name:
         conversion = convert_model(camera.model, model, columns=camera.columns, rows=camera.rows)
@@ -101,27 +88,35 @@ def convert(
         return ExitCode.DONE
     _show(_summary(camera), notes)
     if lost:
-        sys.stdout.write(
+        typer.echo(
             f"differs from the original by {lost['rms_px']:.3g} px rms, at most {lost['max_px']:.3g} px, over "
-            f"{100 * lost['coverage']:.4g} % of the frame\n"
+            f"{100 * lost['coverage']:.4g} % of the frame"
         )
-    sys.stdout.write(f"wrote {output}\n")
+    typer.echo(f"wrote {output}")
     return ExitCode.DONE
 
 
-def _read(source: CameraSource) -> tuple[Camera, list[str]]:
-    if source.path.suffix == ".toml":
-        return Camera.load(source.path), []
+def _read(
+    path: Path,
+    name: str | None,
+    instrument_id: int | None,
+    first_pixel: float | None,
+    boresight: str | None,
+    size: str | None,
+) -> tuple[Camera, list[str]]:
+    """Camera of a file, and remarks on what it does not take over."""
+    if path.suffix == ".toml":
+        return Camera.load(path), []
     found = read_foreign_camera(
-        source.path,
-        name=source.name,
-        instrument_id=source.instrument_id,
-        first_pixel=source.first_pixel,
-        boresight=cast("Boresight | None", source.boresight),
+        path,
+        name=name,
+        instrument_id=instrument_id,
+        first_pixel=first_pixel,
+        boresight=cast("Boresight | None", boresight),
     )
-    columns, rows = _size(source.size) if source.size else (found.columns, found.rows)
+    columns, rows = _size(size) if size else (found.columns, found.rows)
     if columns is None or rows is None:
-        raise InputError(f"{source.path}: does not tell the size of the detector: give --size COLUMNSxROWS")
+        raise InputError(f"{path}: does not tell the size of the detector: give --size COLUMNSxROWS")
     turned = float(found.camera_from_mission.magnitude()) > 0
     notes = [f"not represented: {keyword}" for keyword in found.ignored]
     if turned:
@@ -140,11 +135,9 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _summary(camera: Camera) -> dict[str, Any]:
-    ifov_urad = float(camera.ifov_rad()) * 1e6
-    angle_deg = float(np.degrees(camera.half_diagonal_rad))
     return camera.to_mapping() | {
-        "ifov_urad": ifov_urad if np.isfinite(ifov_urad) else None,
-        "half_diagonal_deg": angle_deg if np.isfinite(angle_deg) else None,
+        "ifov_urad": finite_or_none(float(camera.ifov_rad()) * 1e6),
+        "half_diagonal_deg": finite_or_none(float(np.degrees(camera.half_diagonal_rad))),
     }
 
 
@@ -155,6 +148,6 @@ def _show(summary: dict[str, Any], notes: list[str]) -> None:
     for key, unit in (("ifov_urad", "microradian a pixel"), ("half_diagonal_deg", "degrees from center to corner")):
         if summary[key] is not None:
             lines.append(f"  {summary[key]:.6g} {unit}")
-    sys.stdout.write("\n".join(lines) + "\n")
+    typer.echo("\n".join(lines))
     for note in notes:
         say(note)

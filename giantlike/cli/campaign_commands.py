@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -45,7 +46,7 @@ def report(folder: Run, json: Json = False) -> ExitCode:
     """Write report.html of a finished run again."""
     path = write_report(load_result(folder))
     if json:
-        print_json({"report": str(path)})
+        print_json({"report": path})
     else:
         typer.echo(f"wrote {path}")
     return ExitCode.DONE
@@ -93,14 +94,7 @@ def export(
     suffix = {ExportFormat.CK: "bc", ExportFormat.WCS: "wcs"}.get(kind, str(kind))
     exported = export_run(folder, output or folder / f"attitudes_export.{suffix}", kind, options)
     if json:
-        print_json(
-            {
-                "format": str(kind),
-                "files": [str(file) for file in exported.files],
-                "n_attitudes": exported.n_attitudes,
-                "left_out": dict(exported.left_out),
-            }
-        )
+        print_json({"format": kind} | asdict(exported))
         return ExitCode.DONE
     for file in exported.files[:10]:
         typer.echo(f"wrote {file}")
@@ -127,7 +121,7 @@ def interlock(
     files = write_interlock(result, output)
     summary = result.summary()
     if json:
-        print_json(summary | {"files": [str(file) for file in files]})
+        print_json(summary | {"files": files})
         return ExitCode.DONE
     sigma, scatter = summary["sigma_arcsec"], summary["scatter_arcsec"]
     typer.echo(f"{summary['n_used']} of {summary['n_pairs']} pairs used; {summary['n_unpaired']} attitudes unpaired")
@@ -200,16 +194,8 @@ def _print_tables(result: RunResult) -> None:
 
 
 def _fields(image: RenderedImage) -> dict[str, object]:
-    return {
-        "file": str(image.path),
-        "targets": image.targets,
-        "stars": image.stars,
-        "peak_dn": image.peak_dn,
-        "background_dn": image.background_dn,
-        "saturated_px": image.saturated_px,
-        "cosmic_px": image.cosmic_px,
-        "time_s": round(image.time_s, 3),
-    }
+    values = asdict(image)
+    return {"file": values.pop("path")} | values | {"time_s": round(image.time_s, 3)}
 
 
 def _line(image: RenderedImage) -> str:

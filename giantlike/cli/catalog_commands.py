@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,9 +15,9 @@ from giantlike.catalogs.readers import FORMATS, build_catalog, column_map
 from giantlike.catalogs.stored import SUFFIX, Source, catalog_header, is_catalog_file, save_catalog
 from giantlike.catalogs.table import StarTable
 from giantlike.cli.arguments import Json, Overwrite
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, print_json, rows_of
 from giantlike.cli.progress import progress_bar
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, finite_or_none, require
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, radec_from_direction
 from giantlike.core.units import RAD_PER_DEG
@@ -55,8 +54,9 @@ def build(
     usno-gnc: its CSV file. gaia: extracts of the archive in CSV, ECSV, FITS, Parquet or VOTable. table: any table in
     one of these, with --column for names that differ; NAME=COLUMN*FACTOR changes the unit, NAME=NUMBER is a constant.
     """
-    if len(paths) < 2:
-        raise InputError("SOURCE... OUTPUT are needed: at least one published file, and the new catalog as the last")
+    require(
+        len(paths) >= 2, "SOURCE... OUTPUT are needed: at least one published file, and the new catalog as the last"
+    )
     *sources, target = paths
     _target(target, overwrite)
     if form != "table" and (column or columns is not None or band is not None):
@@ -97,8 +97,7 @@ def join(
 
     Where two have the same star, within 3 arcsec, the later one has it. Magnitudes are in the band of the first.
     """
-    if len(names) < 2:
-        raise InputError("CATALOG... OUTPUT are needed: at least one catalog, and the new one as the last")
+    require(len(names) >= 2, "CATALOG... OUTPUT are needed: at least one catalog, and the new one as the last")
     target = _target(Path(names[-1]), overwrite)
     catalogs = [load_catalog(one) for one in names[:-1]]
     made = join_catalogs(catalogs, name=name or target.stem)
@@ -126,10 +125,8 @@ def query(
     json: Json = False,
 ) -> ExitCode:
     """List the stars of a cone at an epoch, brightest first; by default at their catalog epochs."""
-    if not 0.0 < radius <= 180.0:
-        raise InputError(f"--radius must be in (0, 180] degrees, got {radius:g}")
-    if not -90.0 <= dec <= 90.0:
-        raise InputError(f"--dec must be in [-90, 90] degrees, got {dec:g}")
+    require(0.0 < radius <= 180.0, f"--radius must be in (0, 180] degrees, got {radius:g}")
+    require(-90.0 <= dec <= 90.0, f"--dec must be in [-90, 90] degrees, got {dec:g}")
     catalog = load_catalog(name, band=band)
     axis = direction_from_radec(ra, dec)
     stars = catalog.cone(axis, radius * RAD_PER_DEG, max_magnitude=max_magnitude)
@@ -139,14 +136,15 @@ def query(
         directions = apparent_directions(stars, et_of_julian_year(epoch))
     distance_deg = 2.0 * np.degrees(np.arcsin(np.minimum(np.linalg.norm(directions - axis, axis=-1) / 2.0, 1.0)))
     inside = np.flatnonzero(distance_deg <= radius)
-    chosen = inside[:limit]
+    shown = inside[: limit if json else limit or _SHOWN]
+    rows = _rows(stars.select(shown), directions[shown], distance_deg[shown], epoch)
     if json:
-        print_json(_rows(stars, directions, distance_deg, chosen, epoch))
+        print_json(rows)
         return ExitCode.DONE
     typer.echo(f"{len(inside)} stars in {catalog.name}, magnitudes in {catalog.band}")
-    if len(chosen):
+    if rows:
         typer.echo(f"{'id':>20} {'ra_deg':>14} {'dec_deg':>14} {'mag':>7} {'distance_deg':>12}  double")
-    for row in _rows(stars, directions, distance_deg, chosen[: limit or _SHOWN], epoch):
+    for row in rows:
         typer.echo(
             f"{row['id']:>20} {row['ra_deg']:>14.8f} {row['dec_deg']:>14.8f} {row['magnitude']:>7.3f} "
             f"{row['distance_deg']:>12.6f}  {'yes' if row['is_double'] else ''}".rstrip()
@@ -200,10 +198,8 @@ def info(
 
 def _target(path: Path, overwrite: bool) -> Path:
     """The path of a new catalog, which must be called so and not be there."""
-    if path.suffix != SUFFIX:
-        raise InputError(f"{path}: the last name is that of the new catalog and must end in {SUFFIX}")
-    if path.exists() and not overwrite:
-        raise InputError(f"{path} exists: give --overwrite to replace it")
+    require(path.suffix == SUFFIX, f"{path}: the last name is that of the new catalog and must end in {SUFFIX}")
+    require(overwrite or not path.exists(), f"{path} exists: give --overwrite to replace it")
     return path
 
 
@@ -217,27 +213,23 @@ def _sources(name: str) -> list[Source]:
     return [Source(name=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())]
 
 
-def _rows(
-    stars: StarTable,
-    directions: Float,
-    distance_deg: Float,
-    chosen: Sequence[int] | np.ndarray[Any, Any],
-    epoch: float | None,
-) -> list[dict[str, Any]]:
+def _rows(stars: StarTable, directions: Float, distance_deg: Float, epoch: float | None) -> list[dict[str, Any]]:
     """One object of the JSON list for each star; what is not known is None."""
     ra, dec = radec_from_direction(directions)
-    rows = []
-    for k in chosen:
-        row: dict[str, Any] = {"id": int(stars.ids[k]), "ra_deg": float(ra[k]), "dec_deg": float(dec[k])}
-        row["epoch_jyear"] = float(stars.epoch_jyear[k]) if epoch is None else epoch
-        for key in ("magnitude", "pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas", "radial_velocity_km_s"):
-            row[key] = float(getattr(stars, key)[k])
-        for key in ("color_bv", "color_bp_rp"):
-            value = float(getattr(stars, key)[k])
-            row[key] = value if np.isfinite(value) else None
-        row |= {"is_double": bool(stars.is_double[k]), "distance_deg": float(distance_deg[k])}
-        rows.append(row)
-    return rows
+    measured = ("magnitude", "pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas", "radial_velocity_km_s")
+    colors = ("color_bv", "color_bp_rp")
+    return rows_of(
+        {
+            "id": stars.ids.tolist(),
+            "ra_deg": ra.tolist(),
+            "dec_deg": dec.tolist(),
+            "epoch_jyear": stars.epoch_jyear.tolist() if epoch is None else [epoch] * len(stars),
+            **{key: getattr(stars, key).tolist() for key in measured},
+            **{key: [finite_or_none(color) for color in getattr(stars, key).tolist()] for key in colors},
+            "is_double": stars.is_double.tolist(),
+            "distance_deg": distance_deg.tolist(),
+        }
+    )
 
 
 def _text(value: Any) -> str:

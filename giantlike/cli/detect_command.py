@@ -13,8 +13,8 @@ import typer
 
 from giantlike.camera import Camera
 from giantlike.cli.arguments import Hdu, Images, Json, Sequence
-from giantlike.cli.outcome import ExitCode, print_json
-from giantlike.cli.progress import progress_bar
+from giantlike.cli.outcome import ExitCode, rows_of, show_results
+from giantlike.cli.progress import with_progress
 from giantlike.cli.sequence_input import sequence_pattern, without_pattern
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
@@ -154,24 +154,13 @@ def detect(
         psf_degree=psf_degree,
         options=DetectionOptions(threshold_sigma=threshold, streak=streak, noise=noise, covered=covered),
     )
-    results = _all_searched(images, wanted)
-    if json:
-        print_json(results)
-    else:
-        _print_table(results)
-    failed = any(result["status"] == "failed" for result in results)
-    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+    return show_results(_all_searched(images, wanted), _print_table, json=json)
 
 
 def _all_searched(images: list[Path], wanted: DetectRequest) -> list[dict[str, Any]]:
     """The JSON list."""
     pattern = sequence_pattern(images, hdu=wanted.hdu, detector=wanted.detector) if wanted.sequence else None
-    outcomes = []
-    with progress_bar() as progress:
-        for number, path in enumerate(images):
-            progress("detecting", number, len(images))
-            outcomes.append(_searched(path, wanted, pattern))
-        progress("detecting", len(images), len(images))
+    outcomes = [_searched(path, wanted, pattern) for path in with_progress("detecting", images)]
     if wanted.sequence:
         compared = iter(compare_sequence([found.detections for found in outcomes if isinstance(found, Found)]))
         outcomes = [Found(next(compared), found.psf) if isinstance(found, Found) else found for found in outcomes]
@@ -208,27 +197,24 @@ def _result(path: Path, outcome: Found | Failure, wanted: DetectRequest) -> dict
 def _rows(found: Detections) -> list[dict[str, Any]]:
     """One object per detection, brightest first; where the stars are streaks also their ends."""
     sigma = np.sqrt(np.diagonal(found.covariance_px2, axis1=1, axis2=2))
-    rows: list[dict[str, Any]] = [
-        {
-            "x_px": float(point[0]),
-            "y_px": float(point[1]),
-            "sigma_x_px": float(error[0]),
-            "sigma_y_px": float(error[1]),
-            "flux_dn": float(flux),
-            "snr": float(snr),
-            "flags": list(DetectionFlag(int(flags)).names()),
-            "is_star": bool(clean),
-        }
-        for point, error, flux, snr, flags, clean in zip(
-            found.points_px, sigma, found.flux_dn, found.snr, found.flags, found.clean, strict=True
-        )
-    ]
+    columns: dict[str, list[Any]] = {
+        "x_px": found.points_px[:, 0].tolist(),
+        "y_px": found.points_px[:, 1].tolist(),
+        "sigma_x_px": sigma[:, 0].tolist(),
+        "sigma_y_px": sigma[:, 1].tolist(),
+        "flux_dn": found.flux_dn.tolist(),
+        "snr": found.snr.tolist(),
+        "flags": [DetectionFlag(flags).names() for flags in found.flags.tolist()],
+        "is_star": found.clean.tolist(),
+    }
     if found.halves_px is not None and found.half_sigma_px is not None:
         ends = np.stack([found.points_px - found.halves_px, found.points_px + found.halves_px], axis=1)
-        length = 2.0 * np.hypot(found.halves_px[:, 0], found.halves_px[:, 1])
-        for row, end, long, error in zip(rows, ends, length, 2.0 * found.half_sigma_px, strict=True):
-            row |= {"ends_px": end.tolist(), "length_px": float(long), "sigma_length_px": float(error)}
-    return rows
+        columns |= {
+            "ends_px": ends.tolist(),
+            "length_px": (2.0 * np.hypot(*found.halves_px.T)).tolist(),
+            "sigma_length_px": (2.0 * found.half_sigma_px).tolist(),
+        }
+    return rows_of(columns)
 
 
 def _print_table(results: list[dict[str, Any]]) -> None:

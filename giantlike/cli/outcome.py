@@ -7,13 +7,15 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TypeAlias
 
 import typer
 
 from giantlike.core.errors import OpNavError
 
 Arguments = ParamSpec("Arguments")
+Results: TypeAlias = list[dict[str, Any]]
+"""One object of a JSON list per file."""
 
 
 class ExitCode(IntEnum):
@@ -63,6 +65,45 @@ def say(text: str) -> None:
     """
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
+
+
+def show_results(results: Results, show: Callable[[Results], None], *, json: bool) -> ExitCode:
+    """Write the results of a command that goes from file to file.
+
+    Parameters
+    ----------
+    results : list of dict
+        One per file, with its ``status``.
+    show : callable
+        Writes all of them for people.
+    json : bool
+        Write JSON instead.
+
+    Returns
+    -------
+    ExitCode
+        ``SOME_IMAGES_FAILED`` if a status is failed.
+    """
+    if json:
+        print_json(results)
+    else:
+        show(results)
+    failed = any(result["status"] == "failed" for result in results)
+    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+
+
+def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Objects of a JSON list, from columns of equal length.
+
+    Parameters
+    ----------
+    columns : mapping of str to sequence
+
+    Returns
+    -------
+    list of dict
+    """
+    return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
 def print_json(value: Mapping[str, Any] | Sequence[Any]) -> None:

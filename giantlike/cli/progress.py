@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+Item = TypeVar("Item")
 
 
 @contextlib.contextmanager
@@ -32,6 +35,26 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
             bar.update(tasks[stage], completed=done, total=total)
 
         yield update
+
+
+def with_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
+    """Yield items one by one, and show how many are done.
+
+    Parameters
+    ----------
+    stage : str
+        Name of the step.
+    items : sequence
+
+    Yields
+    ------
+    item
+    """
+    with progress_bar() as progress:
+        for number, item in enumerate(items):
+            progress(stage, number, len(items))
+            yield item
+        progress(stage, len(items), len(items))
 
 
 def _nothing(stage: str, done: int, total: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import MappingProxyType
@@ -14,17 +14,16 @@ import numpy as np
 import typer
 
 from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
-from giantlike.cli.outcome import ExitCode, print_json, say
+from giantlike.cli.outcome import ExitCode, print_json, say, show_results
 from giantlike.core.errors import InputError, OpNavError
 from giantlike.shapes import TriangleMesh, load_shape, save_shape
 from giantlike.shapes.decimate import decimated, deviation
-from giantlike.shapes.defects import Defects, defects_of
+from giantlike.shapes.defects import defects_of
 from giantlike.shapes.files.dsk import DskIdentity
 from giantlike.shapes.load import UnitsWarning, mesh_of, read_surface
 from giantlike.shapes.measure import Measures, measured
 from giantlike.shapes.repair import repaired
 from giantlike.shapes.save import keeps_albedo
-from giantlike.shapes.surface import Surface
 
 _KEYS = MappingProxyType(
     dict.fromkeys([field.name for field in fields(Measures)] + ["watertight", "defects", "sha256"])
@@ -65,14 +64,7 @@ def info(
     A file fails when it is damaged, or holds a surface that no body can be rendered from. One that fails does not
     stop the others.
     """
-    results = [_info(path, units) for path in files]
-    if json:
-        print_json(results)
-    else:
-        for result in results:
-            _show_info(result)
-    failed = any(result["status"] == "failed" for result in results)
-    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+    return show_results([_info(path, units) for path in files], _show_info, json=json)
 
 
 def convert(
@@ -161,16 +153,13 @@ def _dsk_identity(target: Path, center: int | None, frame: str | None, surface: 
     return DskIdentity(center=center, frame=frame, surface=surface)
 
 
-@contextmanager
-def _kernels_loaded(paths: Sequence[Path] | None) -> Iterator[None]:
+def _kernels_loaded(paths: Sequence[Path] | None) -> AbstractContextManager[object]:
     """Load SPICE kernels, where there are any, for as long as the block runs."""
     if not paths:
-        yield
-        return
+        return nullcontext()
     from giantlike.io.spice import load_kernels
 
-    with load_kernels(paths, Path()):
-        yield
+    return load_kernels(paths, Path())
 
 
 @contextmanager
@@ -203,7 +192,12 @@ def _info(path: Path, units: str) -> dict[str, Any]:
         with units_said():
             surface = read_surface(path, units=units)
         found = defects_of(surface)
-        values |= _of_surface(surface, found)
+        values |= {
+            "facets": len(surface.faces),
+            "vertices": len(surface.vertices),
+            "watertight": found.watertight and len(surface.faces) > 0,
+            "defects": asdict(found),
+        }
         mesh = mesh_of(path, surface)
         measures = measured(mesh)
     except OpNavError as error:
@@ -214,17 +208,12 @@ def _info(path: Path, units: str) -> dict[str, Any]:
     return values | {"status": "suspect" if found else "ok", "detail": found.text(), "sha256": mesh.sha256}
 
 
-def _of_surface(surface: Surface, found: Defects) -> dict[str, Any]:
-    """What can be said of a surface that may be no body."""
-    return {
-        "facets": len(surface.faces),
-        "vertices": len(surface.vertices),
-        "watertight": found.watertight and len(surface.faces) > 0,
-        "defects": asdict(found),
-    }
+def _show_info(results: list[dict[str, Any]]) -> None:
+    for result in results:
+        _show_one(result)
 
 
-def _show_info(result: dict[str, Any]) -> None:
+def _show_one(result: dict[str, Any]) -> None:
     typer.echo(f"{result['file']}: {result['status']}")
     if result["detail"]:
         typer.echo(f"  {result['detail']}")

@@ -11,7 +11,7 @@ import typer
 from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.cli.shape_commands import units_said
-from giantlike.core.errors import InputError
+from giantlike.core.arrays import require
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks
 from giantlike.shapes import load_shape
 from giantlike.shapes.landmarks import MAPLET_SUFFIX, LandmarkCatalog, load_landmarks, save_landmarks
@@ -35,8 +35,7 @@ def landmarks(
     given = {"count": count, "size_km": size_km, "samples": samples}
     chosen = {name: value for name, value in given.items() if value is not None}
     if source.is_dir() or source.suffix.lower() == MAPLET_SUFFIX:
-        if chosen:
-            raise InputError(f"{source}: maplets are taken as they are, leave out --count, --size-km and --samples")
+        require(not chosen, f"{source}: maplets are taken as they are, leave out --count, --size-km and --samples")
         catalog = load_landmarks(source)
     else:
         with units_said():

@@ -13,8 +13,8 @@ import typer
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.cli.arguments import Hdu, Images, Json, Sequence
-from giantlike.cli.outcome import ExitCode, print_json
-from giantlike.cli.progress import progress_bar
+from giantlike.cli.outcome import ExitCode, show_results
+from giantlike.cli.progress import with_progress
 from giantlike.cli.sequence_input import sequence_pattern, without_pattern
 from giantlike.cli.star_review import write_review
 from giantlike.core.arrays import require
@@ -54,34 +54,14 @@ class StarsRequest:
     ``review`` is a folder for pictures of what was found.
     """
 
+    catalog: StarCatalog
     camera: Camera | None
     fov_deg: float | None
-    fov_error: float
-    lost_in_space: bool
-    max_magnitude: float | None
+    options: StarOptions
+    pattern: FixedPattern | Failure | None
     hdu: int | str | None
-    sequence: bool = False
-    bottom_up: bool = False
-    review: Path | None = None
-
-    def __post_init__(self) -> None:
-        require((self.camera is None) != (self.fov_deg is None), "give either --camera CAMERA.toml or --fov DEG")
-        percent = 100 * self.fov_error
-        if self.fov_deg is None:
-            alone = self.fov_error == _DEFAULT_FOV_ERROR
-            require(alone, f"--fov-error {percent:g} goes with --fov; a camera file says its field of view itself")
-        else:
-            require(0 < self.fov_deg < 170, f"--fov must be between 0 and 170 degrees, got {self.fov_deg:g}")
-            require(0 < self.fov_error <= 0.2, f"--fov-error must be in (0, 20] percent, got {percent:g}")
-
-    def options(self) -> StarOptions:
-        """Options of the solution; raises InputError where a value is out of range."""
-        return StarOptions(
-            max_magnitude=self.max_magnitude,
-            lost_in_space=self.lost_in_space,
-            estimate_scale=self.camera is None,
-            scale_error=self.fov_error,
-        )
+    bottom_up: bool
+    review: Path | None
 
 
 def stars(
@@ -112,60 +92,58 @@ def stars(
 
     An image whose header has no a priori attitude is always solved lost-in-space.
     """
-    wanted = StarsRequest(
-        camera=None if camera is None else Camera.load(camera),
-        fov_deg=fov,
-        fov_error=fov_error / 100,
-        lost_in_space=lost_in_space,
+    known = None if camera is None else Camera.load(camera)
+    _check_fov(known, fov, fov_error / 100)
+    options = StarOptions(
         max_magnitude=max_magnitude,
+        lost_in_space=lost_in_space,
+        estimate_scale=known is None,
+        scale_error=fov_error / 100,
+    )
+    loaded = load_catalog(catalog)
+    if review is not None:
+        make_folder(review)
+    detector = Detector() if known is None else known.detector
+    wanted = StarsRequest(
+        catalog=loaded,
+        camera=known,
+        fov_deg=fov,
+        options=options,
+        pattern=sequence_pattern(images, hdu=hdu, detector=detector, bottom_up=bottom_up) if sequence else None,
         hdu=hdu,
-        sequence=sequence,
         bottom_up=bottom_up,
         review=review,
     )
-    options = wanted.options()
-    loaded = load_catalog(catalog)
-    if wanted.review is not None:
-        make_folder(wanted.review)
-    detector = Detector() if wanted.camera is None else wanted.camera.detector
-    pattern = None
-    if wanted.sequence:
-        pattern = sequence_pattern(images, hdu=wanted.hdu, detector=detector, bottom_up=wanted.bottom_up)
-    results = []
-    with progress_bar() as progress:
-        for number, path in enumerate(images):
-            progress("solving stars", number, len(images))
-            results.append(_solve(path, loaded, wanted, options, pattern))
-        progress("solving stars", len(images), len(images))
-    if json:
-        print_json(results)
+    results = [_solve(path, wanted) for path in with_progress("solving stars", images)]
+    return show_results(results, _print_table, json=json)
+
+
+def _check_fov(camera: Camera | None, fov_deg: float | None, fov_error: float) -> None:
+    require((camera is None) != (fov_deg is None), "give either --camera CAMERA.toml or --fov DEG")
+    percent = 100 * fov_error
+    if fov_deg is None:
+        alone = fov_error == _DEFAULT_FOV_ERROR
+        require(alone, f"--fov-error {percent:g} goes with --fov; a camera file says its field of view itself")
     else:
-        _print_table(results)
-    failed = any(result["status"] == "failed" for result in results)
-    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+        require(0 < fov_deg < 170, f"--fov must be between 0 and 170 degrees, got {fov_deg:g}")
+        require(0 < fov_error <= 0.2, f"--fov-error must be in (0, 20] percent, got {percent:g}")
 
 
-def _solve(
-    path: Path,
-    catalog: StarCatalog,
-    wanted: StarsRequest,
-    options: StarOptions,
-    pattern: FixedPattern | Failure | None,
-) -> dict[str, Any]:
+def _solve(path: Path, wanted: StarsRequest) -> dict[str, Any]:
     """One object of the JSON list; what is not known is None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None} | dict.fromkeys(_NUMBERS)
     values |= {"detail": "", "flags": []} | dict.fromkeys(_MORE)
     try:
         image = Image.open(path, hdu=wanted.hdu, bottom_up=wanted.bottom_up)
-        camera = wanted.camera
+        camera, options = wanted.camera, wanted.options
         if camera is None:
             assert wanted.fov_deg is not None
             camera = Camera.from_fov(wanted.fov_deg, image.columns, image.rows)
-        image, detector = without_pattern(image, camera.detector, pattern)
+        image, detector = without_pattern(image, camera.detector, wanted.pattern)
         camera = replace(camera, detector=detector)
         if image.camera_from_inertial is None:
             options = replace(options, lost_in_space=True)
-        navigation = StarNavigation(camera, catalog, options)
+        navigation = StarNavigation(camera, wanted.catalog, options)
         detections = navigation.detect(image)
         outcome = navigation.solve_detections(image, detections) if isinstance(detections, Detections) else detections
         if wanted.review is not None and isinstance(detections, Detections):

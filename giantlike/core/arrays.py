@@ -172,6 +172,11 @@ def require_number(
         raise InputError(f"{name} must be {' and '.join([*needs, 'finite'])}, got {value}")
 
 
+def finite_or_none(value: float) -> float | None:
+    """Return a number as JSON has it, None for NaN and infinity."""
+    return value if math.isfinite(value) else None
+
+
 def require(condition: bool, message: str) -> None:
     """Raise :class:`InputError` with ``message`` unless ``condition``."""
     if not condition:

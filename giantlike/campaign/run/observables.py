@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord, StarMatches, Status
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.errors import InputError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.outcomes import AttitudeFix, CenterFix, PositionFix, Quality
@@ -100,14 +100,7 @@ def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> Atti
         fov_deg=fix.fov_deg,
         flags=list(fix.flags.names()),
         provenance=dict(fix.provenance),
-        stars=StarMatches(
-            star_ids=fix.star_ids.tolist(),
-            observed_px=fix.observed_px.tolist(),
-            predicted_px=fix.predicted_px.tolist(),
-            sigma_px=fix.sigma_px.tolist(),
-            magnitudes=fix.magnitudes.tolist(),
-            rejected_px=fix.rejected_px.tolist(),
-        ),
+        stars=StarMatches(**{name: getattr(fix, name).tolist() for name in StarMatches.model_fields}),
     )
 
 
@@ -157,7 +150,7 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
         predicted_px=fix.predicted_px.tolist(),
         center_px=fix.center_px.tolist(),
         covariance_px2=fix.covariance_px2.tolist(),
-        score=fix.score if np.isfinite(fix.score) else None,
+        score=finite_or_none(fix.score),
         n_used=fix.n_used,
         n_rejected=fix.n_rejected,
         flags=list(fix.flags.names()),
@@ -188,9 +181,8 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
     if attitude.covariance_rad2 is None:
         return record
     covariance = np.array(attitude.covariance_rad2)
-    record = record.replace(
-        covariance_with_attitude_px2=(fix.covariance_px2 + by_attitude @ covariance @ by_attitude.T).tolist()
-    )
+    with_attitude_px2 = fix.covariance_px2 + by_attitude @ covariance @ by_attitude.T
+    record = record.replace(covariance_with_attitude_px2=with_attitude_px2.tolist())
     if isinstance(fix, PositionFix):
         combined = fix.covariance_camera_km2 + cross @ covariance @ cross.T
         inertial = camera_from_inertial.T @ combined @ camera_from_inertial

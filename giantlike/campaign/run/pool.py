@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for_end
-from types import TracebackType
 from typing import Any, TypeVar
 
 import cv2
@@ -62,9 +61,7 @@ class WorkerPool:
                 os.environ.setdefault(name, "1")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for size in list(self._executors):
             self._executors.pop(size).shutdown(wait=True, cancel_futures=True)
         for name, before in self._environment.items():

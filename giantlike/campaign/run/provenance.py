@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import platform
 import re
-from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
@@ -38,6 +37,7 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
         A file cannot be read.
     """
     stars = campaign.stars
+    kernels = {} if bench.kernels is None else bench.kernels.sha256()
     return {
         "giantlike": VERSION,
         "campaign": dict(campaign.table),
@@ -45,7 +45,7 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
         "camera": campaign.camera.to_mapping(),
         "geometry_sha256": None if campaign.geometry_file is None else file_sha256(campaign.geometry_file),
         "rates_sha256": None if stars is None or stars.rates is None else file_sha256(stars.rates),
-        "kernels_sha256": {} if bench.kernels is None else _by_name(bench.kernels.sha256()),
+        "kernels_sha256": {Path(path).name: digest for path, digest in kernels.items()},
         "shapes_sha256": {name: shape.sha256 for name, shape in bench.shapes.items()},
         "catalog": None if bench.navigation is None else bench.navigation.catalog.version,
         "options": {
@@ -104,10 +104,6 @@ def file_sha256(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise DataError(path, f"cannot be read: {error.strerror or error}") from error
-
-
-def _by_name(hashes: Mapping[str, str]) -> dict[str, str]:
-    return {Path(path).name: digest for path, digest in hashes.items()}
 
 
 def _plain(options: Any) -> dict[str, Any]:

@@ -7,8 +7,8 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias, TypeVar
+from dataclasses import dataclass, replace
+from typing import Generic, TypeAlias, TypeVar
 
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.page import write_calibration_page
@@ -30,6 +30,7 @@ from giantlike.campaign.run.worker import (
     estimate_image,
     failed_image,
     failed_observations,
+    failed_stars,
     find_first_stars,
     solve_image,
 )
@@ -148,6 +149,15 @@ def _finish(folder: RunFolder, result: RunResult) -> None:
 
 
 @dataclass(frozen=True, slots=True)
+class _Step(Generic[Made]):
+    """Work on every image: its name, the function of the workers, and the record of an image whose worker died."""
+
+    name: str
+    function: Callable[[Workbench, ImageJob], Made]
+    record_of_lost: Callable[[ImageEntry], Made]
+
+
+@dataclass(frozen=True, slots=True)
 class _Run:
     """The steps of a run; a record that the run folder holds with the stamp of today is not made again."""
 
@@ -168,23 +178,16 @@ class _Run:
         if calibration.camera is not None:
             bench, digest = bench.with_camera(calibration.camera), _digest(calibration.camera)
             stamps = tuple(f"{stamp} {digest}" for stamp in stamps)
-        return _Run(bench, self.folder, self.progress, stamps)
+        return replace(self, bench=bench, stamps=stamps)
 
     def calibrate(self, pool: WorkerPool) -> CampaignCalibration:
         """Identify the stars of all star images, calibrate, and write camera, summary, residuals and page."""
         campaign, setup, navigation = self.campaign, self.campaign.calibration, self.bench.navigation
         assert setup is not None
         assert navigation is not None
-        records = self._done(CalibrationRecord)
-        self._make(
-            pool,
-            "finding stars",
-            find_first_stars,
-            self._missing(records),
-            records,
-            lambda entry: CalibrationRecord(index=entry.index, file=entry.key, problem=_DIED),
-        )
-        result = calibrate_campaign(campaign, setup, _in_order(records), navigation.catalog)
+        step = _Step("finding stars", find_first_stars, lambda entry: failed_stars(entry, _DIED))
+        records = self._make(pool, step, self._done(CalibrationRecord))
+        result = calibrate_campaign(campaign, setup, records, navigation.catalog)
         if write_calibration(self.folder.path, result):
             write_calibration_page(self.folder.path, campaign.name, campaign.camera, result)
         self.folder.log("calibrated", accepted=result.camera is not None, problem=result.problem)
@@ -192,16 +195,9 @@ class _Run:
 
     def solve_images(self, pool: WorkerPool) -> list[AttitudeRecord]:
         """Read all images and solve the stars of star images."""
-        records = self._done(AttitudeRecord)
-        self._make(
-            pool,
-            "reading images" if self.campaign.stars is None else "solving stars",
-            solve_image,
-            self._missing(records),
-            records,
-            lambda entry: failed_image(self.campaign, entry, _DIED),
-        )
-        return _in_order(records)
+        name = "reading images" if self.campaign.stars is None else "solving stars"
+        step = _Step(name, solve_image, lambda entry: failed_image(self.campaign, entry, _DIED))
+        return self._make(pool, step, self._done(AttitudeRecord))
 
     def transfer_attitudes(self, solved: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
         """Give short exposures the attitudes of their neighbors in time."""
@@ -230,32 +226,21 @@ class _Run:
                 records[entry.index] = done.light()
             else:
                 jobs.append(ImageJob(entry, attitude))
-        self._make(
-            pool,
-            "finding bodies",
-            estimate_image,
-            jobs,
-            records,
-            lambda entry: failed_observations(self.campaign, entry, _DIED),
-        )
-        return _in_order(records)
+        step = _Step("finding bodies", estimate_image, lambda entry: failed_observations(self.campaign, entry, _DIED))
+        return self._make(pool, step, records, jobs)
 
     def _make(
-        self,
-        pool: WorkerPool,
-        stage: str,
-        function: Callable[[Workbench, ImageJob], Made],
-        jobs: Sequence[ImageJob],
-        records: dict[int, Made],
-        record_of_lost: Callable[[ImageEntry], Made],
-    ) -> None:
-        """Run the jobs of a step; save, log and add their records to those that were there."""
+        self, pool: WorkerPool, step: _Step[Made], records: dict[int, Made], jobs: Sequence[ImageJob] | None = None
+    ) -> list[Made]:
+        """Run the jobs of a step, by default all images without a record; save and log; records in input order."""
+        if jobs is None:
+            jobs = [ImageJob(entry) for entry in self.campaign.images if entry.index not in records]
         total = len(records) + len(jobs)
         if jobs:
-            self.progress(stage, len(records), total)
-        for position, answer in pool.run(function, jobs):
+            self.progress(step.name, len(records), total)
+        for position, answer in pool.run(step.function, jobs):
             entry = jobs[position].entry
-            record = answer or record_of_lost(entry)
+            record = answer or step.record_of_lost(entry)
             self._save(record)
             if isinstance(record, AttitudeRecord):
                 self._log("image", record)
@@ -263,7 +248,8 @@ class _Run:
                 for observation in record.observations:
                     self._log("observation", observation)
             records[entry.index] = record.light()
-            self.progress(stage, len(records), total)
+            self.progress(step.name, len(records), total)
+        return [records[index] for index in sorted(records)]
 
     def _load(self, kind: type[Record], entry: ImageEntry) -> Record | None:
         return self.folder.load(kind, entry.index, entry.key, stamp=self.stamps[entry.index])
@@ -272,9 +258,6 @@ class _Run:
         """Records of a step that need not be made again, by index."""
         found = {entry.index: self._load(kind, entry) for entry in self.campaign.images}
         return {index: record.light() for index, record in found.items() if record is not None}
-
-    def _missing(self, records: dict[int, Any]) -> list[ImageJob]:
-        return [ImageJob(entry) for entry in self.campaign.images if entry.index not in records]
 
     def _save(self, record: ImageRecord) -> None:
         self.folder.save(record, self.stamps[record.index])
@@ -285,10 +268,6 @@ class _Run:
         if record.problem is not None:
             values |= record.problem.model_dump(mode="json", exclude_none=True)
         self.folder.log(event, **values)
-
-
-def _in_order(records: dict[int, Made]) -> list[Made]:
-    return [records[index] for index in sorted(records)]
 
 
 def _digest(camera: Camera) -> str:

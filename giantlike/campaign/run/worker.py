@@ -17,6 +17,7 @@ from giantlike.calibration import identify_first
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import NO_STAR_IMAGE, record_of_stars, temperature_of
 from giantlike.campaign.file.config import Campaign, ImageEntry
+from giantlike.campaign.file.inputs import TargetSetup
 from giantlike.campaign.run.image_loading import PreparedImage, open_image, scene_of, targets_in
 from giantlike.campaign.run.observables import attitude_of, with_attitude, with_fix, with_prediction, with_stars
 from giantlike.campaign.store.records import (
@@ -35,6 +36,7 @@ from giantlike.core.outcomes import CenterFix, Failure, Reason
 from giantlike.core.time import utc_text
 from giantlike.core.values import Value
 from giantlike.image import AttitudeSource, Image
+from giantlike.io.geometry_table import ImageGeometry
 from giantlike.io.spice import CoverageError, SpiceKernels, load_kernels
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative import Estimator
@@ -209,9 +211,22 @@ def find_first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord:
     CalibrationRecord
     """
     record = _attempt(_first_stars, bench, job.entry)
-    if isinstance(record, Problem):
-        return CalibrationRecord(index=job.entry.index, file=job.entry.key, problem=record)
-    return record
+    return failed_stars(job.entry, record) if isinstance(record, Problem) else record
+
+
+def failed_stars(entry: ImageEntry, problem: Problem) -> CalibrationRecord:
+    """Record of an image that calibration cannot use.
+
+    Parameters
+    ----------
+    entry : ImageEntry
+    problem : Problem
+
+    Returns
+    -------
+    CalibrationRecord
+    """
+    return CalibrationRecord(index=entry.index, file=entry.key, problem=problem)
 
 
 def _first_stars(bench: Workbench, entry: ImageEntry) -> CalibrationRecord | Problem:
@@ -248,18 +263,21 @@ def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem) -> Att
     -------
     AttitudeRecord
     """
-    known = campaign.geometry.get(entry.key)
-    exposure_s = None if known is None else known.exposure_s
+    return _unsolved(campaign, entry, campaign.geometry.get(entry.key)).replace(problem=problem)
+
+
+def _unsolved(campaign: Campaign, entry: ImageEntry, known: Image | ImageGeometry | None) -> AttitudeRecord:
+    """Record of an image before its attitude, of what is known of its exposure."""
+    epoch, exposure_s = (None, None) if known is None else (known.epoch, known.exposure_s)
     return AttitudeRecord(
         index=entry.index,
         file=entry.key,
         path=campaign.path_from_output(entry.path),
-        epoch_utc=None if known is None or known.epoch is None else utc_text(known.epoch),
+        epoch_utc=None if epoch is None else utc_text(epoch),
         exposure_s=exposure_s,
         star_image=campaign.is_star_image(exposure_s),
         body_image=campaign.is_body_image(exposure_s),
         status="failed",
-        problem=problem,
     )
 
 
@@ -276,21 +294,13 @@ def _solved(bench: Workbench, entry: ImageEntry) -> AttitudeRecord | Problem:
     bench, prepared = opened
     campaign, image = bench.campaign, prepared.image
     apriori = image.camera_from_inertial
-    record = AttitudeRecord(
-        index=entry.index,
-        file=entry.key,
-        path=campaign.path_from_output(entry.path),
+    record = _unsolved(campaign, entry, image).replace(
         sha256=image.sha256,
         columns=image.columns,
         rows=image.rows,
-        epoch_utc=None if image.epoch is None else utc_text(image.epoch),
         et=image.et,
-        exposure_s=image.exposure_s,
-        star_image=campaign.is_star_image(image.exposure_s),
-        body_image=campaign.is_body_image(image.exposure_s),
         apriori_xyzw=None if apriori is None else quaternion_xyzw(apriori).tolist(),
         notes=_notes(campaign, prepared),
-        status="failed",
     )
     if bench.navigation is not None and record.star_image:
         return _from_stars(record, bench.navigation, image)
@@ -353,19 +363,25 @@ def failed_observations(
     ObservationsRecord
     """
     rows = [
-        ObservationRecord(
-            index=entry.index,
-            file=entry.key,
-            epoch_utc=epoch_utc,
-            target=target.name,
-            estimator=estimator.name,
-            status="failed",
-            problem=problem,
-        )
+        _unobserved(entry, epoch_utc, target, estimator).replace(problem=problem)
         for target in targets_in(campaign, entry.key)
         for estimator in target.estimators
     ]
     return ObservationsRecord(index=entry.index, file=entry.key, observations=rows)
+
+
+def _unobserved(
+    entry: ImageEntry, epoch_utc: str | None, target: TargetSetup, estimator: Estimator
+) -> ObservationRecord:
+    """Record of an estimator that has not run yet."""
+    return ObservationRecord(
+        index=entry.index,
+        file=entry.key,
+        epoch_utc=epoch_utc,
+        target=target.name,
+        estimator=estimator.name,
+        status="failed",
+    )
 
 
 def _estimated(bench: Workbench, job: ImageJob) -> ObservationsRecord | Problem:
@@ -389,15 +405,7 @@ def _estimated(bench: Workbench, job: ImageJob) -> ObservationsRecord | Problem:
         scene = _attempt(scene_of, campaign, image, target, bench.shapes[target.name])
         geometry = _attempt(scene.geometry, image) if isinstance(scene, Scene) else scene
         for estimator in target.estimators:
-            record = ObservationRecord(
-                index=entry.index,
-                file=entry.key,
-                epoch_utc=epoch_utc,
-                target=target.name,
-                estimator=estimator.name,
-                status="failed",
-                attitude=job.attitude,
-            )
+            record = _unobserved(entry, epoch_utc, target, estimator).replace(attitude=job.attitude)
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
                 observations.append(_observed(record, estimator, image, campaign.camera, scene, geometry))
             else:

@@ -6,7 +6,6 @@ import json
 import logging
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from giantlike.core.errors import DataError
@@ -61,9 +60,7 @@ class RunLog(logging.Handler):
         LOGGER.addFilter(self._pass_on)
         LOGGER.setLevel(min(logging.INFO, LOGGER.getEffectiveLevel()))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         LOGGER.removeHandler(self)
         LOGGER.removeFilter(self._pass_on)
         LOGGER.setLevel(self._before[0])
