@@ -248,7 +248,5 @@ def _step(residuals: Float, covariances: Float, offsets_c: Float, used: Mask, dr
     normal = np.sum(weighted @ design, axis=0)
     units = 1.0 / np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)
-    step, covariance = np.zeros(6), np.zeros((6, 6))
-    step[:size] = inverse @ np.sum(weighted @ residuals[used][..., None], axis=0)[:, 0]
-    covariance[:size, :size] = inverse
-    return step, covariance
+    step = inverse @ np.sum(weighted @ residuals[used][..., None], axis=0)[:, 0]
+    return np.pad(step, (0, 6 - size)), np.pad(inverse, (0, 6 - size))

@@ -276,15 +276,14 @@ def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> Normal
     weight = np.where(used, np.sqrt(loss.weight(np.where(used, squares, 0.0))) / data.sigma_px, 0.0)
     stacked = np.concatenate([by_camera, by_pose, residuals[..., None]], axis=-1) * weight[:, None, None]
     stacked[~used] = 0.0
-    grams = np.stack([_gram(stacked[a:b]) for a, b in zip(data.offsets[:-1], data.offsets[1:], strict=True)])
+    grams = np.stack([np.tensordot(rows, rows, ([0, 1], [0, 1])) for rows in np.split(stacked, data.offsets[1:-1])])
     k, p = len(data.estimated), data.pose
     ahead = data.prior - state.model.parameters[data.estimated]
     turn = (data.start * state.rotation.inv()).as_rotvec()
     poses, pose_gradient = grams[:, k : k + p, k : k + p].copy(), grams[:, k : k + p, -1].copy()
     poses[:, :3, :3] += data.attitude_weight[:, None, None] * np.eye(3)
-    poses[np.bincount(data.image_index, used, len(poses)) == 0] += np.eye(
-        p
-    )  # an image without observations keeps its pose
+    # an image without observations keeps its pose
+    poses[np.bincount(data.image_index, used, len(poses)) == 0] += np.eye(p)
     pose_gradient[:, :3] += data.attitude_weight[:, None] * turn
     cost = float(np.sum(loss.cost(squares[used])))
     cost += float(data.prior_weight @ ahead**2 + data.attitude_weight @ np.sum(turn**2, axis=1))
@@ -298,11 +297,6 @@ def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> Normal
         image_gradient=grams[:, :k, -1],
         cost=cost,
     )
-
-
-def _gram(rows: Float) -> Float:
-    flat = rows.reshape(-1, rows.shape[-1])
-    return flat.T @ flat
 
 
 @dataclass(frozen=True, slots=True, eq=False)

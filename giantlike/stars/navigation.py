@@ -178,9 +178,8 @@ class StarNavigation:
         offered = _DETECTIONS_PER_STAR * int(expected.sum()) + _SPARE_DETECTIONS
         points, covariance = points_px[:offered], covariance_px2[:offered]
         found = identify_apriori(wide.directions_inertial, points, camera, camera_from_inertial, options=options)
-        near: RefinedAttitude | Failure
         if isinstance(found, Failure):
-            near = found
+            near: RefinedAttitude | Failure = found
         else:
             near = refine_attitude(
                 sky.field(camera, found.camera_from_inertial, count=depth),
@@ -220,7 +219,7 @@ class StarNavigation:
             fov_deg=math.degrees(2.0 * math.atan(self.camera.columns / (2.0 * focal))),
             rejected_px=detections.points_px[usable[outcome.matches.detection_indices[~used]]],
             camera_name=self.camera.frame_name,
-            flags=_flags(solution, detections.flags[indices]) | _unknowns(image),
+            flags=_flags(image, solution, detections.flags[indices]),
             provenance=self._provenance(image, outcome, method),
         )
 
@@ -266,16 +265,14 @@ def sky_of(image: Image, catalog: StarCatalog, options: StarOptions) -> Sky:
     )
 
 
-def _unknowns(image: Image) -> Quality:
-    """Flags for an unknown observer or epoch."""
-    flags = Quality.NONE if image.observer is not None else Quality.OBSERVER_UNKNOWN
-    return flags if image.epoch is not None else flags | Quality.EPOCH_UNKNOWN
-
-
-def _flags(solution: AttitudeSolution, detection_flags: NDArray[np.uint16]) -> Quality:
+def _flags(image: Image, solution: AttitudeSolution, detection_flags: NDArray[np.uint16]) -> Quality:
     """Flags of a solution and of the detections that it used."""
     flags = Quality.NONE
     together = DetectionFlag(int(np.bitwise_or.reduce(detection_flags)))
+    if image.observer is None:
+        flags |= Quality.OBSERVER_UNKNOWN
+    if image.epoch is None:
+        flags |= Quality.EPOCH_UNKNOWN
     if DetectionFlag.SATURATED in together:
         flags |= Quality.SATURATED
     if DetectionFlag.MASKED in together:

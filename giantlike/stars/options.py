@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.stars.attitude import AttitudeMethod
 
 _ALWAYS_KEPT = 20  # detections of an image kept whatever their signal to noise ratio: 40 equations for 3 unknowns
-_LIMITS = {
-    "scale_error": (0.0, 0.2),
-    "max_pixel_distance": (0.0, math.inf),
-    "attitude_error_deg": (0.0, 180.0),
-    "inlier_px": (0.0, math.inf),
-}  # value above the first and at most the second; 180 degrees is any attitude
-_LEAST = {"ransac_iterations": 1, "seed": 0, "min_snr": 0.0, "min_matches": 3, "outlier_sigma": 2.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,14 +85,20 @@ class StarOptions:
     light_deflection: bool = False
 
     def __post_init__(self) -> None:
-        limit = self.max_magnitude
-        require(limit is None or math.isfinite(limit), f"max_magnitude must be finite, got {limit}")
-        for name, (low, high) in _LIMITS.items():
-            value = getattr(self, name)
-            allowed = f"in ({low:g}, {high:g}]" if math.isfinite(high) else f"> {low:g} and finite"
-            require(low < value <= high and math.isfinite(value), f"{name} must be {allowed}, got {value}")
-        for name, least in _LEAST.items():
-            require(getattr(self, name) >= least, f"{name} must be >= {least:g}, got {getattr(self, name)}")
+        if self.max_magnitude is not None:
+            require_number(self.max_magnitude, "max_magnitude")
+        require_number(self.scale_error, "scale_error", above=0.0, most=0.2)
+        require_number(self.max_pixel_distance, "max_pixel_distance", above=0.0)
+        require_number(self.attitude_error_deg, "attitude_error_deg", above=0.0, most=180.0)  # which is any attitude
+        require_number(self.inlier_px, "inlier_px", above=0.0)
+        for name, least in (
+            ("ransac_iterations", 1),
+            ("seed", 0),
+            ("min_snr", 0),
+            ("min_matches", 3),
+            ("outlier_sigma", 2),
+        ):
+            require(getattr(self, name) >= least, f"{name} must be >= {least}, got {getattr(self, name)}")
         chance = self.max_false_match_probability
         require(0.0 < chance < 1.0, f"max_false_match_probability must be in (0, 1), got {chance}")
         known = [str(method) for method in AttitudeMethod]

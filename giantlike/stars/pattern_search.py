@@ -147,7 +147,7 @@ def _quads(index: StarIndex, vectors: Float, quads: NDArray[np.intp], scope: Sco
     low, high = scope.scales[0], scope.scales[-1]
     fits = (base <= index.widest * high) & (base >= _NARROWEST * index.widest * low)
     codes, ordered, base = codes[fits], ordered[fits], base[fits]
-    tolerance = _quad_tolerance(scope, index)
+    tolerance = min(2.0 * scope.tolerance_rad / index.widest, 0.03)  # of the codes, for the widest quads
     asked, found = index.find(codes, tolerance)
     stars = index.patterns[found].astype(np.intp)
     ends = index.directions[stars[:, :2]]
@@ -164,11 +164,6 @@ def _quads(index: StarIndex, vectors: Float, quads: NDArray[np.intp], scope: Sco
     seen = vectors[node[:, None], detections[:, :2]]
     matrices = _from_pairs(seen[:, 0], seen[:, 1], *np.swapaxes(index.directions[stars[:, :2]], 0, 1))
     return Candidates(detections, stars, matrices, scale)
-
-
-def _quad_tolerance(scope: Scope, index: StarIndex) -> float:
-    """Tolerance of codes: the error of an angle over the width of a pattern of half the largest width."""
-    return float(min(2.0 * scope.tolerance_rad / index.widest, 0.03))
 
 
 def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
@@ -229,11 +224,9 @@ def _shared(
     pair, count = np.unique(candidates.detections[members] * n + candidates.stars[members], return_counts=True)
     pair = pair[np.argsort(-count, kind="stable")]
     detection, star = pair // n, pair % n
-    once = np.zeros(len(pair), dtype=bool)
-    once[np.unique(detection, return_index=True)[1]] = True
-    only = np.zeros(len(pair), dtype=bool)
-    only[np.unique(star, return_index=True)[1]] = True
-    detection, star = detection[once & only], star[once & only]
+    of_detection, of_star = (np.unique(one, return_index=True)[1] for one in (detection, star))  # the most frequent
+    strongest = np.intersect1d(of_detection, of_star)
+    detection, star = detection[strongest], star[strongest]
     scale = float(np.median(candidates.scales[members]))
     seen = vectors[int(np.abs(scope.scales - scale).argmin()), detection]
     return Hypothesis(

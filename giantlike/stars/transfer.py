@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.arrays import Float, as_finite, require, require_number
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
@@ -60,12 +60,8 @@ class TransferOptions:
 
     def __post_init__(self) -> None:
         require(self.max_gap_s >= 0, f"max_gap_s must be >= 0, got {self.max_gap_s}")
-        drift = self.drift_arcsec_per_sqrt_s
-        require(math.isfinite(drift) and drift >= 0, f"drift_arcsec_per_sqrt_s must be >= 0, got {drift}")
-        require(
-            0 < self.max_disagreement_deg <= 180,
-            f"max_disagreement_deg must be in (0, 180], got {self.max_disagreement_deg}",
-        )
+        require_number(self.drift_arcsec_per_sqrt_s, "drift_arcsec_per_sqrt_s", least=0.0)
+        require_number(self.max_disagreement_deg, "max_disagreement_deg", above=0.0, most=180.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -96,11 +96,8 @@ def fit_stars(
        Gaussian; here it is round and integrated over pixels).
     """
     psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
-    start = np.empty((len(flux_dn), 5))
-    start[:, :2] = patches.centers_px
-    start[:, 2] = np.maximum(flux_dn, patches.noise_dn)
-    start[:, 3] = patches.border_level_dn()
-    start[:, 4] = math.log(psf)
+    flux_dn, log_width = np.maximum(flux_dn, patches.noise_dn), np.full(len(flux_dn), math.log(psf))
+    start = np.column_stack([patches.centers_px, flux_dn, patches.border_level_dn(), log_width])
     problem = _Problem(patches, psf, width_prior)
     parameters, good = problem.solve(start)
     pairs = neighbor_pairs(start[:, :2], patches.reach_px)

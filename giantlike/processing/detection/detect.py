@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
@@ -134,10 +134,8 @@ def detect_sources(
     >>> found.points_px.round(1).tolist()
     [[41.0, 31.0]]
     """
-    require(
-        psf_sigma_px is None or (math.isfinite(psf_sigma_px) and psf_sigma_px >= 0),
-        f"psf_sigma_px must be finite and >= 0, got {psf_sigma_px}",
-    )
+    if psf_sigma_px is not None:
+        require_number(psf_sigma_px, "psf_sigma_px", least=0.0)
     options = DetectionOptions() if options is None else options
     frame = frame_of(pixels, mask, detector, options)
     if isinstance(frame, Failure):
@@ -302,8 +300,6 @@ def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: fl
     flux = np.where(failed, found.flux_dn, fits.flux_dn)
     core = core_of(patches, fits.points_px, psf_sigma_px)
     peak = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
-    flags = _flags(frame, found, patches, fits, core, psf_sigma_px)
-    order = np.argsort(-flux, kind="stable")
     return Detections(
         points_px=fits.points_px,
         covariance_px2=fits.covariance_px2,
@@ -313,10 +309,10 @@ def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: fl
         area_px=found.area_px,
         background_dn=fits.background_dn,
         width_px=fits.width_px,
-        flags=flags,
+        flags=_flags(frame, found, patches, fits, core, psf_sigma_px),
         psf_sigma_px=psf_sigma_px,
         noise_dn=noise_dn,
-    ).select(order)
+    ).select(np.argsort(-flux, kind="stable"))
 
 
 def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise_dn: float) -> Detections:
@@ -350,11 +346,11 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
     )
     power = np.sqrt(np.sum(shares**2, axis=(1, 2)))
     failed = ~fits.converged
-    covariance = np.where(failed[:, None, None], expected**2 * np.eye(2), fits.covariance_px2[:, :2, :2])
+    flux = np.where(failed, found.flux_dn, fits.flux_dn)
     return Detections(
         points_px=np.where(failed[:, None], found.peaks_px, fits.centers_px),
-        covariance_px2=covariance,
-        flux_dn=np.where(failed, found.flux_dn, fits.flux_dn),
+        covariance_px2=np.where(failed[:, None, None], expected**2 * np.eye(2), fits.covariance_px2[:, :2, :2]),
+        flux_dn=flux,
         snr=np.where(failed, found.significance, fits.flux_dn * power / found.noise_dn),
         peak_dn=np.where(np.isfinite(light), light, 0.0),
         area_px=found.area_px,
@@ -365,7 +361,7 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
         noise_dn=noise_dn,
         halves_px=fits.halves_px,
         half_sigma_px=fits.length_sigma_px / 2.0,
-    ).select(np.argsort(-np.where(failed, found.flux_dn, fits.flux_dn), kind="stable"))
+    ).select(np.argsort(-flux, kind="stable"))
 
 
 def _flags(

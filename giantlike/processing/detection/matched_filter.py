@@ -100,7 +100,7 @@ def matched_filter(
     """
     width = recorded_width_px(psf_sigma_px)
     length = 0.0 if half_streak_px is None else math.hypot(*half_streak_px)
-    half, box_half = math.ceil(_KERNEL_HALF_WIDTHS * width), _box_half_px(width + length / _BOX_HALF_WIDTHS)
+    half, box_half = math.ceil(_KERNEL_HALF_WIDTHS * width), math.ceil(_BOX_HALF_WIDTHS * width + length)
     box = (2 * box_half + 1, 2 * box_half + 1)
     if bad is not None:
         image = _filled(image, bad, box)
@@ -165,10 +165,6 @@ def _line_kernel(half_streak_px: tuple[float, float], width_px: float, half: int
     kernel: Float = down.T @ across
     kernel /= kernel.sum()
     return kernel
-
-
-def _box_half_px(width_px: float) -> int:
-    return math.ceil(_BOX_HALF_WIDTHS * width_px)
 
 
 def _filled(image: Image32, bad: Mask, box: tuple[int, int]) -> Image32:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from giantlike.core.arrays import require
+from giantlike.core.arrays import require, require_number
 from giantlike.processing.detection.noise import NoiseSource, Region
 
 
@@ -49,16 +48,10 @@ class DetectionOptions:
     streak: bool | None = None
 
     def __post_init__(self) -> None:
-        require(
-            math.isfinite(self.threshold_sigma) and self.threshold_sigma > 0,
-            f"threshold_sigma must be > 0, got {self.threshold_sigma}",
-        )
+        require_number(self.threshold_sigma, "threshold_sigma", above=0.0)
         require(self.max_sources >= 1, f"max_sources must be >= 1, got {self.max_sources}")
         require(self.min_area_px >= 1, f"min_area_px must be >= 1, got {self.min_area_px}")
-        require(
-            0.0 < self.max_saturated_fraction <= 1.0,
-            f"max_saturated_fraction must be in (0, 1], got {self.max_saturated_fraction}",
-        )
+        require_number(self.max_saturated_fraction, "max_saturated_fraction", above=0.0, most=1.0)
         require(
             (self.covered is not None) == (self.noise is NoiseSource.COVERED),
             "noise from covered pixels and their region go together",

@@ -5,6 +5,7 @@ Stars move over the detector from image to image; its own pattern, hot pixels in
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -148,21 +149,23 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
 
 def enough_images(count: int) -> list[int]:
     """Indices of the images of a sequence used for the pattern: all, or 25 evenly spaced."""
-    chosen: list[int] = np.unique(np.linspace(0, count - 1, min(count, _MOST_IMAGES)).round().astype(int)).tolist()
+    return _spread_over(count, _MOST_IMAGES)
+
+
+def _spread_over(count: int, most: int) -> list[int]:
+    """Evenly spaced indices of ``count`` images, ``most`` at most."""
+    chosen: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
     return chosen
 
 
 def _staying_share(arrays: Sequence[NDArray[Any]], detector: Detector) -> float:
     """Share of the brightest star-like sources of an image that the others have at the same pixels; the median."""
-    shares = []
-    looked_at = [arrays[k] for k in np.unique(np.linspace(0, len(arrays) - 1, _SEARCHED).round().astype(int))]
     points = []
-    for array in looked_at:
-        found = detect_sources(array, detector=detector, options=DetectionOptions(max_sources=4 * _BRIGHTEST))
+    for k in _spread_over(len(arrays), _SEARCHED):
+        found = detect_sources(arrays[k], detector=detector, options=DetectionOptions(max_sources=4 * _BRIGHTEST))
         if isinstance(found, Detections) and found.clean.any():
             points.append(found.points_px[found.clean][:_BRIGHTEST])
-    for here, there in ((a, b) for a in points for b in points if a is not b):
-        shares.append(float(np.mean(cKDTree(there).query(here)[0] < _STAY_PX)))
+    shares = [np.mean(cKDTree(b).query(a)[0] < _STAY_PX) for a, b in itertools.permutations(points, 2)]
     return float(np.median(shares)) if shares else 0.0
 
 

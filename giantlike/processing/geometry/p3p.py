@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Mask, unit
 
 _REAL = 1e-4  # largest imaginary part of a real root over its size: rounding separates double roots
 
@@ -112,7 +112,6 @@ def _aligned(points_body: Float, seen_camera: Float) -> tuple[Float, Float]:
 def _triad(corners: Float) -> Float:
     """Axes (k, 3, 3), in columns, of triangles (k, 3, 3) whose first corner is the origin."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = corners[:, 1] / np.linalg.norm(corners[:, 1], axis=1, keepdims=True)
-        up = np.cross(along, corners[:, 2])
-        up = up / np.linalg.norm(up, axis=1, keepdims=True)
+        along = unit(corners[:, 1])
+        up = unit(np.cross(along, corners[:, 2]))
     return np.stack([along, np.cross(up, along), up], axis=-1)

@@ -83,7 +83,7 @@ def solve_wahba(
     if n < 2:
         return Failure(Reason.DEGENERATE_GEOMETRY, f"an attitude needs at least 2 directions, got {n}")
     weights = sigma**-2
-    information = attitude_information(b, weights)
+    information = np.eye(3) * weights.sum() - np.einsum("i,ij,ik->jk", weights, b, b)
     weakest = float(np.linalg.eigvalsh(information)[0])
     if not weakest > MAX_SIGMA_RAD**-2:
         return Failure(
@@ -94,25 +94,6 @@ def solve_wahba(
     rotation = _rotation(a, b, weights, method)
     covariance: Float = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return rotation, covariance
-
-
-def attitude_information(vectors_camera: Float, weights: Float) -> Float:
-    r"""Information matrix of an attitude from directions, :math:`\sum_i w_i (I - b_i b_i^T)`.
-
-    Parameters
-    ----------
-    vectors_camera : (n, 3) float64, unitless, camera
-        Unit vectors b_i.
-    weights : (n,) float64, 1/rad^2
-
-    Returns
-    -------
-    (3, 3) float64, 1/rad^2
-        About the camera axes.
-    """
-    outer = np.einsum("i,ij,ik->jk", weights, vectors_camera, vectors_camera)
-    result: Float = np.eye(3) * weights.sum() - outer
-    return result
 
 
 def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weights: ArrayLike = 1.0) -> Float:

@@ -8,10 +8,9 @@ represents small differences only.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
 from giantlike.core.arrays import Float, require
@@ -116,25 +115,20 @@ def empirical_psf(
     model = shape_shares(patches.corner_px, size, stars.points_px, psf.shapes_at(stars.points_px))
     flux = stars.flux_dn[:, None, None]
     left = (patches.values_dn - stars.background_dn[:, None, None]) / flux - model
-    weight = np.where(
-        patches.valid & ~patches.saturated,
-        flux**2 / patches.variance_dn2(flux * model),
-        0.0,
-    )
+    weight = np.where(patches.valid & ~patches.saturated, flux**2 / patches.variance_dn2(flux * model), 0.0)
     dx, dy = patches.offsets_px(stars.points_px)
     side = 2 * half_px * oversampling + 1
-    column = np.broadcast_to(np.rint(dx * oversampling)[:, None, :], (n, size, size)).astype(np.int64) + side // 2
-    row = np.broadcast_to(np.rint(dy * oversampling)[:, :, None], (n, size, size)).astype(np.int64) + side // 2
-    inside = (column >= 0) & (column < side) & (row >= 0) & (row < side)
-    index = (row * side + column)[inside]
-    total = _summed(index, weight[inside], side)
-    mean = _summed(index, (weight * left)[inside], side)
-    count = _summed(index, (weight > 0.0)[inside].astype(np.float64), side)
+    column, row = (np.rint(away * oversampling).astype(np.int64) + side // 2 for away in (dx, dy))
+    inside = ((row >= 0) & (row < side))[:, :, None] & ((column >= 0) & (column < side))[:, None, :]
+    index = (row[:, :, None] * side + column[:, None, :])[inside]
+    total, mean, count = (
+        np.bincount(index, weights=values[inside], minlength=side**2).reshape(side, side)
+        for values in (weight, weight * left, weight > 0.0)
+    )
     certain = total * (1.0 + _PRIOR_SAMPLES / np.maximum(count, 1.0))
     middle = np.array([(psf.columns - 1) / 2, (psf.rows - 1) / 2])
     nodes = (np.arange(side) - side // 2) / oversampling
-    x, y = np.meshgrid(nodes, nodes)
-    offsets = -np.stack([x.ravel(), y.ravel()], axis=1)
+    offsets = -np.stack(np.meshgrid(nodes, nodes), axis=-1).reshape(-1, 2)
     shape = np.repeat(psf.shapes_at([middle]), side * side, axis=0)
     smooth = shape_shares(np.zeros((side * side, 2), dtype=np.int64), 1, offsets, shape).reshape(side, side)
     return EmpiricalPsf(
@@ -143,7 +137,3 @@ def empirical_psf(
         step_px=1.0 / oversampling,
         n_used=n,
     )
-
-
-def _summed(index: NDArray[np.int64], values: NDArray[np.floating[Any]], side: int) -> Float:
-    return np.bincount(index, weights=values, minlength=side * side).astype(np.float64).reshape(side, side)

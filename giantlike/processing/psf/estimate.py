@@ -21,7 +21,7 @@ from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
-from giantlike.processing.detection.detections import DetectionFlag, Detections
+from giantlike.processing.detection.detections import NOT_A_STAR, DetectionFlag, Detections
 from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import Patches, chi2_inflation, cut_patches
 from giantlike.processing.psf.profile import N_SHAPE, SHAPE_NAMES, PsfKind, shape_shares
@@ -38,15 +38,11 @@ _OUTLIER = 4.0  # robust sigmas of the reduced chi-square of a star
 _PATCH_WIDTHS = 4.0  # half side of a patch in recorded star widths: 99.99 % of a Gaussian
 _REMEASURE_STEPS = 6  # of Gauss-Newton from fitted centroids
 UNUSABLE = (
-    DetectionFlag.SATURATED
+    NOT_A_STAR
+    | DetectionFlag.SATURATED
     | DetectionFlag.MASKED
     | DetectionFlag.CUT_BY_FRAME
     | DetectionFlag.BLENDED
-    | DetectionFlag.EXTENDED
-    | DetectionFlag.SHARP
-    | DetectionFlag.FIT_FAILED
-    | DetectionFlag.COSMIC_RAY
-    | DetectionFlag.HOT_PIXEL
     | DetectionFlag.STREAK
 )
 """Flags of detections that cannot be used to estimate the point spread function."""
@@ -93,19 +89,14 @@ class PsfEstimate(Value):
         -------
         dict
         """
+        errors = np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
         return {
             "kind": str(self.kind),
             "degree": self.degree,
             "sigma_px": self.sigma_px,
             "sigma_error_px": self.sigma_error_px,
             "coefficients": dict(zip(SHAPE_NAMES, self.coefficients.tolist(), strict=False)),
-            "standard_errors": dict(
-                zip(
-                    SHAPE_NAMES,
-                    np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape).tolist(),
-                    strict=False,
-                )
-            ),
+            "standard_errors": dict(zip(SHAPE_NAMES, errors.tolist(), strict=False)),
             "reduced_chi2": self.reduced_chi2,
             "residual_power": self.residual_power,
             "n_used": self.n_used,
