@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, unit
+from giantlike.core.deprecation import renamed_keyword
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
@@ -136,6 +137,7 @@ class SceneRender(Value):
         return replace(template, brightness=template.coverage).placed(self.columns, self.rows)
 
 
+@renamed_keyword("recentre", "recenter", until="0.3")
 def render(
     body: Body,
     model: CameraModel,

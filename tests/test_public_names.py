@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from giantlike.core.deprecation import renamed_keyword
 from tests.exported import constructor_keywords, parameter_names
 
 PROMISED: dict[str, dict[str, Any]] = json.loads(
@@ -57,3 +58,13 @@ def test_functions_take_every_parameter_that_they_took_in_0_1_0(package: str) ->
         if (lack := set(had) - set(parameter_names(current(package, name))) - RENAMED_PARAMETERS.get(name, set()))
     }
     assert not lost, f"functions of {package} lost parameters"
+
+
+def test_a_renamed_keyword_works_and_warns() -> None:
+    @renamed_keyword("recentre", "recenter", until="0.3")
+    def render(**keywords: bool) -> dict[str, bool]:
+        return keywords
+
+    with pytest.warns(DeprecationWarning, match="is now recenter"):
+        assert render(recentre=True) == {"recenter": True}
+    assert render(recenter=True) == {"recenter": True}

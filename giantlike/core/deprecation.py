@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
+
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
 
 
 def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
@@ -40,3 +44,35 @@ def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[s
         return getattr(import_module(module), names[name])
 
     return __getattr__
+
+
+def renamed_keyword(
+    old: str, new: str, *, until: str
+) -> Callable[[Callable[Arguments, Answer]], Callable[Arguments, Answer]]:
+    """Decorator for a function one of whose keywords was renamed: the old one works and warns.
+
+    Parameters
+    ----------
+    old, new : str
+        Names of the keyword.
+    until : str
+        Version that no longer has the old one.
+
+    Returns
+    -------
+    callable
+        Decorator; the function it returns warns with ``DeprecationWarning`` where it is called with the old keyword.
+    """
+
+    def decorate(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
+        @functools.wraps(function)
+        def answering(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
+            if old in kwargs:
+                message = f"{function.__name__}({old}=...) is now {new}=...; the old keyword goes in version {until}"
+                warnings.warn(message, DeprecationWarning, stacklevel=2)
+                kwargs[new] = kwargs.pop(old)
+            return function(*args, **kwargs)
+
+        return answering
+
+    return decorate

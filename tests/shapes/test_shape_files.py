@@ -483,7 +483,7 @@ def test_the_moments_of_an_ellipsoid_mesh_are_those_of_the_ellipsoid() -> None:
     volume = 4.0 / 3.0 * np.pi * a * b * c
     expected = volume / 5.0 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
     assert_allclose(found.principal_moments, expected, rtol=2e-3)  # sagitta of facets of 1.2 degrees, five lengths
-    assert_allclose(found.best_fit_radii_km, [a, b, c], rtol=SAMPLED)
+    assert_allclose(found.best_fit_radii_km, [a, b, c], rtol=5e-4)  # facets of a sphere cut below its surface
 
 
 @pytest.mark.real_data
