@@ -17,8 +17,9 @@ from scipy.stats import chi2
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import Progress, run_campaign
+from giantlike.campaign.store.results import grouped
 from giantlike.catalogs import load_catalog
-from giantlike.core.arrays import require
+from giantlike.core.arrays import finite_or_none, require
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Reason
 from giantlike.core.values import Value
@@ -103,11 +104,8 @@ class DemoReport(Value):
         -------
         dict of str to Score
         """
-        sources = dict.fromkeys(error.source for error in self.comparison.attitudes)
-        return {
-            source or "none": score_attitudes([e for e in self.comparison.attitudes if e.source == source])
-            for source in sources
-        }
+        by_source = grouped(self.comparison.attitudes, lambda error: error.source)
+        return {source or "none": score_attitudes(errors) for source, errors in by_source.items()}
 
     def estimator_scores(self) -> dict[tuple[str, str], Score]:
         """Scores by target and estimator.
@@ -116,11 +114,8 @@ class DemoReport(Value):
         -------
         dict of (str, str) to Score
         """
-        observations = self.comparison.observations
-        pairs = dict.fromkeys((error.target, error.estimator) for error in observations)
-        return {
-            pair: score_observations([e for e in observations if (e.target, e.estimator) == pair]) for pair in pairs
-        }
+        by_pair = grouped(self.comparison.observations, lambda error: (error.target, error.estimator))
+        return {pair: score_observations(errors) for pair, errors in by_pair.items()}
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -136,7 +131,7 @@ class DemoReport(Value):
         for source, score in self.attitude_scores().items():
             if score.dof:
                 yield _consistency(f"attitude ({source}): squared errors over variances", score.chi2, score.dof)
-        for estimator, errors in _by_estimator(self.comparison).items():
+        for estimator, errors in grouped(self.comparison.observations, lambda error: error.estimator).items():
             score = score_observations(errors)
             if score.dof:
                 yield _consistency(f"{estimator}, center: squared errors over variances", score.chi2, score.dof)
@@ -180,7 +175,14 @@ class DemoReport(Value):
             "output": str(self.output),
             "met": self.met,
             "goals": [
-                {"goal": g.text, "value": _plain(g.value), "low": g.low, "high": g.high, "unit": g.unit, "met": g.met}
+                {
+                    "goal": g.text,
+                    "value": finite_or_none(g.value),
+                    "low": g.low,
+                    "high": g.high,
+                    "unit": g.unit,
+                    "met": g.met,
+                }
                 for g in self.goals
             ],
             "attitudes": {source: _score_table(score) for source, score in self.attitude_scores().items()},
@@ -269,7 +271,7 @@ def _clear(output: Path) -> None:
 
 
 def _accuracy_goals(comparison: Comparison) -> list[Goal]:
-    of = _by_estimator(comparison)
+    of = grouped(comparison.observations, lambda error: error.estimator)
     attitudes = score_attitudes(comparison.attitudes)
     correlation = score_observations(of.get("cross_correlation", []))
     limb = score_observations(of.get("limb_matching", []))
@@ -287,13 +289,6 @@ def _accuracy_goals(comparison: Comparison) -> list[Goal]:
             unit="px",
         ),
     ]
-
-
-def _by_estimator(comparison: Comparison) -> dict[str, list[ObservationError]]:
-    groups: dict[str, list[ObservationError]] = {}
-    for error in comparison.observations:
-        groups.setdefault(error.estimator, []).append(error)
-    return groups
 
 
 def _consistency(text: str, total: float, dof: int) -> Goal:
@@ -367,14 +362,10 @@ def _score_table(score: Score) -> dict[str, Any]:
         "fixes": score.n_fixes,
         "suspect": score.n_suspect,
         "failures": dict(score.failures),
-        "rms_px": [_plain(v) for v in score.rms_px.tolist()],
-        "sigma_px": [_plain(v) for v in score.sigma_px.tolist()],
-        "nees_per_dof": _plain(score.chi2 / score.dof if score.dof else math.nan),
-        "range_rms": _plain(score.range_rms),
-        "range_sigma": _plain(score.range_sigma),
-        "range_nees": _plain(score.range_chi2 / score.n_ranges if score.n_ranges else math.nan),
+        "rms_px": [finite_or_none(v) for v in score.rms_px.tolist()],
+        "sigma_px": [finite_or_none(v) for v in score.sigma_px.tolist()],
+        "nees_per_dof": finite_or_none(score.chi2 / score.dof if score.dof else math.nan),
+        "range_rms": finite_or_none(score.range_rms),
+        "range_sigma": finite_or_none(score.range_sigma),
+        "range_nees": finite_or_none(score.range_chi2 / score.n_ranges if score.n_ranges else math.nan),
     }
-
-
-def _plain(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.calibration.alignment import AlignmentResult, interlock
 from giantlike.campaign.store.results import attitude_series, camera_of_run, load_result
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, finite_or_none, require
 from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
@@ -23,6 +22,7 @@ from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
+from giantlike.io.csv_rows import write_csv_rows
 
 _AXES = ("x", "y", "z")
 
@@ -154,7 +154,8 @@ def write_interlock(result: InterlockResult, folder: Path) -> tuple[Path, ...]:
     make_folder(folder)
     files = tuple(folder / f"interlock.{suffix}" for suffix in ("json", "csv", "svg"))
     write_text_atomic(files[0], json.dumps(result.summary(), indent=1, allow_nan=False) + "\n")
-    write_text_atomic(files[1], _table(result))
+    columns = [f"{what}_{axis}_arcsec" for what in ("residual", "sigma") for axis in _AXES]
+    write_csv_rows(files[1], ["first", "second", "epoch_utc", "used", "rotation_angle_deg", *columns], _rows(result))
     write_text_atomic(files[2], _figure(result))
     return files
 
@@ -190,18 +191,13 @@ def _nearest(times: Float, others: Float) -> NDArray[np.intp]:
     return np.where(times - others[before] <= others[after] - times, before, after)
 
 
-def _table(result: InterlockResult) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    columns = [f"{what}_{axis}_arcsec" for what in ("residual", "sigma") for axis in _AXES]
-    writer.writerow(["first", "second", "epoch_utc", "used", "rotation_angle_deg", *columns])
+def _rows(result: InterlockResult) -> Iterator[list[str | float]]:
     fix = result.alignment
     for k, (first, second) in enumerate(result.names):
         values = [*fix.residuals_rad[k] * ARCSEC_PER_RAD, *result.sigma_rad[k] * ARCSEC_PER_RAD]
         epoch = utc_text(time_from_et(float(result.et[k])))
         angle = float(np.degrees(result.rotation_angles_rad[k]))
-        writer.writerow([first, second, epoch, int(fix.used[k]), repr(angle), *(f"{value:.6g}" for value in values)])
-    return text.getvalue()
+        yield [first, second, epoch, int(fix.used[k]), angle, *(f"{value:.6g}" for value in values)]
 
 
 def _figure(result: InterlockResult) -> str:
@@ -224,4 +220,4 @@ def _figure(result: InterlockResult) -> str:
 
 def _arcsec(values_rad: ArrayLike) -> list[float | None]:
     """Arc seconds; None for NaN, as JSON has it."""
-    return [value if np.isfinite(value) else None for value in (np.asarray(values_rad) * ARCSEC_PER_RAD).tolist()]
+    return [finite_or_none(value) for value in (np.asarray(values_rad) * ARCSEC_PER_RAD).tolist()]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
-from giantlike.plotting.style import BLUE, GRAY, INK, ORANGE, RED, drawing, new_figure
+from giantlike.plotting.style import BLUE, GRAY, INK, ORANGE, RED, drawing, new_panels, show_field
 
 _ARROWS = 13  # along an axis; for legibility only
 _DIVERGING = LinearSegmentedColormap.from_list("correlation", [BLUE, "white", RED])
@@ -37,8 +37,7 @@ def distortion_figure(
     Figure
     """
     with drawing():
-        figure = new_figure(10.0, 3.9)
-        left, right = figure.subplots(1, 2)
+        figure, (left, right) = new_panels(10.0, 3.9, columns=2)
         size = np.linalg.norm(distortion_px, axis=1)
         _filled(figure, left, points_px, size, columns, rows)
         chosen = _thinned(points_px)
@@ -54,15 +53,15 @@ def _filled(figure: Figure, axis: Axes, points_px: Float, values: Float, columns
     drawn = axis.tricontourf(points_px[:, 0], points_px[:, 1], values, levels=levels, cmap=_SEQUENTIAL)
     figure.colorbar(drawn, ax=axis, shrink=0.9, format="%.3g")
     axis.grid(visible=False)
-    axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal", xlabel="x, px", ylabel="y, px")
+    show_field(axis, columns, rows)
 
 
 def _thinned(points_px: Float) -> NDArray[np.intp]:
     """Indices of points nearest to a coarse grid."""
     low, high = points_px.min(axis=0), points_px.max(axis=0)
-    cells = np.rint((points_px - low) / np.maximum(high - low, 1e-9) * (_ARROWS - 1))
-    distance = np.linalg.norm((points_px - low) / np.maximum(high - low, 1e-9) * (_ARROWS - 1) - cells, axis=1)
-    order = np.argsort(distance, kind="stable")
+    places = (points_px - low) / np.maximum(high - low, 1e-9) * (_ARROWS - 1)
+    cells = np.rint(places)
+    order = np.argsort(np.linalg.norm(places - cells, axis=1), kind="stable")
     _, first = np.unique(cells[order], axis=0, return_index=True)
     return np.asarray(order[first])
 
@@ -81,20 +80,17 @@ def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
     """
     with drawing():
         side = 1.6 + 0.52 * len(names)
-        figure = new_figure(side + 0.9, side)
-        axis = figure.subplots()
+        figure, (axis,) = new_panels(side + 0.9, side)
         drawn = axis.imshow(correlation, cmap=_DIVERGING, vmin=-1.0, vmax=1.0)
         figure.colorbar(drawn, ax=axis, shrink=0.85)
         places = range(len(names))
         axis.set_xticks(places, names, rotation=45, ha="right")
         axis.set_yticks(places, names)
         axis.grid(visible=False)
-        for row in places:
-            for column in places:
-                value = float(correlation[row, column])
-                text = f"{value:.2f}" if abs(value) < _LABEL_SHARE else f"{value:.3f}"
-                color = "white" if abs(value) > 0.6 else INK
-                axis.text(column, row, text, ha="center", va="center", fontsize=7.0, color=color)
+        for (row, column), value in np.ndenumerate(correlation):
+            text = f"{value:.2f}" if abs(value) < _LABEL_SHARE else f"{value:.3f}"
+            color = "white" if abs(value) > 0.6 else INK
+            axis.text(column, row, text, ha="center", va="center", fontsize=7.0, color=color)
         axis.set_title("Correlation of the parameters")
     return figure
 
@@ -112,8 +108,7 @@ def residual_trend_figure(trends: Mapping[str, tuple[Float, Float, Float]]) -> F
     Figure
     """
     with drawing():
-        figure = new_figure(2.2 + 2.6 * len(trends), 2.9)
-        panels: list[Axes] = list(np.atleast_1d(figure.subplots(1, max(len(trends), 1), sharey=True)))
+        figure, panels = new_panels(2.2 + 2.6 * len(trends), 2.9, columns=max(len(trends), 1), sharey=True)
         for axis, (label, (at, rms, noise)) in zip(panels, trends.items(), strict=False):
             axis.plot(at, noise, "-", color=GRAY, linewidth=1.2, label="noise promised")
             axis.plot(at, rms, "o", color=BLUE, markersize=4.0, label="residual")

@@ -220,17 +220,15 @@ def _draw_stars(axis: Axes, stars: StarMarks) -> None:
 
 def _draw_outline(axis: Axes, body: BodyMarks) -> None:
     if len(body.outline_px):
-        closed = np.concatenate([body.outline_px, body.outline_px[:1]])
-        axis.plot(*closed.T, "--", color=_OUTLINE, linewidth=0.9)
+        axis.plot(*_closed(body.outline_px).T, "--", color=_OUTLINE, linewidth=0.9)
     axis.plot(*body.predicted_px, "+", color=_OUTLINE, markersize=9, markeredgewidth=1.2)
 
 
 def _zoom(body: BodyMarks, columns: int, rows: int) -> tuple[Float, float] | None:
     """Middle (2,) and half width of a close-up, px; None if the body is outside of the image."""
-    points = [body.predicted_px[None, :], *(mark.center_px[None, :] for mark in body.centers), body.outline_px]
-    together = np.concatenate(points)
-    low, high = together.min(axis=0), together.max(axis=0)
-    low, high = np.maximum(low, -0.5), np.minimum(high, [columns - 0.5, rows - 0.5])
+    points = np.vstack([body.predicted_px, *(mark.center_px for mark in body.centers), body.outline_px])
+    low = np.maximum(points.min(axis=0), -0.5)
+    high = np.minimum(points.max(axis=0), [columns - 0.5, rows - 0.5])
     if bool(np.any(high < low)):
         return None
     half = max(_ZOOM_MARGIN * float(np.max(high - low)) / 2, _ZOOM_MARGIN * body.radius_px, _MIN_ZOOM_PX)
@@ -250,20 +248,24 @@ def _draw_close_up(axis: Axes, pixels: NDArray[np.generic], body: BodyMarks, vie
     axis.set(xlim=(x - half, x + half), ylim=(y + half, y - half), title=body.name, facecolor="#101418")
     _draw_outline(axis, body)
     for mark in body.centers:
-        color = mark.color
         if len(mark.limb_px):
             axis.plot(*mark.limb_px.T, ".", color=_LIMB, markersize=2.2)
         elif len(body.outline_px):
             found = body.outline_px + (mark.center_px - body.predicted_px)
-            axis.plot(*np.concatenate([found, found[:1]]).T, "-", color=color, linewidth=0.7, alpha=0.8)
-        axis.plot(*mark.center_px, "x", color=color, markersize=8, markeredgewidth=1.6)
+            axis.plot(*_closed(found).T, "-", color=mark.color, linewidth=0.7, alpha=0.8)
+        axis.plot(*mark.center_px, "x", color=mark.color, markersize=8, markeredgewidth=1.6)
         if np.isfinite(mark.covariance_px2).all():
-            axis.add_patch(_three_sigma(mark, color))
+            axis.add_patch(_three_sigma(mark))
 
 
-def _three_sigma(mark: CenterMark, color: str) -> Ellipse:
+def _closed(points: Float) -> Float:
+    """Points (n, 2) of an outline, and the first of them once more."""
+    return np.concatenate([points, points[:1]])
+
+
+def _three_sigma(mark: CenterMark) -> Ellipse:
     values, vectors = np.linalg.eigh(mark.covariance_px2)
     width, height = 6 * np.sqrt(np.maximum(values, 0.0))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     x, y = mark.center_px.tolist()
-    return Ellipse((x, y), float(width), float(height), angle=angle, fill=False, edgecolor=color, linewidth=1.0)
+    return Ellipse((x, y), float(width), float(height), angle=angle, fill=False, edgecolor=mark.color, linewidth=1.0)

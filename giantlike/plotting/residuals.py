@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
-from giantlike.plotting.style import BLUE, GRAY, INK, MANY_POINTS, MARKERS, RED, SERIES, drawing, new_figure
+from giantlike.plotting.style import BLUE, GRAY, INK, MANY_POINTS, MARKERS, RED, SERIES, drawing, new_panels, show_field
 
 _MAX_ARROWS = 400  # for legibility only
 _SMALLEST_PX = 1e-6  # a logarithmic axis has no zero
@@ -61,8 +61,8 @@ def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str
     """
     shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)]
     with drawing():
-        figure = new_figure(8.4, 0.9 + 1.75 * max(len(shown), 1))
-        axes: list[Axes] = list(np.atleast_1d(figure.subplots(max(len(shown), 1), 1, sharex=True)))
+        rows = max(len(shown), 1)
+        figure, axes = new_panels(8.4, 0.9 + 1.75 * rows, rows, sharex=True)
         for axis, quantity in zip(axes, shown, strict=False):
             axis.axhline(0.0, color=GRAY, linewidth=0.9)
             for number, part in enumerate(series):
@@ -118,8 +118,7 @@ def star_residual_figure(
     Figure
     """
     with drawing():
-        figure = new_figure(11.0, 3.6)
-        field, histogram, brightness = figure.subplots(1, 3, width_ratios=(1.25, 1.0, 1.0))
+        figure, (field, histogram, brightness) = new_panels(11.0, 3.6, columns=3, width_ratios=(1.25, 1.0, 1.0))
         _draw_arrows(field, points_px, residuals_px, columns, rows)
         _draw_histogram(histogram, residuals_px)
         size = np.maximum(np.linalg.norm(residuals_px, axis=1), _SMALLEST_PX)
@@ -158,7 +157,7 @@ def _draw_arrows(axis: Axes, points_px: Float, residuals_px: Float, columns: int
     )  # fmt: skip
     key = float(f"{2 * typical:.1g}")
     axis.quiverkey(quiver, 0.88, 1.05, key, f"{key:g} px", labelpos="W", color=INK)
-    axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal", xlabel="x, px", ylabel="y, px")
+    show_field(axis, columns, rows)
     axis.set_title("Over the field")
 
 
@@ -169,8 +168,7 @@ def _draw_histogram(axis: Axes, residuals_px: Float) -> None:
     clipped = np.clip(residuals_px, -half, half)
     for k, (name, color) in enumerate(zip("xy", SERIES, strict=False)):
         sigma = float(np.std(residuals_px[:, k]))
-        axis.hist(
-            clipped[:, k], bins=bins, histtype="step", linewidth=1.4, color=color, label=f"{name}: {sigma:.3f} px"
-        )
+        label = f"{name}: {sigma:.3f} px"
+        axis.hist(clipped[:, k], bins=bins, histtype="step", linewidth=1.4, color=color, label=label)
     axis.set(xlabel="observed - predicted, px", ylabel="number", title="Distribution (standard deviation)")
     axis.legend(loc="upper right")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import io
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from types import MappingProxyType
 from typing import Any
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, INK, GRAY = (
@@ -45,30 +45,48 @@ _STYLE: Any = MappingProxyType(  # matplotlib's own type for this lists every se
 )
 
 
-@contextlib.contextmanager
-def drawing() -> Iterator[None]:
+def drawing() -> AbstractContextManager[None]:
     """Draw in the style of all figures: ``with drawing(): ...``, for making and for saving them.
 
-    Yields
-    ------
-    None
+    Returns
+    -------
+    context manager
     """
-    with matplotlib.rc_context(dict(_STYLE)):
-        yield
+    return matplotlib.rc_context(dict(_STYLE))
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure whose parts will not overlap.
+def new_panels(
+    width_in: float, height_in: float, rows: int = 1, columns: int = 1, **settings: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with empty panels that will not overlap.
 
     Parameters
     ----------
     width_in, height_in : float, inches
+    rows, columns : int
+        Of panels.
+    **settings
+        Of matplotlib's ``Figure.subplots``.
 
     Returns
     -------
-    Figure
+    figure : Figure
+    panels : list of Axes
+        Row by row.
     """
-    return Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    return figure, list(figure.subplots(rows, columns, squeeze=False, **settings).flat)
+
+
+def show_field(axis: Axes, columns: int, rows: int) -> None:
+    """Make a panel show the frame of an image: pixel (0, 0) at the upper left, equal scales.
+
+    Parameters
+    ----------
+    axis : Axes
+    columns, rows : int
+    """
+    axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal", xlabel="x, px", ylabel="y, px")
 
 
 def svg_text(figure: Figure, name: str) -> str:

@@ -11,7 +11,7 @@ from giantlike.calibration.boards import CORNER_SIGMA_PX
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.page import write_calibration_page
-from giantlike.campaign.calibration.solve import CampaignCalibration, calibrated_camera, write_calibration
+from giantlike.campaign.calibration.solve import CampaignCalibration, write_calibration
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder
@@ -86,22 +86,17 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
         images, camera.model, across=setup.across, down=setup.down, sigma_px=setup.sigma_px
     )
     lost += failed
-    outcome = (
+    solution = (
         calibrate(observations, camera.model, estimate=estimate, columns=columns, rows=rows)
         if observations
         else Failure(Reason.NO_PATTERN_MATCH, f"none of {len(files)} images shows the board; {lost[0][1].detail}")
     )
-    reasons = tuple((name, f"{failure.reason}: {failure.detail}") for name, failure in lost)
-    if isinstance(outcome, Failure):
-        result = CampaignCalibration(outcome=outcome, camera=None, alignment=None, lost=reasons, targets="corners")
-    else:
-        result = CampaignCalibration(
-            outcome=StarCalibration(result=outcome, rounds=1, settled=True, failed=()),
-            camera=calibrated_camera(camera, outcome) if outcome.accepted else None,
-            alignment=None,
-            lost=reasons,
-            targets="corners",
-        )
+    outcome = (
+        solution
+        if isinstance(solution, Failure)
+        else StarCalibration(result=solution, rounds=1, settled=True, failed=())
+    )
+    result = CampaignCalibration.of(outcome, camera, lost, targets="corners")
     make_folder(folder)
     write_calibration(folder, result)
     write_calibration_page(folder, folder.name, camera, result)

@@ -21,12 +21,7 @@ from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
-from giantlike.plotting import (
-    correlation_figure,
-    distortion_figure,
-    residual_trend_figure,
-    star_residual_figure,
-)
+from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_figure
 
 _MAX_REJECTED = 200
 """Rejected observations listed in the page, the worst first; ``calibration.json`` holds all."""
@@ -108,20 +103,16 @@ def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
     )
     trends = residual_trend_figure(_trends(solution))
     distortion = distortion_figure(points, shifts, solution.map_points_px, solution.map_sigma_px, columns, rows)
-    figures = [
-        PageFigure.of(
-            residuals,
-            "calibration residuals",
-            "Residuals of the observations used, over the field and by size.",
-        ),
-        PageFigure.of(
+    captions = [
+        (residuals, "residuals", "Residuals of the observations used, over the field and by size."),
+        (
             trends,
-            "calibration trends",
+            "trends",
             "Residual rms in groups of equal size against what it might depend on, and the noise that sigmas promise.",
         ),
-        PageFigure.of(
+        (
             distortion,
-            "calibration distortion",
+            "distortion",
             "Left: where the camera puts a direction, minus where an ideal lens (pinhole, or fisheye) of the same "
             "focal lengths and principal point would. Right: uncertainty of the camera map, a rotation of the whole "
             "camera taken out.",
@@ -131,9 +122,8 @@ def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
         caption = (
             "Parameters that are strongly correlated are known in combination only: their own values may fluctuate."
         )
-        correlation = correlation_figure(solution.estimated, solution.correlation)
-        figures.append(PageFigure.of(correlation, "calibration correlation", caption))
-    return figures
+        captions.append((correlation_figure(solution.estimated, solution.correlation), "correlation", caption))
+    return [PageFigure.of(figure, f"calibration {name}", caption) for figure, name, caption in captions]
 
 
 def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, Float]:

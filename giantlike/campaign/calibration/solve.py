@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from giantlike.campaign.file.schema import CalibrationSection
 from giantlike.campaign.store.records import CalibrationRecord
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CALIBRATION_PAGE, CAMERA_FILE, RESIDUALS_FILE
 from giantlike.catalogs import StarCatalog
+from giantlike.core.arrays import finite_or_none
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
@@ -33,6 +32,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.image import Image
+from giantlike.io.csv_rows import write_csv_rows
 from giantlike.stars import Sky, StarOptions
 
 NO_STAR_IMAGE = "is no star image: its exposure is shorter than stars.long_exposure_s"
@@ -69,6 +69,38 @@ class CampaignCalibration(Value):
     alignment: AlignmentResult | None
     lost: tuple[tuple[str, str], ...]
     targets: str = "stars"
+
+    @classmethod
+    def of(
+        cls,
+        outcome: StarCalibration | Failure,
+        camera: Camera,
+        lost: Iterable[tuple[str, Failure]],
+        *,
+        alignment: AlignmentResult | None = None,
+        targets: str = "stars",
+    ) -> CampaignCalibration:
+        """Result with the camera that a calibration gives, if it was accepted.
+
+        Parameters
+        ----------
+        outcome : StarCalibration or Failure
+        camera : Camera
+            Camera before the calibration.
+        lost : iterable of (str, Failure)
+            Images that did not take part.
+        alignment : AlignmentResult, optional
+        targets : str
+
+        Returns
+        -------
+        CampaignCalibration
+        """
+        calibrated = None
+        if isinstance(outcome, StarCalibration) and outcome.result.accepted:
+            calibrated = calibrated_camera(camera, outcome.result)
+        reasons = tuple((name, f"{failure.reason}: {failure.detail}") for name, failure in lost)
+        return cls(outcome=outcome, camera=calibrated, alignment=alignment, lost=reasons, targets=targets)
 
     @property
     def problem(self) -> str | None:
@@ -188,17 +220,14 @@ def calibrate_campaign(
         criteria=setup.criteria,
     )
     lost = [
-        (record.file, f"{record.problem.reason}: {record.problem.detail}")
+        (record.file, Failure(record.problem.reason, record.problem.detail))
         for record in records
         if record.problem is not None and record.problem.detail != NO_STAR_IMAGE
     ]
     if isinstance(outcome, Failure):
-        return CampaignCalibration(outcome=outcome, camera=None, alignment=None, lost=tuple(lost))
-    lost += [(name, f"{failure.reason}: {failure.detail}") for name, failure in outcome.failed]
-    camera = calibrated_camera(campaign.camera, outcome.result) if outcome.result.accepted else None
-    return CampaignCalibration(
-        outcome=outcome, camera=camera, alignment=_alignment(outcome.result, records), lost=tuple(lost)
-    )
+        return CampaignCalibration.of(outcome, campaign.camera, lost)
+    alignment = _alignment(outcome.result, records)
+    return CampaignCalibration.of(outcome, campaign.camera, [*lost, *outcome.failed], alignment=alignment)
 
 
 def calibrated_camera(camera: Camera, solution: CalibrationResult) -> Camera:
@@ -271,7 +300,7 @@ def write_calibration(folder: Path, result: CampaignCalibration) -> bool:
     (folder / CALIBRATION_PAGE).unlink(missing_ok=True)
     write_text_atomic(path, content)
     if isinstance(result.outcome, StarCalibration):
-        write_text_atomic(folder / RESIDUALS_FILE, _residual_table(result.outcome.result))
+        write_csv_rows(folder / RESIDUALS_FILE, _COLUMNS, _residual_rows(result.outcome.result))
     return True
 
 
@@ -344,15 +373,10 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _residual_table(solution: CalibrationResult) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+def _residual_rows(solution: CalibrationResult) -> Iterator[list[str | float | None]]:
     names = ("image_index", "labels", "observed_px", "predicted_px", "sigma_px", "magnitudes", "used")
-    columns = zip(*(getattr(solution, name) for name in names), strict=True)
+    columns = zip(*(getattr(solution, name).tolist() for name in names), strict=True)
     for number, label, seen, predicted, sigma, magnitude, used in columns:
-        image = solution.images[int(number)]
-        cells = [*seen.tolist(), *predicted.tolist(), float(sigma), float(magnitude), image.temperature_c]
-        texts = [repr(cell) if math.isfinite(cell) else "" for cell in cells]
-        writer.writerow([image.name, int(label), *texts, int(used)])
-    return text.getvalue()
+        image = solution.images[number]
+        cells = [*seen, *predicted, sigma, magnitude, image.temperature_c]
+        yield [image.name, label, *map(finite_or_none, cells), int(used)]

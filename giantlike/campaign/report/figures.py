@@ -71,16 +71,15 @@ def attitude_figures(result: RunResult) -> list[PageFigure]:
     at, label = _time_axis(result)
     if solved:
         figures.append(_star_figure(result, solved))
-        quality = Series(
-            label="star images",
-            at=np.array([at(record.index) for record in solved]),
-            values=np.array([[record.rms_px, record.n_matched] for record in solved], dtype=np.float64),
-            sigma=np.full((len(solved), 2), np.nan),
-            suspect=np.array([record.status == "suspect" for record in solved]),
-        )
-        figure = series_figure([quality], ["radial rms, px", "matched stars"], label, "Star solutions")
+        unknown = np.full(2, np.nan)
+        samples: list[_Sample] = [
+            (at(record.index), np.array([record.rms_px, record.n_matched]), unknown, record.status == "suspect")
+            for record in solved
+        ]
+        quality = _series({"star images": samples})
+        figure = series_figure(quality, ["radial rms, px", "matched stars"], label, "Star solutions")
         figures.append(PageFigure.of(figure, "quality", "Fit and number of stars of every solution."))
-    corrections = [part for source in ("stars", "interpolated") if (part := _corrections(result, source, at))]
+    corrections = _series({source: _corrections(result, source, at) for source in ("stars", "interpolated")})
     if corrections:
         panels = ["about x, arcsec", "about y, arcsec", "about z, arcsec"]
         figure = series_figure(corrections, panels, label, "Attitude minus a priori attitude, camera axes")
@@ -107,7 +106,7 @@ def body_figures(result: RunResult) -> list[PageFigure]:
             measured.setdefault(record.target, {}).setdefault(record.estimator, {})[record.index] = record
     figures = []
     for target, by_estimator in measured.items():
-        offsets = [_offsets(list(records.values()), name, at) for name, records in by_estimator.items()]
+        offsets = _series({name: _offsets(records, at) for name, records in by_estimator.items()})
         figure = series_figure(offsets, _BODY_PANELS, label, f"{target}: observed minus predicted")
         caption = (
             f"{target}: measured center (and range, where it is measured) against the a priori geometry, with one-sigma"
@@ -115,11 +114,10 @@ def body_figures(result: RunResult) -> list[PageFigure]:
         )
         figures.append(PageFigure.of(figure, f"target {target}", caption))
         reference = max(by_estimator, key=lambda name: len(by_estimator[name]))
-        differences = [
-            part
-            for name, records in by_estimator.items()
-            if name != reference and (part := _differences(records, by_estimator[reference], name, at)) is not None
-        ]
+        others = {name: records for name, records in by_estimator.items() if name != reference}
+        differences = _series(
+            {name: _differences(records, by_estimator[reference], at) for name, records in others.items()}
+        )
         if differences:
             figure = series_figure(differences, _BODY_PANELS, label, f"{target}: minus {reference}")
             caption = f"{target}: the other estimators minus {reference}; the bars are both sigmas together."
@@ -225,44 +223,40 @@ _Sample = tuple[float, Float, Float, bool]
 """One point of a series: abscissa, values (k,), sigmas (k,), True if suspect."""
 
 
-def _series(label: str, samples: Sequence[_Sample]) -> Series | None:
-    if not samples:
-        return None
-    at, values, sigma, suspect = zip(*samples, strict=True)
-    return Series(
-        label=label, at=np.array(at), values=np.array(values), sigma=np.array(sigma), suspect=np.array(suspect)
-    )
+def _series(samples: Mapping[str, Sequence[_Sample]]) -> list[Series]:
+    """Series by label, of those that have a sample."""
+    series = []
+    for label, points in samples.items():
+        if points:
+            at, values, sigma, suspect = map(np.array, zip(*points, strict=True))
+            series.append(Series(label=label, at=at, values=values, sigma=sigma, suspect=suspect))
+    return series
 
 
-def _corrections(result: RunResult, source: str, at: Callable[[int], float]) -> Series | None:
+def _corrections(result: RunResult, source: str, at: Callable[[int], float]) -> list[_Sample]:
     samples: list[_Sample] = []
     for record in result.attitudes:
         attitude = record.attitude
         if attitude is not None and attitude.source == source and record.apriori is not None:
             change = ARCSEC_PER_RAD * rotation_between(record.apriori, attitude.rotation)
             samples.append((at(record.index), change, ARCSEC_PER_RAD * attitude.sigma_rad, record.status == "suspect"))
-    return _series(source, samples)
+    return samples
 
 
-def _offsets(records: Sequence[ObservationRecord], label: str, at: Callable[[int], float]) -> Series:
-    series = _series(label, [(at(record.index), *_measured(record), record.status == "suspect") for record in records])
-    assert series is not None
-    return series
+def _offsets(records: Mapping[int, ObservationRecord], at: Callable[[int], float]) -> list[_Sample]:
+    return [(at(index), *_measured(record), record.status == "suspect") for index, record in records.items()]
 
 
 def _differences(
-    records: Mapping[int, ObservationRecord],
-    reference: Mapping[int, ObservationRecord],
-    label: str,
-    at: Callable[[int], float],
-) -> Series | None:
+    records: Mapping[int, ObservationRecord], reference: Mapping[int, ObservationRecord], at: Callable[[int], float]
+) -> list[_Sample]:
     samples: list[_Sample] = []
     for index in sorted(records.keys() & reference.keys()):
         value, sigma = _measured(records[index])
         other, other_sigma = _measured(reference[index])
         suspect = "suspect" in (records[index].status, reference[index].status)
         samples.append((at(index), value - other, np.hypot(sigma, other_sigma), suspect))
-    return _series(label, samples)
+    return samples
 
 
 def _measured(record: ObservationRecord) -> tuple[Float, Float]:

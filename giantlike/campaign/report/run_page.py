@@ -12,7 +12,7 @@ import numpy as np
 from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
 from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
-from giantlike.campaign.store.results import RunResult, StatusCounts
+from giantlike.campaign.store.results import RunResult, StatusCounts, grouped
 from giantlike.campaign.store.run_folder import REPORT_PAGE
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.outcomes import Quality
@@ -133,11 +133,8 @@ def _notes(result: RunResult) -> list[str]:
 
 def _attitude_summary(records: Sequence[AttitudeRecord]) -> list[_AttitudeSummary]:
     """One row per source."""
-    groups: dict[str, list[AttitudeRecord]] = {}
-    for record in records:
-        groups.setdefault(record.wanted_source or "unreadable image", []).append(record)
     table = []
-    for source, members in groups.items():
+    for source, members in grouped(records, lambda record: record.wanted_source or "unreadable image").items():
         attitudes = [record.attitude for record in members if record.attitude is not None]
         sigmas = [ARCSEC_PER_RAD * each.sigma_rad for each in attitudes if each.covariance_rad2 is not None]
         table.append(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,6 +18,9 @@ from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, R
 from giantlike.core.errors import DataError
 from giantlike.core.values import Value
 from giantlike.io.attitude_series import AttitudeSeries
+
+Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,10 +101,7 @@ class RunResult(Value):
     @property
     def by_estimator(self) -> dict[tuple[str, str], list[ObservationRecord]]:
         """Observations by target and estimator."""
-        groups: dict[tuple[str, str], list[ObservationRecord]] = {}
-        for record in self.observations:
-            groups.setdefault((record.target, record.estimator), []).append(record)
-        return groups
+        return grouped(self.observations, lambda record: (record.target, record.estimator))
 
     @property
     def failed_images(self) -> tuple[str, ...]:
@@ -135,6 +135,25 @@ class RunResult(Value):
             "warnings": list(self.warnings),
             "time_s": round(self.time_s, 3),
         }
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Items by key, keys and items in the order in which they come.
+
+    Parameters
+    ----------
+    items : iterable
+    key : callable
+        Key of an item.
+
+    Returns
+    -------
+    dict of key to list
+    """
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def load_result(path: Path) -> RunResult:
