@@ -164,14 +164,9 @@ def board_observations(
     .. [1] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, Table 2 and Fig. 12.
     """
     corners = board_corners(across=across, down=down, square=square)
-    observations, failed = [], []
-    for image in images:
-        one = _observed(image, corners, model, (across, down), sigma_px)
-        if isinstance(one, Failure):
-            failed.append((image.name, one))
-        else:
-            observations.append(one)
-    return observations, failed
+    found = [_observed(image, corners, model, (across, down), sigma_px) for image in images]
+    failed = [(image.name, one) for image, one in zip(images, found, strict=True) if isinstance(one, Failure)]
+    return [one for one in found if not isinstance(one, Failure)], failed
 
 
 def _observed(

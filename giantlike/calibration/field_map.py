@@ -52,6 +52,14 @@ def field_grid(columns: int, rows: int) -> Float:
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
+def _imaged_grid(model: CameraModel, columns: int, rows: int) -> tuple[Float, Float]:
+    """Points (n, 2) of the field grid that a model can unproject, and their unit vectors (n, 3)."""
+    pixels = field_grid(columns, rows)
+    vectors = model.unproject(pixels)
+    seen = np.isfinite(vectors).all(axis=1)
+    return pixels[seen], vectors[seen]
+
+
 def map_difference(
     model: CameraModel, other: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0
 ) -> FieldMap:
@@ -71,10 +79,7 @@ def map_difference(
         Points that one of the models cannot project are omitted.
     """
     first, second = model.at_temperature(temperature_c), other.at_temperature(temperature_c)
-    pixels = field_grid(columns, rows)
-    vectors = first.unproject(pixels)
-    seen = np.isfinite(vectors).all(axis=1)
-    pixels, vectors = pixels[seen], vectors[seen]
+    pixels, vectors = _imaged_grid(first, columns, rows)
     rotation = Rotation.identity()
     for _ in range(_ROTATION_STEPS):
         turned = rotate(rotation, vectors)
@@ -109,10 +114,7 @@ class FieldSensitivity(Value):
     def of(cls, model: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0) -> FieldSensitivity:
         """Sensitivity at the grid points of a detector that the model can project."""
         there = model.at_temperature(temperature_c)
-        pixels = field_grid(columns, rows)
-        vectors = there.unproject(pixels)
-        seen = np.isfinite(vectors).all(axis=1)
-        pixels, vectors = pixels[seen], vectors[seen]
+        pixels, vectors = _imaged_grid(there, columns, rows)
         by_parameter = model.parameter_jacobian(vectors, temperature_c=temperature_c)
         by_rotation = (-there.project_jacobian(vectors) @ skew(vectors)).reshape(-1, 3)
         basis, _ = np.linalg.qr(by_rotation)

@@ -357,14 +357,12 @@ def _identified_with(
     """Observations of all images, identified again with a better camera, and the images in which that failed."""
     better = replace(camera, model=result.model)
     attitudes = {image.name: image.camera_from_reference for image in result.images}
-    observations, failed = [], []
-    for image in images:
-        found = _identified(image, better, attitudes.get(image.name, image.camera_from_inertial), options, min_snr)
-        if isinstance(found, Failure):
-            failed.append((image.name, found))
-        else:
-            observations.append(found)
-    return observations, failed
+    found = [
+        _identified(image, better, attitudes.get(image.name, image.camera_from_inertial), options, min_snr)
+        for image in images
+    ]
+    failed = [(image.name, one) for image, one in zip(images, found, strict=True) if isinstance(one, Failure)]
+    return [one for one in found if not isinstance(one, Failure)], failed
 
 
 def _first_observations(image: StarImage, camera: Camera, min_snr: float) -> ImageObservations:

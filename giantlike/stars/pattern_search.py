@@ -57,15 +57,12 @@ class Hypothesis(Value):
         Catalog identifiers.
     detection_indices : (k,) int
         Detections of these stars.
-    votes : int
-        Number of patterns that agree.
     """
 
     camera_from_inertial: Rotation
     scale: float
     star_ids: NDArray[np.int64]
     detection_indices: NDArray[np.intp]
-    votes: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +231,6 @@ def _shared(
         scale=scale,
         star_ids=index.ids[star],
         detection_indices=detection,
-        votes=len(members),
     )
 
 

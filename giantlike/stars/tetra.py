@@ -86,7 +86,6 @@ def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: Sta
                 scale=focal / camera.model.focal_length_px,
                 star_ids=np.zeros(0, dtype=np.int64),
                 detection_indices=np.zeros(0, dtype=np.intp),
-                votes=1,
             )
 
 

@@ -240,11 +240,8 @@ def _left_jacobian(rotvec: Float) -> Float:
 def _disagreement(
     result: TransferredAttitude, stars: Sequence[StarAttitude], apriori: Rotation | None, options: TransferOptions
 ) -> Failure | None:
-    if apriori is None:
-        return None
-    for index in result.used:
-        star = stars[index]
-        if star.apriori is None:
+    for star in (stars[index] for index in result.used):
+        if apriori is None or star.apriori is None:
             continue
         expected = apriori * star.apriori.inv()
         assumed = result.camera_from_inertial * star.camera_from_inertial.inv()

@@ -88,8 +88,6 @@ class PnpFix(Value):
         Measured minus projected, of all points.
     floor_px : float, px
         Standard deviation per axis of the errors beyond the given covariances; included in ``covariance``.
-    iterations : int
-        Gauss-Newton steps of the last fit.
     """
 
     position_camera_km: Float
@@ -98,7 +96,6 @@ class PnpFix(Value):
     inliers: Mask
     residuals_px: Float
     floor_px: float
-    iterations: int
 
 
 def solve_pnp(
@@ -242,7 +239,7 @@ def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask
         fit = _gauss_newton(problem, rotation, position, agree, floor2)
         if isinstance(fit, Failure):
             return fit
-        rotation, position, iterations = fit
+        rotation, position = fit
         left = problem.residuals(rotation, position)
         before, agree = agree, _agreeing(left, problem.spread, agree, options.inlier_px)
         if int(agree.sum()) < options.min_inliers:
@@ -266,16 +263,15 @@ def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask
         inliers=agree,
         residuals_px=left,
         floor_px=math.sqrt(floor2),
-        iterations=iterations,
     )
 
 
 def _gauss_newton(
     problem: _Problem, rotation: Rotation, position: Float, used: Mask, floor2: float
-) -> tuple[Rotation, Float, int] | Failure:
-    """Best pose for some of the points, and the number of steps."""
+) -> tuple[Rotation, Float] | Failure:
+    """Best pose for some of the points."""
     options = problem.options
-    for step in range(1, options.max_iterations + 1):
+    for _ in range(options.max_iterations):
         information, gradient = _normal_equations(problem, rotation, position, used, floor2)
         if not (np.isfinite(information).all() and np.isfinite(gradient).all()):
             return Failure(
@@ -292,7 +288,7 @@ def _gauss_newton(
         if len(change) == 6:
             rotation = Rotation.from_rotvec(change[3:]) * rotation
         if float(change @ information @ change) < _SETTLED:
-            return rotation, position, step
+            return rotation, position
     return Failure(Reason.NOT_CONVERGED, f"the pose did not converge in {options.max_iterations} steps")
 
 
