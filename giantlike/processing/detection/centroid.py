@@ -26,7 +26,13 @@ from scipy.spatial import cKDTree
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches, chi2_inflation, pixel_shares
+from giantlike.processing.detection.patches import (
+    MIN_PSF_SIGMA_PX,
+    Patches,
+    chi2_inflation,
+    normal_equations,
+    pixel_shares,
+)
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
@@ -182,10 +188,7 @@ class _Problem:
         jacobian[:, 3] = 1.0
         jacobian[:, 4] = scale * (py[:, :, None] * px_width[:, None, :] + py_width[:, :, None] * px[:, None, :])
         residual, weight = patches.residuals(scale * star, background)
-        rows = jacobian.reshape(n, 5, -1)
-        weighted = rows * weight[:, None, :]
-        normal = weighted @ rows.swapaxes(1, 2)
-        right = (weighted @ residual[:, :, None])[:, :, 0]
+        normal, right = normal_equations(jacobian.reshape(n, 5, -1), residual, weight)
         normal[:, 4, 4] += self.width_prior**-2
         right[:, 4] += (math.log(self.psf_sigma_px) - log_width) * self.width_prior**-2
         # A star without pixels has no information: keep the matrix regular, its covariance says so.
@@ -203,9 +206,8 @@ class _Problem:
         result[:, :2] *= np.minimum(1.0, reach / np.maximum(length, 1e-300))[:, None]
         flux = parameters[:, 2]
         result[:, 2] = np.clip(step[:, 2], -0.7 * flux, 4.0 * flux)
-        middle = math.log(self.psf_sigma_px)
-        wanted = np.clip(parameters[:, 4] + np.clip(step[:, 4], -0.4, 0.4), middle - _LOG_WIDTH_LIMIT,
-                         middle + _LOG_WIDTH_LIMIT)  # fmt: skip
+        limits = math.log(self.psf_sigma_px) + np.array([-_LOG_WIDTH_LIMIT, _LOG_WIDTH_LIMIT])
+        wanted = np.clip(parameters[:, 4] + np.clip(step[:, 4], -0.4, 0.4), *limits)
         result[:, 4] = np.maximum(wanted, math.log(0.6 * MIN_PSF_SIGMA_PX)) - parameters[:, 4]
         return result
 

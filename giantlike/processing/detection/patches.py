@@ -232,6 +232,25 @@ def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Fl
     return share, by_center, by_log_width
 
 
+def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[Float, Float]:
+    """Form the normal equations of independent fits of p parameters.
+
+    Parameters
+    ----------
+    jacobian : (n, p, pixels) float64
+        Derivatives of the model by the parameters.
+    residual, weight : (n, pixels) float64
+        As given by :meth:`Patches.residuals`.
+
+    Returns
+    -------
+    normal : (n, p, p) float64
+    right : (n, p) float64
+    """
+    weighted = jacobian * weight[:, None, :]
+    return weighted @ jacobian.swapaxes(1, 2), (weighted @ residual[:, :, None])[:, :, 0]
+
+
 def chi2_inflation(chi2: Float, freedom: NDArray[np.integer]) -> Float:
     """Factor (n,) on a covariance: the reduced chi-square where it exceeds what noise explains, else 1.
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, frozen
 from giantlike.core.values import Value, select_rows
-from giantlike.processing.detection.patches import Patches, chi2_inflation, pixel_shares
+from giantlike.processing.detection.patches import Patches, chi2_inflation, normal_equations, pixel_shares
 
 _MAX_STEPS = 40  # Levenberg-Marquardt steps; a line that needs more gets FIT_FAILED
 _SETTLED = 1e-3  # predicted decrease of chi-square at convergence: steps of 0.03 sigma
@@ -185,9 +185,7 @@ class _Problem:
             [flux[:, None] * derivatives, shares[:, None], np.ones_like(shares)[:, None]], axis=1
         ).reshape(n, 6, -1)
         residual, weight = self.patches.residuals(flux * shares, parameters[:, 5])
-        weighted = jacobian * weight[:, None, :]
-        normal = weighted @ jacobian.swapaxes(1, 2)
-        right = (weighted @ residual[:, :, None])[:, :, 0]
+        normal, right = normal_equations(jacobian, residual, weight)
         cost = np.sum(weight * residual**2 - np.log(np.where(weight > 0.0, weight, 1.0)), axis=1)
         return normal, right, cost
 
