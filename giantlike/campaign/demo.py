@@ -9,6 +9,7 @@ import shutil
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 from scipy.stats import chi2
 
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.runner import Progress, run_campaign
+from giantlike.campaign.run.runner import Progress, run_campaign, silent
 from giantlike.campaign.store.results import grouped
 from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import finite_or_none, require
@@ -231,13 +232,12 @@ def run_demo(
     start = time.perf_counter()
     _clear(output)
 
-    def taking(done: int, total: int) -> None:
-        if progress is not None:
-            progress("taking images", done, total)
-
+    show = progress or silent
     threads = workers or os.cpu_count() or 1
     approach = plan_approach(options or ApproachOptions())
-    campaign = write_approach(approach, output, load_catalog("default"), workers=threads, progress=taking)
+    campaign = write_approach(
+        approach, output, load_catalog("default"), workers=threads, progress=partial(show, "taking images")
+    )
     middle = time.perf_counter()
     result = run_campaign(Campaign.load(campaign), workers=workers, progress=progress)
     end = time.perf_counter()

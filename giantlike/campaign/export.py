@@ -8,13 +8,12 @@ from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 
-from scipy.spatial.transform import Rotation
-
 from giantlike.camera import Camera
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder
+from giantlike.core.errors import InputError
 from giantlike.core.frames import require_same_frame
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
 from giantlike.io.camera_sip import PosedModel
@@ -172,8 +171,8 @@ def _csv(job: _Job) -> tuple[Path, ...]:
 
 def _ck(job: _Job) -> tuple[Path, ...]:
     code = job.options.instrument_id
-    require(code is not None, "a C-kernel needs --instrument, the NAIF code of the camera frame")
-    assert code is not None
+    if code is None:
+        raise InputError("a C-kernel needs --instrument, the NAIF code of the camera frame")
     series, frame = attitude_series(job.records, job.camera), job.camera.mission_frame
     if frame is not None:
         series = series.turned(frame.mission_from_camera(job.camera))
@@ -214,7 +213,7 @@ def _wcs(job: _Job) -> tuple[Path, ...]:
                 model=job.camera.model,
                 columns=job.camera.columns,
                 rows=job.camera.rows,
-                camera_from_inertial=Rotation.from_quat(record.attitude.quaternion_xyzw),
+                camera_from_inertial=record.attitude.rotation,
             ),
             et=record.et,
             name=record.file,

@@ -163,14 +163,10 @@ def write_interlock(result: InterlockResult, folder: Path) -> tuple[Path, ...]:
 def _series(path: Path) -> AttitudeSeries:
     if not path.is_dir():
         return read_attitude_csv(path)
-    records = [
-        record
-        for record in load_result(path).attitudes
-        if record.status == "ok" and record.attitude is not None and record.attitude.source == "stars"
-    ]
-    timed = [record for record in records if record.et is not None]
-    require(bool(timed), f"{path}: the run has no attitude from stars with an epoch")
-    return attitude_series(timed, camera_of_run(path))
+    good = [record for record in load_result(path).attitudes if record.status == "ok" and record.et is not None]
+    records = [record for record in good if record.attitude is not None and record.attitude.source == "stars"]
+    require(bool(records), f"{path}: the run has no attitude from stars with an epoch")
+    return attitude_series(records, camera_of_run(path))
 
 
 def _pairs(first_et: Float, second_et: Float, tolerance_s: float) -> list[tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import Float, finite_or_none, require
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, radec_from_direction
+from giantlike.core.reading import file_sha256
 from giantlike.core.units import RAD_PER_DEG
 
 _SHOWN = 40
@@ -69,7 +70,7 @@ def build(
             name=name or target.stem,
             mapping=mapping,
             max_magnitude=max_magnitude,
-            progress=lambda done, total: show("reading", done, total),
+            progress=partial(show, "reading"),
         )
         save_catalog(built.catalog, target, sources=built.sources)
     if json:
@@ -210,7 +211,7 @@ def _sources(name: str) -> list[Source]:
         return []
     if is_catalog_file(path):
         return [Source(**source) for source in catalog_header(path)["sources"]]
-    return [Source(name=path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())]
+    return [Source(name=path.name, sha256=file_sha256(path))]
 
 
 def _rows(stars: StarTable, directions: Float, distance_deg: Float, epoch: float | None) -> list[dict[str, Any]]:

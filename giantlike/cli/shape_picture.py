@@ -19,6 +19,7 @@ from giantlike.cli.shape_commands import units_said
 from giantlike.core.arrays import require
 from giantlike.core.atomic import write_bytes_atomic
 from giantlike.core.errors import InputError
+from giantlike.core.frames import direction_from_radec, east_north
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing import Body, RenderOptions, reflectance_from_mapping, render
 from giantlike.shapes import TriangleMesh, load_shape
@@ -124,12 +125,8 @@ def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:
 
 def _camera_from_body(view: View) -> Rotation:
     """Attitude of a camera over a point of the body that looks at its center, north up (image -y)."""
-    longitude, latitude = math.radians(view.longitude_deg), math.radians(view.latitude_deg)
-    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
-    outward = np.array(
-        [math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)]
-    )
-    north = np.cross(outward, east)
+    east, north = east_north(view.longitude_deg, view.latitude_deg)
+    outward = direction_from_radec(view.longitude_deg, view.latitude_deg)
     return Rotation.from_matrix(np.stack([east, -north, -outward]))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from giantlike.core.errors import DataError
@@ -23,19 +24,13 @@ def write_review(
     from giantlike.plotting import StarMarks, overlay_figure, star_residual_figure
 
     solved = outcome if isinstance(outcome, AttitudeFix) else None
-    marks = (
-        StarMarks.of_detections(detections.points_px)
-        if solved is None
-        else StarMarks(
-            detected_px=detections.points_px,
-            matched_px=solved.observed_px,
-            predicted_px=solved.predicted_px,
-            rejected_px=solved.rejected_px,
+    marks, said = StarMarks.of_detections(detections.points_px), "not solved"
+    if solved is not None:
+        said = f"{solved.n_used} matched, {solved.n_rejected} thrown out"
+        marks = replace(
+            marks, matched_px=solved.observed_px, predicted_px=solved.predicted_px, rejected_px=solved.rejected_px
         )
-    )
-    said = f"{len(detections)} detected"
-    said += f", {solved.n_used} matched, {solved.n_rejected} thrown out" if solved else ", not solved"
-    figures = {"stars": overlay_figure(image.pixels, said, stars=marks)}
+    figures = {"stars": overlay_figure(image.pixels, f"{len(detections)} detected, {said}", stars=marks)}
     if solved is not None:
         figures["residuals"] = star_residual_figure(
             solved.observed_px, solved.residuals_px, solved.magnitudes, solved.sigma_px, image.columns, image.rows

@@ -168,8 +168,7 @@ def overlay_figure(
     Figure
     """
     rows, columns = pixels.shape
-    views = [_zoom(body, columns, rows) for body in bodies]
-    close = [(body, view) for body, view in zip(bodies, views, strict=True) if view is not None]
+    close = [(body, view) for body in bodies if (view := _zoom(body, columns, rows)) is not None]
     aspect = float(np.clip(rows / columns, 1 / _MAX_ELONGATION, _MAX_ELONGATION))
     with drawing():
         figure, panels = _panels(1 + len(close), _PANEL_IN, _PANEL_IN * aspect)

@@ -12,12 +12,21 @@ from typing import Any
 
 from giantlike.calibration.star_images import start_model
 from giantlike.camera import Camera
-from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup, camera_of, existing_file, spice_of, targets_of
+from giantlike.campaign.file.inputs import (
+    SpiceSetup,
+    TargetSetup,
+    camera_of,
+    catalog_of,
+    existing_file,
+    geometry_of,
+    spice_of,
+    targets_of,
+)
 from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
-from giantlike.campaign.file.toml_file import read_toml
+from giantlike.campaign.file.toml_file import named, read_toml
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
-from giantlike.io.geometry_table import GeometryTable, ImageGeometry, read_geometry
+from giantlike.io.geometry_table import GeometryTable, ImageGeometry
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.options import StarOptions
 from giantlike.stars.rates import read_rates
@@ -197,9 +206,8 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     geometry: dict[str, ImageGeometry] = {}
     unmatched: list[str] = []
     if content.images.geometry is not None:
-        geometry_file = existing_file(path, "images.geometry", content.images.geometry)
-        only = content.targets[0].name if len(content.targets) == 1 else None
-        geometry_table = read_geometry(geometry_file, default_target=only)
+        geometry_table = geometry_of(path, "images.geometry", content.images.geometry, content.targets)
+        geometry_file = geometry_table.path
         by_path = geometry_table.match([image.path for image in images], folder)
         geometry = {image.key: by_path[image.path] for image in images if image.path in by_path}
         unmatched = _unmatched(geometry_table, images, geometry, folder, with_spice=content.spice is not None)
@@ -240,8 +248,7 @@ def _images(path: Path, patterns: Sequence[str]) -> tuple[ImageEntry, ...]:
         literal = (folder / pattern).is_file()
         names = [pattern] if literal else sorted(glob.glob(pattern, root_dir=folder, recursive=True))
         files = [folder / name for name in names if (folder / name).is_file()]
-        if not files:
-            raise InputError(f"images.files: no file matches {pattern!r} (looked in {folder.resolve()})")
+        require(bool(files), f"images.files: no file matches {pattern!r} (looked in {folder.resolve()})")
         found.update(dict.fromkeys(files))
     shared = Counter(file.name for file in found)
     keys = [file.name if shared[file.name] == 1 else _relative(file, folder) for file in found]
@@ -253,10 +260,7 @@ def _relative(file: Path, folder: Path) -> str:
 
 
 def _stars(path: Path, section: StarsSection) -> StarsSetup:
-    catalog = section.catalog
-    if catalog != "default":
-        catalog = str(existing_file(path, "stars.catalog", catalog))
-    try:
+    with named("[stars]: "):
         options = replace(section.options, max_magnitude=section.max_magnitude, lost_in_space=section.lost_in_space)
         transfer = TransferOptions(
             method=section.transfer,
@@ -264,10 +268,8 @@ def _stars(path: Path, section: StarsSection) -> StarsSetup:
             drift_arcsec_per_sqrt_s=section.drift_arcsec_per_sqrt_s,
             max_disagreement_deg=section.max_disagreement_deg,
         )
-    except InputError as error:
-        raise InputError(f"[stars]: {error}") from error
     return StarsSetup(
-        catalog=catalog,
+        catalog=catalog_of(path, section.catalog),
         options=options,
         detection=section.detection,
         long_exposure_s=section.long_exposure_s,
@@ -280,13 +282,11 @@ def _rates(path: Path, section: StarsSection) -> Path | None:
     """Table of angular rates; refused where the transfer method does not use one."""
     if section.rates is None:
         return None
-    if section.transfer is not TransferMethod.PROPAGATE:
-        raise InputError(f"stars.rates: goes with transfer = 'propagate', not {str(section.transfer)!r}")
+    propagates = section.transfer is TransferMethod.PROPAGATE
+    require(propagates, f"stars.rates: goes with transfer = 'propagate', not {str(section.transfer)!r}")
     file = existing_file(path, "stars.rates", section.rates)
-    try:
+    with named("stars.rates: "):
         read_rates(file)
-    except DataError as error:
-        raise InputError(f"stars.rates: {error}") from error
     return file
 
 
@@ -301,9 +301,10 @@ def _unmatched(
     """Warnings of rows of a geometry table without image, and of images without row (SPICE may know all of those)."""
     if not geometry:
         return [f"{table.path}: no row names an image of the campaign"]
-    known = {name for image in images if image.key in geometry for name in (image.path.name, _absolute(image.path))}
+    paths = [image.path for image in images if image.key in geometry]
+    known = {path.name for path in paths} | {os.path.abspath(path) for path in paths}
     files = dict.fromkeys(row.file for row in table.rows)
-    unused = [file for file in files if file not in known and _absolute(folder / file) not in known]
+    unused = [file for file in files if file not in known and os.path.abspath(folder / file) not in known]
     texts = []
     if unused:
         texts.append(f"{table.path}: no image of the campaign has the name {_some(unused)}; these rows are not used")
@@ -317,10 +318,6 @@ def _unmatched(
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(repr(name) for name in names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def _absolute(path: Path) -> str:
-    return os.path.abspath(path)
 
 
 def _oddities(

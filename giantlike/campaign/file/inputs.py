@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.options import options_from_mapping, with_files_found
 from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
-from giantlike.core.arrays import require
-from giantlike.core.errors import DataError, InputError
+from giantlike.campaign.file.toml_file import named
+from giantlike.core.arrays import Float, require
+from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_xyzw
-from giantlike.io.spice import attitude, find_kernels
+from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.ephemeris import BARYCENTER
+from giantlike.image import ObserverState
+from giantlike.io.geometry_table import GeometryTable, read_geometry
+from giantlike.io.spice import attitude, find_kernels, orientation, spk_state
 from giantlike.ray_tracing import McEwen, Reflectance, reflectance_from_mapping
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.shapes import Ellipsoid, Shape, load_shape
@@ -65,6 +71,46 @@ class SpiceSetup:
         pointing = attitude(turn.source, et)
         return turn * FrameRotation(rotation=pointing, target=turn.source, source=INERTIAL_FRAME)
 
+    def observer(self, et: float) -> ObserverState:
+        """State of the spacecraft relative to the barycenter of the Solar System.
+
+        Parameters
+        ----------
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        ObserverState
+
+        Raises
+        ------
+        DataError
+            No kernel covers the time.
+        """
+        position, velocity = spk_state(self.spacecraft, et, observer=BARYCENTER)
+        return ObserverState(position_km=position, velocity_km_s=velocity)
+
+    def sun_from(self, position_inertial_km: Float, et: float) -> Float:
+        """Vector (3,) to the Sun from a place given relative to the spacecraft, inertial axes, km.
+
+        The Sun's own light time and aberration (20 arcsec) do not matter for shading.
+
+        Parameters
+        ----------
+        position_inertial_km : (3,) float64, inertial axes, km
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        vector_km : (3,) float64
+
+        Raises
+        ------
+        DataError
+            No kernel covers the time.
+        """
+        return spk_state("SUN", et, observer=self.spacecraft)[0] - position_inertial_km
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetSetup:
@@ -91,6 +137,26 @@ class TargetSetup:
     estimators: tuple[Estimator, ...]
     spice_body: str
     frame: str
+
+    def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
+        """Orientation by SPICE when the light left that a camera sees.
+
+        Parameters
+        ----------
+        position_inertial_km : (3,) float64, km
+            Relative to the camera.
+        et : float, TDB seconds past J2000
+
+        Returns
+        -------
+        Rotation
+
+        Raises
+        ------
+        DataError
+            No kernel covers the time.
+        """
+        return orientation(self.frame, et - float(np.linalg.norm(position_inertial_km)) / SPEED_OF_LIGHT_KM_S)
 
     def load_shape(self) -> Shape:
         """Read the mesh, or build the ellipsoid.
@@ -133,6 +199,62 @@ def existing_file(path: Path, key: str, name: str) -> Path:
     return file
 
 
+def catalog_of(path: Path, name: str) -> str:
+    """Star catalog that a file names.
+
+    Parameters
+    ----------
+    path : Path
+        The file that names it.
+    name : str
+        ``default``, or a file relative to it.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
+    return name if name == "default" else str(existing_file(path, "stars.catalog", name))
+
+
+def geometry_of(path: Path, key: str, name: str, targets: Sequence[BodySection]) -> GeometryTable:
+    """Read the geometry table that a file names; rows without a target are those of an only target.
+
+    Parameters
+    ----------
+    path : Path
+        The file that names it.
+    key : str
+        Its key there.
+    name : str
+        File relative to it.
+    targets : sequence of BodySection
+
+    Returns
+    -------
+    GeometryTable
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    DataError
+        It is damaged.
+    """
+    only = targets[0].name if len(targets) == 1 else None
+    return read_geometry(existing_file(path, key, name), default_target=only)
+
+
+def require_unique(names: Iterable[str], problem: str) -> None:
+    """Raise :class:`InputError` with a problem and the name that occurs twice, if one does."""
+    for name, count in Counter(names).items():
+        require(count == 1, f"{problem} {name!r}")
+
+
 def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None]:
     """Camera of a ``[camera]`` table, and its file where it has one.
 
@@ -154,16 +276,14 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
         The file is missing or a key is wrong.
     """
     if "file" not in table:
-        try:
+        with named("[camera]: "):
             return Camera.from_mapping(table), None
-        except InputError as error:
-            raise InputError(f"[camera]: {error}") from error
     others = sorted(set(table) - {"file"})
     if others:
         raise InputError(f"[camera]: give either file or the keys of a camera, not both; found {others[0]!r}")
-    if not isinstance(table["file"], str):
-        raise InputError(f"camera.file: expected the name of a camera file, got {table['file']!r}")
-    file = existing_file(path, "camera.file", table["file"])
+    name = table["file"]
+    require(isinstance(name, str), f"camera.file: expected the name of a camera file, got {name!r}")
+    file = existing_file(path, "camera.file", name)
     return Camera.load(file), file
 
 
@@ -187,13 +307,11 @@ def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
     """
     if section is None:
         return None
-    try:
+    with named("spice.kernels: "):
         kernels = find_kernels(section.kernels, path.parent)
-    except DataError as error:
-        raise InputError(f"spice.kernels: {error}") from error
     turn = rotation_from_xyzw(section.camera_from_frame_xyzw, "spice.camera_from_frame_xyzw")
-    named = None if section.frame is None else FrameRotation(rotation=turn, target="", source=section.frame)
-    return SpiceSetup(kernels=kernels, spacecraft=section.spacecraft, camera_from_frame=named)
+    from_frame = None if section.frame is None else FrameRotation(rotation=turn, target="", source=section.frame)
+    return SpiceSetup(kernels=kernels, spacecraft=section.spacecraft, camera_from_frame=from_frame)
 
 
 def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[TargetSetup, ...], list[str]]:
@@ -230,18 +348,14 @@ def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[Targe
                 remarks.append(remark)
             target = replace(target, units=units)
         decided.append(target)
-    repeated = [name for name, count in Counter(target.name for target in decided).items() if count > 1]
-    if repeated:
-        raise InputError(f"targets: two targets have the name {repeated[0]!r}")
+    require_unique([target.name for target in decided], "targets: two targets have the name")
     return tuple(decided), remarks
 
 
 def _target(path: Path, where: str, section: BodySection) -> TargetSetup:
     shape = section.shape
-    try:
+    with named(f"{where}."):
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
-    except InputError as error:
-        raise InputError(f"{where}.{error}") from error
     return TargetSetup(
         name=section.name,
         shape=existing_file(path, f"{where}.shape", shape) if isinstance(shape, str) else shape,
@@ -257,12 +371,10 @@ def _estimators(path: Path, where: str, section: TargetSection) -> tuple[Estimat
     """Estimators of a target; options of those that do not run are checked as well."""
     for key, names in (("estimators", section.estimators), ("options", section.options)):
         for name in names:
-            if name not in ESTIMATORS:
-                raise InputError(
-                    f"{where}.{key}: unknown estimator {name!r}; there are {', '.join(sorted(ESTIMATORS))}"
-                )
-    if len(set(section.estimators)) < len(section.estimators):
-        raise InputError(f"{where}.estimators: an estimator is named twice")
+            known = ", ".join(sorted(ESTIMATORS))
+            require(name in ESTIMATORS, f"{where}.{key}: unknown estimator {name!r}; there are {known}")
+    distinct = len(set(section.estimators)) == len(section.estimators)
+    require(distinct, f"{where}.estimators: an estimator is named twice")
     built: dict[str, Estimator] = {}
     for name in (*section.estimators, *section.options):
         kind: Any = ESTIMATORS[name]  # each class takes options of a type of its own

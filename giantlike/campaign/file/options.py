@@ -10,6 +10,8 @@ from typing import Any, TypeVar, get_type_hints
 
 from pydantic import PlainValidator, TypeAdapter, ValidationError
 
+from giantlike.campaign.file.toml_file import named
+from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 
 Options = TypeVar("Options")
@@ -43,17 +45,14 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
     known = [field.name for field in dataclasses.fields(kind) if field.init]  # type: ignore[arg-type]
     values = {}
     for name, value in table.items():
-        if name not in known:
-            raise InputError(f"{where}: unknown option {name!r}; options are {', '.join(known) or 'none'}")
+        require(name in known, f"{where}: unknown option {name!r}; options are {', '.join(known) or 'none'}")
         hint = hints[name]
         if isinstance(hint, type) and dataclasses.is_dataclass(hint):
             values[name] = options_from_mapping(hint, value, f"{where}.{name}")
         else:
             values[name] = _value(hint, value, f"{where}.{name}")
-    try:
+    with named(f"{where}: "):
         return kind(**values)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
 
 
 def options_validator(kind: type[Any], *, elsewhere: tuple[str, ...] = ()) -> PlainValidator:
@@ -106,9 +105,8 @@ def with_files_found(options: Options, folder: Path, where: str) -> Options:
     for field in dataclasses.fields(options):  # type: ignore[arg-type]
         value = getattr(options, field.name)
         if isinstance(value, Path):
-            paths[field.name] = folder / value
-            if not paths[field.name].exists():
-                raise InputError(f"{where}.{field.name}: there is no {value.as_posix()!r} ({paths[field.name]})")
+            file = paths[field.name] = folder / value
+            require(file.exists(), f"{where}.{field.name}: there is no {value.as_posix()!r} ({file})")
     return dataclasses.replace(options, **paths) if paths else options  # type: ignore[type-var]
 
 

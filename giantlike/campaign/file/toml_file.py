@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -22,6 +24,26 @@ class Section(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+
+
+@contextmanager
+def named(where: str) -> Iterator[None]:
+    """Put the name of a key or table before the text of an error raised inside a ``with`` block.
+
+    Parameters
+    ----------
+    where : str
+        What stands before the text, with a separator.
+
+    Raises
+    ------
+    InputError
+        The block raised one, or a ``DataError``.
+    """
+    try:
+        yield
+    except (InputError, DataError) as error:
+        raise InputError(f"{where}{error}") from error
 
 
 def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dict[str, Any]]:

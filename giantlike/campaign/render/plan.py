@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -19,28 +18,26 @@ from giantlike.campaign.file.inputs import (
     SpiceSetup,
     TargetSetup,
     camera_of,
+    catalog_of,
     existing_file,
+    geometry_of,
+    require_unique,
     spice_of,
     targets_of,
 )
-from giantlike.campaign.file.toml_file import read_toml
-from giantlike.campaign.render.schema import (
-    DetectorSection,
-    ImageSection,
-    PlaceSection,
-    RenderFile,
-)
-from giantlike.core.arrays import Float, unit
+from giantlike.campaign.file.toml_file import named, read_toml
+from giantlike.campaign.render.schema import DetectorSection, ImageSection, PlaceSection, RenderFile
+from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
 from giantlike.core.time import et_from_time, time_from_utc
-from giantlike.core.units import AU_KM, RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
+from giantlike.core.units import AU_KM, RAD_PER_DEG
 from giantlike.core.values import Value
-from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
+from giantlike.ephemeris import ApparentGeometry, SpiceEphemeris
 from giantlike.image import ObserverState
-from giantlike.io.geometry_table import GeometryRow, ImageGeometry, read_geometry
+from giantlike.io.geometry_table import GeometryRow, ImageGeometry
 from giantlike.io.image_files import read_image_file
-from giantlike.io.spice import load_kernels, orientation, spk_state
+from giantlike.io.spice import load_kernels
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
 from giantlike.simulation import DetectorModel, HotPixels, Photometry, Shot, SimulationOptions
@@ -194,11 +191,11 @@ class RenderPlan(Value):
                     frame = unexposed(shot, self.camera)
                     shown |= {true_geometry(scene, frame, body.name).target.name for body in scene.targets}
             for number, setup in enumerate(self.targets):
-                if setup.name not in shown:
-                    raise InputError(
-                        f"targets[{number}].position_km: nothing says where {setup.name!r} is: give it here, in an "
-                        "image or in the geometry table, or add [spice]"
-                    )
+                require(
+                    setup.name in shown,
+                    f"targets[{number}].position_km: nothing says where {setup.name!r} is: give it here, in an "
+                    "image or in the geometry table, or add [spice]",
+                )
         except InputError as error:
             raise DataError(self.path, str(error)) from error
         return shots
@@ -210,9 +207,7 @@ class RenderPlan(Value):
             if turn is None:
                 pointing = self.spice.camera_from_inertial(et)
                 turn = None if pointing is None else pointing.rotation
-            if observer is None:
-                position, velocity = spk_state(self.spice.spacecraft, et, observer=BARYCENTER)
-                observer = ObserverState(position_km=position, velocity_km_s=velocity)
+            observer = observer or self.spice.observer(et)
         if turn is None:
             raise InputError(
                 f"{exposure.key}: an attitude is needed: camera_from_inertial_xyzw, pointing_deg, or spice.frame"
@@ -233,14 +228,8 @@ class RenderPlan(Value):
             place = _completed(exposure.places.get(setup.name), self.places[setup.name])
             ephemeris = self._ephemeris(exposure, setup, place)
             if ephemeris is not None:
-                targets.append(
-                    Target(
-                        name=setup.name,
-                        shape=shapes[setup.name],
-                        ephemeris=ephemeris,
-                        reflectance=setup.reflectance,
-                    )
-                )
+                shape = shapes[setup.name]
+                targets.append(Target(name=setup.name, shape=shape, ephemeris=ephemeris, reflectance=setup.reflectance))
         if not targets:
             return None
         if self.spice is None:
@@ -252,44 +241,40 @@ class RenderPlan(Value):
     def _ephemeris(
         self, exposure: Exposure, setup: TargetSetup, place: GeometryRow
     ) -> ApparentGeometry | SpiceEphemeris | None:
-        if place.target_position_inertial_km is None:
+        position = place.target_position_inertial_km
+        if position is None:
             return None if self.spice is None else SpiceEphemeris(setup.spice_body, setup.frame)
         et = et_from_time(exposure.epoch)
         sun, turn = place.sun_direction_inertial, place.body_from_inertial
         if sun is None and self.content.light.direction is not None:
             sun = np.array(self.content.light.direction)
         if sun is None and self.spice is not None:
-            sun = spk_state("SUN", et, observer=self.spice.spacecraft)[0] - place.target_position_inertial_km
+            sun = self.spice.sun_from(position, et)
         if sun is None:
             raise InputError(f"{exposure.key}: no direction to the Sun for {setup.name!r}: give light.direction")
-        if turn is None and self.spice is not None:
-            light_s = float(np.linalg.norm(place.target_position_inertial_km)) / SPEED_OF_LIGHT_KM_S
-            turn = orientation(setup.frame, et - light_s).inv()
+        inertial_from_body = Rotation.identity()
+        if turn is not None:
+            inertial_from_body = turn.inv()
+        elif self.spice is not None:
+            inertial_from_body = setup.inertial_from_body(position, et)
         return ApparentGeometry(
-            position_inertial_km=place.target_position_inertial_km,
-            inertial_from_body=Rotation.identity() if turn is None else turn.inv(),
-            sun_direction_inertial=sun,
+            position_inertial_km=position, inertial_from_body=inertial_from_body, sun_direction_inertial=sun
         )
 
 
 def _resolve(path: Path, content: RenderFile) -> RenderPlan:
     camera, _ = camera_of(path, content.camera)
-    if camera.psf is None:
-        raise InputError("camera: rendering needs the PSF of the camera, [psf] with sigma_px")
+    require(camera.psf is not None, "camera: rendering needs the PSF of the camera, [psf] with sigma_px")
     targets, guessed = targets_of(path, content.targets)
-    if content.light.direction is not None and not any(content.light.direction):
-        raise InputError("light.direction: must not be the zero vector")
     light = content.light
-    if light.extended and light.distance_au * AU_KM <= SUN_RADIUS_KM:
-        raise InputError(f"light.distance_au: {light.distance_au:g} au lies inside the Sun")
+    require(light.direction is None or any(light.direction), "light.direction: must not be the zero vector")
+    outside = not light.extended or light.distance_au * AU_KM > SUN_RADIUS_KM
+    require(outside, f"light.distance_au: {light.distance_au:g} au lies inside the Sun")
     exposures = _exposures(path, content)
     names = {target.name for target in targets}
     for exposure in exposures:
-        if unknown := sorted(set(exposure.places) - names):
-            raise InputError(f"{exposure.key}: there is no target {unknown[0]!r} in [[targets]]")
-    catalog = None if content.stars is None else content.stars.catalog
-    if catalog is not None and catalog != "default":
-        catalog = str(existing_file(path, "stars.catalog", catalog))
+        for name in sorted(exposure.places):
+            require(name in names, f"{exposure.key}: there is no target {name!r} in [[targets]]")
     return RenderPlan(
         path=path,
         content=content,
@@ -298,7 +283,7 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
         places={section.name: _place(f"targets[{k}]", section) for k, section in enumerate(content.targets)},
         exposures=exposures,
         detector=_detector(path, content.detector, camera),
-        catalog=catalog,
+        catalog=None if content.stars is None else catalog_of(path, content.stars.catalog),
         spice=spice_of(path, content.spice),
         warnings=tuple(guessed),
     )
@@ -307,8 +292,7 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
 def _place(where: str, section: PlaceSection) -> GeometryRow:
     for key in ("position_km", "sun_direction"):
         vector = getattr(section, key)
-        if vector is not None and not any(vector):
-            raise InputError(f"{where}.{key}: must not be the zero vector")
+        require(vector is None or any(vector), f"{where}.{key}: must not be the zero vector")
     quaternion = section.body_from_inertial_xyzw
     turn = None if quaternion is None else rotation_from_xyzw(quaternion, f"{where}.body_from_inertial_xyzw")
     return GeometryRow(
@@ -329,41 +313,37 @@ def _completed(place: GeometryRow | None, default: GeometryRow) -> GeometryRow:
 
 def _exposures(path: Path, content: RenderFile) -> tuple[Exposure, ...]:
     table = content.render.geometry
-    if (table is None) == (not content.images):
-        raise InputError("either [[images]] or render.geometry is needed, and not both")
+    require((table is None) == bool(content.images), "either [[images]] or render.geometry is needed, and not both")
     if table is None:
         exposures = [_from_section(f"images[{k}]", section) for k, section in enumerate(content.images)]
     else:
-        file = existing_file(path, "render.geometry", table)
-        only = content.targets[0].name if len(content.targets) == 1 else None
-        rows = read_geometry(file, default_target=only)
+        rows = geometry_of(path, "render.geometry", table, content.targets)
         exposures = []
         for name in dict.fromkeys(row.file for row in rows.rows):
             known = rows.image(name)
             assert known is not None
-            exposures.append(_from_table(f"{file.name}: {name}", name, known))
+            exposures.append(_from_table(f"{rows.path.name}: {name}", name, known))
     for exposure in exposures:
-        if Path(exposure.file).suffix.lower() not in FITS_SUFFIXES:
-            raise InputError(f"{exposure.key}: images are written as FITS, so the file must end in .fits")
-    repeated = [name for name, count in Counter(exposure.file for exposure in exposures).items() if count > 1]
-    if repeated:
-        raise InputError(f"images: two images have the file {repeated[0]!r}")
+        fits = Path(exposure.file).suffix.lower() in FITS_SUFFIXES
+        require(fits, f"{exposure.key}: images are written as FITS, so the file must end in .fits")
+    require_unique([exposure.file for exposure in exposures], "images: two images have the file")
     return tuple(exposures)
 
 
 def _from_section(where: str, section: ImageSection) -> Exposure:
-    turn = None
-    if section.camera_from_inertial_xyzw is not None and section.pointing_deg is not None:
-        raise InputError(f"{where}: give camera_from_inertial_xyzw or pointing_deg, not both")
-    if section.camera_from_inertial_xyzw is not None:
-        turn = rotation_from_xyzw(section.camera_from_inertial_xyzw, f"{where}.camera_from_inertial_xyzw")
-    if section.pointing_deg is not None:
-        turn = camera_from_inertial_of_pointing(*section.pointing_deg)
-    try:
+    turn, quaternion, pointing = None, section.camera_from_inertial_xyzw, section.pointing_deg
+    require(None in (quaternion, pointing), f"{where}: give camera_from_inertial_xyzw or pointing_deg, not both")
+    if quaternion is not None:
+        turn = rotation_from_xyzw(quaternion, f"{where}.camera_from_inertial_xyzw")
+    if pointing is not None:
+        turn = camera_from_inertial_of_pointing(*pointing)
+    with named(f"{where}.epoch_utc: "):
         epoch = time_from_utc(section.epoch_utc)
-    except InputError as error:
-        raise InputError(f"{where}.epoch_utc: {error}") from error
-    observer = section.observer
+    observer = None
+    if section.observer is not None:
+        observer = ObserverState(
+            position_km=np.array(section.observer.position_km), velocity_km_s=np.array(section.observer.velocity_km_s)
+        )
     return Exposure(
         key=where,
         file=section.file,
@@ -371,9 +351,7 @@ def _from_section(where: str, section: ImageSection) -> Exposure:
         exposure_s=section.exposure_s,
         camera_from_inertial=turn,
         angular_rate_camera_rad_s=np.array(section.angular_rate_deg_s) * RAD_PER_DEG,
-        observer=None
-        if observer is None
-        else ObserverState(position_km=np.array(observer.position_km), velocity_km_s=np.array(observer.velocity_km_s)),
+        observer=observer,
         places={name: _place(f"{where}.targets.{name}", place) for name, place in section.targets.items()},
     )
 
@@ -398,13 +376,13 @@ def _detector(path: Path, section: DetectorSection, camera: Camera) -> DetectorM
     response = None
     if section.response_file is not None:
         response = read_image_file(existing_file(path, "detector.response_file", section.response_file)).pixels
-        if response.shape != (camera.rows, camera.columns):
-            raise InputError(f"detector.response_file: {response.shape} pixels, the camera has {size[::-1]}")
+        fits = response.shape == size[::-1]
+        require(fits, f"detector.response_file: {response.shape} pixels, the camera has {size[::-1]}")
         response = response.astype(np.float64)
     elif section.response_rms > 0:
         response = pixel_response(*size, rms=section.response_rms, random=Stream.PIXEL_RESPONSE.random(seed))
     hot = section.hot_pixels
-    try:
+    with named("detector."):
         return DetectorModel(
             stray=section.stray,
             flat=FlatField(response=response, vignetting=section.vignetting),
@@ -417,5 +395,3 @@ def _detector(path: Path, section: DetectorSection, camera: Camera) -> DetectorM
             well=section.well,
             bits=section.bits,
         )
-    except InputError as error:
-        raise InputError(f"detector.{error}") from error

@@ -14,8 +14,9 @@ import tomli_w
 
 from giantlike.campaign.render.plan import FITS_SUFFIXES, RenderPlan
 from giantlike.catalogs import StarCatalog, load_catalog
+from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, write_bytes_atomic, write_text_atomic
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.errors import DataError
 from giantlike.io import write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.relative import ESTIMATORS
@@ -120,8 +121,7 @@ def _placed(plan: RenderPlan, output: Path | None) -> tuple[RenderPlan, Path]:
     if output.suffix.lower() not in FITS_SUFFIXES:
         return plan, output
     images = len(plan.exposures)
-    if images != 1:
-        raise InputError(f"--output {output} names one image, but the scene file has {images}: give a folder")
+    require(images == 1, f"--output {output} names one image, but the scene file has {images}: give a folder")
     return replace(plan, exposures=(replace(plan.exposures[0], file=output.name),)), output.parent
 
 

@@ -107,18 +107,14 @@ class _EstimatorSummary:
 
 
 def _failures(result: RunResult) -> list[_Failure]:
-    found = [
-        _Failure(record.file, "attitude", str(record.problem.reason), record.problem.detail)
-        for record in result.attitudes
+    unreadable = {record.file for record in result.attitudes if not record.readable}
+    steps: list[tuple[str, AttitudeRecord | ObservationRecord]] = [("attitude", one) for one in result.attitudes]
+    steps += [(f"{one.target}: {one.estimator}", one) for one in result.observations if one.file not in unreadable]
+    return [
+        _Failure(record.file, stage, str(record.problem.reason), record.problem.detail)
+        for stage, record in steps
         if record.problem is not None
     ]
-    unreadable = {record.file for record in result.attitudes if not record.readable}
-    found += [
-        _Failure(record.file, f"{record.target}: {record.estimator}", str(record.problem.reason), record.problem.detail)
-        for record in result.observations
-        if record.problem is not None and record.file not in unreadable
-    ]
-    return found
 
 
 def _notes(result: RunResult) -> list[str]:

@@ -13,15 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
-from giantlike.image import Image, ObserverState
+from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryRow
-from giantlike.io.spice import CoverageError, orientation, spk_state
+from giantlike.io.spice import CoverageError, spk_state
 from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape
@@ -107,9 +106,7 @@ def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]
     notes: list[str] = []
     if image.observer is None:
         try:
-            position, velocity = spk_state(spice.spacecraft, et, observer=BARYCENTER)
-            observer = ObserverState(position_km=position, velocity_km_s=velocity)
-            image = dataclasses.replace(image, observer=observer)
+            image = dataclasses.replace(image, observer=spice.observer(et))
         except DataError as error:
             notes.append(f"stars without aberration and parallax: {error}")
     if image.camera_from_inertial is None:
@@ -150,17 +147,17 @@ class _SpiceGeometry:
     and by aberration the other way. Neglected are its acceleration during the light time, and v^2/c^2.
     """
 
-    spacecraft: str
+    spice: SpiceSetup
     target: TargetSetup
     relative: bool
 
     @classmethod
-    def at(cls, spacecraft: str, target: TargetSetup, et: float | None) -> _SpiceGeometry:
+    def at(cls, spice: SpiceSetup, target: TargetSetup, et: float | None) -> _SpiceGeometry:
         """Choose the origin: the barycenter, unless the kernels know the spacecraft relative to the target only."""
         if et is None:
-            return cls(spacecraft, target, relative=False)
-        linked = all(_has_state(body, et, BARYCENTER) for body in (spacecraft, target.spice_body))
-        return cls(spacecraft, target, relative=not linked and _has_state(spacecraft, et, target.spice_body))
+            return cls(spice, target, relative=False)
+        linked = all(_has_state(body, et, BARYCENTER) for body in (spice.spacecraft, target.spice_body))
+        return cls(spice, target, relative=not linked and _has_state(spice.spacecraft, et, target.spice_body))
 
     def scene(self, shape: Shape, *, sun: bool = True) -> Scene:
         """Scene of the target, without the Sun for positions alone."""
@@ -168,16 +165,9 @@ class _SpiceGeometry:
         body = SpiceEphemeris(self.target.spice_body, self.target.frame, origin)
         return Scene(
             targets=(_body(self.target, shape, body),),
-            observer=SpiceEphemeris(self.spacecraft, origin=origin),
+            observer=SpiceEphemeris(self.spice.spacecraft, origin=origin),
             light=SpiceEphemeris("SUN", origin=origin) if sun else None,
         )
-
-    def inertial_from_body(self, et: float, range_km: float) -> Rotation:
-        return orientation(self.target.frame, et - range_km / SPEED_OF_LIGHT_KM_S)
-
-    def sun_direction(self, et: float, position_inertial_km: Float) -> Float:
-        """From target to Sun; the Sun's own light time and aberration (20 arcsec) do not matter for shading."""
-        return unit(spk_state("SUN", et, observer=self.spacecraft)[0] - position_inertial_km)
 
 
 def _has_state(body: str, et: float, origin: str) -> bool:
@@ -215,7 +205,7 @@ def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape
     """
     known = campaign.geometry.get(image.name)
     row = None if known is None else known.targets.get(target.name)
-    spice = None if campaign.spice is None else _SpiceGeometry.at(campaign.spice.spacecraft, target, image.et)
+    spice = None if campaign.spice is None else _SpiceGeometry.at(campaign.spice, target, image.et)
     if row is not None:
         apparent = _from_row(row, image, target, shape, spice)
         if isinstance(apparent, Failure):
@@ -245,7 +235,7 @@ def _from_row(
     if row.body_from_inertial is not None:
         inertial_from_body = row.body_from_inertial.inv()
     elif spice is not None and et is not None:
-        inertial_from_body = spice.inertial_from_body(et, float(np.linalg.norm(position)))
+        inertial_from_body = target.inertial_from_body(position, et)
     elif isinstance(shape, Ellipsoid) and np.ptp(shape.radii_km) == 0:
         inertial_from_body = Rotation.identity()  # a sphere looks the same from everywhere
     else:
@@ -253,9 +243,10 @@ def _from_row(
     if sun is None:
         if spice is None or et is None:
             return _missing(image, target, _SUN_COLUMNS)
-        if not _has_state("SUN", et, spice.spacecraft):
-            return _missing(image, target, _SUN_COLUMNS, f"no state of SUN relative to {spice.spacecraft}")
-        sun = spice.sun_direction(et, position)
+        spacecraft = spice.spice.spacecraft
+        if not _has_state("SUN", et, spacecraft):
+            return _missing(image, target, _SUN_COLUMNS, f"no state of SUN relative to {spacecraft}")
+        sun = unit(spice.spice.sun_from(position, et))
     return ApparentGeometry(
         position_inertial_km=position, inertial_from_body=inertial_from_body, sun_direction_inertial=sun
     )

@@ -52,21 +52,20 @@ class WorkerPool:
         self._bench = bench
         self._workers = workers
         self._executors: dict[int, ProcessPoolExecutor] = {}
-        self._environment: dict[str, str | None] = {}
+        self._variables: list[str] = []
 
     def __enter__(self) -> WorkerPool:
         if self._workers > 1:
-            for name in _THREAD_VARIABLES:  # read when numpy is imported, so they must be there when a process starts
-                self._environment[name] = os.environ.get(name)
-                os.environ.setdefault(name, "1")
+            # Read when numpy is imported, so they must be there when a process starts.
+            self._variables = [name for name in _THREAD_VARIABLES if name not in os.environ]
+            os.environ.update(dict.fromkeys(self._variables, "1"))
         return self
 
     def __exit__(self, *_: object) -> None:
         for size in list(self._executors):
             self._executors.pop(size).shutdown(wait=True, cancel_futures=True)
-        for name, before in self._environment.items():
-            if before is None:
-                del os.environ[name]
+        for name in self._variables:
+            del os.environ[name]
 
     def run(
         self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import platform
 import re
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -12,6 +11,7 @@ from typing import Any
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.worker import Workbench
+from giantlike.core import reading
 from giantlike.core.errors import DataError
 from giantlike.core.version import VERSION
 
@@ -100,8 +100,7 @@ def file_sha256(path: Path) -> str:
         It cannot be read.
     """
     try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        return reading.file_sha256(path)
     except OSError as error:
         raise DataError(path, f"cannot be read: {error.strerror or error}") from error
 

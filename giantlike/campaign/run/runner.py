@@ -104,7 +104,7 @@ def run_campaign(
                 folder.log("warning", detail=warning)
             # Taken before any image is read: a file that changes later is noticed when the run is continued.
             stamps = tuple(stamp_of(entry.path) for entry in campaign.images)
-            run = _Run(bench, folder, progress or _silent, stamps)
+            run = _Run(bench, folder, progress or silent, stamps)
             processes = _process_count(workers, len(campaign.images))
             calibration = None
             if campaign.calibration is not None:
@@ -282,5 +282,5 @@ def _process_count(workers: int | None, images: int) -> int:
     return max(1, min(workers, images))
 
 
-def _silent(stage: str, done: int, total: int) -> None:
+def silent(stage: str, done: int, total: int) -> None:
     """Report nothing."""
