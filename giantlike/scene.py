@@ -24,7 +24,7 @@ from giantlike.shapes import Shape
 
 _MASK_DIRECTIONS = 720  # points of an outline, every half degree: 3 px apart on a limb of 300 px radius
 _SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 1/16 px
-_SUBPIXELS = 1 << _SUBPIXEL_BITS
+_SUBPIXELS = 1 << _SUBPIXEL_BITS  # to a pixel
 _FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int32 arithmetic overflows beyond
 _LIGHT_TIME_STEPS = 5  # fixed-point iterations; each gains a factor v/c, and three suffice for the solar system
 

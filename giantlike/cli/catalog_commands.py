@@ -205,7 +205,7 @@ def _target(path: Path, overwrite: bool) -> Path:
 
 
 def _sources(name: str) -> list[Source]:
-    """What a catalog file was made of, or the file itself; nothing for the default, whose version says it."""
+    """Return the sources of a catalog file, or the file itself; none for the default, whose version names them."""
     path = Path(name)
     if name == "default":
         return []

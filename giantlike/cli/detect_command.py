@@ -41,7 +41,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectRequest:
-    """How images are to be searched.
+    """Options of a search for sources, shared by all images.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class DetectRequest:
 
     @property
     def detector(self) -> Detector:
-        """That of the camera, or one of which nothing is known."""
+        """Detector of the camera, or one with default properties."""
         return Detector() if self.camera is None else self.camera.detector
 
     def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> Found | Failure:

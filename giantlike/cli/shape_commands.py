@@ -139,7 +139,7 @@ def decimate(
 
 
 def _dsk_identity(target: Path, center: int | None, frame: str | None, surface: int) -> DskIdentity | None:
-    """What a DSK is to say of itself, or None where the output is none.
+    """Return the identity written into a DSK, or None if the output is another format.
 
     Raises
     ------

@@ -49,7 +49,7 @@ _DEFAULT_FOV_ERROR = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarsRequest:
-    """How images are to be read and solved: a camera, or a rough field of view along x and how wrong it may be.
+    """Options of a solution, shared by all images: a camera, or a rough field of view along x and its error.
 
     ``review`` is a folder for pictures of what was found.
     """

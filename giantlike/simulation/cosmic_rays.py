@@ -10,7 +10,7 @@ import numpy as np
 from giantlike.core.arrays import Float, require_number
 from giantlike.core.values import Value
 
-_UM_PER_CM = 1e4
+_UM_PER_CM = 1e4  # micrometers to the centimeter
 _STEPS_PER_PX = 16  # pieces per pixel of track length, each of which leaves its charge in one pixel
 _FLATTEST_COSINE = 0.02  # cosine of incidence at which flatter tracks, one in 2,500 (its square), are cut off
 

@@ -44,7 +44,7 @@ def test_parquet_holds_every_column_with_unit_frame_and_description(tmp_path: Pa
     [
         ("name,length\na,1\n", "unknown column 'length'"),
         ("count\n1\n", "column 'name' is missing"),
-        ("name,count\n,1\n", "column name: a value is needed"),
+        ("name,count\n,1\n", "column name: name must be filled in every row"),
         ("name,count\na,1.5\n", "column count: a value of kind integer is needed"),
     ],
 )
