@@ -249,7 +249,7 @@ def _blocks(arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
 def _opened(path: Path) -> tuple[CatalogHeader, NDArray[np.uint8]]:
     """Header, checked for the keys that the reader relies on, and all bytes of the file."""
     if not is_catalog_file(path):
-        raise DataError(path, f"is no built star catalog (it does not begin with GLSTARS); {_REMEDY}")
+        raise DataError(path, f"is not a built star catalog (it does not begin with GLSTARS); {_REMEDY}")
     size = path.stat().st_size
     raw = np.memmap(path, dtype=np.uint8, mode="r")
     length = int.from_bytes(raw[8:_START].tobytes(), "little") if size >= _START else size

@@ -436,7 +436,7 @@ class Camera:
         return replace(self, model=self.model.at_temperature(temperature_c))
 
     def windowed(self, x0_px: int, y0_px: int, *, columns: int, rows: int) -> Camera:
-        """Return the camera of images that hold a window of the detector.
+        """Return the camera for images that cover only a window of the detector.
 
         Parameters
         ----------
@@ -452,7 +452,7 @@ class Camera:
         Raises
         ------
         InputError
-            The window reaches over the detector, or the model cannot be shifted.
+            The window extends beyond the detector, or the model cannot be shifted.
         """
         inside = 0 <= x0_px <= self.columns - columns and 0 <= y0_px <= self.rows - rows
         require(

@@ -48,7 +48,8 @@ class Body(Value):
     def __post_init__(self) -> None:
         position = as_finite(self.position_camera_km, (3,), "position_camera_km")
         require(
-            bool(np.any(position != 0.0)), "position_camera_km must not be zero: the camera sits in the body's center"
+            bool(np.any(position != 0.0)),
+            "position_camera_km must not be zero: the camera would be at the center of the body",
         )
         object.__setattr__(self, "position_camera_km", position)
         Value.__post_init__(self)
@@ -99,7 +100,7 @@ class Body(Value):
         return replace(self, position_camera_km=np.asarray(position_camera_km, dtype=np.float64))
 
     def turned(self, turn: Rotation) -> Body:
-        """Return the same body as seen by a camera turned about itself: position and attitude turn together.
+        """Return the same body in the axes of a camera rotated in place: position and attitude turn together.
 
         Parameters
         ----------

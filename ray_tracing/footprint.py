@@ -189,7 +189,7 @@ def footprint_of(body: Body, plane: FocalPlane, options: RenderOptions) -> Footp
 
 
 def _tiles(x: Cells, y: Cells, box: VisibleBox) -> tuple[Tile, ...]:
-    """Strips of rows, each as wide as the outline of the body at its height; left out where there is none."""
+    """Strips of rows, each as wide as the outline of the body within it; strips that miss the body are left out."""
     step = max(_RAYS_PER_TILE // x.count, _ROWS_PER_TILE)
     starts = np.arange(0, y.count, step)
     stops = np.minimum(starts + step, y.count)

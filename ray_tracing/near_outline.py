@@ -23,7 +23,7 @@ _UNEVEN = 0.1  # difference between neighboring rays over the brightest, from wh
 _COARSER = 6.0  # rays along a pixel where light is uneven over those elsewhere
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # golden ratio: fills an interval evenly whatever the number of points
 _DEPTHS, _ASIDES = np.array([0.005, 0.015, 0.025, 0.035]), np.array([-0.015, 0.0, 0.015])
-"""Places inside the outline whose brightness is averaged, over the radius: a square of a twenty-fifth of it."""
+"""Where the brightness is averaged, inward and along the outline, as fractions of the radius of the body."""
 _PSF_REACH_SIGMA = 3.5  # beyond and half a pixel lies a ten-thousandth of the light
 _OPTIONS = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
 
@@ -98,7 +98,7 @@ def outline_brightness(
     sun_direction_camera: Float,
     radius_px: float,
 ) -> Float:
-    """Brightness of a body just inside its outline: mean over a square of a twenty-fifth of its radius.
+    """Brightness of a body just inside its outline: mean over a square with sides near 1/25 of its radius.
 
     Parameters
     ----------

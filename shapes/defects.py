@@ -122,7 +122,7 @@ def edges_of(faces: Faces) -> Edges:
 
 
 def defects_of(surface: Surface) -> Defects:
-    """Count the defects of a surface, whatever state it is in.
+    """Count the defects of a surface; invalid facets and open edges are accepted.
 
     Parameters
     ----------

@@ -191,7 +191,7 @@ def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, 
 
 
 def largest_of_each(groups: Indices, values: Float, count: int) -> Indices:
-    """Number of the largest value in each group.
+    """Index of the largest value in each group.
 
     Parameters
     ----------

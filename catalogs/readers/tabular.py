@@ -79,7 +79,7 @@ def open_table(path: Path) -> Table:
         ".vot": _votable, ".votable": _votable, ".xml": _votable,
     }  # fmt: skip
     if kind not in readers:
-        raise DataError(path, f"is no table that can be read: its name must end in one of {', '.join(readers)}")
+        raise DataError(path, f"is not a table that can be read: its name must end in one of {', '.join(readers)}")
     return readers[kind](path)
 
 

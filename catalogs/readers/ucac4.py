@@ -65,7 +65,7 @@ def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """
     match = re.fullmatch(r"z(\d{3})", path.name.lower().removesuffix(".dat"))
     if match is None or not 1 <= int(match[1]) <= 900:
-        raise DataError(path, "is no UCAC4 zone file: the name must be z001 to z900, the number of the zone")
+        raise DataError(path, "is not a UCAC4 zone file: the name must be z001 to z900, the number of the zone")
     size = path.stat().st_size
     if size == 0 or size % RECORD.itemsize:
         raise ValueError(f"expected records of {RECORD.itemsize} bytes, got {size} bytes")

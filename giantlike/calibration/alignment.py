@@ -172,8 +172,8 @@ def interlock(
     Parameters
     ----------
     first_from_inertial, second_from_inertial : FrameRotation or Rotation
-        n attitudes each: a star tracker's and a camera's, for example. Where both name their frames, both must count
-        from the same inertial frame.
+        n attitudes each: a star tracker's and a camera's, for example. If both name their frames, both must refer
+        to the same inertial frame.
     first_covariance_rad2, second_covariance_rad2 : (n, 3, 3), rad^2
         Each about its own sensor's axes.
     temperatures_c : (n,), Celsius, optional
@@ -187,7 +187,7 @@ def interlock(
     InputError
         Shapes disagree.
     FrameMismatchError
-        The attitudes count from different inertial frames.
+        The attitudes refer to different inertial frames.
 
     References
     ----------
@@ -195,7 +195,10 @@ def interlock(
     """
     one, other = _named(first_from_inertial), _named(second_from_inertial)
     count = len(one.rotation)
-    require(len(other.rotation) == count, f"{count} attitudes of one sensor, {len(other.rotation)} of the other")
+    require(
+        len(other.rotation) == count,
+        f"both sensors need the same number of attitudes, got {count} and {len(other.rotation)}",
+    )
     first = as_finite(first_covariance_rad2, (count, 3, 3), "first_covariance_rad2")
     second = as_finite(second_covariance_rad2, (count, 3, 3), "second_covariance_rad2")
     between = other * one.inv()

@@ -99,7 +99,7 @@ class DemoReport(Value):
     run_s: float
 
     def attitude_scores(self) -> dict[str, Score]:
-        """Scores by source of the attitude.
+        """Attitude scores, by source of the attitude.
 
         Returns
         -------

@@ -173,7 +173,7 @@ def require_number(
 
 
 def finite_or_none(value: float) -> float | None:
-    """Return a number as JSON has it, None for NaN and infinity."""
+    """Return a number that JSON can hold: None for NaN and infinity."""
     return value if math.isfinite(value) else None
 
 

@@ -260,7 +260,7 @@ def _number(header: Mapping[str, Any], key: str) -> float:
 
 
 def _linear(header: Mapping[str, Any]) -> Float:
-    """Degrees on the tangent plane per pixel (2, 2)."""
+    """CD matrix (2, 2) of the header: degrees on the tangent plane per pixel."""
     names = [["1_1", "1_2"], ["2_1", "2_2"]]
     if any(f"CD{name}" in header for row in names for name in row):
         return np.array([[float(header.get(f"CD{name}", 0.0)) for name in row] for row in names])

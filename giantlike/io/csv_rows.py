@@ -296,7 +296,7 @@ def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[s
 
 
 def write_csv_rows(path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> None:
-    """Write a CSV file, whole or not at all; numbers keep all their digits.
+    """Write a CSV file atomically, with numbers at full precision.
 
     Parameters
     ----------

@@ -214,7 +214,7 @@ def read_geometry(path: str | Path, *, default_target: str | None = None) -> Geo
 
 
 def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
-    """Write a geometry table, whole or not at all; numbers keep all their digits, epochs microseconds.
+    """Write a geometry table atomically, with numbers at full precision and epochs to the microsecond.
 
     The observer columns are there only when a row has an observer.
 

@@ -222,7 +222,7 @@ def _label_beside(path: Path) -> Path | None:
 
 
 def _find_beside(path: Path, name: str) -> Path | None:
-    """File in the folder of another one by its name, whose letters may be in either case."""
+    """Find a file by name in the folder of another file; an exact match wins, otherwise case is ignored."""
     exact = path.parent / name
     if exact.is_file():
         return exact

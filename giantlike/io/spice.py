@@ -333,7 +333,7 @@ def _expanded(path: Path, depth: int = 0) -> list[Path]:
     if not listed:
         return [path]
     if depth > _DEEPEST:
-        raise DataError(path, "meta-kernels list each other in a circle")
+        raise DataError(path, "meta-kernels list each other in a loop")
     paths: list[Path] = []
     for name in listed:
         full = path.parent / name
@@ -358,7 +358,7 @@ def _kernel_text(path: Path) -> str | None:
         return None
     text = path.read_bytes().decode("latin-1")
     if _DATA_SECTION.search(text) is None:
-        raise DataError(path, "is no SPICE kernel: neither a DAF or DAS file nor text with a \\begindata section")
+        raise DataError(path, "is not a SPICE kernel: neither a DAF or DAS file nor text with a \\begindata section")
     return text
 
 

@@ -407,7 +407,7 @@ def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
     if geometry.range_km <= geometry.target.shape.circumscribing_radius_km:
         return Reason.DEGENERATE_GEOMETRY, f"at a range of {geometry.range_km:g} km the camera is inside the body"
     if not np.isfinite(inputs.predicted_px).all():
-        return Reason.OUT_OF_FRAME, "the predicted center lies behind the camera or where its model images nothing"
+        return Reason.OUT_OF_FRAME, "the predicted center lies behind the camera or outside the field of its model"
     return None
 
 

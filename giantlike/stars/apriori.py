@@ -216,6 +216,6 @@ def _verified(
         return Failure(
             Reason.AMBIGUOUS,
             f"{len(matches)} of {len(points_px)} detections match one of {int(np.isfinite(predicted[:, 0]).sum())} "
-            f"stars to {options.inlier_px:g} px; chance does that with probability up to {probability:.1e}",
+            f"stars within {options.inlier_px:g} px; the probability of this by chance is up to {probability:.1e}",
         )
     return Identification(camera_from_inertial=rotation, matches=matches, false_match_probability=probability)

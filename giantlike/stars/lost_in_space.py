@@ -176,7 +176,7 @@ class _Problem(Value):
             return None
         return Failure(
             Reason.AMBIGUOUS,
-            f"{found - _GAINED} of {count} detections match a star to {radius_px:.3g} px, which chance does too",
+            f"{found - _GAINED} of {count} detections match a star within {radius_px:.3g} px, which could be by chance",
         )
 
     def _with_apparent_places(self, hypothesis: Hypothesis, field: StarField, camera: Camera) -> Rotation:

@@ -236,8 +236,8 @@ class _Refinement(Value):
         if n_used < options.min_matches or probability > options.max_false_match_probability:
             return Failure(
                 Reason.AMBIGUOUS,
-                f"{n_used} of {len(points_px)} detections match one of {n_depths} stars to {gate:.2g} px; "
-                f"chance does that with probability up to {probability:.1e}",
+                f"{n_used} of {len(points_px)} detections match one of {n_depths} stars within {gate:.2g} px; "
+                f"the probability of this by chance is up to {probability:.1e}",
             )
         return RefinedAttitude(
             field=self.field,

@@ -178,7 +178,7 @@ def transfer_attitude(
 def _relative(
     et: float, star: StarAttitude, apriori: Rotation | None, rates: AngularRates | None, options: TransferOptions
 ) -> Rotation | Failure:
-    """Rotation of the camera since a star solution, as the method assumes."""
+    """Rotation of the camera since a star solution, according to the transfer method."""
     if options.method is TransferMethod.PROPAGATE:
         if rates is not None:
             return rates.turn(star.et, et)

@@ -70,7 +70,7 @@ def write_obj(path: Path, mesh: TriangleMesh) -> None:
 
 
 def write_stl(path: Path, mesh: TriangleMesh) -> None:
-    """Write binary STL in km; the format has single precision only, 6e-8 of each coordinate.
+    """Write binary STL in km; the format is single precision: coordinates are rounded by up to 6e-8 of their size.
 
     Parameters
     ----------

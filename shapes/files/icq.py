@@ -98,13 +98,13 @@ def write_icq(path: Path, mesh: TriangleMesh) -> None:
     q = math.isqrt(len(mesh.faces) // 12)
     require(
         1 <= q <= _LARGEST_Q and 12 * q * q == len(mesh.faces),
-        f"an ICQ model has 12 Q^2 facets connected as grids on a cube, {mesh.name!r} has {len(mesh.faces)}: "
-        "write another format",
+        f"an ICQ model has 12 Q^2 facets connected as grids on a cube, but {mesh.name!r} has "
+        f"{len(mesh.faces)} facets: choose another format",
     )
     _, names, quadrilaterals = _lattice(q)
     faces = split_polygons(names[quadrilaterals])
     same = np.array_equal(mesh.faces, faces) or np.array_equal(mesh.faces[:, ::-1], faces)
-    require(same, f"{mesh.name!r} is not connected as an ICQ model, grids on a cube: write another format")
+    require(same, f"{mesh.name!r} is not connected as an ICQ model, grids on a cube: choose another format")
     table = mesh.vertices_km
     if isinstance(mesh.albedo, VertexAlbedo):
         table = np.column_stack([table, mesh.albedo.values])

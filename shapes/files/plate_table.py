@@ -70,7 +70,7 @@ def _letter_rows(rows: list[str]) -> tuple[Float, Faces]:
 
 
 def _counted_rows(rows: list[str]) -> tuple[Float, Faces]:
-    """Number of vertices (and plates), vertex rows, (number of plates,) plate rows; rows may be numbered."""
+    """Read a table with counts: the number of plates stands beside that of vertices or before the plate rows."""
     counts = [int(word) for word in rows[0].split()] if rows else []
     if len(counts) not in (1, 2) or counts[0] < 1:
         raise ValueError("needed rows of 'v' and 'f', or the number of vertices (and plates) in the first row")
@@ -92,7 +92,7 @@ def _counted_rows(rows: list[str]) -> tuple[Float, Faces]:
 
 
 def _corners(rows: list[str], *, skip: int = 0) -> Faces:
-    """Plates (m, 3) or (m, 4), -1 where a triangle has no fourth corner; ``skip`` leading numbers are left out."""
+    """Plates (m, 3) or (m, 4), -1 for the missing corner of a triangle; ``skip`` leading columns are ignored."""
     wide = [len(row.split()) == 4 + skip for row in rows]
     if not any(wide) or all(wide):
         return whole_numbers(numbers(rows, (3 + skip, 4 + skip))[:, skip:])

@@ -472,7 +472,7 @@ def test_an_output_folder_with_other_things_is_refused_and_an_empty_one_taken(co
     (run / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="not empty"):
         run_campaign(Campaign.load(copied), workers=1)
-    with pytest.raises(DataError, match="is no run folder"):
+    with pytest.raises(DataError, match="is not a run folder"):
         run_campaign(Campaign.load(copied), workers=1, resume=True)
     (run / "notes.txt").unlink()
     assert run_campaign(Campaign.load(copied), workers=1, resume=True).folder == run
@@ -584,7 +584,7 @@ def test_an_unfinished_run_has_no_report(fresh: Path) -> None:
         run_campaign(Campaign.load(fresh), workers=1, progress=killer)
     with pytest.raises(DataError, match="not finished"):
         load_result(fresh.parent / "run")
-    with pytest.raises(DataError, match="is no run folder"):
+    with pytest.raises(DataError, match="is not a run folder"):
         load_result(fresh.parent)
 
 

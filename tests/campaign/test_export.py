@@ -326,7 +326,7 @@ def test_a_run_without_attitudes_has_nothing_to_export(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no run folder"):
+    with pytest.raises(DataError, match="not a run folder"):
         export_run(tmp_path, tmp_path / "a.csv", ExportFormat.CSV)
 
 

@@ -103,9 +103,9 @@ def test_the_later_kernel_wins_and_leaving_the_block_unloads_both(tmp_path: Path
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (b"<html>404 not found</html>\n", "no SPICE kernel"),
-        (b"", "no SPICE kernel"),
-        (bytes(range(256)) * 20, "no SPICE kernel"),
+        (b"<html>404 not found</html>\n", "not a SPICE kernel"),
+        (b"", "not a SPICE kernel"),
+        (bytes(range(256)) * 20, "not a SPICE kernel"),
         (b"DAF/SPK " + b"\0" * 100, "truncated"),
         (b"DAFETF NAIF DAF ENCODED TRANSFER FILE\n", "transfer"),
         (b"KPL/PCK\n\\begindata\nA = ( 'b\n", "SPICE(TYPEMISMATCH)"),
@@ -138,7 +138,7 @@ def test_a_meta_kernel_is_relative_to_its_own_folder(tmp_path: Path, monkeypatch
     ("lines", "word"),
     [
         ("KERNELS_TO_LOAD = ( 'gone.bsp' )", "gone.bsp"),
-        ("KERNELS_TO_LOAD = ( 'a.tm' )", "circle"),
+        ("KERNELS_TO_LOAD = ( 'a.tm' )", "loop"),
         ("KERNELS_TO_LOAD = ( '$X/a.tpc' )\nPATH_SYMBOLS = ( 'X' )", "PATH_VALUES"),
         ("KERNELS_TO_LOAD = ( 'a.tm' )\nBODY1_RADII = ( 1 2 3 )", "BODY1_RADII"),
     ],

@@ -35,7 +35,7 @@ from giantlike.image import Image
 from giantlike.io.csv_rows import write_csv_rows
 from giantlike.stars import Sky, StarOptions
 
-NO_STAR_IMAGE = "is no star image: its exposure is shorter than stars.long_exposure_s"
+NO_STAR_IMAGE = "is not a star image: its exposure is shorter than stars.long_exposure_s"
 """Detail of the problem of an image that takes no part because it is not meant to."""
 _COLUMNS = (
     "file", "star", "x_px", "y_px", "predicted_x_px", "predicted_y_px", "sigma_px", "magnitude", "temperature_c",

@@ -171,7 +171,7 @@ def load_result(path: Path) -> RunResult:
     Raises
     ------
     DataError
-        It is no run folder, or the run in it is not finished.
+        It is not a run folder, or the run in it is not finished.
     """
     folder = RunFolder.open(path)
     run = folder.provenance().get("run")
@@ -206,7 +206,7 @@ def camera_of_run(path: Path) -> Camera:
     Raises
     ------
     DataError
-        It is no run folder, or its camera is damaged.
+        It is not a run folder, or its camera is damaged.
     """
     calibrated = path / CAMERA_FILE
     if calibrated.exists():

@@ -65,7 +65,7 @@ class RunFolder:
         InputError
             The folder is not empty and ``resume`` is not set, or the inputs changed.
         DataError
-            The folder cannot be made, or it is to be continued and is no run folder.
+            The folder cannot be made, or it is to be continued and is not a run folder.
         """
         folder = cls(path)
         make_folder(path)
@@ -113,16 +113,16 @@ class RunFolder:
         Raises
         ------
         DataError
-            The file is missing or damaged: this is no run folder.
+            The file is missing or damaged: this is not a run folder.
         """
         try:
             content = json.loads((self.path / _PROVENANCE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             if not self.path.exists():
                 raise DataError(self.path, "there is no such run folder") from error
-            raise DataError(self.path, f"is no run folder: {_PROVENANCE} is missing or damaged") from error
+            raise DataError(self.path, f"is not a run folder: {_PROVENANCE} is missing or damaged") from error
         if not isinstance(content, dict):
-            raise DataError(self.path, f"is no run folder: {_PROVENANCE} is damaged")
+            raise DataError(self.path, f"is not a run folder: {_PROVENANCE} is damaged")
         return content
 
     def write_provenance(self, content: Mapping[str, Any]) -> None:

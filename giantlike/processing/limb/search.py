@@ -141,7 +141,7 @@ def find_limb(
     range_km = float(np.linalg.norm(position_camera_km)) / found.scale
     position_km: Float = range_km * view.model.unproject(center_px + found.shift_px)
     if not np.isfinite(position_km).all():
-        return Failure(Reason.OUT_OF_FRAME, "the limb was found where the camera model images nothing")
+        return Failure(Reason.OUT_OF_FRAME, "the limb was found outside the field of the camera model")
     return position_km, found
 
 

@@ -435,9 +435,13 @@ def _position(fit: ConicFit, plane: _Plane, figure: Figure) -> tuple[Float, Floa
         arm = math.sqrt(max(float(value), 0.0)) * vector
         sides = [position_of_cone(plane.cone(fit.coefficients + side * _STEP * arm), figure) for side in (1.0, -1.0)]
         if sides[0] is None or sides[1] is None or position is None:
-            return Failure(Reason.DEGENERATE_GEOMETRY, "the ellipse is not the horizon of the body: too short an arc")
+            return Failure(
+                Reason.DEGENERATE_GEOMETRY, "the fitted ellipse cannot be the horizon of the body: the arc is too short"
+            )
         moves.append((sides[0] - sides[1]) / (2.0 * _STEP))
     if position is None:
-        return Failure(Reason.DEGENERATE_GEOMETRY, "the ellipse is not the horizon of the body: too short an arc")
+        return Failure(
+            Reason.DEGENERATE_GEOMETRY, "the fitted ellipse cannot be the horizon of the body: the arc is too short"
+        )
     spread = np.array(moves)
     return position, spread.T @ spread

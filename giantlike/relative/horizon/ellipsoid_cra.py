@@ -135,7 +135,7 @@ class EllipsoidStandIn(Value):
 
     @classmethod
     def of(cls, inputs: EstimatorInputs, max_relief: float) -> EllipsoidStandIn | Failure:
-        """Take a body for its best-fit ellipsoid; ``WRONG_SHAPE`` where it departs from that too far."""
+        """Replace a body by its best-fit ellipsoid; ``WRONG_SHAPE`` if the body departs from it too far."""
         geometry, shape = inputs.geometry, inputs.geometry.target.shape
         if not shape.mean_radius_km > 0.0:
             return Failure(Reason.WRONG_SHAPE, "the target is a point: it has no limb")

@@ -456,7 +456,7 @@ def _total_least_squares(cone: Float, metric: Float) -> Float:
 def ray_residuals(
     rays: PixelRays, figure: Figure, position_camera_km: Float, *, steps: int = _FOOT_STEPS
 ) -> tuple[Float, Float, Float]:
-    """Return what :func:`horizon_residuals` does, for rays instead of pixels, after some Newton steps."""
+    """Return the same as :func:`horizon_residuals`, from rays instead of pixels, with ``steps`` Newton steps."""
     pull, conic = figure.cone(position_camera_km)
     foot = np.zeros((len(rays.directions), 2))
     for _ in range(steps):

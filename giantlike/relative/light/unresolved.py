@@ -167,11 +167,13 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
 def _brightest(
     image: BoxPixels, bad: Mask, detector: Detector, template: Template, options: UnresolvedOptions
 ) -> tuple[Float, bool] | Failure:
-    """Position of the brightest source in the search region, and True if another comes near it."""
+    """Position of the brightest source in the search region, and True if another is bright enough to be it instead."""
     expected_px, search_px = template.photocenter_px, options.search_px
     box = _box_around(expected_px, search_px + _BACKGROUND_PX, image)
     if box.width < 2 * _BACKGROUND_PX or box.height < 2 * _BACKGROUND_PX:
-        return Failure(Reason.OUT_OF_FRAME, f"the light is predicted at {_text(expected_px)} px, outside the image")
+        return Failure(
+            Reason.OUT_OF_FRAME, f"the predicted center of light {_text(expected_px)} px is outside the image"
+        )
     sources = detect_sources(
         box.cut(image.values_dn), detector=detector, psf_sigma_px=_width_px(template), mask=box.cut(bad)
     )
@@ -183,8 +185,8 @@ def _brightest(
     if not near.any():
         return Failure(
             Reason.NO_SIGNAL,
-            f"no source of a signal to noise of {options.min_snr:g} within {search_px:g} px of the prediction "
-            f"{_text(expected_px)} px",
+            f"no source with a signal-to-noise ratio of at least {options.min_snr:g} within "
+            f"{search_px:g} px of the prediction {_text(expected_px)} px",
         )
     flux = sources.flux_dn[near]
     order = np.argsort(-flux)

@@ -428,7 +428,7 @@ def _psf_sigma(view: LimbView, scans: Scans, options: LimbScanOptions) -> float 
     if usable < options.min_lines:
         return Failure(
             Reason.NO_LIMB,
-            f"the camera has no psf and only {usable} good lines across the limb to measure it, needed "
+            f"the camera has no psf, and {usable} good lines across the limb are too few to measure it, needed "
             f"{options.min_lines}",
         )
     variance, window_px, search_px = view.detector.variance_dn2, options.window_px, options.local_search_px

@@ -192,7 +192,7 @@ class TemplateRenderer(Value):
         return images
 
     def _light(self, box: PixelBox, state: TemplateState, sampling: RenderOptions) -> Float | Failure:
-        """Light (h, w) of a state in a box."""
+        """Light (h, w) predicted for a state, on the pixels of a box."""
         template = self.render(state, sampling)
         return template if isinstance(template, Failure) else placed(template, box)
 
