@@ -6,6 +6,7 @@ records. Results therefore never depend on whether a run was interrupted.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
@@ -137,9 +138,9 @@ class ImageRecord(_Record):
     file: str
 
     @property
+    @abstractmethod
     def problems(self) -> list[Problem]:
         """Everything that went wrong."""
-        raise NotImplementedError
 
     def light(self) -> Self:
         """Return the record without its lists of points: what is kept in memory of thousands of images.
