@@ -147,7 +147,7 @@ def test_an_ideal_equisolid_lens_gives_equal_areas_to_equal_solid_angles() -> No
     angles = np.radians([10.0, 60.0, 120.0, 179.0])
     radii = np.linalg.norm(lens.project(directions_at(angles, np.full(4, 0.7))), axis=1)
     caps = 2 * np.pi * (1 - np.cos(angles))
-    assert_allclose(np.pi * radii**2 / caps, 100.0**2, rtol=FLOAT64, atol=0)
+    assert_allclose(np.pi * radii**2 / caps, 100.0**2, rtol=FLOAT64 / 10, atol=0)
 
 
 def test_scaramuzza_agrees_with_the_published_polynomial() -> None:
@@ -361,7 +361,9 @@ def test_a_grid_correction_of_equal_controls_shifts_every_pixel_alike() -> None:
         dx_px=np.full((7, 9), 1.25), dy_px=np.full((7, 9), -0.5),
     )  # fmt: skip
     points = NAVCAM.unproject(pixels_of(NAVCAM, 50))
-    assert_allclose(model.project(points) - NAVCAM.project(points), [[1.25, -0.5]] * 50, rtol=0, atol=FLOAT64_CHAIN)
+    assert_allclose(
+        model.project(points) - NAVCAM.project(points), [[1.25, -0.5]] * 50, rtol=0, atol=FLOAT64_CHAIN / 10
+    )
 
 
 def test_a_grid_correction_survives_binning_windows_temperature_and_its_file() -> None:

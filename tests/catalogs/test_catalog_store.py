@@ -146,7 +146,7 @@ def test_a_catalog_from_its_file_answers_as_the_one_in_memory(catalog: MemoryCat
             mine, its = (one.cone(axis, 0.15, max_magnitude=limit) for one in (catalog, mapped))
             assert mine.ids.tolist() == its.ids.tolist()
             for name in COLUMN_TYPES:
-                np.testing.assert_allclose(getattr(its, name), getattr(mine, name), rtol=FLOAT32, atol=0)
+                np.testing.assert_allclose(getattr(its, name), getattr(mine, name), rtol=FLOAT32 / 5, atol=0)
 
 
 def test_places_are_kept_with_all_their_digits(stars: StarTable, file: Path) -> None:

@@ -126,7 +126,9 @@ def test_every_law_takes_arrays_and_numbers_and_leaves_them_as_they_are(law: Ref
 def test_sun_and_camera_can_change_places(law: Reflectance, mu0: float, mu: float, azimuth_rad: float) -> None:
     phase = _phase(np.asarray(mu0), np.asarray(mu), np.asarray(azimuth_rad))
     there, back = mu * law(mu0, mu, phase), mu0 * law(mu, mu0, phase)
-    assert_allclose(there, back, rtol=FLOAT64_SUM, atol=FLOAT64)  # Akimov's cosine at the terminator loses five digits
+    assert_allclose(
+        there, back, rtol=FLOAT64_SUM, atol=FLOAT64 / 10
+    )  # Akimov's cosine at the terminator loses five digits
 
 
 # --- law by law -----------------------------------------------------------------------------------------------------
@@ -299,7 +301,7 @@ def test_hapke_and_lunar_lambert_give_the_numbers_of_isis(law: Reflectance, slan
     # The expected output of the unit tests of Hapke, HapkeHen and LunarLambertMcEwen in USGS ISIS3: incidence 45,
     # emission 30 and phase 60 degrees, and all three 0; six digits are printed.
     found = law(np.cos(np.radians(45.0)), np.cos(np.radians(30.0)), np.radians(60.0))
-    assert found == pytest.approx(slanted / normal, rel=FLOAT32_SUM)
+    assert found == pytest.approx(slanted / normal, rel=FLOAT32_SUM / 2)
 
 
 def test_hapke_becomes_smooth_as_its_slopes_vanish_and_darker_at_large_phase_as_they_grow() -> None:
@@ -324,7 +326,7 @@ def test_the_disks_of_lambert_and_lommel_seeliger_follow_their_closed_forms(phas
         lambert, rel=FLOAT64_ROOT
     )  # the form itself cancels at 179 degrees
     offset = math.pi / 8.0 * math.sin(a) * (1.0 + math.cos(a)) / (math.pi * lambert)
-    assert disk_photocenter(Lambert(), a) == pytest.approx(offset, rel=FLOAT64_ROOT, abs=FLOAT64)
+    assert disk_photocenter(Lambert(), a) == pytest.approx(offset, rel=FLOAT64_ROOT / 10, abs=FLOAT64)
     seeliger = 1.0 - (math.sin(a / 2) * math.tan(a / 2) * math.log(1.0 / math.tan(a / 4)) if a > 0 else 0.0)
     assert disk_integrated(LommelSeeliger(), a) == pytest.approx(seeliger, rel=QUADRATURE)
 

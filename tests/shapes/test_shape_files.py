@@ -425,7 +425,9 @@ def test_any_mix_of_windings_is_made_outward_piece_by_piece(rock: TriangleMesh) 
     assert not result.after
     assert result.facets_turned == turned.sum()
     mesh = TriangleMesh(result.surface.vertices, result.surface.faces)
-    assert_allclose(mesh.volume_km3, 2.0 * rock.volume_km3, rtol=FLOAT64_CHAIN)  # the second body lies five radii off
+    assert_allclose(
+        mesh.volume_km3, 2.0 * rock.volume_km3, rtol=FLOAT64_CHAIN / 10
+    )  # the second body lies five radii off
 
 
 def test_a_small_hole_is_closed_by_a_fan_and_missing_surface_is_not_made_up(rock: TriangleMesh) -> None:

@@ -300,6 +300,6 @@ def test_a_generated_asteroid_depends_on_its_seed_alone() -> None:
 )
 def test_volume_and_area_do_not_depend_on_where_a_mesh_lies(turn: tuple[float, ...], offset: tuple[float, ...]) -> None:
     moved = TriangleMesh(rotate(Rotation.from_rotvec(turn), TETRAHEDRON) + offset, OUTWARD)
-    assert_allclose(moved.volume_km3, VOLUME, rtol=FLOAT64_CHAIN)
-    assert_allclose(moved.area_km2, 8.0 * np.sqrt(3.0), rtol=FLOAT64_CHAIN)
-    assert_allclose(moved.center_of_figure_km, offset, rtol=0, atol=FLOAT64_ROOT)
+    assert_allclose(moved.volume_km3, VOLUME, rtol=FLOAT64_CHAIN / 10)
+    assert_allclose(moved.area_km2, 8.0 * np.sqrt(3.0), rtol=FLOAT64_CHAIN / 10)
+    assert_allclose(moved.center_of_figure_km, offset, rtol=0, atol=FLOAT64_ROOT / 10)

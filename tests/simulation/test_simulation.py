@@ -313,7 +313,7 @@ def test_each_visit_sees_the_body_at_the_size_and_phase_asked_for(plan: Approach
     }
     assert seen.keys() == expected.keys()
     for name, values in expected.items():
-        assert_allclose(seen[name][0], values[0], rtol=0, atol=SAMPLED * values[0])
+        assert_allclose(seen[name][0], values[0], rtol=0, atol=SAMPLED / 2 * values[0])
         assert_allclose(seen[name][1], values[1], rtol=0, atol=0.1)  # light time and aberration: 0.01 deg
 
 
