@@ -44,7 +44,10 @@ class AngularRates(Value):
         """Integrate the rates to a rotation ``camera(to_et) from camera(from_et)``.
 
         Each interval between samples is integrated with its mean rate and the commutator of its ends (Magnus series to
-        second order), so that the error falls with the fourth power of the interval.
+        second order), so that the error falls with the fourth power of the interval. For
+        ``dC/dt = -[w x] C`` with ``w`` going linearly from ``w0`` to ``w1`` in a time ``h``, the commutators of rates at
+        two times, integrated over the later and the earlier one, add ``h^2 / 12 (w0 x w1)`` to the turn
+        ``h (w0 + w1) / 2`` of the camera.
 
         Parameters
         ----------
@@ -66,7 +69,7 @@ class AngularRates(Value):
         rates = np.stack([np.interp(times, self.et, axis) for axis in self.rates_rad_s.T], axis=1)
         steps = np.diff(times)[:, None]
         before, after = rates[:-1], rates[1:]
-        turns = (before + after) / 2.0 * steps - np.cross(before, after) * steps**2 / 12.0
+        turns = (before + after) / 2.0 * steps + np.cross(before, after) * steps**2 / 12.0
         result = Rotation.identity()
         for turn in turns:
             result = Rotation.from_rotvec(-turn) * result
