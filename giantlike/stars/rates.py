@@ -44,10 +44,9 @@ class AngularRates(Value):
         """Integrate the rates to a rotation ``camera(to_et) from camera(from_et)``.
 
         Each interval between samples is integrated with its mean rate and the commutator of its ends (Magnus series to
-        second order), so that the error falls with the fourth power of the interval. For
-        ``dC/dt = -[w x] C`` with ``w`` going linearly from ``w0`` to ``w1`` in a time ``h``, the commutators of rates at
-        two times, integrated over the later and the earlier one, add ``h^2 / 12 (w0 x w1)`` to the turn
-        ``h (w0 + w1) / 2`` of the camera.
+        second order), so that the error falls with the fourth power of the interval. In ``dC/dt = -[w x] C``, with
+        ``w`` going linearly from ``w0`` to ``w1`` in a time ``h``, the commutators of the rates at two times add
+        ``h^2 / 12 (w0 x w1)`` to the turn ``h (w0 + w1) / 2`` of the camera.
 
         Parameters
         ----------

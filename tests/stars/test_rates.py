@@ -65,7 +65,7 @@ def test_a_tumbling_camera_is_followed_in_both_directions_of_time() -> None:
 
 
 def _by_tiny_turns(rates_rad_s: Float, step_s: float, parts: int) -> Float:
-    """The turn (3, 3) by rates linear between samples: a product of `parts` rotations in each interval, at its middles."""
+    """The turn (3, 3) by rates linear between samples: the product of `parts` rotations in each interval."""
     turned = np.eye(3)
     for start, stop in pairwise(rates_rad_s):
         for middle in (np.arange(parts) + 0.5) / parts:
