@@ -18,6 +18,7 @@ from giantlike.core.version import VERSION
 
 if TYPE_CHECKING:
     from giantlike.camera import Camera
+    from giantlike.core.causes import Cause
     from giantlike.core.detector import Detector, GaussianPsf
     from giantlike.core.errors import DataError, EstimationError, FrameMismatchError, InputError, OpNavError
     from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix, Quality, Reason
@@ -49,6 +50,7 @@ logging.getLogger("giantlike").addHandler(logging.NullHandler())  # silent unles
 
 _HOMES = {
     "giantlike.camera": ("Camera",),
+    "giantlike.core.causes": ("Cause",),
     "giantlike.core.detector": ("Detector", "GaussianPsf"),
     "giantlike.core.errors": ("DataError", "EstimationError", "FrameMismatchError", "InputError", "OpNavError"),
     "giantlike.core.outcomes": ("AttitudeFix", "CenterFix", "Failure", "PositionFix", "Quality", "Reason"),
@@ -75,6 +77,7 @@ __all__ = [
     "AttitudeFix",
     "Auto",
     "Camera",
+    "Cause",
     "CenterFix",
     "CrossCorrelation",
     "DataError",

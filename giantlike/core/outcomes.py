@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_parts, require_sum, summed
 from giantlike.core.errors import EstimationError
 from giantlike.core.values import Value
 
@@ -164,6 +165,8 @@ class AttitudeFix(Value):
     flags : Quality
     provenance : mapping of str to str
         Versions and hashes of what the fix was made from.
+    parts : mapping of Cause to (3, 3) float64, rad^2
+        ``covariance_rad2`` by cause (noise, camera, aberration), which it is the sum of; empty when all of it is noise.
     """
 
     camera_from_inertial: Rotation
@@ -183,6 +186,13 @@ class AttitudeFix(Value):
     camera_name: str = ""
     flags: Quality = Quality.NONE
     provenance: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[Cause, Float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", checked_parts(self.parts, 3))
+        if self.parts:
+            require_sum(self.parts, tuple(Cause), self.covariance_rad2, "covariance_rad2")
+        Value.__post_init__(self)
 
     @property
     def residuals_px(self) -> Float:
@@ -220,7 +230,9 @@ class CenterFix(Value):
     center_px : (2,) float64, px
         Measured center, in the distorted image.
     covariance_px2 : (2, 2) float64, px^2
-        Covariance of the image measurement alone, without the attitude uncertainty.
+        Covariance of the place in the image: noise and everything of the models that moves the measured center, the
+        causes of :data:`~giantlike.core.causes.IN_IMAGE`. The camera model, the attitude and the ephemeris of the
+        target are not in it: whatever they are, the center is seen at this pixel.
     predicted_px : (2,) float64, px
         Center predicted from the a priori geometry.
     residuals : (n,) float64
@@ -233,6 +245,16 @@ class CenterFix(Value):
         Quality flags.
     provenance : mapping of str to str
         Versions and hashes of everything that the fix was made from.
+    parts : mapping of Cause to (k, k) float64
+        The covariance by cause, of x and y in px (k = 2) and, in a :class:`PositionFix`, of the natural logarithm of
+        the range (k = 3). Causes ``IN_IMAGE`` sum to ``covariance_px2``; the camera, the attitude, the ephemeris and
+        aberration stand beside them, as the pixels by which they shift the direction. Empty when all is noise.
+
+    Raises
+    ------
+    InputError
+        A part has another shape, is not symmetric or not positive semi-definite, or the parts do not sum to the
+        covariance.
     """
 
     estimator: str
@@ -246,6 +268,31 @@ class CenterFix(Value):
     score: float
     flags: Quality = Quality.NONE
     provenance: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[Cause, Float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", checked_parts(self.parts, self._size))
+        if self.parts:
+            self._require_sums()
+        Value.__post_init__(self)
+
+    def _require_sums(self) -> None:
+        """Raise unless the parts sum to the covariances."""
+        require_sum(self.parts, IN_IMAGE, self.covariance_px2, "covariance_px2")
+
+    @property
+    def _size(self) -> int:
+        """Number of the measured coordinates: x and y."""
+        return 2
+
+    @property
+    def covariance_total(self) -> Float:
+        """Covariance of observed less computed, (k, k) as ``parts``: the sum of all causes.
+
+        ``summed(fix.parts, causes)`` of :mod:`giantlike.core.causes` sums a choice of them, such as all but the
+        ephemeris for the position in inertial axes.
+        """
+        return summed(self.parts, tuple(Cause)) if self.parts else np.array(self.covariance_px2)
 
     def unwrap(self) -> Self:
         """Return the fix itself (a :class:`Failure` raises instead).
@@ -266,7 +313,9 @@ class PositionFix(CenterFix):
     position_camera_km : (3,) float64, km, camera axes
         Apparent position of the origin of the shape model from the camera: light time and aberration not removed.
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-        Covariance of the image measurement alone.
+        Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model by which
+        pixels became directions (:data:`~giantlike.core.causes.IN_POSITION`). The attitude and the ephemeris of the
+        target are not in it.
     limb_px : (n, 2) float64, px
         Image points used, for overlays.
     """
@@ -274,6 +323,18 @@ class PositionFix(CenterFix):
     position_camera_km: Float
     covariance_camera_km2: Float
     limb_px: Float
+
+    def _require_sums(self) -> None:
+        """Raise unless the parts sum to the covariances, of which that of the position is compared along the range."""
+        CenterFix._require_sums(self)
+        variance = np.array([[(self.sigma_range_km / self.range_km) ** 2]])
+        along = {cause: part[2:, 2:] for cause, part in self.parts.items()}
+        require_sum(along, IN_POSITION, variance, "the relative variance of range in covariance_camera_km2")
+
+    @property
+    def _size(self) -> int:
+        """Number of the measured coordinates: x, y and the logarithm of the range."""
+        return 3
 
     @property
     def range_km(self) -> float:

@@ -394,6 +394,28 @@ def center_of_position(
     return model.project(position_camera_km), jacobian @ covariance_camera_km2 @ jacobian.T
 
 
+def place_covariance(model: CameraModel, position_camera_km: Float, covariance_camera_km2: Float) -> Float:
+    """Covariance of the place of a body, as in the ``parts`` of a fix, from that of its position.
+
+    The inverse of what :func:`position_of_center` does to a covariance.
+
+    Parameters
+    ----------
+    model : CameraModel
+    position_camera_km : (3,) float64, km, camera axes
+    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
+
+    Returns
+    -------
+    (3, 3) float64
+        Of x, y in px and of the natural logarithm of the range.
+    """
+    along = position_camera_km / float(position_camera_km @ position_camera_km)
+    jacobian = np.vstack([model.project_jacobian(position_camera_km), along])
+    covariance = jacobian @ covariance_camera_km2 @ jacobian.T
+    return (covariance + covariance.T) / 2.0
+
+
 def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
     """Reason and text where no estimator can use the inputs; None where they are good."""
     geometry = inputs.geometry

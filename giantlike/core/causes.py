@@ -1,0 +1,157 @@
+"""Causes of the errors of a fix, and covariances kept apart by cause.
+
+A covariance by cause is a mapping from :class:`Cause` to matrices of one size that add up. Causes are independent of
+each other; what they have in common with other images differs (noise is new in each image, the camera and the scale
+of a shape are the same in all of them), which is why a filter wants them apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+
+import numpy as np
+
+from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.values import check_covariance, read_only
+
+
+class Cause(StrEnum):
+    """Cause of an error of a fix; the values are those of JSON and tables."""
+
+    NOISE = "noise"
+    """Noise of the pixels; in a fix without parts, everything."""
+    BACKGROUND = "background"
+    """Light that is not of the body: level and slope of the background, stray light."""
+    REFLECTANCE = "reflectance"
+    """The reflectance law and its parameters."""
+    ALBEDO = "albedo"
+    """Markings of the surface that the shape model does not hold."""
+    RELIEF = "relief"
+    """Relief that the shape model does not hold."""
+    PSF = "psf"
+    """Width and wings of the point spread function."""
+    EDGE = "edge"
+    """The profile of brightness across the limb that an edge is located with."""
+    ALTITUDE = "altitude"
+    """Altitude of the visible limb: haze and atmosphere."""
+    SHAPE_SCALE = "shape_scale"
+    """Size of the shape model, all axes by the same factor."""
+    POLE = "pole"
+    """Direction of the rotation axis of the body."""
+    SPIN = "spin"
+    """Rotation of the body about its axis."""
+    CAMERA = "camera"
+    """Parameters of the camera model."""
+    ATTITUDE = "attitude"
+    """Attitude of the camera."""
+    EPHEMERIS = "ephemeris"
+    """Ephemeris of the target, across the line of sight and along it."""
+    ABERRATION = "aberration"
+    """Velocity of the observer, by which stellar aberration is removed."""
+
+
+OUTSIDE = (Cause.ATTITUDE, Cause.EPHEMERIS, Cause.ABERRATION)
+"""Causes that leave the position in camera axes as it is: they matter where it meets inertial axes or a prediction."""
+IN_POSITION = tuple(cause for cause in Cause if cause not in OUTSIDE)
+"""Causes in ``covariance_camera_km2``: those in the image, and the camera that turns pixels into directions."""
+IN_IMAGE = tuple(cause for cause in IN_POSITION if cause is not Cause.CAMERA)
+"""Causes in ``covariance_px2``: noise, and models that move the center measured in the image.
+
+The scale of the shape, its pole and its spin are among them: a shape that is too large or turned is fitted elsewhere,
+whatever the camera is.
+"""
+SUM_TOLERANCE = 1e-6
+"""Largest difference of a covariance from the sum of its parts, over the product of the standard deviations.
+
+Parts and covariance come by different ways through Jacobians whose scales differ by the range in km over the angle of
+a pixel, up to some 1e8 in float64: six digits remain, and no sigma is known to six digits.
+"""
+
+
+def summed(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> Float:
+    """Sum of the parts of a covariance.
+
+    Parameters
+    ----------
+    parts : mapping of Cause to (k, k) float64
+        At least one.
+    causes : iterable of Cause
+        Those to sum, where they are in ``parts``; those in the image by default.
+
+    Returns
+    -------
+    (k, k) float64
+        Zero where none of the causes is in ``parts``.
+
+    Examples
+    --------
+    >>> parts = {Cause.NOISE: np.eye(2), Cause.RELIEF: 2.0 * np.eye(2), Cause.CAMERA: np.eye(2)}
+    >>> summed(parts)
+    array([[3., 0.],
+           [0., 3.]])
+    """
+    total = np.zeros_like(next(iter(parts.values())), dtype=np.float64)
+    for cause in causes:
+        if cause in parts:
+            total = total + parts[cause]
+    return total
+
+
+def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
+    """Check the parts of a covariance and make them read-only.
+
+    Parameters
+    ----------
+    parts : mapping of Cause or its value to (size, size) float64
+    size : int
+        Number of coordinates.
+
+    Returns
+    -------
+    dict
+        In the order of :class:`Cause`.
+
+    Raises
+    ------
+    InputError
+        A matrix has another shape, is not symmetric or not positive semi-definite.
+    ValueError
+        A key is no cause.
+    """
+    checked = {}
+    for key, part in parts.items():
+        cause = Cause(key)
+        matrix = as_floats(part, (size, size), f"parts: {cause}")
+        require(matrix.ndim == 2, f"parts: {cause} must have shape ({size}, {size}), got {matrix.shape}")
+        check_covariance(matrix, f"parts: {cause}")
+        checked[cause] = read_only(matrix)
+    return {cause: checked[cause] for cause in Cause if cause in checked}
+
+
+def require_sum(parts: Mapping[Cause, Float], causes: Iterable[Cause], covariance: Float, name: str) -> None:
+    """Raise unless parts sum to a covariance, of the leading coordinates where it has fewer than they.
+
+    Parameters
+    ----------
+    parts : mapping of Cause to (k, k) float64
+    causes : iterable of Cause
+        Those to sum.
+    covariance : (n, n) float64
+        With n <= k; one with infinities or NaN, which stand for what is not known, is not checked.
+    name : str
+        Name of the covariance, for the message.
+
+    Raises
+    ------
+    InputError
+        They differ by more than :data:`SUM_TOLERANCE`.
+    """
+    count = len(covariance)
+    total = summed(parts, causes)[:count, :count]
+    if not (np.isfinite(total).all() and np.isfinite(covariance).all()):
+        return
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), np.diagonal(total)))
+    scale = np.outer(sigma, sigma)
+    worst = float(np.max(np.abs(total - covariance) / np.where(scale > 0.0, scale, 1.0), initial=0.0))
+    require(worst <= SUM_TOLERANCE, f"parts must sum to {name}, they differ by {worst:.2g} of it")
