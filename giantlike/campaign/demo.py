@@ -33,7 +33,7 @@ from giantlike.simulation.compare import (
     score_attitudes,
     score_observations,
 )
-from giantlike.simulation.write import CAMPAIGN_FILE, TRUTH_FILE
+from giantlike.simulation.write import BODY_IMAGE, CAMPAIGN_FILE, ESTIMATORS, TRUTH_FILE
 
 _MARKER = ".giantlike-demo"
 """File that marks a folder as made by a demonstration."""
@@ -43,6 +43,23 @@ _CONSISTENT = 0.001
 """Two-sided probability of chi-square beyond which errors contradict their covariances: one false alarm in 1,000."""
 _SMALL_PHASE_DEG = 90.0
 """Phase angle, deg, up to which the goal of ``unresolved`` holds: beyond, less than half of the disk is lit."""
+_ATTITUDE_SHARE = 0.95
+"""Share of the images that need an attitude: of 39, one may be lost."""
+_BODY_SHARE = 0.8
+"""Share of the bodies that an estimator is made for and has to find: a tool that suspects more of them is of no use."""
+_MADE_FOR_PX = MappingProxyType(
+    {
+        "unresolved": (0.0, 8.0),
+        "cross_correlation": (0.0, math.inf),
+        "limb_matching": (60.0, math.inf),
+        "ellipsoid_cra": (60.0, math.inf),
+    }
+)
+"""Least and largest diameter, px, of the bodies that each estimator has to find.
+
+``unresolved`` takes up to 12 px across the sphere around the body, up to 1.5 times as wide as that of its volume.
+``limb_matching`` and ``ellipsoid_cra`` need an arc of limb: a body of 60 px has some 100 px of it.
+"""
 _WHY = MappingProxyType(
     {
         Reason.NOT_UNRESOLVED: "the body is resolved: ",
@@ -121,7 +138,7 @@ class DemoReport(Value):
     @property
     def goals(self) -> tuple[Goal, ...]:
         """Requirements on the demonstration, with the values reached."""
-        return (*_accuracy_goals(self.comparison), *self._consistency_goals())
+        return (*_yield_goals(self.comparison), *_accuracy_goals(self.comparison), *self._consistency_goals())
 
     @property
     def met(self) -> bool:
@@ -268,6 +285,30 @@ def _clear(output: Path) -> None:
                 path.unlink(missing_ok=True)
     except OSError as error:
         raise DataError(output, f"cannot be written: {error.strerror or error}") from error
+
+
+def _yield_goals(comparison: Comparison) -> Iterable[Goal]:
+    """Goals of the share of fixes that are ok, of all that the truth says can be found, reported or not."""
+    solved = {error.file for error in comparison.attitudes if error.status == "ok"}
+    yield _share("attitude", [row.file in solved for row in comparison.truth], _ATTITUDE_SHARE)
+    found = {(e.estimator, e.target, e.file) for e in comparison.observations if e.status == "ok"}
+    for estimator, (least, largest) in _MADE_FOR_PX.items():
+        hits = [
+            (estimator, row.target, row.file) in found
+            for row in comparison.truth
+            if row.kind == BODY_IMAGE
+            and least <= row.diameter_px <= largest
+            and estimator in ESTIMATORS.get(row.target, ())
+        ]
+        if hits:
+            limits = f" from {least:g} px" * (least > 0.0) + f" to {largest:g} px" * math.isfinite(largest)
+            yield _share(f"{estimator}, bodies{limits}", hits, _BODY_SHARE)
+
+
+def _share(text: str, hits: Sequence[bool], low: float) -> Goal:
+    """Goal of the share of what can be found that is found; NaN, which is not met, where there is nothing."""
+    share = sum(hits) / len(hits) if hits else math.nan
+    return Goal(text=f"{text}: share with a good fix ({sum(hits)} of {len(hits)})", value=share, low=low, high=1.0)
 
 
 def _accuracy_goals(comparison: Comparison) -> list[Goal]:

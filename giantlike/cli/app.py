@@ -119,7 +119,7 @@ def _group(name: str, summary: str, table: Mapping[str, Entry]) -> typer.Typer:
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
-        epilog="Exit codes: 0 done, 1 some images or files failed, 2 bad input, 130 interrupted.",
+        epilog="Exit codes: 0 done, 1 some images or files failed or goals are missed, 2 bad input, 130 interrupted.",
     )
 
 

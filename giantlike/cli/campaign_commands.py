@@ -164,13 +164,16 @@ def demo(
     workers: Workers = None,
     json: Json = False,
 ) -> ExitCode:
-    """Simulate an approach to a small body, run it as a campaign, and compare with the truth."""
+    """Simulate an approach to a small body, run it as a campaign, and compare with the truth.
+
+    The exit code is 1 if a goal is missed.
+    """
     from giantlike.campaign.demo import run_demo
 
     with progress_bar() as progress:
         done = run_demo(output, workers=workers, progress=progress)
     typer.echo(done.to_json() if json else done.text())
-    return ExitCode.DONE
+    return ExitCode.DONE if done.met else ExitCode.GOALS_MISSED
 
 
 def _print_tables(result: RunResult) -> None:

@@ -23,6 +23,7 @@ class ExitCode(IntEnum):
 
     DONE = 0
     SOME_IMAGES_FAILED = 1
+    GOALS_MISSED = 1
     BAD_INPUT = 2
     INTERRUPTED = 130
 

@@ -83,8 +83,17 @@ class ObservationError(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison(Value):
-    """Errors of a whole run: one entry per row of its tables."""
+    """Errors of a whole run: one entry per row of its tables, and the truth that they are counted from.
 
+    Parameters
+    ----------
+    truth : tuple of TruthRow
+        Every image, whether the run holds it or not.
+    attitudes : tuple of AttitudeError
+    observations : tuple of ObservationError
+    """
+
+    truth: tuple[TruthRow, ...]
     attitudes: tuple[AttitudeError, ...]
     observations: tuple[ObservationError, ...]
 
@@ -150,6 +159,7 @@ def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
     """
     true_rows = {row.file: row for row in read_rows(truth, TruthRow)}
     return Comparison(
+        truth=tuple(true_rows.values()),
         attitudes=tuple(
             _attitude_error(row, _true_row(true_rows, row.file, truth), camera)
             for row in read_rows(run / "attitudes.csv", AttitudeRow)

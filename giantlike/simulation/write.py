@@ -36,6 +36,10 @@ ESTIMATORS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Estimators that the campaign runs on each target."""
 
 
+STAR_IMAGE, BODY_IMAGE = "stars", "body"
+"""What an image was taken for, in ``truth.csv``."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthRow:
     """Row of ``truth.csv``: the true attitude of an image and the true apparent place of the body in view."""
@@ -180,7 +184,7 @@ def _truth_row(approach: Approach, frame: Frame, taken: SimulatedImage) -> Truth
     }
     return TruthRow(
         file=frame.shot.name,
-        kind="stars" if frame.star_image else "body",
+        kind=STAR_IMAGE if frame.star_image else BODY_IMAGE,
         target=frame.target,
         range_km=body.range_km,
         diameter_px=2.0 * body.target.shape.mean_radius_km / body.range_km * model.focal_length_px,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -12,17 +13,27 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.campaign import demo
 from giantlike.campaign.demo import DemoReport, Goal, run_demo
+from giantlike.cli.app import app
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.io.tables import columns_of
 from giantlike.simulation import ApproachOptions, Visit
-from giantlike.simulation.compare import Comparison, ObservationError, compare_run, score_attitudes, score_observations
-from giantlike.simulation.write import TRUTH_COLUMNS
+from giantlike.simulation.compare import (
+    AttitudeError,
+    Comparison,
+    ObservationError,
+    compare_run,
+    score_attitudes,
+    score_observations,
+)
+from giantlike.simulation.write import TRUTH_COLUMNS, TruthRow
 from tests.tolerances import FIVE_DIGITS, FLOAT32_SUM, FLOAT64_SUM, SETTLED
 
 ATTITUDE_COLUMNS = ("file", "status", "reason", "source", "qx", "qy", "qz", "qw", "sigma_x_arcsec", "sigma_y_arcsec",
@@ -141,8 +152,10 @@ def test_a_goal_is_missed_beyond_its_limits_and_where_nothing_was_measured() -> 
     assert not Goal(text="g", value=float("nan"), high=1.0).met
 
 
-def report_of(errors: list[ObservationError]) -> DemoReport:
-    comparison = Comparison(attitudes=(), observations=tuple(errors))
+def report_of(
+    errors: list[ObservationError], attitudes: list[AttitudeError] | None = None, truth: list[TruthRow] | None = None
+) -> DemoReport:
+    comparison = Comparison(truth=tuple(truth or ()), attitudes=tuple(attitudes or ()), observations=tuple(errors))
     return DemoReport(output=Path("demo"), comparison=comparison, simulate_s=1.0, run_s=2.0)
 
 
@@ -166,6 +179,42 @@ def test_errors_far_from_the_stated_sigmas_miss_the_goal_on_either_side() -> Non
         goals = report_of([limb(error_px, 0.01)] * 6).goals
         (consistency,) = [goal for goal in goals if "variances" in goal.text]
         assert consistency.met is met
+
+
+def bodies_in_truth(n: int) -> list[TruthRow]:
+    cells = {"target": "ROCK", "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0, "x_px": 50.0, "y_px": 60.0}
+    body = {"kind": "body", "range_km": 200.0, "diameter_px": 100.0, "phase_deg": 30.0}
+    fields = {column.name: None for column in columns_of(TruthRow)} | cells | body
+    return [TruthRow(**fields | {"file": f"{number:02d}.fits"}) for number in range(n)]
+
+
+@pytest.mark.parametrize(("n_solved", "n_found"), [(22, 11), (2, 11), (22, 1), (2, 1)])
+def test_results_that_are_missing_miss_the_goal_of_their_share_however_good_the_others_are(
+    n_solved: int, n_found: int
+) -> None:
+    truth = bodies_in_truth(22)
+    attitudes = [
+        AttitudeError(file=row.file, source="stars", status="ok" if number < n_solved else "failed", reason="")
+        for number, row in enumerate(truth)
+    ]
+    errors = [
+        replace(limb(0.01, 0.01), file=row.file, status=status)
+        for number, row in enumerate(truth)
+        if (status := "ok" if number < n_found * 2 else "suspect" if number % 2 else "")  # rows may be missing
+    ]
+    goals = {
+        goal.text.split(":")[0]: goal for goal in report_of(errors, attitudes, truth).goals if "share" in goal.text
+    }
+    assert goals["attitude"].met is (n_solved == 22)
+    assert goals["limb_matching, bodies from 60 px"].met is (n_found == 11)
+    assert goals["limb_matching, bodies from 60 px"].value == pytest.approx(n_found / 11, rel=0, abs=FLOAT64_SUM)
+
+
+def test_the_command_exits_with_one_where_a_goal_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "run_demo", lambda *_, **__: report_of([]))
+    result = CliRunner().invoke(app, ["demo", "--json"])
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["met"] is False
 
 
 def test_the_report_without_any_fix_is_readable_and_misses_its_goals() -> None:
