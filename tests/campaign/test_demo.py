@@ -7,7 +7,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -184,7 +184,7 @@ def test_errors_far_from_the_stated_sigmas_miss_the_goal_on_either_side() -> Non
 def bodies_in_truth(n: int) -> list[TruthRow]:
     cells = {"target": "ROCK", "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0, "x_px": 50.0, "y_px": 60.0}
     body = {"kind": "body", "range_km": 200.0, "diameter_px": 100.0, "phase_deg": 30.0}
-    fields = {column.name: None for column in columns_of(TruthRow)} | cells | body
+    fields: dict[str, Any] = {column.name: None for column in columns_of(TruthRow)} | cells | body
     return [TruthRow(**fields | {"file": f"{number:02d}.fits"}) for number in range(n)]
 
 
