@@ -1,0 +1,189 @@
+"""Random smooth functions on the sphere, tabulated on an octahedral map: heights and albedo of made-up bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.independent.laws import Float
+
+CELLS = 768
+"""Cells along the side of the octahedral table, about 0.2 degrees each: 0.5 px on a disk of 300 px."""
+
+
+def _unfolded(directions: Float) -> tuple[Float, Float]:
+    """Octahedral coordinates in [-1, 1] of directions (n, 3): z > 0 inside the diamond, z < 0 folded outside it."""
+    size = np.abs(directions)
+    scale = 1.0 / (size[:, 0] + size[:, 1] + size[:, 2])
+    first, second = directions[:, 0] * scale, directions[:, 1] * scale
+    below = directions[:, 2] < 0.0
+    outer_first = np.copysign(1.0 - np.abs(second), first)
+    outer_second = np.copysign(1.0 - np.abs(first), second)
+    return np.where(below, outer_first, first), np.where(below, outer_second, second)
+
+
+def _grid_directions(cells: int) -> Float:
+    """Unit directions ((cells + 1)^2, 3) of the nodes of the octahedral table, rows first."""
+    steps = np.linspace(-1.0, 1.0, cells + 1)
+    second, first = np.meshgrid(steps, steps, indexing="ij")
+    height = 1.0 - np.abs(first) - np.abs(second)
+    below = height < 0.0
+    x = np.where(below, np.copysign(1.0 - np.abs(second), first), first)
+    y = np.where(below, np.copysign(1.0 - np.abs(first), second), second)
+    vectors = np.stack([x, y, height], axis=-1).reshape(-1, 3)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class SphereField:
+    """Scalar function of direction, its values and surface gradient interpolated bilinearly in a table.
+
+    The table is the function: a renderer and a mesh that both read it see one and the same body.
+
+    Parameters
+    ----------
+    values : (cells + 1, cells + 1)
+        Values at the nodes of the octahedral map.
+    gradients : (cells + 1, cells + 1, 3)
+        Derivatives along the sphere, per radian, at the nodes.
+    """
+
+    values: Float
+    gradients: Float
+
+    def _corners(self, directions: Float) -> tuple[NDArray[np.int64], Float, Float]:
+        cells = self.values.shape[0] - 1
+        first, second = _unfolded(directions)
+        column, row = (first + 1.0) * (0.5 * cells), (second + 1.0) * (0.5 * cells)
+        left = np.minimum(column.astype(np.int64), cells - 1)
+        top = np.minimum(row.astype(np.int64), cells - 1)
+        return top * (cells + 1) + left, column - left, row - top
+
+    def __call__(self, directions: Float) -> Float:
+        """Return the values (n,) at directions (n, 3), which need not have unit length."""
+        index, right, down = self._corners(directions)
+        flat, width = self.values.ravel(), self.values.shape[1]
+        upper = flat[index] * (1.0 - right) + flat[index + 1] * right
+        lower = flat[index + width] * (1.0 - right) + flat[index + width + 1] * right
+        return np.asarray(upper * (1.0 - down) + lower * down, dtype=float)
+
+    def gradient(self, directions: Float) -> Float:
+        """Return the derivatives along the sphere (n, 3), per radian, at directions (n, 3)."""
+        index, right, down = self._corners(directions)
+        flat, width = self.gradients.reshape(-1, 3), self.values.shape[1]
+        right, down = right[:, None], down[:, None]
+        upper = flat[index] * (1.0 - right) + flat[index + 1] * right
+        lower = flat[index + width] * (1.0 - right) + flat[index + width + 1] * right
+        return np.asarray(upper * (1.0 - down) + lower * down, dtype=float)
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """Least and greatest value."""
+        return float(self.values.min()), float(self.values.max())
+
+    @property
+    def steepest(self) -> float:
+        """Largest length of the gradient, per radian."""
+        return float(np.sqrt((self.gradients**2).sum(axis=-1).max()))
+
+
+def _table(values: Float, gradients: Float, directions: Float, cells: int) -> SphereField:
+    gradients = gradients - (gradients * directions).sum(axis=1, keepdims=True) * directions
+    side = cells + 1
+    return SphereField(values=values.reshape(side, side), gradients=gradients.reshape(side, side, 3))
+
+
+def bumps(
+    seed: int,
+    *,
+    rms: float,
+    count: int = 60,
+    widths_deg: tuple[float, float] = (5.0, 30.0),
+    cells: int = CELLS,
+) -> SphereField:
+    """Make a sum of smooth round bumps and hollows at random places, with mean zero and a given scatter.
+
+    Parameters
+    ----------
+    seed : int
+        Of the places, widths and heights.
+    rms : float
+        Root mean square over the sphere.
+    count : int
+        Number of bumps.
+    widths_deg : (2,), deg
+        Smallest and largest half width (one sigma); the height of a bump is in proportion to its width.
+    cells : int
+        Cells along the side of the table.
+
+    Returns
+    -------
+    SphereField
+        Relative heights, or relative albedo less one.
+    """
+    rng = np.random.default_rng(seed)
+    centers = rng.normal(size=(count, 3))
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    widths = np.radians(np.exp(rng.uniform(np.log(widths_deg[0]), np.log(widths_deg[1]), size=count)))
+    heights = rng.normal(size=count) * widths
+    directions = _grid_directions(cells)
+    values, gradients = np.zeros(len(directions)), np.zeros_like(directions)
+    for center, width, height in zip(centers, widths, heights, strict=True):
+        sharpness = 1.0 / width**2
+        bump = height * np.exp(sharpness * (directions @ center - 1.0))
+        values += bump
+        gradients += (bump * sharpness)[:, None] * center
+    size = np.abs(directions).sum(axis=1) ** 3  # solid angle of a cell of the octahedral map
+    mean = float(np.average(values, weights=size))
+    scale = rms / float(np.sqrt(np.average((values - mean) ** 2, weights=size)))
+    return _table((values - mean) * scale, gradients * scale, directions, cells)
+
+
+def craters(
+    seed: int,
+    *,
+    depth: float = 0.15,
+    count: int = 80,
+    radii_deg: tuple[float, float] = (3.0, 20.0),
+    cells: int = CELLS,
+) -> SphereField:
+    """Make bowls with raised rims at random places; many small ones, few large ones.
+
+    Parameters
+    ----------
+    seed : int
+        Of the places and radii.
+    depth : float
+        Depth of a bowl over its radius; 0.2 are fresh lunar craters, less are old ones.
+    count : int
+        Number of craters.
+    radii_deg : (2,), deg
+        Smallest and largest radius; as many per octave as fit the same share of the surface.
+    cells : int
+        Cells along the side of the table.
+
+    Returns
+    -------
+    SphereField
+        Relative heights.
+    """
+    rng = np.random.default_rng(seed)
+    centers = rng.normal(size=(count, 3))
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    least, most = np.radians(radii_deg)
+    radii = least / np.sqrt(1.0 - rng.uniform(size=count) * (1.0 - (least / most) ** 2))
+    directions = _grid_directions(cells)
+    values, gradients = np.zeros(len(directions)), np.zeros_like(directions)
+    for center, radius in zip(centers, radii, strict=True):
+        squared = 2.0 * (1.0 - directions @ center) / radius**2
+        near = squared < 12.0
+        # A bowl (2 s - 1) exp(-2 s) in s = (distance / radius)^2: deepest at the center, a low rim, smooth.
+        share = squared[near]
+        bowl = depth * radius
+        fall = np.exp(-2.0 * share)
+        values[near] += bowl * (2.0 * share - 1.0) * fall
+        slope = bowl * (4.0 - 4.0 * share) * fall
+        gradients[near] += (slope * (-2.0 / radius**2))[:, None] * center
+    return _table(values, gradients, directions, cells)
