@@ -98,6 +98,30 @@ def summed(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> 
     return total
 
 
+def added(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> dict[Cause, Float]:
+    """Add two covariances by cause.
+
+    Parameters
+    ----------
+    first, second : mapping of Cause to (k, k) float64
+
+    Returns
+    -------
+    dict of Cause to (k, k) float64
+        The sum where a cause is in both.
+
+    Examples
+    --------
+    >>> both = added({Cause.NOISE: np.eye(1)}, {Cause.NOISE: np.eye(1), Cause.RELIEF: np.eye(1)})
+    >>> both[Cause.NOISE], both[Cause.RELIEF]
+    (array([[2.]]), array([[1.]]))
+    """
+    total = dict(first)
+    for cause, part in second.items():
+        total[cause] = total[cause] + part if cause in total else part
+    return total
+
+
 def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
     """Check the parts of a covariance and make them read-only.
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.limb.measurement import (
@@ -18,6 +19,7 @@ from giantlike.processing.limb.measurement import (
     LimbView,
     SmoothError,
     judge_points,
+    smooth_parts,
     too_few,
 )
 from giantlike.ray_tracing import Body, FocalPlane, McEwen, RenderOptions, Template, render
@@ -88,7 +90,7 @@ def test_lines_and_cells_measure_a_limb_of_arrays_into_one_value() -> None:
     assert isinstance(by_cells, LimbMeasurement)
     solution = fit_horizon(by_cells, PLANE.model, figure, by_cells.position_camera_km, Altitude())
     assert sigmas(solution.position_camera_km, solution.covariance_camera_km2, truth.position_camera_km) < SIGMAS
-    assert {"scatter", "common", "altitude", "brightness"} == set(solution.covariances_km2)
+    assert {Cause.NOISE, Cause.PSF, Cause.ALTITUDE, Cause.REFLECTANCE} == set(solution.covariances_km2)
     for measured in (by_lines, by_cells):
         assert measured.n_used <= measured.keep.size <= measured.n_offered
         assert 0.3 < measured.outline_share <= 0.7
@@ -126,6 +128,7 @@ def test_a_smooth_error_moves_a_solution_by_what_it_is() -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
     points = 100.0 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     design = np.stack([np.cos(angles), np.sin(angles), np.ones(60)], axis=-1)
-    shared = SmoothError(name="blur", sigma_px=0.3, length_px=1e9)
-    covariance = shared.solution_covariance(points, design, np.ones(60))
+    shared = SmoothError(cause=Cause.PSF, sigma_px=0.3, length_px=1e9)
+    gain = np.linalg.pinv(design)
+    covariance = smooth_parts((shared,), points, gain)[Cause.PSF]
     assert_allclose(covariance, np.diag([0.0, 0.0, 0.09]), rtol=0, atol=SETTLED)

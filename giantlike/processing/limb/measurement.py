@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.causes import Cause, added
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.processing.correlated_fit import generalized_solution
+from giantlike.processing.correlated_fit import solution_gain
 from giantlike.ray_tracing import FocalPlane
 
 MIN_BRIGHTNESS = 0.1
@@ -117,15 +118,14 @@ class SmoothError:
 
     Parameters
     ----------
-    name : str
-        What causes it.
+    cause : Cause
     sigma_px : float, px
         Standard deviation across the limb.
     length_px : float, px
         Correlation length.
     """
 
-    name: str
+    cause: Cause
     sigma_px: float
     length_px: float
 
@@ -144,22 +144,6 @@ class SmoothError:
         apart = np.linalg.norm(points_px[:, None] - points_px[None], axis=-1)
         result: Float = self.sigma_px**2 * np.exp(-apart / self.length_px)
         return result
-
-    def solution_covariance(self, points_px: Float, design: Float, weights: Float) -> Float:
-        """Covariance of a weighted least-squares solution that does not know of the error.
-
-        Parameters
-        ----------
-        points_px : (n, 2) float64, px
-        design : (n, k) float64
-            Outward motion of the limb, px, with each parameter.
-        weights : (n,) float64
-
-        Returns
-        -------
-        (k, k) float64
-        """
-        return generalized_solution(np.zeros(len(design)), design, self.covariance_px2(points_px), weights=weights)[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -180,7 +164,7 @@ class LimbMeasurement(Value):
         Standard deviation of that by pixel noise.
     keep : (n,) bool
         Points that agree with one position.
-    common_px : (n, c) float64, px
+    common_px : mapping of Cause to (n, c) float64, px
         Shift of the points by one standard deviation of each of c independent errors that they all share: blur, law.
     smooth_errors : tuple of SmoothError
         Errors that are in neither of these.
@@ -206,7 +190,7 @@ class LimbMeasurement(Value):
     shift_px: Float
     sigma_px: Float
     keep: Mask
-    common_px: Float
+    common_px: Mapping[Cause, Float]
     smooth_errors: tuple[SmoothError, ...]
     position_camera_km: Float
     spacing_px: float
@@ -243,17 +227,29 @@ class LimbMeasurement(Value):
         """Length of limb used over that of the whole outline, at most 1."""
         return min(self.n_used * self.spacing_px / self.perimeter_px, 1.0)
 
-    def smooth_covariances(self) -> dict[str, Float]:
-        """Covariances of an unweighted position by each of the smooth errors.
+    def smooth_covariances(self, gain: Float) -> dict[Cause, Float]:
+        """Covariances of a solution by what the points share: the common and the smooth errors.
+
+        Parameters
+        ----------
+        gain : (k, m) float64
+            Takes the shifts of the m points that are kept to the solution.
 
         Returns
         -------
-        dict of str to (3, 3) float64, km^2, camera axes
+        dict of Cause to (k, k) float64
         """
-        points, design = self.predicted_px[self.keep], self.design[self.keep]
-        return {
-            error.name: error.solution_covariance(points, design, np.ones(len(points))) for error in self.smooth_errors
-        }
+        parts: dict[Cause, Float] = {}
+        for cause, common_px in self.common_px.items():
+            moved = gain @ common_px[self.keep]
+            parts[cause] = moved @ moved.T
+        return added(parts, smooth_parts(self.smooth_errors, self.predicted_px[self.keep], gain))
+
+    @property
+    def even_gain(self) -> Float:
+        """Matrix (3, m), km/px, that takes the shifts of the points that are kept to a position, all weighted alike."""
+        design = self.design[self.keep]
+        return solution_gain(design, np.zeros((0, 0)), weights=np.ones(len(design)))
 
     def motion_sigma_px(self, step_km: Float) -> float:
         """Standard deviation of the limb where it is least certain, by the scatter of the points about a step.
@@ -270,6 +266,27 @@ class LimbMeasurement(Value):
         left = self.shift_px[self.keep] - design @ step_km
         leverage = np.linalg.qr(design)[0]
         return float(np.std(left) * np.max(np.linalg.norm(leverage, axis=1)))
+
+
+def smooth_parts(errors: Iterable[SmoothError], points_px: Float, gain: Float) -> dict[Cause, Float]:
+    """Covariances of a solution by smooth errors of the points that it is made from.
+
+    Parameters
+    ----------
+    errors : iterable of SmoothError
+    points_px : (n, 2) float64, px
+    gain : (k, n) float64
+        Takes shifts of the points to the solution.
+
+    Returns
+    -------
+    dict of Cause to (k, k) float64
+    """
+    parts: dict[Cause, Float] = {}
+    for error in errors:
+        part = gain @ error.covariance_px2(points_px) @ gain.T
+        parts = added(parts, {error.cause: (part + part.T) / 2.0})
+    return parts
 
 
 def judge_points(

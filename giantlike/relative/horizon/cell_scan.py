@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
+from giantlike.core.causes import Cause
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
@@ -344,7 +345,7 @@ class CellScan(Value):
             shift_px=fits.raw_shift_px,
             sigma_px=fits.sigma_px,
             keep=np.ones(middles.size, dtype=bool),
-            common_px=np.zeros((middles.size, 0)),
+            common_px={},
             smooth_errors=(),
             position_camera_km=position,
             spacing_px=float(np.median(np.diff(arc.along_px[pixels.middles]))) if good.size > 1 else self.cell_px,
@@ -387,6 +388,7 @@ class CellScan(Value):
         """Return the shifts with blur and law as the cells show them, and what their errors do to the shifts."""
         kept = replace(measured, keep=step.keep)
         estimate, covariance = kept.blur_and_law()
+        shared_px = kept.fits.shared @ np.linalg.cholesky(covariance)
         radius_px = self.view.radius_px
         lawless = 0.0
         if self.options.edges is EdgeModel.STEP:
@@ -395,8 +397,8 @@ class CellScan(Value):
         return replace(
             kept,
             shift_px=kept.shift_px - kept.fits.shared @ estimate,
-            common_px=kept.fits.shared @ np.linalg.cholesky(covariance),
-            smooth_errors=(SmoothError(name="brightness", sigma_px=brightness_px, length_px=radius_px),),
+            common_px={Cause.PSF: shared_px[:, :1], Cause.REFLECTANCE: shared_px[:, 1:]},
+            smooth_errors=(SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=radius_px),),
         )
 
     def _prior(self, psf_px2: float) -> tuple[Float, Float]:

@@ -12,14 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float, Mask, require, require_number, unit
+from giantlike.core.causes import Cause
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value, select_rows
-from giantlike.processing.correlated_fit import robust_solution
+from giantlike.processing.correlated_fit import robust_solution, solution_gain
 from giantlike.processing.geometry.conic_fit import ConicFit, conic_matrix, fit_ellipse
 from giantlike.processing.limb.edges import EdgePoints, scan_edges
-from giantlike.processing.limb.measurement import LimbMeasurement, LimbView, SmoothError, too_few
+from giantlike.processing.limb.measurement import LimbMeasurement, LimbView, SmoothError, smooth_parts, too_few
 from giantlike.processing.limb.segmentation import Background, background_of
 from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
@@ -257,8 +258,8 @@ def limb_edges(
         shift_px=away_px,
         sigma_px=small.sigma_px,
         keep=np.ones(len(small), dtype=bool),
-        common_px=np.zeros((len(small), 0)),
-        smooth_errors=(SmoothError(name="brightness", sigma_px=growth, length_px=view.radius_px),),
+        common_px={},
+        smooth_errors=(SmoothError(cause=Cause.EDGE, sigma_px=growth, length_px=view.radius_px),),
         position_camera_km=stand_in.position_camera_km,
         spacing_px=1.0,
         perimeter_px=2.0 * math.pi * view.radius_px,
@@ -311,20 +312,18 @@ def fit_limb_ellipse(
     systematic = _smooth_covariances(measured, used, by_ellipse)
     return replace(measured, keep=kept), LimbSolution(
         position_camera_km=position_km - stand_in.offset_camera_km,
-        covariances_km2={"scatter": covariance_km2, **systematic},
+        covariances_km2={Cause.NOISE: covariance_km2, **systematic},
         residuals_px=fit.residuals / scale[used],
         limb_px=observed_px[used],
     )
 
 
-def _smooth_covariances(measured: LimbMeasurement, used: NDArray[np.intp], by_ellipse: Float) -> dict[str, Float]:
+def _smooth_covariances(measured: LimbMeasurement, used: NDArray[np.intp], by_ellipse: Float) -> dict[Cause, Float]:
     """Covariances (3, 3) of the position, km^2, by brightness and relief, which the free shape takes up in part."""
     relief = () if measured.relief is None else (measured.relief,)
     points, weights = measured.observed_px[used], 1.0 / measured.sigma_px[used] ** 2
-    return {
-        error.name: error.solution_covariance(points, by_ellipse, weights)[:3, :3]
-        for error in (*measured.smooth_errors, *relief)
-    }
+    gain = solution_gain(by_ellipse, np.zeros((0, 0)), weights=weights)[:3]
+    return smooth_parts((*measured.smooth_errors, *relief), points, gain)
 
 
 def _sky(view: LimbView, stand_in: EllipsoidStandIn, search_px: float) -> tuple[Background, float] | Failure:

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float, require, require_number
+from giantlike.core.causes import Cause
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.core.values import Value
@@ -151,7 +152,7 @@ class EllipsoidStandIn(Value):
         relief = None
         if relief_km > 0.0:
             relief_px = apparent_radius_px(inputs.camera, inputs.predicted_px, relief_km, geometry.range_km)
-            relief = SmoothError(name="relief", sigma_px=relief_px, length_px=RELIEF_LENGTH * inputs.radius_px)
+            relief = SmoothError(cause=Cause.RELIEF, sigma_px=relief_px, length_px=RELIEF_LENGTH * inputs.radius_px)
         offset: Float = rotate(turn, placed.center_body_km)
         return cls(
             figure=Figure(radii_km=placed.ellipsoid.radii_km, camera_from_axes=turn * placed.body_from_axes),

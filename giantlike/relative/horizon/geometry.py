@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
+from giantlike.core.causes import Cause, added
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import correlated_solution, solution_gain
-from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
 from giantlike.relative.limb.fix import LimbSolution
 
 MIN_POINTS = 4
@@ -384,9 +385,9 @@ def fit_horizon(
     residuals, design, _ = horizon_residuals(points, model, figure, start_km)
     lift = altitude_design(points, model, figure, start_km)
     causes = {
-        "scatter": _scatter_px2(measured, residuals, design),
-        "common": measured.common_px[keep] @ measured.common_px[keep].T,
-        "altitude": altitude.sigma_km**2 * np.outer(lift, lift),
+        **_own_errors(measured, residuals, design),
+        **{cause: shared[keep] @ shared[keep].T for cause, shared in measured.common_px.items()},
+        Cause.ALTITUDE: altitude.sigma_km**2 * np.outer(lift, lift),
     }
     covariance = np.sum(list(causes.values()), axis=0)
     best = method is CraMethod.MAXIMUM_LIKELIHOOD
@@ -396,18 +397,18 @@ def fit_horizon(
     seen = altitude.after(left, design, covariance, lift)
     return LimbSolution(
         position_camera_km=start_km + step,
-        covariances_km2={
-            **{cause: gain @ part @ gain.T for cause, part in causes.items()},
-            **measured.smooth_covariances(),
-        },
+        covariances_km2=added(
+            {cause: gain @ part @ gain.T for cause, part in causes.items()},
+            smooth_parts(measured.smooth_errors, measured.predicted_px[keep], measured.even_gain),
+        ),
         residuals_px=left,
         limb_px=points,
         provenance={} if seen == Altitude() else seen.provenance,
     )
 
 
-def _scatter_px2(measured: LimbMeasurement, residuals: Float, design: Float) -> Float:
-    """Covariance (n, n) of the points' own errors: pixel noise, and more where relief, their scatter or its waves are.
+def _own_errors(measured: LimbMeasurement, residuals: Float, design: Float) -> dict[Cause, Float]:
+    """Covariances (n, n) of the points' own errors, px^2: pixel noise, and more where relief or their scatter is more.
 
     Relief is that of the shape or, where larger, that of the residuals.
     """
@@ -415,7 +416,8 @@ def _scatter_px2(measured: LimbMeasurement, residuals: Float, design: Float) -> 
     noise = np.diag(sigma**2)
     if measured.relief is not None:
         shown = float(np.sqrt(np.mean(residuals**2)))
-        return noise + replace(measured.relief, sigma_px=max(measured.relief.sigma_px, shown)).covariance_px2(points)
+        relief = replace(measured.relief, sigma_px=max(measured.relief.sigma_px, shown))
+        return {Cause.NOISE: noise, relief.cause: relief.covariance_px2(points)}
     whitened = design / sigma[:, None]
     basis, _ = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0))
     left = residuals / sigma
@@ -424,10 +426,10 @@ def _scatter_px2(measured: LimbMeasurement, residuals: Float, design: Float) -> 
     scatter = (float(left @ left) / freedom - 1.0) / np.sqrt(2.0 / freedom)
     waves = float(left[1:] @ left[:-1]) / np.sqrt(left.size)
     if max(scatter, waves) < _EXPLAINED_SIGMAS:
-        return noise
+        return {Cause.NOISE: noise}
     spacing_px = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     fit = correlated_solution(residuals, design, sigma, points, min_length=spacing_px)
-    return fit.residual_covariance(sigma, points)
+    return {Cause.NOISE: fit.residual_covariance(sigma, points)}
 
 
 def _points(points_px: ArrayLike) -> Float:

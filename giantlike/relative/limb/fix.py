@@ -12,12 +12,13 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
+from giantlike.core.causes import Cause, summed
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.measurement import LimbMeasurement, LimbView
 from giantlike.ray_tracing import FocalPlane
-from giantlike.relative.estimator import EstimatorInputs, center_of_position
+from giantlike.relative.estimator import EstimatorInputs, center_of_position, place_covariance
 from giantlike.relative.quality import QualityChecks
 
 _LOG = logging.getLogger("giantlike.relative")
@@ -320,7 +321,7 @@ class LimbSolution(Value):
     ----------
     position_camera_km : (3,) float64, km, camera axes
         Of the origin of the shape.
-    covariances_km2 : mapping of str to (3, 3) float64, km^2, camera axes
+    covariances_km2 : mapping of Cause to (3, 3) float64, km^2, camera axes
         Covariance by each cause; they add up.
     residuals_px : (m,) float64, px
         Of the points used, positive outward.
@@ -331,7 +332,7 @@ class LimbSolution(Value):
     """
 
     position_camera_km: Float
-    covariances_km2: Mapping[str, Float]
+    covariances_km2: Mapping[Cause, Float]
     residuals_px: Float
     limb_px: Float
     provenance: Mapping[str, str] = field(default_factory=dict)
@@ -339,8 +340,7 @@ class LimbSolution(Value):
     @property
     def covariance_camera_km2(self) -> Float:
         """Covariance (3, 3) of the position by all causes, km^2, camera axes."""
-        total: Float = np.sum(list(self.covariances_km2.values()), axis=0)
-        return total
+        return summed(self.covariances_km2)
 
 
 def limb_fix(
@@ -375,7 +375,8 @@ def limb_fix(
             f"residuals of {measured.n_used} limb points are {rms_px:.2f} px rms, allowed {allowed_rms_px:.3g}: wrong "
             "shape, orientation or Sun direction, or not this body",
         )
-    center_px, covariance_px2 = center_of_position(inputs.camera.model, position_km, covariance_km2)
+    model = inputs.camera.model
+    center_px, covariance_px2 = center_of_position(model, position_km, covariance_km2)
     sigma_px = float(np.sqrt(np.linalg.eigvalsh(covariance_px2)[-1]))
     range_km = float(np.linalg.norm(position_km))
     sigma_range = float(np.sqrt(position_km @ covariance_km2 @ position_km)) / range_km**2
@@ -408,6 +409,7 @@ def limb_fix(
         n_rejected=measured.n_offered + measured.n_elsewhere - measured.n_used,
         score=rms_px,
         flags=inputs.flags_at(measured.area) | checks.flags | replaced,
+        parts={cause: place_covariance(model, position_km, part) for cause, part in solution.covariances_km2.items()},
         position_camera_km=position_km,
         covariance_camera_km2=covariance_km2,
         limb_px=solution.limb_px,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from giantlike.core.arrays import require_number
+from giantlike.core.causes import Cause, added
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.processing.correlated_fit import correlated_solution
 from giantlike.processing.limb.measurement import LimbMeasurement
@@ -123,7 +124,7 @@ def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: fl
     )
     return LimbSolution(
         position_camera_km=measured.position_camera_km + fit.solution,
-        covariances_km2={"scatter": fit.covariance, **measured.smooth_covariances()},
+        covariances_km2=added({Cause.NOISE: fit.covariance}, measured.smooth_covariances(measured.even_gain)),
         residuals_px=shift_px - design @ fit.solution,
         limb_px=measured.observed_px[keep],
     )

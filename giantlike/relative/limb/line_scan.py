@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require_number
+from giantlike.core.causes import Cause
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
@@ -388,8 +389,10 @@ class LineScan(Value):
             shift_px=match.shift_px[good],
             sigma_px=match.sigma_px[good],
             keep=np.ones(int(good.sum()), dtype=bool),
-            common_px=np.zeros((int(good.sum()), 0)),
-            smooth_errors=(SmoothError(name="brightness", sigma_px=brightness_px, length_px=self.view.radius_px),),
+            common_px={},
+            smooth_errors=(
+                SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=self.view.radius_px),
+            ),
             position_camera_km=body.position_camera_km,
             spacing_px=self.lines.spacing_px,
             perimeter_px=self.lines.perimeter_px,
