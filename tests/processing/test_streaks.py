@@ -19,9 +19,11 @@ from giantlike.processing.detection.patches import cut_patches
 from giantlike.processing.detection.streak import Lines, fit_lines, line_shares
 from tests.numerical import numerical_jacobian
 from tests.processing.test_detection import (
+    BIAS_STANDARD_ERRORS,
     DETECTOR,
     GAIN,
     NOISE_DN,
+    RAMP_DN_PX,
     exposed,
     nearest,
     nees_band,
@@ -93,6 +95,20 @@ def test_middle_and_ends_of_streaks_have_honest_covariances() -> None:
     assert chi2.ppf(FALSE_ALARM / 2, 4 * n) < both.sum() < chi2.ppf(1 - FALSE_ALARM / 2, 4 * n)
     length = (fits.lengths_px - 2.0 * np.hypot(*half)) / fits.length_sigma_px
     assert chi2.ppf(FALSE_ALARM / 2, n) < np.sum(length**2) < chi2.ppf(1 - FALSE_ALARM / 2, n)
+
+
+def test_a_background_that_rises_across_the_image_moves_no_streak() -> None:
+    shape, half = (700, 700), np.array([4.0, -2.2])
+    points = spread_points(shape, 40, 3)
+    n = len(points)
+    light = streaked_image(points, np.full(n, 4000.0), half, shape)
+    image = exposed(light + RAMP_DN_PX * np.arange(shape[1]), 4)
+    patches = cut_patches(
+        image, None, np.rint(points).astype(np.int64), 10, detector=Detector(gain_e_per_dn=GAIN), noise_dn=NOISE_DN
+    )
+    fits = fit_lines(patches, Lines(points, np.tile(half, (n, 1)), np.full(n, 4000.0), np.full(n, 100.0)), SIGMA_PX)
+    error = (fits.centers_px - points)[fits.converged]
+    assert np.abs(error.mean(axis=0) / error.std(axis=0) * np.sqrt(len(error))).max() < BIAS_STANDARD_ERRORS
 
 
 @pytest.mark.parametrize("half", [(5.0, 3.0), (0.0, 6.0), (-2.2, 1.0)])

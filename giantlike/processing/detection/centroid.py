@@ -1,9 +1,12 @@
 r"""Centroids of stars: a noise-weighted Gaussian fitted to all of them at once.
 
-The model of a pixel is :math:`b + F\,P_x P_y` with :math:`P_x = \frac12[\mathrm{erf}(u_{+}) - \mathrm{erf}(u_{-})]`,
+The model of a pixel (i, j) is :math:`b + s_x i + s_y j + F\,P_x P_y` with
+:math:`P_x = \frac12[\mathrm{erf}(u_{+}) - \mathrm{erf}(u_{-})]` and
 :math:`u_{\pm} = (i \pm \frac12 - x) / (\sqrt2\,\sigma)`: a round Gaussian integrated over the pixel, so that the
-centroid does not depend on where in its pixel the star falls. Unknown per star: x, y, flux F, background b and
-ln sigma, the last with a loose prior around the point spread function.
+centroid does not depend on where in its pixel the star falls, on a background that is a plane. Unknown per star: x, y,
+flux F, background b and its slopes s, and ln sigma, the last with a loose prior around the point spread function. The
+slopes add 2 % to the error of a centroid; without them a background that rises across the image moves all stars the
+same way, and the attitude with them.
 
 Gauss-Newton with weights :math:`1 / (\mathrm{noise}^2 + F P_x P_y / \mathrm{gain})` from the model, updated at every
 step. Saturated pixels are lower bounds: they count only while the model is below them.
@@ -37,6 +40,8 @@ from giantlike.processing.detection.patches import (
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
 _CONVERGED_SIGMAS = 0.02  # last step over the error of the centroid: adds 0.02 % to its variance
+_N_UNKNOWNS = 7
+_PLANE = [3, 5, 6]  # level of the background and its slopes, of these unknowns
 _NONLINEAR = [0, 1, 4]  # x, y, ln sigma: the model is linear in the others
 _LOG_WIDTH_LIMIT = math.log(4.0)  # largest change of ln sigma from that of the PSF: flags need no more than a factor 3
 _MAX_SHIFT_WIDTHS = 0.5  # a star may be so many PSF widths (and 1 px) off its peak: more is another source
@@ -54,6 +59,8 @@ class StarFits(Value):
     covariance_px2 : (n, 2, 2) float64, px^2
     flux_dn, background_dn, width_px : (n,) float64
         Integral, DN; level underneath, DN; standard deviation before pixel integration, px.
+    planes : (n, 3) float64, DN, DN/px, DN/px
+        Background of each patch: level of its central pixel, and slopes along x and y.
     reduced_chi2 : (n,) float64
         Weighted square residual per degree of freedom.
     converged : (n,) bool
@@ -65,6 +72,7 @@ class StarFits(Value):
     flux_dn: Float
     background_dn: Float
     width_px: Float
+    planes: Float
     reduced_chi2: Float
     converged: Mask
 
@@ -103,7 +111,8 @@ def fit_stars(
     """
     psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
     flux_dn, log_width = np.maximum(flux_dn, patches.noise_dn), np.full(len(flux_dn), math.log(psf))
-    start = np.column_stack([patches.centers_px, flux_dn, patches.border_level_dn(), log_width])
+    slopes = np.zeros((len(flux_dn), 2))
+    start = np.column_stack([patches.centers_px, flux_dn, patches.border_level_dn(), log_width, slopes])
     problem = _Problem(patches, psf, width_prior)
     parameters, good = problem.solve(start)
     pairs = neighbor_pairs(start[:, :2], patches.reach_px)
@@ -136,7 +145,7 @@ def _without_neighbors(patches: Patches, parameters: Float, pairs: NDArray[np.in
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """Least squares of all stars: parameters (n, 5) are x, y, flux, background, ln sigma."""
+    """Least squares of all stars: parameters (n, 7) are x, y, flux, background, ln sigma, slopes along x and y."""
 
     patches: Patches
     psf_sigma_px: float
@@ -146,7 +155,7 @@ class _Problem:
         return replace(self, patches=self.patches.select(which))
 
     def solve(self, start: Float) -> tuple[Float, Mask]:
-        """Gauss-Newton from ``start`` (n, 5): parameters (n, 5), and a mask (n,) of fits converged near the peak."""
+        """Gauss-Newton from ``start`` (n, 7): parameters (n, 7), and a mask (n,) of fits converged near the peak."""
         parameters = start.copy()
         active = np.arange(len(start))
         last, pace = np.zeros_like(start), np.ones(len(start))
@@ -173,33 +182,32 @@ class _Problem:
         return parameters, good
 
     def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
-        """Normal matrices (n, 5, 5), right sides (n, 5), chi-squares (n,) and numbers of pixels (n,)."""
+        """Normal matrices (n, 7, 7), right sides (n, 7), chi-squares (n,) and numbers of pixels (n,)."""
         patches, n, size = self.patches, len(parameters), self.patches.size_px
-        x, y, flux, background, log_width = parameters.T
+        x, y, flux, _, log_width, *_ = parameters.T
         width = np.exp(log_width)
         px, px_center, px_width = pixel_shares(patches.corner_px[:, 0], size, x, width)
         py, py_center, py_width = pixel_shares(patches.corner_px[:, 1], size, y, width)
         scale = flux[:, None, None]
         star = py[:, :, None] * px[:, None, :]
-        jacobian = np.empty((n, 5, size, size))
+        jacobian = np.empty((n, _N_UNKNOWNS, size, size))
         jacobian[:, 0] = scale * py[:, :, None] * px_center[:, None, :]
         jacobian[:, 1] = scale * py_center[:, :, None] * px[:, None, :]
         jacobian[:, 2] = star
-        jacobian[:, 3] = 1.0
+        jacobian[:, _PLANE] = patches.plane_terms()
         jacobian[:, 4] = scale * (py[:, :, None] * px_width[:, None, :] + py_width[:, :, None] * px[:, None, :])
-        residual, weight = patches.residuals(scale * star, background)
-        normal, right = normal_equations(jacobian.reshape(n, 5, -1), residual, weight)
+        residual, weight = patches.residuals(scale * star, parameters[:, _PLANE])
+        normal, right = normal_equations(jacobian.reshape(n, _N_UNKNOWNS, -1), residual, weight)
         normal[:, 4, 4] += self.width_prior**-2
         right[:, 4] += (math.log(self.psf_sigma_px) - log_width) * self.width_prior**-2
         # A star without pixels has no information: keep the matrix regular, its covariance says so.
-        diagonal = np.arange(4)
-        normal[:, diagonal, diagonal] += np.stack(
-            [np.full(n, 1e-6), np.full(n, 1e-6), (1e-6 / flux) ** 2, 1e-12 / patches.noise_dn**2], axis=-1
-        )
+        tiny, level = np.full(n, 1e-6), 1e-12 / patches.noise_dn**2
+        diagonal = [0, 1, 2, *_PLANE]
+        normal[:, diagonal, diagonal] += np.stack([tiny, tiny, (1e-6 / flux) ** 2, level, level, level], axis=-1)
         return normal, right, np.sum(weight * residual**2, axis=1), np.count_nonzero(weight, axis=1)
 
     def limited(self, parameters: Float, step: Float) -> Float:
-        """Limit steps (n, 5) to the region in which the linearization is valid."""
+        """Limit steps (n, 7) to the region in which the linearization is valid."""
         reach = 0.7 * np.exp(parameters[:, 4]) + 0.2
         length = np.hypot(step[:, 0], step[:, 1])
         result = step.copy()
@@ -215,15 +223,16 @@ class _Problem:
         """Covariances and quality of the solution."""
         normal, _, chi2, count = self.linearize(parameters)
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-        freedom = np.maximum(count - 5, 1)
+        freedom = np.maximum(count - _N_UNKNOWNS, 1)
         inflation = chi2_inflation(chi2, freedom)
         inflation *= 1.0 + _SECOND_ORDER * covariance[:, 2, 2] / parameters[:, 2] ** 2
         return StarFits(
             points_px=parameters[:, :2],
             covariance_px2=covariance[:, :2, :2] * inflation[:, None, None],
             flux_dn=parameters[:, 2],
-            background_dn=parameters[:, 3],
+            background_dn=self.patches.level_dn(parameters[:, _PLANE], parameters[:, :2]),
             width_px=np.exp(parameters[:, 4]),
+            planes=parameters[:, _PLANE],
             reduced_chi2=chi2 / freedom,
-            converged=good & (count > 5),
+            converged=good & (count > _N_UNKNOWNS),
         )

@@ -136,6 +136,7 @@ def unexplained_power(patches: Patches, fits: LineFits, shares: Float) -> Float:
     (n,) float64
         Power of the noise taken off; at least 0.
     """
+    patches = patches.leveled(fits.planes, fits.centers_px)
     light = np.where(patches.valid & ~patches.saturated, patches.values_dn - fits.background_dn[:, None, None], 0.0)
     left = np.where(light != 0.0, light - fits.flux_dn[:, None, None] * shares, 0.0)
     variance = patches.noise_dn**2

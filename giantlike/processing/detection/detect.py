@@ -272,7 +272,8 @@ def _estimate_psf(frame: Frame, found: _Candidates, psf_sigma_px: float) -> floa
             width_prior=_PSF_WIDTH_PRIOR,
             isolated=True,
         )
-        few = find_few_pixels(patches, fits.points_px, fits.width_px, fits.background_dn, psf_sigma_px)
+        level = patches.leveled(fits.planes, fits.points_px)
+        few = find_few_pixels(level, fits.points_px, fits.width_px, fits.background_dn, psf_sigma_px)
         wide = fits.converged & (fits.width_px > _HOT_PIXEL_WIDTH_PX) & ~few.not_star
         stars.extend(fits.width_px[wide])
         sharper.extend(fits.width_px[fits.converged & ~wide])
@@ -296,7 +297,9 @@ def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: fl
         fits,
         points_px=np.where(failed[:, None], found.peaks_px, fits.points_px),
         covariance_px2=np.where(failed[:, None, None], width**2 * np.eye(2), fits.covariance_px2),
+        planes=np.where(failed[:, None], fits.planes * [1.0, 0.0, 0.0], fits.planes),
     )
+    patches = patches.leveled(fits.planes, fits.points_px)
     flux = np.where(failed, found.flux_dn, fits.flux_dn)
     core = core_of(patches, fits.points_px, psf_sigma_px)
     peak = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn

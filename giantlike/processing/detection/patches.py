@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -88,22 +88,40 @@ class Patches(Value):
         """Variance (n, w, w), DN^2, of pixels that hold the light (n, w, w), DN: background and shot noise."""
         return self.noise_dn[:, None, None] ** 2 + np.maximum(light_dn, 0.0) / self.gain_e_per_dn
 
-    def residuals(self, light_dn: Float, background_dn: Float) -> tuple[Float, Float]:
+    def plane_terms(self) -> Float:
+        """Terms (3, w, w) of a background that is a plane: 1, and the distances x, y from the central pixel, px."""
+        steps = np.arange(self.size_px, dtype=np.float64) - self.half_px
+        flat = np.ones((self.size_px, self.size_px))
+        return np.stack([flat, flat * steps, flat * steps[:, None]])
+
+    def level_dn(self, planes: Float, points_px: Float) -> Float:
+        """Level (n,), DN, of backgrounds (n, 3), the factors of :meth:`plane_terms`, at points (n, 2), px."""
+        away = points_px - self.centers_px
+        level: Float = planes[:, 0] + np.sum(planes[:, 1:] * away, axis=1)
+        return level
+
+    def leveled(self, planes: Float, points_px: Float) -> Patches:
+        """Patches without the slopes of their backgrounds (n, 3): the level is everywhere that at ``points_px``."""
+        plane = np.tensordot(planes, self.plane_terms(), axes=1)
+        values = self.values_dn - plane + self.level_dn(planes, points_px)[:, None, None]
+        return replace(self, values_dn=np.where(self.valid, values, 0.0))
+
+    def residuals(self, light_dn: Float, planes: Float) -> tuple[Float, Float]:
         """Residuals and inverse variances (n, w * w), DN and 1/DN^2, of a model; zero where a pixel does not count.
 
         Parameters
         ----------
         light_dn : (n, w, w) float64, DN
             Light of the modeled sources.
-        background_dn : (n,) float64, DN
-            Level underneath.
+        planes : (n, 3) float64, DN, DN/px, DN/px
+            Background underneath, as factors of :meth:`plane_terms`.
 
         Returns
         -------
         residual, weight : (n, w * w) float64
             Saturated pixels are lower bounds: they count only where the model is below them.
         """
-        model = background_dn[:, None, None] + light_dn
+        model = np.tensordot(planes, self.plane_terms(), axes=1) + light_dn
         used = self.valid & ~(self.saturated & (model >= self.values_dn))
         residual = np.where(used, self.values_dn - model, 0.0)
         weight = used / self.variance_dn2(light_dn)

@@ -1,13 +1,15 @@
 r"""Streaks: fits of the light of points that moved during the exposure, lines as wide as the point spread function.
 
-The model of a pixel is :math:`b + \frac{F}{2} \int_{-1}^{1} P_x(x + t h_x)\,P_y(y + t h_y)\,dt` with the pixel shares
-:math:`P` of a round Gaussian (:mod:`giantlike.processing.detection.centroid`) and half the streak
-:math:`(h_x, h_y)`: a source of constant brightness that moves evenly, blurred and then integrated over the pixels. The
+The model of a pixel (i, j) is
+:math:`b + s_x i + s_y j + \frac{F}{2} \int_{-1}^{1} P_x(x + t h_x)\,P_y(y + t h_y)\,dt` with the pixel shares :math:`P`
+of a round Gaussian (:mod:`giantlike.processing.detection.centroid`) and half the streak :math:`(h_x, h_y)`: a source of
+constant brightness that moves evenly, blurred and then integrated over the pixels, on a background that is a plane. The
 middle (x, y) is where the source was at mid-exposure. The integral is a Gauss-Legendre sum, exact to 1e-6 of the flux.
 
-Unknown per source: x, y, h_x, h_y, F, b. The width is that of the point spread function and given. Levenberg-Marquardt
-with weights :math:`1 / (\mathrm{noise}^2 + \mathrm{light} / \mathrm{gain})` from the model, renewed at every step; the
-covariance is the inverse Fisher information, times the reduced chi-square where that is more than noise explains.
+Unknown per source: x, y, h_x, h_y, F, b and the slopes s of the background. The width is that of the point spread
+function and given. Levenberg-Marquardt with weights :math:`1 / (\mathrm{noise}^2 + \mathrm{light} / \mathrm{gain})`
+from the model, renewed at every step; the covariance is the inverse Fisher information, times the reduced chi-square
+where that is more than noise explains.
 
 The same line with a width far below a pixel is the track of a charged particle in the detector
 (:mod:`giantlike.processing.detection.particles`).
@@ -26,6 +28,7 @@ from giantlike.core.arrays import Float, Mask, frozen
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.detection.patches import Patches, chi2_inflation, normal_equations, pixel_shares
 
+_N_UNKNOWNS = 8
 _MAX_STEPS = 40  # Levenberg-Marquardt steps; a line that needs more gets FIT_FAILED
 _SETTLED = 1e-3  # predicted decrease of chi-square at convergence: steps of 0.03 sigma
 _NODE_SPACING = 1.5  # between the nodes of the integral, in widths of the line: with the spare ones exact to 1e-6
@@ -35,7 +38,7 @@ _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8  # relative to t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines(Value):
-    """Lines of light on a constant background, n of them: a first guess.
+    """Lines of light, n of them: a first guess.
 
     Parameters
     ----------
@@ -70,6 +73,9 @@ class LineFits(Value):
     covariance_px2 : (n, 4, 4) float64, px^2
         Of center x, y and half x, y.
     flux_dn, background_dn : (n,) float64, DN
+        Light, and level of the background in the middle.
+    planes : (n, 3) float64, DN, DN/px, DN/px
+        Background of each patch: level of its central pixel, and slopes along x and y.
     chi2 : (n,) float64
         Weighted square residual.
     n_pixels : (n,) int64
@@ -82,6 +88,7 @@ class LineFits(Value):
     covariance_px2: Float
     flux_dn: Float
     background_dn: Float
+    planes: Float
     chi2: Float
     n_pixels: NDArray[np.int64]
     converged: Mask
@@ -163,13 +170,14 @@ def fit_lines(patches: Patches, start: Lines, sigma_px: float) -> LineFits:
     LineFits
     """
     problem = _Problem(patches, sigma_px)
-    parameters = np.column_stack([start.centers_px, start.halves_px, start.flux_dn, start.background_dn])
+    slopes = np.zeros((len(start.flux_dn), 2))
+    parameters = np.column_stack([start.centers_px, start.halves_px, start.flux_dn, start.background_dn, slopes])
     return problem.finish(*problem.solve(parameters))
 
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """Least squares of all lines: parameters (n, 6) are x, y, half x, half y, flux, background."""
+    """Least squares of all lines: parameters (n, 8) are x, y, half x, half y, flux, background level, slopes."""
 
     patches: Patches
     sigma_px: float
@@ -178,19 +186,19 @@ class _Problem:
         return _Problem(self.patches.select(which), self.sigma_px)
 
     def linearize(self, parameters: Float) -> tuple[Float, Float, Float]:
-        """Normal matrices (n, 6, 6), right sides (n, 6), and costs (n,): -2 ln likelihood up to a constant."""
+        """Normal matrices (n, 8, 8), right sides (n, 8), and costs (n,): -2 ln likelihood up to a constant."""
         n, flux = len(parameters), parameters[:, 4, None, None]
         shares, derivatives = line_shares(self.patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
-        jacobian = np.concatenate(
-            [flux[:, None] * derivatives, shares[:, None], np.ones_like(shares)[:, None]], axis=1
-        ).reshape(n, 6, -1)
-        residual, weight = self.patches.residuals(flux * shares, parameters[:, 5])
+        plane = np.broadcast_to(self.patches.plane_terms(), (n, 3, *shares.shape[1:]))
+        jacobian = np.concatenate([flux[:, None] * derivatives, shares[:, None], plane], axis=1)
+        jacobian = jacobian.reshape(n, _N_UNKNOWNS, -1)
+        residual, weight = self.patches.residuals(flux * shares, parameters[:, 5:])
         normal, right = normal_equations(jacobian, residual, weight)
         cost = np.sum(weight * residual**2 - np.log(np.where(weight > 0.0, weight, 1.0)), axis=1)
         return normal, right, cost
 
     def solve(self, start: Float) -> tuple[Float, Mask]:
-        """Levenberg-Marquardt from ``start`` (n, 6): parameters (n, 6), and a mask (n,) of fits converged inside."""
+        """Levenberg-Marquardt from ``start`` (n, 8): parameters (n, 8), and a mask (n,) of fits converged inside."""
         best = start.copy()
         damping = np.full(len(start), _DAMPING_START)
         active = np.arange(len(start))
@@ -200,7 +208,7 @@ class _Problem:
                 break
             diagonal = np.einsum("nii->ni", normal[active])
             floor = 1e-9 * diagonal.max(axis=1, keepdims=True)
-            damped = normal[active] + np.eye(6) * (damping[active, None] * diagonal + floor)[:, None, :]
+            damped = normal[active] + np.eye(_N_UNKNOWNS) * (damping[active, None] * diagonal + floor)[:, None, :]
             step = np.linalg.solve(damped, right[active, :, None])[:, :, 0]
             trial = best[active] + step
             trial[:, 4] = np.maximum(trial[:, 4], 0.1 * best[active, 4])
@@ -221,9 +229,9 @@ class _Problem:
         """Covariances and quality of the solution."""
         normal, _, _ = self.linearize(parameters)
         shares, _ = line_shares(self.patches, parameters[:, :2], parameters[:, 2:4], self.sigma_px)
-        residual, weight = self.patches.residuals(parameters[:, 4, None, None] * shares, parameters[:, 5])
+        residual, weight = self.patches.residuals(parameters[:, 4, None, None] * shares, parameters[:, 5:])
         chi2, count = np.sum(weight * residual**2, axis=1), np.count_nonzero(weight, axis=1)
-        inflation = chi2_inflation(chi2, np.maximum(count - 6, 1))
+        inflation = chi2_inflation(chi2, np.maximum(count - _N_UNKNOWNS, 1))
         covariance = np.linalg.pinv(normal, hermitian=True)[:, :4, :4] * inflation[:, None, None]
         half = parameters[:, 2:4]
         turned = (half[:, 0] < 0) | ((half[:, 0] == 0) & (half[:, 1] < 0))
@@ -234,8 +242,9 @@ class _Problem:
             halves_px=half * sign[:, None],
             covariance_px2=covariance * flip[:, :, None] * flip[:, None, :],
             flux_dn=parameters[:, 4],
-            background_dn=parameters[:, 5],
+            background_dn=self.patches.level_dn(parameters[:, 5:], parameters[:, :2]),
+            planes=parameters[:, 5:],
             chi2=chi2,
             n_pixels=count,
-            converged=good & (count > 6) & (parameters[:, 4] > 0),
+            converged=good & (count > _N_UNKNOWNS) & (parameters[:, 4] > 0),
         )

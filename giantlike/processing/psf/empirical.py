@@ -17,6 +17,7 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
 from giantlike.core.values import Value
 from giantlike.processing.detection.detections import Detections
+from giantlike.processing.detection.patches import Patches
 from giantlike.processing.psf.estimate import UNUSABLE, PsfEstimate, star_patches
 from giantlike.processing.psf.profile import shape_shares
 
@@ -116,6 +117,7 @@ def empirical_psf(
     flux = stars.flux_dn[:, None, None]
     left = (patches.values_dn - stars.background_dn[:, None, None]) / flux - model
     weight = np.where(patches.valid & ~patches.saturated, flux**2 / patches.variance_dn2(flux * model), 0.0)
+    left -= _slopes_of(patches, left, weight)
     dx, dy = patches.offsets_px(stars.points_px)
     side = 2 * half_px * oversampling + 1
     column, row = (np.rint(away * oversampling).astype(np.int64) + side // 2 for away in (dx, dy))
@@ -137,3 +139,11 @@ def empirical_psf(
         step_px=1.0 / oversampling,
         n_used=n,
     )
+
+
+def _slopes_of(patches: Patches, left: Float, weight: Float) -> Float:
+    """Planes (n, w, w) without a level that are left, by the given weights, of a background that is not even."""
+    terms = patches.plane_terms()[1:]
+    normal = np.einsum("nij,aij,bij->nab", weight, terms, terms) + 1e-12 * np.eye(2)
+    right = np.einsum("nij,aij->na", weight * left, terms)
+    return np.tensordot(np.linalg.solve(normal, right[:, :, None])[:, :, 0], terms, axes=1)

@@ -1,6 +1,6 @@
 r"""Point spread function of an image estimated from its stars, constant or varying over the field.
 
-All selected stars are fitted at once: position, flux and background of each, and the shape of
+All selected stars are fitted at once: position, flux and background (a plane) of each, and the shape of
 :mod:`giantlike.processing.psf.profile`, whose parameters are polynomials of the position in the image. Gauss-Newton
 with noise weights; the stars are eliminated from the normal equations one by one (Schur complement), so that the cost
 grows linearly with their number. Stars that fit far worse than the others (blends, particle hits) are rejected and the
@@ -26,6 +26,7 @@ from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import Patches, chi2_inflation, cut_patches
 from giantlike.processing.psf.profile import N_SHAPE, SHAPE_NAMES, PsfKind, shape_shares
 
+_N_LOCAL = 6  # unknowns of each star: x, y, flux, level and slopes of the background
 _MOST_STARS = 200  # brightest stars fitted: bounds the time
 _LEAST_SNR = 15.0  # of a star: its width is then known to some 10 %
 _STEPS = 25  # bound for fits that do not converge
@@ -200,7 +201,7 @@ def estimate_psf(
         )
     terms = field_terms(stars.points_px, array.shape[1], array.shape[0], degree)
     problem = _Problem(patches, terms, kind.n_free)
-    local = np.column_stack([stars.points_px, stars.flux_dn, stars.background_dn])
+    local = _local_start(stars)
     start = np.zeros((kind.n_free, n_terms))
     start[0, 0] = math.log(stars.psf_sigma_px)
     if kind is PsfKind.MOFFAT:
@@ -251,20 +252,22 @@ def remeasure(
         return detections
     stars = detections.select(chosen)
     terms = field_terms(stars.points_px, psf.columns, psf.rows, psf.degree)
-    problem = _Problem(star_patches(pixels, stars, detector=detector, mask=mask), terms, psf.kind.n_free)
-    local = np.column_stack([stars.points_px, stars.flux_dn, stars.background_dn])
+    patches = star_patches(pixels, stars, detector=detector, mask=mask)
+    problem = _Problem(patches, terms, psf.kind.n_free)
+    local = _local_start(stars)
     for _ in range(_REMEASURE_STEPS):
         _, _, _, step = problem.normal(local, psf.coefficients)
-        local = local + np.clip(step, [-0.5, -0.5, -np.inf, -np.inf], [0.5, 0.5, np.inf, np.inf])
+        local = local + np.concatenate([np.clip(step[:, :2], -0.5, 0.5), step[:, 2:]], axis=1)
     left, weight, _ = problem.residuals(local, psf.coefficients)
     rows, _ = problem.jacobians(local, psf.coefficients)
     covariance = np.linalg.pinv((rows * weight[:, None, :]) @ rows.swapaxes(1, 2), hermitian=True)
-    freedom = np.maximum(np.count_nonzero(weight, axis=1) - 4, 1)
+    freedom = np.maximum(np.count_nonzero(weight, axis=1) - _N_LOCAL, 1)
     covariance *= chi2_inflation(np.sum(weight * left**2, axis=1), freedom)[:, None, None]
+    under = patches.level_dn(local[:, 3:], local[:, :2])
     good = (np.hypot(*(local[:, :2] - stars.points_px).T) < 1.0) & (local[:, 2] > 0)
     points, flux, level = detections.points_px.copy(), detections.flux_dn.copy(), detections.background_dn.copy()
     errors = detections.covariance_px2.copy()
-    points[chosen[good]], flux[chosen[good]], level[chosen[good]] = local[good, :2], local[good, 2], local[good, 3]
+    points[chosen[good]], flux[chosen[good]], level[chosen[good]] = local[good, :2], local[good, 2], under[good]
     errors[chosen[good]] = covariance[good, :2, :2]
     return replace(detections, points_px=points, flux_dn=flux, background_dn=level, covariance_px2=errors)
 
@@ -306,6 +309,12 @@ def star_patches(
     return cut_patches(array, bad, peaks, half, detector=detector, noise_dn=stars.noise_dn)
 
 
+def _local_start(stars: Detections) -> Float:
+    """First local parameters (n, 6): a background without slopes."""
+    flat = np.zeros((len(stars), 2))
+    return np.column_stack([stars.points_px, stars.flux_dn, stars.background_dn, flat])
+
+
 @dataclass(frozen=True, slots=True)
 class _Solution:
     local: Float
@@ -315,7 +324,7 @@ class _Solution:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """Stars (n): local parameters (n, 4) x, y, flux, background; shared ones (k, t)."""
+    """Stars (n): local parameters (n, 6) x, y, flux, level and slopes x, y of the background; shared ones (k, t)."""
 
     patches: Patches
     terms: Float
@@ -341,16 +350,17 @@ class _Problem:
         light = local[:, 2, None] * self.shares(local[:, :2], self.shapes(shared))
         used = (self.patches.valid & ~self.patches.saturated).reshape(light.shape)
         variance = self.patches.variance_dn2(light[..., None])[..., 0]
-        left = self.patches.values_dn.reshape(light.shape) - local[:, 3, None] - light
+        under = np.tensordot(local[:, 3:], self.patches.plane_terms(), axes=1).reshape(light.shape)
+        left = self.patches.values_dn.reshape(light.shape) - under - light
         return np.where(used, left, 0.0), used / variance, light
 
     def star_chi2(self, local: Float, shared: Float) -> Float:
         left, weight, _ = self.residuals(local, shared)
-        result: Float = np.sum(weight * left**2, axis=1) / np.maximum(np.count_nonzero(weight, axis=1) - 4, 1)
+        result: Float = np.sum(weight * left**2, axis=1) / np.maximum(np.count_nonzero(weight, axis=1) - _N_LOCAL, 1)
         return result
 
     def jacobians(self, local: Float, shared: Float) -> tuple[Float, Float]:
-        """Derivatives by local (n, 4, pixels) and shared parameters (n, k t, pixels), by central differences."""
+        """Derivatives by local (n, 6, pixels) and shared parameters (n, k t, pixels), by central differences."""
         points, flux, shapes = local[:, :2], local[:, 2, None], self.shapes(shared)
         by_local = [
             flux * (self.shares(points + step, shapes) - self.shares(points - step, shapes)) / (2.0 * _DIFFERENCE)
@@ -366,7 +376,9 @@ class _Problem:
         shape_rows = np.stack(by_shape, axis=1)
         by_shared = shape_rows[:, :, None, :] * self.terms[:, None, :, None]
         n, n_pixels = len(local), by_shared.shape[-1]
-        return np.stack([*by_local, star, np.ones_like(star)], axis=1), by_shared.reshape(n, -1, n_pixels)
+        plane = np.broadcast_to(self.patches.plane_terms().reshape(3, -1), (n, 3, n_pixels))
+        by_all = np.concatenate([np.stack([*by_local, star], axis=1), plane], axis=1)
+        return by_all, by_shared.reshape(n, -1, n_pixels)
 
     def normal(self, local: Float, shared: Float) -> tuple[Float, Float, Float, Float]:
         """Reduced normal matrix and right side of the shared parameters, gain and offset of the local steps."""
@@ -374,7 +386,7 @@ class _Problem:
         rows_local, rows_shared = self.jacobians(local, shared)
         weighted = rows_local * weight[:, None, :]
         inner = weighted @ rows_local.swapaxes(1, 2)
-        inner[:, range(4), range(4)] *= 1.0 + 1e-9
+        inner[:, range(_N_LOCAL), range(_N_LOCAL)] *= 1.0 + 1e-9
         cross = weighted @ rows_shared.swapaxes(1, 2)
         outer = (rows_shared * weight[:, None, :]) @ rows_shared.swapaxes(1, 2)
         right_local = (weighted @ left[:, :, None])[:, :, 0]
@@ -417,7 +429,7 @@ class _Problem:
     ) -> PsfEstimate:
         matrix, _, _, _ = self.normal(solution.local, solution.shared)
         left, weight, light = self.residuals(solution.local, solution.shared)
-        freedom = max(int(np.count_nonzero(weight)) - 4 * len(left) - solution.shared.size, 1)
+        freedom = max(int(np.count_nonzero(weight)) - _N_LOCAL * len(left) - solution.shared.size, 1)
         reduced = float(np.sum(weight * left**2)) / freedom
         noise = self.patches.noise_dn**2 * np.count_nonzero(weight, axis=1)
         power = (np.sum(left**2, axis=1) - noise) / np.sum(light**2, axis=1)
