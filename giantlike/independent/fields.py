@@ -12,6 +12,9 @@ from giantlike.independent.laws import Float
 CELLS = 768
 """Cells along the side of the octahedral table, about 0.2 degrees each: 0.5 px on a disk of 300 px."""
 
+FAINTEST = -16.0
+"""Exponent below which a bump is left out: 1e-7 of its height."""
+
 
 def _unfolded(directions: Float) -> tuple[Float, Float]:
     """Octahedral coordinates in [-1, 1] of directions (n, 3): z > 0 inside the diamond, z < 0 folded outside it."""
@@ -78,6 +81,10 @@ class SphereField:
         lower = flat[index + width] * (1.0 - right) + flat[index + width + 1] * right
         return np.asarray(upper * (1.0 - down) + lower * down, dtype=float)
 
+    def __add__(self, other: SphereField) -> SphereField:
+        """Return the sum of two functions with tables of one size."""
+        return SphereField(values=self.values + other.values, gradients=self.gradients + other.gradients)
+
     @property
     def extremes(self) -> tuple[float, float]:
         """Least and greatest value."""
@@ -103,7 +110,7 @@ def bumps(
     widths_deg: tuple[float, float] = (5.0, 30.0),
     cells: int = CELLS,
 ) -> SphereField:
-    """Make a sum of smooth round bumps and hollows at random places, with mean zero and a given scatter.
+    """Make a sum of smooth round bumps and hollows at random places that neither scales nor moves a sphere.
 
     Parameters
     ----------
@@ -132,13 +139,19 @@ def bumps(
     values, gradients = np.zeros(len(directions)), np.zeros_like(directions)
     for center, width, height in zip(centers, widths, heights, strict=True):
         sharpness = 1.0 / width**2
-        bump = height * np.exp(sharpness * (directions @ center - 1.0))
-        values += bump
-        gradients += (bump * sharpness)[:, None] * center
-    size = np.abs(directions).sum(axis=1) ** 3  # solid angle of a cell of the octahedral map
-    mean = float(np.average(values, weights=size))
-    scale = rms / float(np.sqrt(np.average((values - mean) ** 2, weights=size)))
-    return _table((values - mean) * scale, gradients * scale, directions, cells)
+        exponent = sharpness * (directions @ center - 1.0)
+        near = exponent > FAINTEST
+        bump = height * np.exp(exponent[near])
+        values[near] += bump
+        gradients[near] += (bump * sharpness)[:, None] * center
+    weights = np.abs(directions).sum(axis=1) ** 3  # solid angle of a cell of the octahedral map
+    # What scales the body (degree 0) or moves its center (degree 1) is taken out: it would be another size or place.
+    rigid = np.concatenate([np.ones((len(directions), 1)), directions], axis=1)
+    found = np.linalg.solve((rigid * weights[:, None]).T @ rigid, (rigid * weights[:, None]).T @ values)
+    values = values - rigid @ found
+    gradients = gradients - found[1:]
+    scale = rms / float(np.sqrt(np.average(values**2, weights=weights)))
+    return _table(values * scale, gradients * scale, directions, cells)
 
 
 def craters(

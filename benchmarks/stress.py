@@ -1,0 +1,240 @@
+"""Estimators under wrong models, against a truth that shares no code with them: prints JSON, writes ``stress.md``.
+
+Every case is seen in several views (other place, pose, Sun, body) with several draws of noise each. Of the fixes that
+are ``ok`` (no suspect flag): errors, stated sigmas, and NEES per degree of freedom (squared error over covariance, of 2
+for a center, of 3 for a position), which is 1 where the covariance is honest. Its interval is the 95 % range of the mean
+when views are drawn again with replacement, because draws of one view share the error of its model.
+
+Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--draws 8] [--output X]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from stress_truth import CASES, Case, Draw, Seen, draw_of, view_of
+
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix
+from giantlike.relative import ESTIMATORS, Estimator, LimbMatchingOptions
+from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRAOptions
+from giantlike.relative.limb.fix import EdgeModel
+
+BEYOND_SIGMAS, BEYOND_PX, BEYOND_RANGE = 5.0, 0.5, 0.005
+"""A silent wrong answer: ok, beyond so many sigma in center or range, and beyond so much."""
+RESAMPLED = 2000
+COLUMNS = (
+    "case",
+    "estimator",
+    "draws",
+    "ok",
+    "center error, px",
+    "stated, px",
+    "range error, %",
+    "stated, %",
+    "NEES/dof of ok",
+    "95 %",
+    "silent wrong",
+    "else",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What came of one draw, in numbers."""
+
+    view: int
+    status: str
+    error_px: float = np.nan
+    sigma_px: float = np.nan
+    range_error: float = np.nan
+    range_sigma: float = np.nan
+    nees: float = np.nan
+    cpu_s: float = 0.0
+
+
+def estimator_of(name: str, case: Case) -> Estimator:
+    """An estimator with its defaults, or with the options of the case."""
+    if case.options == "step":
+        if name == "limb_matching":
+            options: object = LimbMatchingOptions()
+        else:
+            options = EllipsoidCRAOptions()
+        scan = replace(options.scan, edges=EdgeModel.STEP)  # type: ignore[attr-defined]
+        return ESTIMATORS[name](replace(options, scan=scan))  # type: ignore[type-var]
+    return ESTIMATORS[name]()
+
+
+def answer_of(draw: Draw, estimator: Estimator) -> Answer:
+    """Run an estimator on a draw."""
+    seen = draw.seen
+    began = time.process_time()
+    fix = estimator.estimate(draw.image, seen.camera, draw.scene)
+    spent = time.process_time() - began
+    if isinstance(fix, Failure):
+        return Answer(view=seen.number, status=str(fix.reason), cpu_s=spent)
+    status = "ok" if not fix.flags.suspect else "suspect:" + "+".join(_suspect_flags(fix))
+    error = fix.center_px - seen.center_px
+    numbers = {
+        "error_px": float(np.hypot(*error)) / np.sqrt(2.0),
+        "sigma_px": float(np.sqrt(0.5 * np.trace(fix.covariance_px2))),
+    }
+    if isinstance(fix, PositionFix):
+        truth = float(np.linalg.norm(seen.position_camera_km))
+        numbers |= {
+            "range_error": fix.range_km / truth - 1.0,
+            "range_sigma": fix.sigma_range_km / fix.range_km,
+            "nees": _nees(fix.position_camera_km - seen.position_camera_km, fix.covariance_camera_km2),
+        }
+    else:
+        numbers["nees"] = _nees(error, fix.covariance_px2)
+    return Answer(view=seen.number, status=status, cpu_s=spent, **numbers)
+
+
+def _suspect_flags(fix: CenterFix) -> list[str]:
+    return [name for name in fix.flags.names() if type(fix.flags)[name.upper()].suspect]
+
+
+def _nees(error: Float, covariance: Float) -> float:
+    return float(error @ np.linalg.solve(covariance, error)) / error.size
+
+
+def run_case(case: Case, names: Sequence[str], views: int, draws: int) -> dict[str, list[Answer]]:
+    """All answers of a case by estimator; every view is rendered once."""
+    answers: dict[str, list[Answer]] = {name: [] for name in names}
+    estimators = {name: estimator_of(name, case) for name in names}
+    for number in range(views):
+        seen: Seen = view_of(case, number)
+        for seed in range(draws):
+            draw = draw_of(seen, seed)
+            for name in names:
+                answers[name].append(answer_of(draw, estimators[name]))
+    return answers
+
+
+def summary(answers: Sequence[Answer]) -> dict[str, object]:
+    """Numbers of one cell of the table."""
+    good = [answer for answer in answers if answer.status == "ok"]
+    others: dict[str, int] = {}
+    for answer in answers:
+        if answer.status != "ok":
+            others[answer.status] = others.get(answer.status, 0) + 1
+    result: dict[str, object] = {
+        "draws": len(answers),
+        "ok": round(len(good) / len(answers), 3),
+        "cpu_s": _short(float(np.median([answer.cpu_s for answer in answers]))),
+        "else": dict(sorted(others.items(), key=lambda item: -item[1])),
+    }
+    if not good:
+        return result
+    wrong = sum(_silently_wrong(answer) for answer in good)
+    nees = np.array([answer.nees for answer in good])
+    owners = np.array([answer.view for answer in good])
+    ranged = not np.isnan(good[0].range_error)
+    return result | {
+        "error_px": _short(float(np.median([answer.error_px for answer in good]))),
+        "sigma_px": _short(float(np.median([answer.sigma_px for answer in good]))),
+        "range_error_percent": _short(100 * float(np.median(np.abs([a.range_error for a in good]))))
+        if ranged
+        else None,
+        "range_sigma_percent": _short(100 * float(np.median([a.range_sigma for a in good]))) if ranged else None,
+        "nees": _short(float(nees.mean())),
+        "nees_95": [_short(each) for each in _interval(nees, owners)],
+        "nees_median": _short(float(np.median(nees))),
+        "silent_wrong": wrong,
+    }
+
+
+def _silently_wrong(answer: Answer) -> bool:
+    center = answer.error_px > max(BEYOND_PX, BEYOND_SIGMAS * answer.sigma_px)
+    distance = abs(answer.range_error) > max(BEYOND_RANGE, BEYOND_SIGMAS * answer.range_sigma)
+    return bool(center or distance)
+
+
+def _interval(nees: Float, owners: Float) -> Float:
+    """Range (2,) of the mean when views are drawn with replacement."""
+    rng = np.random.default_rng(1)
+    each = np.unique(owners)
+    sums = np.array([nees[owners == owner].sum() for owner in each])
+    counts = np.array([(owners == owner).sum() for owner in each])
+    chosen = rng.integers(len(each), size=(RESAMPLED, len(each)))
+    means = sums[chosen].sum(axis=1) / counts[chosen].sum(axis=1)
+    return np.quantile(means, [0.025, 0.975])
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def row_of(case: str, estimator: str, cell: dict[str, object]) -> str:
+    """A line of the table."""
+    band = cell.get("nees_95")
+    others = ", ".join(f"{name} {count}" for name, count in list(dict(cell["else"]).items())[:3])  # type: ignore[call-overload]
+    values = [
+        case,
+        estimator,
+        cell["draws"],
+        f"{100 * float(str(cell['ok'])):.0f} %",
+        cell.get("error_px", ""),
+        cell.get("sigma_px", ""),
+        cell.get("range_error_percent") or "",
+        cell.get("range_sigma_percent") or "",
+        cell.get("nees", ""),
+        f"{band[0]}-{band[1]}" if isinstance(band, list) else "",
+        cell.get("silent_wrong", ""),
+        others,
+    ]
+    return "| " + " | ".join(str(value) for value in values) + " |"
+
+
+def table_of(report: dict[str, dict[str, dict[str, object]]]) -> str:
+    """The whole table in Markdown."""
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
+    lines += [row_of(case, name, cell) for case, cells in report.items() for name, cell in cells.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _job(arguments: tuple[Case, tuple[str, ...], int, int]) -> tuple[str, dict[str, dict[str, object]]]:
+    warnings.simplefilter("ignore")
+    case, names, views, draws = arguments
+    return case.name, {name: summary(answers) for name, answers in run_case(case, names, views, draws).items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", default="", help="parts of names of cases, separated by commas; all if left out")
+    parser.add_argument("--estimators", default="", help="names, separated by commas; those of each case if left out")
+    parser.add_argument("--views", type=int, default=25)
+    parser.add_argument("--draws", type=int, default=8, help="noise draws by view")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--output", type=Path, help="Markdown file for the table")
+    wanted = parser.parse_args()
+    parts = [part for part in wanted.cases.split(",") if part]
+    chosen = [case for case in CASES if not parts or any(part in case.name for part in parts)]
+    only = {name for name in wanted.estimators.split(",") if name}
+    jobs = [
+        (case, names, wanted.views, wanted.draws)
+        for case in chosen
+        if (names := tuple(name for name in case.estimators if not only or name in only))
+    ]
+    report: dict[str, dict[str, dict[str, object]]] = {}
+    with ProcessPoolExecutor(wanted.workers) as pool:
+        for name, cells in pool.map(_job, jobs):
+            report[name] = cells
+            print(json.dumps({name: cells}), file=sys.stderr, flush=True)
+            if wanted.output:
+                wanted.output.write_text(table_of(report), encoding="utf-8")
+    print(json.dumps(report, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,317 @@
+"""Bodies seen under wrong models, for ``stress.py``: images from the independent truth, and what an estimator is told.
+
+Not a benchmark itself. A view is rendered once by ``giantlike.independent``, which shares no code with the estimators;
+draws of it have their own noise and their own error of the prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
+from giantlike.independent import (
+    Defects,
+    EllipsoidBody,
+    PinholeView,
+    Pose,
+    Psf,
+    Recorder,
+    ReliefBody,
+    SphereField,
+    background,
+    bumps,
+    craters,
+    record,
+    render_body,
+)
+from giantlike.ray_tracing import Hapke, Lambert, LommelSeeliger, McEwen, Minnaert, Reflectance
+from giantlike.scene import Scene, Target
+from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
+
+RADII_KM = (10.0, 9.2, 8.6)
+FOCAL_PX = 5000.0
+READ_NOISE_DN = 5.0
+ATTITUDE = Rotation.from_rotvec([0.3, -1.0, 0.4])
+ERROR_PX, RANGE_ERROR = 4.0, 0.01
+MESH_CELLS = 160
+TOLD_LAWS: dict[str, Reflectance] = {
+    "mcewen": McEwen(),
+    "lambert": Lambert(),
+    "lommel_seeliger": LommelSeeliger(),
+    "minnaert": Minnaert(k=0.7),
+    "hapke": Hapke(w=0.21, b0=1.0, h=0.06, theta_bar_deg=0.0, hg1=-0.3, hg2=0.0),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A kind of image, and how what is told differs from what is."""
+
+    name: str
+    diameter_px: float = 120.0
+    phases_deg: tuple[float, ...] = (15.0, 60.0, 90.0, 125.0)
+    body: str = "ellipsoid"
+    law: str = "mcewen"
+    told_law: str = "mcewen"
+    relief: float = 0.0
+    albedo: float = 0.0
+    psf: Psf = field(default_factory=Psf)
+    told_psf_px: float = 0.7
+    level_dn: float = 0.0
+    slope_dn: tuple[float, float] = (0.0, 0.0)
+    saturation_dn: float = math.inf
+    told_saturation: bool = True
+    dead_columns: int = 0
+    pole_error_deg: float = 0.0
+    attitude_error_deg: float = 0.0
+    frame_px: int = 0
+    estimators: tuple[str, ...] = ()
+    options: str = ""
+
+    @property
+    def size_px(self) -> int:
+        """Side of the frame."""
+        return self.frame_px or int(max(160.0, 1.5 * self.diameter_px + 76.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Seen:
+    """A view without noise, and the truth of it."""
+
+    case: Case
+    number: int
+    phase_deg: float
+    signal_dn: Float
+    camera: Camera
+    shape: Shape
+    position_camera_km: Float
+    camera_from_body: Rotation
+    sun: Float
+
+    @property
+    def center_px(self) -> Float:
+        """Place of the center."""
+        return np.asarray(self.camera.model.project(self.position_camera_km), dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Draw:
+    """An image and the scene as it is believed to be."""
+
+    seen: Seen
+    image: Image
+    scene: Scene
+
+
+@lru_cache
+def _rock(seed: int) -> tuple[SphereField, TriangleMesh]:
+    """Heights of a body with craters, and the mesh of it."""
+    heights = bumps(9000 + seed, rms=0.03, widths_deg=(10.0, 40.0))
+    heights += craters(9100 + seed, depth=0.1, count=250, radii_deg=(2.0, 20.0))
+    return heights, TriangleMesh(*ReliefBody(RADII_KM, heights).mesh(MESH_CELLS), f"rock {seed}")
+
+
+def _figure(case: Case, number: int) -> tuple[EllipsoidBody | ReliefBody, Shape]:
+    """The body, and the shape that is told."""
+    markings = bumps(7000 + number, rms=case.albedo, widths_deg=(4.0, 25.0)) if case.albedo else None
+    unlisted = bumps(8000 + number, rms=case.relief, widths_deg=(3.0, 15.0), count=150) if case.relief else None
+    if case.body == "ellipsoid":
+        told = Ellipsoid(radii_km=np.array(RADII_KM))
+        if unlisted is None:
+            return EllipsoidBody(RADII_KM, markings), told
+        return ReliefBody(RADII_KM, unlisted, markings), told
+    listed, mesh = _rock(number % 3)
+    return ReliefBody(RADII_KM, listed if unlisted is None else listed + unlisted, markings), mesh
+
+
+def view_of(case: Case, number: int) -> Seen:
+    """Render a view of a case: another place, pose, Sun and body for each number."""
+    rng = np.random.default_rng([number, 4711])
+    size, phase_deg = case.size_px, case.phases_deg[number % len(case.phases_deg)]
+    middle = (0.5 * (size - 1) + 1.5, 0.5 * (size - 1) - 2.5)
+    view = PinholeView(FOCAL_PX, middle, size, size)
+    place = 0.5 * (size - 1) + rng.uniform(-1.5, 1.5, 2)
+    if case.diameter_px > size:  # the limb towards the Sun crosses the frame
+        place = place + np.array([0.5 * case.diameter_px, 0.0]) * rng.choice([-1.0, 1.0])
+    sight = view.directions(place)
+    sight /= np.linalg.norm(sight)
+    mean = float(np.cbrt(np.prod(RADII_KM)))
+    position = 2.0 * mean * FOCAL_PX / case.diameter_px * sight
+    side = np.cross(sight, [*rng.normal(size=2), 0.0])
+    if case.diameter_px > size:
+        side = np.array([0.5 * (size - 1) - place[0], 0.3 * rng.normal() * case.diameter_px, 0.0])
+        side -= (side @ sight) * sight
+    side /= np.linalg.norm(side)
+    phase = math.radians(phase_deg)
+    sun = -math.cos(phase) * sight + math.sin(phase) * side
+    turn = Rotation.random(rng=rng)
+    body, told = _figure(case, number)
+    signal = render_body(body, view, Pose(position, turn, sun), law=case.law, psf=case.psf)
+    signal += background((size, size), constant_dn=case.level_dn, slope_dn=case.slope_dn)
+    camera = Camera(
+        name="stress",
+        columns=size,
+        rows=size,
+        model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=middle[0], cy_px=middle[1]),
+        psf=GaussianPsf(sigma_px=case.told_psf_px),
+        detector=Detector(
+            gain_e_per_dn=1.0,
+            read_noise_e=READ_NOISE_DN,
+            saturation_dn=case.saturation_dn if case.told_saturation else math.inf,
+        ),
+    )
+    return Seen(
+        case=case,
+        number=number,
+        phase_deg=phase_deg,
+        signal_dn=signal,
+        camera=camera,
+        shape=told,
+        position_camera_km=position,
+        camera_from_body=turn,
+        sun=sun,
+    )
+
+
+def draw_of(seen: Seen, seed: int) -> Draw:
+    """Expose a view, and make the scene with errors of the prediction."""
+    case = seen.case
+    rng = np.random.default_rng([seen.number, seed, 815])
+    center = seen.center_px
+    columns = tuple(int(x) for x in np.round(center[0] + np.linspace(-0.3, 0.35, case.dead_columns) * case.diameter_px))
+    recorder = Recorder(read_noise_e=READ_NOISE_DN, saturation_dn=case.saturation_dn)
+    shot = record(seen.signal_dn, rng, recorder, Defects(dead_columns=columns))
+    predicted = center + rng.uniform(-ERROR_PX, ERROR_PX, 2)
+    sight = seen.camera.model.unproject(predicted)
+    distance = float(np.linalg.norm(seen.position_camera_km)) * (1.0 + rng.uniform(-RANGE_ERROR, RANGE_ERROR))
+    wrong = Rotation.from_rotvec(np.radians(case.pole_error_deg) * rng.normal(size=3))
+    camera_from_inertial = ATTITUDE
+    if case.attitude_error_deg:
+        turned = Rotation.from_rotvec(np.radians(case.attitude_error_deg) * rng.normal(size=3))
+        camera_from_inertial = turned * ATTITUDE
+    back = ATTITUDE.inv()
+    geometry = ApparentGeometry(
+        position_inertial_km=back.apply(distance * sight),
+        inertial_from_body=back * wrong * seen.camera_from_body,
+        sun_direction_inertial=back.apply(seen.sun),
+    )
+    target = Target(name="BODY", shape=seen.shape, ephemeris=geometry, reflectance=TOLD_LAWS[case.told_law])
+    image = Image(
+        pixels=shot.pixels.astype(np.float32),
+        camera_from_inertial=camera_from_inertial,
+        name=f"{case.name} {seen.number} {seed}",
+    )
+    return Draw(seen=seen, image=image, scene=Scene(targets=(target,)))
+
+
+ELLIPSOID = ("cross_correlation", "limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit", "moment", "auto")
+"""Estimators for ellipsoids."""
+LIMBS = ("limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit")
+ROCK = ("cross_correlation", "limb_matching", "surface_features", "moment", "auto")
+"""Estimators for meshes."""
+_BASE = Case(name="exact", estimators=ELLIPSOID)
+
+
+def _pairs() -> list[Case]:
+    """Law pairs: rendered, and told."""
+    rendered = [
+        ("lommel_seeliger", "lambert"),
+        ("lommel_seeliger", "mcewen"),
+        ("lambert", "mcewen"),
+        ("hapke", "mcewen"),
+        ("minnaert", "mcewen"),
+        ("mcewen", "lambert"),
+        ("hapke", "lambert"),
+    ]
+    return [replace(_BASE, name=f"law {law} told {told}", law=law, told_law=told) for law, told in rendered]
+
+
+CASES: tuple[Case, ...] = (
+    _BASE,
+    replace(_BASE, name="exact rock", body="rock", estimators=ROCK),
+    replace(_BASE, name="exact 300 px", diameter_px=300.0),
+    replace(
+        _BASE,
+        name="exact rock, 250 px",
+        body="rock",
+        diameter_px=250.0,
+        phases_deg=(30.0, 60.0, 90.0),
+        estimators=("surface_features",),
+    ),
+    replace(
+        _BASE,
+        name="law lommel_seeliger rock, 250 px",
+        body="rock",
+        diameter_px=250.0,
+        phases_deg=(30.0, 60.0, 90.0),
+        law="lommel_seeliger",
+        estimators=("surface_features",),
+    ),
+    replace(
+        _BASE,
+        name="plane rock, 250 px",
+        body="rock",
+        diameter_px=250.0,
+        phases_deg=(30.0, 60.0, 90.0),
+        level_dn=200.0,
+        slope_dn=(200.0, 100.0),
+        estimators=("surface_features",),
+    ),
+    replace(_BASE, name="plane", level_dn=200.0, slope_dn=(200.0, 100.0)),
+    replace(_BASE, name="plane rock", body="rock", estimators=ROCK, level_dn=200.0, slope_dn=(200.0, 100.0)),
+    *_pairs(),
+    replace(_BASE, name="law lommel_seeliger rock", body="rock", estimators=ROCK, law="lommel_seeliger"),
+    replace(_BASE, name="law lambert 300 px", diameter_px=300.0, law="lambert"),
+    replace(_BASE, name="psf wings", psf=Psf(0.7, wing_share=0.1, wing_sigma_px=4.0)),
+    replace(_BASE, name="psf told 30 % wide", told_psf_px=0.91),
+    replace(_BASE, name="psf told 30 % narrow", told_psf_px=0.49),
+    replace(_BASE, name="saturated, declared", saturation_dn=2000.0),
+    replace(_BASE, name="saturated, not declared", saturation_dn=2000.0, told_saturation=False),
+    replace(_BASE, name="dead columns, not masked", dead_columns=3),
+    replace(_BASE, name="dead columns, 30 px", diameter_px=30.0, dead_columns=2),
+    replace(_BASE, name="pole 2 deg off", pole_error_deg=2.0),
+    replace(_BASE, name="pole 2 deg off, rock", body="rock", estimators=ROCK, pole_error_deg=2.0),
+    replace(_BASE, name="attitude 0.01 deg off", attitude_error_deg=0.01),
+    replace(_BASE, name="relief 1 % unlisted", relief=0.01),
+    replace(_BASE, name="relief 1 % unlisted, rock", body="rock", estimators=ROCK, relief=0.01),
+    replace(_BASE, name="albedo 15 %", albedo=0.15),
+    replace(_BASE, name="albedo 15 %, rock", body="rock", estimators=ROCK, albedo=0.15),
+    replace(_BASE, name="30 px", diameter_px=30.0),
+    replace(_BASE, name="30 px, 125 deg", diameter_px=30.0, phases_deg=(125.0,)),
+    replace(_BASE, name="30 px, law lambert", diameter_px=30.0, law="lambert"),
+    replace(
+        _BASE,
+        name="larger than the frame",
+        diameter_px=1000.0,
+        frame_px=512,
+        phases_deg=(30.0, 60.0, 90.0),
+        estimators=(*LIMBS, "cross_correlation", "auto"),
+    ),
+    replace(
+        _BASE,
+        name="unresolved",
+        diameter_px=2.0,
+        phases_deg=(0.0, 60.0, 120.0, 150.0),
+        estimators=("unresolved", "moment", "auto"),
+    ),
+    replace(
+        _BASE,
+        name="unresolved, law lambert",
+        diameter_px=2.0,
+        law="lambert",
+        phases_deg=(0.0, 60.0, 120.0, 150.0),
+        estimators=("unresolved", "auto"),
+    ),
+    replace(_BASE, name="edges step", estimators=LIMBS[:2], options="step"),
+    replace(_BASE, name="edges step, law lambert", estimators=LIMBS[:2], options="step", law="lambert"),
+)
