@@ -5,7 +5,7 @@ are ``ok`` (no suspect flag): errors, stated sigmas, and NEES per degree of free
 for a center, of 3 for a position), which is 1 where the covariance is honest. Its interval is the 95 % range of the mean
 when views are drawn again with replacement, because draws of one view share the error of its model.
 
-Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--draws 8] [--output X]
+Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--draws 8] [--output F]
 """
 
 from __future__ import annotations
