@@ -29,6 +29,42 @@ _FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int
 _LIGHT_TIME_STEPS = 5  # fixed-point iterations; each gains a factor v/c, and three suffice for the solar system
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TargetUncertainty:
+    """Standard deviations of what is given of a body; each is one error, the same in all images.
+
+    The defaults are 0, for what is declared exact: no general value would be right for radii of the Moon, known to a
+    few meters, and for those of a body seen for the first time.
+
+    Parameters
+    ----------
+    scale : float
+        Relative error of the size of the shape, all axes by the same factor.
+    pole_rad : float, rad
+        Error of the direction of the body-fixed z axis, about each of the other two axes.
+    spin_rad : float, rad
+        Error of the rotation about the body-fixed z axis.
+    ephemeris_km : float, km
+        Error of the predicted position, along each axis.
+
+    Raises
+    ------
+    InputError
+        A value is negative, or not small: 0.3 of the size, 0.5 rad.
+    """
+
+    scale: float = 0.0
+    pole_rad: float = 0.0
+    spin_rad: float = 0.0
+    ephemeris_km: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_number(self.scale, "scale", least=0.0, most=0.3)
+        require_number(self.pole_rad, "pole_rad", least=0.0, most=0.5)
+        require_number(self.spin_rad, "spin_rad", least=0.0, most=0.5)
+        require_number(self.ephemeris_km, "ephemeris_km", least=0.0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Target(Value):
     """A body that may be in the image.
@@ -43,12 +79,15 @@ class Target(Value):
         Position and orientation, geometric or already apparent.
     reflectance : Reflectance
         Reflectance law of the surface; McEwen by default.
+    uncertainty : TargetUncertainty
+        Of shape, orientation and ephemeris, for the covariances of fixes; by default all are exact.
     """
 
     name: str
     shape: Shape
     ephemeris: Ephemeris | ApparentGeometry
     reflectance: Reflectance = field(default_factory=McEwen)
+    uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

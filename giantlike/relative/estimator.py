@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, Protocol, TypedDict, TypeVar, runtime_checkable
 
@@ -22,6 +22,7 @@ from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import FocalPlane
+from giantlike.relative.budget import place_jacobian, with_budget
 from giantlike.scene import Scene, TargetGeometry
 
 Options = TypeVar("Options")
@@ -107,8 +108,9 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         Returns
         -------
         CenterFix, PositionFix or Failure
-            The fix of the estimator. Failures are those of its class, and those of an image without attitude, epoch,
-            signal or good pixels, of a target without geometry, behind the camera or around it.
+            The fix of the estimator, with the parts of its covariance by cause. Failures are those of its class, and
+            those of an image without attitude, epoch, signal or good pixels, of a target without geometry, behind the
+            camera or around it.
 
         Raises
         ------
@@ -121,6 +123,10 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         if isinstance(inputs, Failure):
             return inputs
         result = self._estimate(inputs)
+        if not isinstance(result, Failure):
+            result = with_budget(
+                result, image, camera, inputs.geometry, lambda moved: self._estimate(replace(inputs, geometry=moved))
+            )
         return inputs.fail(result.reason, result.detail) if isinstance(result, Failure) else result
 
     @abstractmethod
@@ -410,8 +416,7 @@ def place_covariance(model: CameraModel, position_camera_km: Float, covariance_c
     (3, 3) float64
         Of x, y in px and of the natural logarithm of the range.
     """
-    along = position_camera_km / float(position_camera_km @ position_camera_km)
-    jacobian = np.vstack([model.project_jacobian(position_camera_km), along])
+    jacobian = place_jacobian(model, position_camera_km)
     covariance = jacobian @ covariance_camera_km2 @ jacobian.T
     return (covariance + covariance.T) / 2.0
 

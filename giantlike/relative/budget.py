@@ -1,0 +1,282 @@
+"""The error budget of a fix: what no estimator can see in its own image, by the response of the fix to it.
+
+The camera model, the attitude, the scale of the shape, the orientation of the body and its ephemeris are given to an
+estimator, and each is wrong by its own uncertainty. Every cause adds a part of its own to the fix. Where the response
+has a closed form it is used; else the estimator is run again on the same pixels with the body moved by one sigma, and
+the difference of the two fixes, in which the noise cancels, is the response.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import CameraModel, ifov_rad
+from giantlike.core.arrays import Float
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
+from giantlike.core.frames import skew
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
+from giantlike.image import Image
+from giantlike.scene import TargetGeometry
+
+AnyFix = TypeVar("AnyFix", bound=CenterFix)
+
+_OUTLINE_POINTS = 72
+"""Points of an outline over which a distortion is averaged, every 5 deg: distortions are smooth polynomials."""
+_LEAST_RADIUS_PX = 1.0
+"""Radius of the circle that stands for a body whose outline cannot be used, px: the scale of the camera there."""
+_WORST_CONDITION = 100.0
+"""Condition number beyond which an arc of an outline does not tell center and radius apart: 30 deg of a circle have
+some 60, and a shorter arc amplifies any distortion of the camera without limit."""
+
+
+def with_budget(
+    fix: AnyFix,
+    image: Image,
+    camera: Camera,
+    geometry: TargetGeometry,
+    again: Callable[[TargetGeometry], CenterFix | Failure],
+) -> AnyFix | Failure:
+    """Add the causes of error that an estimator cannot see in its image to a fix.
+
+    A cause that the fix already has is left as it is. The sigmas are those of ``camera.uncertainty``, of
+    ``image.attitude_covariance_rad2`` and of ``geometry.target.uncertainty``; one that is not given adds nothing.
+
+    Parameters
+    ----------
+    fix : CenterFix or PositionFix
+        As the estimator returns it.
+    image : Image
+    camera : Camera
+    geometry : TargetGeometry
+        A priori geometry that the estimator was given.
+    again : callable
+        Runs the estimator on the same pixels with another geometry.
+
+    Returns
+    -------
+    CenterFix, PositionFix or Failure
+        The same fix with all ``parts``, its ``covariance_px2`` and ``covariance_camera_km2`` the sums of theirs;
+        a failure of the estimator where it finds nothing when the body is moved by one sigma either way.
+    """
+    size = 3 if isinstance(fix, PositionFix) else 2
+    model = camera.model
+    position_km = (
+        fix.position_camera_km if isinstance(fix, PositionFix) else model.unproject(fix.center_px) * geometry.range_km
+    )
+    place_per_km = place_jacobian(model, position_km)
+    parts = dict(fix.parts) or {Cause.NOISE: _own_covariance(fix, place_per_km)}
+    body = _body_parts(fix, geometry, again, missing=set(Cause) - set(parts))
+    if isinstance(body, Failure):
+        return body
+    added = body | _camera_part(camera, position_km, geometry, size)
+    if image.attitude_covariance_rad2 is not None:
+        turn = place_per_km @ -skew(position_km)
+        added[Cause.ATTITUDE] = _propagated(turn[:size], image.attitude_covariance_rad2)
+    sigma_km = geometry.target.uncertainty.ephemeris_km
+    if sigma_km > 0.0:
+        added[Cause.EPHEMERIS] = _propagated(place_per_km[:size], sigma_km**2 * np.eye(3))
+    new = {cause: part for cause, part in added.items() if cause not in parts}
+    changes: dict[str, object] = {"parts": parts | new}
+    in_image = [cause for cause in IN_IMAGE if cause in new]
+    if in_image:
+        changes["covariance_px2"] = fix.covariance_px2 + summed(new, in_image)[:2, :2]
+    in_position = [cause for cause in IN_POSITION if cause in new]
+    if isinstance(fix, PositionFix) and in_position:
+        km_per_place = np.asarray(np.linalg.inv(place_per_km), dtype=np.float64)
+        changes["covariance_camera_km2"] = fix.covariance_camera_km2 + _propagated(
+            km_per_place, summed(new, in_position)
+        )
+    return replace(fix, **changes)  # type: ignore[arg-type]
+
+
+def place_jacobian(model: CameraModel, position_camera_km: Float) -> Float:
+    """Derivative of the place of a body by its position.
+
+    Parameters
+    ----------
+    model : CameraModel
+    position_camera_km : (3,) float64, km, camera axes
+
+    Returns
+    -------
+    (3, 3) float64
+        Of x, y in px and of the natural logarithm of the range, per km.
+    """
+    along = position_camera_km / float(position_camera_km @ position_camera_km)
+    return np.vstack([model.project_jacobian(position_camera_km), along])
+
+
+def camera_response(
+    camera: Camera, position_camera_km: Float, radius_km: float, sun_direction_camera: Float, *, size: int
+) -> Float:
+    """Error of the place of a body by the error of each parameter of the camera.
+
+    A camera with other parameters shifts each point of the outline; the place moves as the outline of a sphere, where
+    lit and in the frame, moves to follow these shifts across it. A body of which too little is seen, or none, moves
+    as a small circle around its center does.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its ``uncertainty`` names the k parameters.
+    position_camera_km : (3,) float64, km, camera axes
+    radius_km : float, km
+        Mean radius of the body.
+    sun_direction_camera : (3,) float64, unitless, camera axes
+    size : int
+        3 with the range, 2 where the estimator takes it as given.
+
+    Returns
+    -------
+    (size, k) float64
+        Of x, y in px and of the natural logarithm of the range, per unit of each parameter. The pixels are those by
+        which the direction is off, not the measured center.
+    """
+    assert camera.uncertainty is not None
+    model = camera.model
+    names = model.parameter_names
+    chosen = [names.index(name) for name in camera.uncertainty.estimated]
+    range_km = float(np.linalg.norm(position_camera_km))
+    axis = position_camera_km / range_km
+    half_angle = math.asin(min(radius_km / range_km, 1.0))
+    rays, outward = _circle(axis, half_angle)
+    lit = outward @ sun_direction_camera >= 0.0
+    seen = lit & np.nan_to_num(camera.contains(model.project(rays))).astype(bool)
+    response = _followed(model, chosen, axis, half_angle, (rays[seen], outward[seen]), size)
+    if response is None:
+        nearest_px = np.clip(model.project(axis), -0.5, [camera.columns - 0.5, camera.rows - 0.5])
+        axis = model.unproject(nearest_px)
+        half_angle = _LEAST_RADIUS_PX * float(ifov_rad(model, nearest_px))
+        response = _followed(model, chosen, axis, half_angle, _circle(axis, half_angle), size)
+        assert response is not None
+    return response
+
+
+def _followed(
+    model: CameraModel, chosen: list[int], axis: Float, half_angle: float, outline: tuple[Float, Float], size: int
+) -> Float | None:
+    """Motion of a circle of rays that follows the shifts of its points, (size, k); None where the arc is too short."""
+    rays, outward = outline
+    if len(rays) < size:
+        return None
+    per_ray = model.project_jacobian(rays)
+    normals = np.einsum("nij,nj->ni", per_ray, outward)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    per_px = model.unproject_jacobian(model.project(axis))
+    # Rays turn with the axis: by axis x d(axis) for each pixel that the center moves.
+    turned = np.stack([np.cross(np.cross(axis, per_px[:, k]), rays) for k in (0, 1)], axis=-1)
+    grown = -math.tan(half_angle) * outward[:, :, None]
+    moved = np.einsum("ni,nij,njk->nk", normals, per_ray, np.concatenate([turned, grown], axis=2)[:, :, :size])
+    shifted = np.einsum("ni,nik->nk", normals, model.parameter_jacobian(rays)[:, :, chosen])
+    scale = np.linalg.norm(moved, axis=0)
+    if not np.isfinite(scale).all() or np.linalg.cond(moved / scale) > _WORST_CONDITION:
+        return None
+    solution: Float = np.linalg.lstsq(moved / scale, shifted, rcond=None)[0] / scale[:, None]
+    return solution
+
+
+def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
+    """Unit rays (n, 3) at an angle from an axis, and the directions (n, 3) away from the axis across them."""
+    across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    across /= np.linalg.norm(across)
+    angles = np.linspace(0.0, 2.0 * np.pi, _OUTLINE_POINTS, endpoint=False)[:, None]
+    around = np.cos(angles) * across + np.sin(angles) * np.cross(axis, across)
+    cosine, sine = math.cos(half_angle), math.sin(half_angle)
+    return cosine * axis + sine * around, cosine * around - sine * axis
+
+
+def _camera_part(camera: Camera, position_km: Float, geometry: TargetGeometry, size: int) -> dict[Cause, Float]:
+    """Part of the camera model, where its uncertainty is known."""
+    known = camera.uncertainty
+    if known is None or not known.estimated:
+        return {}
+    response = camera_response(
+        camera, position_km, geometry.target.shape.mean_radius_km, geometry.sun_direction_camera, size=size
+    )
+    return {Cause.CAMERA: _propagated(response, known.covariance)}
+
+
+def _body_parts(
+    fix: CenterFix,
+    geometry: TargetGeometry,
+    again: Callable[[TargetGeometry], CenterFix | Failure],
+    *,
+    missing: set[Cause],
+) -> dict[Cause, Float] | Failure:
+    """Parts of the scale of the shape and of the orientation of the body, of those that are missing."""
+    known, size = geometry.target.uncertainty, 3 if isinstance(fix, PositionFix) else 2
+    parts = dict[Cause, Float]()
+    if size == 3 and known.scale > 0.0:
+        # A body that is larger and as much farther away, along all axes, gives the same image.
+        parts[Cause.SHAPE_SCALE] = np.diag([0.0, 0.0, known.scale**2])
+    for cause, moved in _moved_bodies(geometry):
+        if cause not in missing or (cause is Cause.SHAPE_SCALE and size == 3):
+            continue
+        shift = _response(fix, moved, again)
+        if isinstance(shift, Failure):
+            return Failure(shift.reason, f"no fix with the {cause} of the body off by one sigma: {shift.detail}")
+        parts[cause] = parts.get(cause, np.zeros((size, size))) + np.outer(shift, shift)
+    return parts
+
+
+def _moved_bodies(geometry: TargetGeometry) -> Iterator[tuple[Cause, tuple[TargetGeometry, TargetGeometry]]]:
+    """Yield the geometry with each independent error of the body at plus and minus one sigma."""
+    known = geometry.target.uncertainty
+    if known.scale > 0.0:
+        nearer, farther = (geometry.position_camera_km / (1.0 + sign * known.scale) for sign in (1, -1))
+        yield (
+            Cause.SHAPE_SCALE,
+            (replace(geometry, position_camera_km=nearer), replace(geometry, position_camera_km=farther)),
+        )
+    sigmas_rad = ((Cause.POLE, known.pole_rad), (Cause.POLE, known.pole_rad), (Cause.SPIN, known.spin_rad))
+    for axis, (cause, sigma_rad) in zip(np.eye(3), sigmas_rad, strict=True):
+        if sigma_rad > 0.0:
+            turn = Rotation.from_rotvec(sigma_rad * axis)
+            before = geometry.camera_from_body
+            yield (
+                cause,
+                (
+                    replace(geometry, camera_from_body=before * turn),
+                    replace(geometry, camera_from_body=before * turn.inv()),
+                ),
+            )
+
+
+def _response(
+    fix: CenterFix,
+    moved: tuple[TargetGeometry, TargetGeometry],
+    again: Callable[[TargetGeometry], CenterFix | Failure],
+) -> Float | Failure:
+    """Shift of the place of a fix for another geometry, the first of two that the estimator can use; or why neither."""
+    failed = Failure(Reason.NOT_CONVERGED, "the range was not estimated")
+    for geometry in moved:
+        other = again(geometry)
+        if isinstance(other, Failure):
+            failed = other
+            continue
+        shift: Float = other.center_px - fix.center_px
+        if not isinstance(fix, PositionFix):
+            return shift
+        if isinstance(other, PositionFix):
+            return np.append(shift, math.log(other.range_km / fix.range_km))
+    return failed
+
+
+def _own_covariance(fix: CenterFix, place_per_km: Float) -> Float:
+    """Covariance that the estimator states, as a part."""
+    if isinstance(fix, PositionFix):
+        return _propagated(place_per_km, fix.covariance_camera_km2)
+    return fix.covariance_px2
+
+
+def _propagated(jacobian: Float, covariance: Float) -> Float:
+    """Covariance through a linear map, symmetric to the last digit."""
+    result: Float = jacobian @ covariance @ jacobian.T
+    return (result + result.T) / 2.0

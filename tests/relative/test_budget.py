@@ -1,0 +1,157 @@
+"""The error budget of fixes holds for images of an independent renderer: camera, attitude, scale and orientation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from giantlike import ApparentGeometry, Camera, Detector, GaussianPsf, Image, LimbMatching, Moment, Scene, Target
+from giantlike.camera import ModelUncertainty
+from giantlike.camera_models import BrownModel
+from giantlike.core.arrays import Float
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
+from giantlike.core.frames import rotate
+from giantlike.core.outcomes import PositionFix
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
+from giantlike.ray_tracing import Lambert
+from giantlike.relative import Estimator
+from giantlike.relative.budget import place_jacobian
+from giantlike.scene import TargetUncertainty
+from giantlike.shapes import Ellipsoid
+
+VIEW = PinholeView(900.0, (127.5, 127.5), 256, 256, k1=-0.05)
+SUN = np.array([0.5, -0.3, -0.8]) / np.linalg.norm([0.5, -0.3, -0.8])
+RANGE_KM = 1000.0
+ESTIMATED = ("fx_px", "fy_px", "k1", "k2", "p1", "p2")
+N_STARS, STAR_SIGMA_PX = 150, 0.1
+FALSE_ALARM = 1e-4  # of each test of squared errors
+
+
+def camera(**values: float) -> Camera:
+    model = BrownModel(**{"fx_px": 900.0, "fy_px": 900.0, "cx_px": 127.5, "cy_px": 127.5, "k1": -0.05} | values)
+    detector = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
+    return Camera(name="test", columns=256, rows=256, model=model, psf=GaussianPsf(sigma_px=0.7), detector=detector)
+
+
+def noisy(light: Float, rng: np.random.Generator) -> Float:
+    return np.rint(rng.poisson(light) + rng.normal(0.0, 5.0, light.shape))
+
+
+def scene(position_km: Float, radii_km: Float, attitude: Rotation, uncertainty: TargetUncertainty) -> Scene:
+    """Scene with the body where it is predicted, 0.2 % too far and 1.2 px off."""
+    predicted = ApparentGeometry(
+        position_inertial_km=position_km * 1.002 + np.array([1.0, -0.6, 0.0]),
+        inertial_from_body=attitude,
+        sun_direction_inertial=SUN,
+    )
+    shape = Ellipsoid(radii_km=radii_km)
+    body = Target(name="b", shape=shape, reflectance=Lambert(), ephemeris=predicted, uncertainty=uncertainty)
+    return Scene(targets=(body,))
+
+
+def place_error(camera: Camera, fix: PositionFix, truth_km: Float) -> Float:
+    return place_jacobian(camera.model, fix.position_camera_km) @ (fix.position_camera_km - truth_km)
+
+
+def star_calibration(rng: np.random.Generator) -> Float:
+    """Covariance of the estimated parameters from stars all over the frame, the attitude being free; by differences."""
+    rays = VIEW.directions(rng.uniform(0.0, 255.0, (N_STARS, 2)))
+    steps = np.array([1e-5] * 3 + [1e-2, 1e-2, 1e-4, 1e-3, 1e-5, 1e-5])
+
+    def pixels(state: Float) -> Float:
+        fx, fy, k1, k2, p1, p2 = state[3:] + np.array([900.0, 900.0, -0.05, 0.0, 0.0, 0.0])
+        plane = replace(VIEW, focal_px=1.0, center_px=(0.0, 0.0), k1=k1, k2=k2, p1=p1, p2=p2)
+        turned = plane.project(rays + np.cross(state[:3], rays))
+        return np.ravel(turned * [fx, fy])
+
+    unit = np.diag(steps)
+    design = np.array([(pixels(step) - pixels(-step)) / (2.0 * step.sum()) for step in unit]).T
+    covariance = STAR_SIGMA_PX**2 * np.linalg.inv(design.T @ design)[3:, 3:]
+    return (covariance + covariance.T) / 2.0
+
+
+def test_the_direction_of_a_body_in_a_corner_has_the_error_of_the_calibrated_camera() -> None:
+    rng = np.random.default_rng(5)
+    covariance = star_calibration(rng)
+    axis = VIEW.directions([215.0, 45.0])
+    position = RANGE_KM * axis / np.linalg.norm(axis)
+    light = render_body(EllipsoidBody([30.0] * 3), VIEW, Pose(position, Rotation.identity(), SUN), law="lambert")
+    known = ModelUncertainty(
+        estimated=ESTIMATED, covariance=covariance, residual_sigma_px=STAR_SIGMA_PX, n_observations=N_STARS, n_images=1
+    )
+    here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty())
+    draws, image_alone, with_camera = 10, 0.0, 0.0
+    for values in rng.multivariate_normal([900.0, 900.0, -0.05, 0.0, 0.0, 0.0], covariance, draws):
+        drawn = replace(camera(**dict(zip(ESTIMATED, values, strict=True))), uncertainty=known)
+        image = Image(pixels=noisy(light, rng), camera_from_inertial=Rotation.identity())
+        fix = LimbMatching().estimate(image, drawn, here).unwrap()
+        assert not fix.flags.suspect
+        error = place_error(drawn, fix, position)
+        image_alone += float(error @ np.linalg.solve(summed(fix.parts, IN_IMAGE), error))
+        with_camera += float(error @ np.linalg.solve(summed(fix.parts, IN_POSITION), error))
+        np.testing.assert_allclose(fix.covariance_px2, summed(fix.parts)[:2, :2], rtol=1e-9)
+    low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
+    assert low < with_camera < high
+    assert image_alone > 3.0 * high
+
+
+def test_scale_and_orientation_of_a_body_are_in_its_covariance() -> None:
+    rng = np.random.default_rng(6)
+    known = TargetUncertainty(scale=2e-3, pole_rad=0.03, spin_rad=0.04)
+    position, radii = np.array([5.0, -8.0, RANGE_KM]), np.array([40.0, 33.0, 29.0])
+    attitude = Rotation.from_euler("xyz", [0.4, 1.1, -0.3])
+    here = scene(position, radii, attitude, known)
+    draws, exact, with_body = 4, 0.0, 0.0
+    for _ in range(draws):
+        turn = attitude * Rotation.from_rotvec(rng.normal(size=3) * [known.pole_rad, known.pole_rad, known.spin_rad])
+        body = EllipsoidBody(radii * (1.0 + known.scale * rng.normal()))
+        light = render_body(body, VIEW, Pose(position, turn, SUN), law="lambert", psf=Psf(0.7))
+        image = Image(pixels=noisy(light, rng), camera_from_inertial=Rotation.identity())
+        fix = LimbMatching().estimate(image, camera(), here).unwrap()
+        assert not fix.flags.suspect
+        error = place_error(camera(), fix, position)
+        added = summed(fix.parts, (Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN))
+        with_body += float(error @ np.linalg.solve(summed(fix.parts), error))
+        exact += float(error @ np.linalg.solve(summed(fix.parts) - added, error))
+    low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
+    assert low < with_body < high
+    assert exact > 2.0 * high
+
+
+def test_the_attitude_and_the_ephemeris_shift_the_direction_as_a_turned_camera_and_a_moved_body_do() -> None:
+    position = np.array([60.0, -90.0, RANGE_KM])
+    sigma_rad = np.array([4e-5, 3e-5, 1e-3])
+    light = render_body(EllipsoidBody([30.0] * 3), VIEW, Pose(position, Rotation.identity(), SUN), law="lambert")
+    image = Image(
+        pixels=noisy(light, np.random.default_rng(7)),
+        camera_from_inertial=Rotation.identity(),
+        attitude_covariance_rad2=np.diag(sigma_rad**2),
+    )
+    here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty(ephemeris_km=0.2))
+    estimators: tuple[Estimator, ...] = (LimbMatching(), Moment())
+    for estimator in estimators:
+        fix = estimator.estimate(image, camera(), here).unwrap()
+        size = len(fix.parts[Cause.ATTITUDE])
+        where = fix.position_camera_km if isinstance(fix, PositionFix) else position
+
+        def place(vector: Float, size: int = size) -> Float:
+            return np.append(VIEW.project(vector), np.log(np.linalg.norm(vector)))[:size]
+
+        turned = [place(rotate(Rotation.from_rotvec(turn), where)) - place(where) for turn in np.diag(sigma_rad)]
+        moved = [place(where + step) - place(where) for step in 0.2 * np.eye(3)]
+        for cause, shifts in ((Cause.ATTITUDE, turned), (Cause.EPHEMERIS, moved)):
+            expected = np.array(shifts).T @ np.array(shifts)
+            sigma = np.sqrt(np.diag(expected)) + 1e-12
+            difference = np.abs(fix.parts[cause] - expected) / np.outer(sigma, sigma)
+            assert difference.max() < 0.02, cause
+        assert set(fix.parts) - {Cause.ATTITUDE, Cause.EPHEMERIS} <= set(IN_IMAGE)
+
+
+@pytest.mark.parametrize("value", [-1e-3, 0.5, np.nan])
+def test_a_scale_that_is_no_small_sigma_is_refused(value: float) -> None:
+    with pytest.raises(ValueError, match="scale"):
+        TargetUncertainty(scale=value)
