@@ -189,7 +189,7 @@ class _Section(NamedTuple):
 _SECTIONS = (
     _Section("model", "model", model_from_mapping, model_to_mapping),
     _Section("psf", "psf", partial(record_of_numbers, GaussianPsf, where="[psf]"), table_of_numbers),
-    _Section("detector", "detector", partial(record_of_numbers, Detector, where="[detector]"), table_of_numbers),
+    _Section("detector", "detector", Detector.from_mapping, Detector.to_mapping),
     _Section("calibration", "uncertainty", ModelUncertainty.from_mapping, ModelUncertainty.to_mapping),
     _Section("mission_frame", "mission_frame", MissionFrame.from_mapping, MissionFrame.to_mapping),
 )
@@ -229,7 +229,7 @@ class Camera:
     rows: int
     model: CameraModel
     psf: GaussianPsf | None = None
-    detector: Detector = field(default_factory=Detector)
+    detector: Detector = field(default_factory=partial(Detector, estimated=True))
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
     mission_frame: MissionFrame | None = field(default=None, compare=False)
 

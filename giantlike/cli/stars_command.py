@@ -103,7 +103,7 @@ def stars(
     loaded = load_catalog(catalog)
     if review is not None:
         make_folder(review)
-    detector = Detector() if known is None else known.detector
+    detector = Detector(estimated=True) if known is None else known.detector
     wanted = StarsRequest(
         catalog=loaded,
         camera=known,

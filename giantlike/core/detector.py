@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, require, require_number
+from giantlike.core.arrays import Float, Mask, require, require_number
+from giantlike.core.errors import InputError
+from giantlike.core.pixel_noise import sky_noise, value_step
+from giantlike.core.tables import checked_table
 
 UNKNOWN_PSF_SIGMA_PX = 0.7
 """Standard deviation, px, of the point spread function assumed for a camera that states none.
@@ -17,6 +22,10 @@ Chosen by trial on ellipsoids 160 px wide, blurred by 0.4, 0.7 and 1.2 px. Half 
 0.02 px; ``moment`` by up to 0.6 px. ``ellipse_fit`` is off by 0.2-0.3 px where the default is right to 0.3 px, and by
 0.3-2.6 px where it is wrong by more.
 """
+
+_NOISE, _ESTIMATED = ("gain_e_per_dn", "read_noise_e"), "estimated"
+_SILENT = 1e-3
+"""Noise of floating point numbers whose dark has none, over their range: that of a well exposed image."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +59,12 @@ class Detector:
         Pixels at or above this value are saturated; infinite when unknown.
     bias_dn : float, DN
         Value of a pixel without light.
+    step_dn : float, DN, optional
+        Step of the converter; its square over 12 is the noise of quantization. By default that of the pixels of each
+        image (:meth:`of_image`), and 1 without an image.
+    estimated : bool
+        True where gain and read noise are not known and follow from each image (:meth:`of_image`); what they hold then
+        serves simulations only. The detector of a camera that states none, or neither of the two.
 
     Raises
     ------
@@ -61,14 +76,97 @@ class Detector:
     read_noise_e: float = 5.0
     saturation_dn: float = math.inf
     bias_dn: float = 0.0
+    step_dn: float | None = None
+    estimated: bool = False
 
     def __post_init__(self) -> None:
         require_number(self.gain_e_per_dn, "gain_e_per_dn", above=0.0)
         require_number(self.read_noise_e, "read_noise_e", least=0.0)
+        if self.step_dn is not None:
+            require_number(self.step_dn, "step_dn", least=0.0)
         require(self.saturation_dn > 0, f"saturation_dn must be > 0, got {self.saturation_dn}")
 
+    @classmethod
+    def from_mapping(cls, table: object) -> Detector:
+        """Build a detector from the ``[detector]`` table of a camera file.
+
+        Parameters
+        ----------
+        table : mapping
+            Fields by name, without ``estimated``: that is True where there is neither a gain nor a read noise.
+
+        Returns
+        -------
+        Detector
+
+        Raises
+        ------
+        InputError
+            It is not a table, a key is unknown, or a value is not a number or out of range.
+        """
+        keys = [entry.name for entry in fields(cls) if entry.name != _ESTIMATED]
+        checked = checked_table(table, "[detector]", keys, [])
+        for key, value in checked.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"[detector]: {key} must be a number, got {value!r}")
+        numbers = {key: float(value) for key, value in checked.items()}
+        return cls(**numbers, estimated=not any(key in numbers for key in _NOISE))
+
+    def to_mapping(self) -> dict[str, float]:
+        """Return the ``[detector]`` table of a camera file; what is estimated or infinite is left out.
+
+        Returns
+        -------
+        dict of str to float
+        """
+        left_out = (_ESTIMATED, *_NOISE) if self.estimated else (_ESTIMATED,)
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
+        return {key: float(value) for key, value in values.items() if value is not None and math.isfinite(value)}
+
+    def of_image(self, pixels: NDArray[Any], mask: Mask | None = None) -> Detector:
+        """Return the detector in the unit of the pixels of an image, with all of its noise known.
+
+        Parameters
+        ----------
+        pixels : (rows, columns) real, DN
+            Finite, as stored.
+        mask : (rows, columns) bool, optional
+            True where a pixel is bad.
+
+        Returns
+        -------
+        Detector
+            ``step_dn`` is that of the pixels: 0 for floating point numbers without a common step. Where gain and read
+            noise are ``estimated``, the noise of the sky counts as the default read noise, which gives the gain:
+            reflectances (I/F) get a noise in their own unit. Floating point numbers that all lie within the read
+            noise stated cannot be in its unit: they are treated likewise, and their bias is 0. A detector with a
+            ``step_dn`` and a known noise is that of an image already.
+        """
+        if self.step_dn is not None and not self.estimated:
+            return self
+        step = value_step(pixels, mask) if self.step_dn is None else self.step_dn
+        good = pixels if mask is None or not mask.any() else pixels[~mask]
+        reach = float(good.max()) - float(good.min()) if good.size else 0.0
+        foreign = pixels.dtype.kind == "f" and 0.0 < reach < self.read_noise_e / self.gain_e_per_dn
+        if not (self.estimated or foreign):
+            return replace(self, step_dn=step)
+        bias_dn = 0.0 if foreign and not self.estimated else self.bias_dn
+        read_noise_e, sigma_dn = type(self)().read_noise_e, sky_noise(pixels, mask)
+        if sigma_dn > 0.0:
+            read_dn = math.sqrt(max(sigma_dn**2 - step**2 / 12.0, step**2 / 12.0))
+        else:
+            read_dn = read_noise_e * step if step > 0.0 else _SILENT * reach
+        return replace(
+            self,
+            gain_e_per_dn=read_noise_e / read_dn if read_dn > 0.0 else 1.0,
+            read_noise_e=read_noise_e,
+            bias_dn=bias_dn,
+            step_dn=step,
+            estimated=False,
+        )
+
     def variance_dn2(self, signal_dn: Float) -> Float:
-        """Return the noise variance of pixels: shot noise, read noise and quantization (1/12 DN^2).
+        """Return the noise variance of pixels: shot noise, read noise and quantization.
 
         Parameters
         ----------
@@ -80,4 +178,5 @@ class Detector:
         (...) float64, DN^2
         """
         shot = np.maximum(signal_dn, 0.0) / self.gain_e_per_dn
-        return shot + (self.read_noise_e / self.gain_e_per_dn) ** 2 + 1.0 / 12.0
+        step_dn = 1.0 if self.step_dn is None else self.step_dn
+        return shot + (self.read_noise_e / self.gain_e_per_dn) ** 2 + step_dn**2 / 12.0

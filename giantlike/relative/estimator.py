@@ -320,6 +320,7 @@ def gather(
     geometry = scene.geometry(image, target)
     if isinstance(geometry, Failure):
         return geometry
+    camera = replace(camera, detector=camera.detector.of_image(image.pixels, image.mask))
     saturated = image.pixels >= min(camera.detector.saturation_dn, _type_limit(image.pixels))
     predicted_px = camera.model.project(geometry.position_camera_km)
     inputs = EstimatorInputs(

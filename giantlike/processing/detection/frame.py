@@ -18,7 +18,6 @@ from giantlike.processing.detection.noise import NoiseSource, predicted_noise_dn
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.processing.detection.patches import Patches, cut_patches
 
-_QUANTIZATION_DN = 1.0 / math.sqrt(12.0)  # rounding to whole numbers: standard deviation of a uniform error
 _FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in single precision
 
 
@@ -91,7 +90,6 @@ def frame_of(
     if not good.size:
         return Failure(Reason.NO_SIGNAL, "every pixel is masked or not finite")
     low, high = float(good.min()), float(good.max())
-    integer = array.dtype.kind in "iu"
     saturation = saturation_of(array.dtype, detector.saturation_dn)
     saturated = float(np.count_nonzero(good >= saturation)) / good.size if high >= saturation else 0.0
     if saturated > options.max_saturated_fraction:
@@ -103,13 +101,13 @@ def frame_of(
     if low == high:
         return Failure(Reason.NO_SIGNAL, f"every pixel has the value {low:g} DN: there is nothing to detect")
     sample = good[::7, ::7] if good.ndim == 2 else good[::49]
-    whole = integer or bool((sample == np.round(sample)).all())
+    detector = detector.of_image(array, masked)
     return Frame(
         pixels=array,
         bad=masked,
         flat=np.subtract(array, np.median(sample), dtype=np.float32),
         detector=replace(detector, saturation_dn=saturation),
-        noise_floor_dn=_QUANTIZATION_DN if whole else _FLOAT_FLOOR * (high - low),
+        noise_floor_dn=max((detector.step_dn or 0.0) / math.sqrt(12.0), _FLOAT_FLOOR * (high - low)),
         noise_dn=None
         if options.noise is NoiseSource.LOCAL
         else predicted_noise_dn(array, masked, source=options.noise, detector=detector, covered=options.covered),

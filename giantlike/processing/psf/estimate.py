@@ -306,7 +306,7 @@ def star_patches(
     require(bad is None or bad.shape == array.shape, f"mask must have the shape of the pixels, {array.shape}")
     half = math.ceil(_PATCH_WIDTHS * recorded_width_px(stars.psf_sigma_px)) + 1 if half_px is None else half_px
     peaks = np.rint(stars.points_px).astype(np.int64)
-    return cut_patches(array, bad, peaks, half, detector=detector, noise_dn=stars.noise_dn)
+    return cut_patches(array, bad, peaks, half, detector=detector.of_image(array, bad), noise_dn=stars.noise_dn)
 
 
 def _local_start(stars: Detections) -> Float:

@@ -1,0 +1,214 @@
+"""The reflectance law of a body by the brightness of its parts: how far it is from the one assumed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.pixel_box import PixelBox
+from giantlike.core.values import Value
+from giantlike.ray_tracing import Template
+from giantlike.relative.light.separation import BodyLight
+
+_WEIGHT_SIGMA = 1.0 / math.sqrt(6.0)
+"""A priori standard deviation of the weight.
+
+That of the difference of two laws, the true one and the one assumed, which lie anywhere between that of Lommel and
+Seeliger and that of Lambert with equal probability.
+"""
+_BLOCK = 0.25
+"""Side of a block over the radius of the body: markings larger than that are few."""
+_LEAST_BLOCKS = 8
+"""Blocks, and pairs of neighbors, that say something of markings: their scatter is then known to a quarter."""
+_LARGEST_SHARE = 0.5
+"""Largest marking over the body: what is larger is brightness as a whole, which moves no center."""
+_LIMB, _LIMB_PX, _COVERED = 0.02, 2, 0.999
+"""Margin within the outline that blocks leave out, of the radius and px, for errors of range and PSF; and the share of
+a pixel that the body covers there."""
+_ROUNDS, _STEP = 4, 0.1
+"""Rounds of the fit, which is nearly linear, and step of its numerical derivative, a tenth of the way between laws."""
+_MOST = 1.0
+"""Largest weight: from one of the laws to the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LawMixture(Value):
+    """A body under one law, and under two that those of bodies lie between: flat, and dark towards the terminator.
+
+    Parameters
+    ----------
+    own : Template
+        Under the law that is assumed.
+    flat, dark : (h, w) float64
+        Brightness of the same pixels under the laws of Lommel and Seeliger, and of Lambert.
+    """
+
+    own: Template
+    flat: Float
+    dark: Float
+
+    def at(self, weight: float) -> Template:
+        """Return the body under the law assumed plus a share of the difference from the flat law to the dark one.
+
+        Parameters
+        ----------
+        weight : float
+            Towards the dark law; all laws give the same light in total.
+
+        Returns
+        -------
+        Template
+        """
+        change = self.dark / float(self.dark.sum()) - self.flat / float(self.flat.sum())
+        brightness = self.own.brightness + weight * float(self.own.brightness.sum()) * change
+        return replace(self.own, brightness=np.maximum(brightness, 0.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LawFit(Value):
+    """The law that the light of a body shows.
+
+    Parameters
+    ----------
+    weight, sigma : float
+        Of the mixture, and its standard deviation.
+    slope_px : (2,) float64, px
+        Change of the correction by the weight.
+    template : Template
+        The body under the law found.
+    unexplained_px2 : (2, 2) float64, px^2
+        Covariance of the center of light by what the law does not explain: markings, or another kind of law.
+    residuals : (n,) float64
+        Image minus template in the bright pixels, over the brightest pixel of the template.
+    """
+
+    weight: float
+    sigma: float
+    slope_px: Float
+    template: Template
+    unexplained_px2: Float
+    residuals: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Blocks(Value):
+    """Pixels (n,) of the body, the block that each belongs to, and the places (blocks, 2) of the blocks."""
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    number: NDArray[np.int64]
+    cells: NDArray[np.int64]
+
+    def clustering(self, marks: Float) -> float:
+        """Blocks that share a marking, by the correlation of the marks (blocks,) of neighbors.
+
+        A correlation ``exp(-d^2 / 2 l^2)`` of blocks at a distance d has the sum ``2 pi l^2``, and for neighbors
+        (d = 1) it is ``exp(-1 / 2 l^2)``.
+        """
+        at = dict(zip(map(tuple, self.cells.tolist()), marks.tolist(), strict=True))
+        pairs = np.array([(at[x, y], at[near]) for x, y in at for near in ((x + 1, y), (x, y + 1)) if near in at])
+        power = float(np.mean(marks**2))
+        if len(pairs) < _LEAST_BLOCKS or power == 0.0:
+            return 1.0
+        correlation = float(np.mean(pairs[:, 0] * pairs[:, 1])) / power
+        if correlation <= math.exp(-math.pi):
+            return 1.0
+        return min(math.pi / -math.log(min(correlation, 0.999)), _LARGEST_SHARE * len(marks))
+
+    def sums(self, values: Float) -> Float:
+        """Sums (blocks,) of the values (rows, columns) of an image."""
+        return np.bincount(self.number, values[self.rows, self.columns]).astype(np.float64)
+
+
+def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
+    """Fit the weight of a mixture of laws to the brightness of blocks of the body.
+
+    Parameters
+    ----------
+    light : BodyLight
+    laws : LawMixture
+    radius_px : float, px
+        Apparent radius of the body.
+
+    Returns
+    -------
+    LawFit
+
+    Notes
+    -----
+    Each block has its photon noise and an albedo of its own, whose scatter is that of the residuals. The body is
+    placed by its center of light under each law, so that no limb is needed.
+    """
+    center = light.centroid(light.threshold_dn)[0]
+    blocks = _blocks_of(light, laws.own, center, radius_px)
+    weight, variance = 0.0, _WEIGHT_SIGMA**2
+    photon = blocks.sums(light.variance_dn2(light.signal_dn))
+    for _ in range(_ROUNDS):
+        expected = _placed(light, laws.at(weight), center)
+        left, level = blocks.sums(light.signal_dn - expected), np.maximum(blocks.sums(expected), np.sqrt(photon))
+        slope = blocks.sums(_placed(light, laws.at(weight + _STEP), center) - expected) / _STEP
+        marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
+        errors = photon + marked * blocks.clustering(left / level) * level**2
+        information = float(np.sum(slope**2 / errors)) + 1.0 / _WEIGHT_SIGMA**2
+        change = (float(np.sum(slope * left / errors)) - weight / _WEIGHT_SIGMA**2) / information
+        weight, variance = float(np.clip(weight + change, -_MOST, _MOST)), 1.0 / information
+    template = laws.at(weight)
+    expected = _placed(light, template, center)
+    moved = light.offset_px(laws.at(weight + _STEP), light.threshold_dn) - light.offset_px(template, light.threshold_dn)
+    residuals = light.signal_dn - expected
+    return LawFit(
+        weight=weight,
+        sigma=math.sqrt(variance),
+        slope_px=moved / _STEP,
+        template=template,
+        unexplained_px2=_unexplained_px2(light, residuals, center, blocks),
+        residuals=residuals[light.bright] / float(expected.max()),
+    )
+
+
+def _blocks_of(light: BodyLight, template: Template, center_px: Float, radius_px: float) -> _Blocks:
+    """Blocks of the bright pixels away from the limb, counted from the center of light; of all where those are few."""
+    margin = _LIMB_PX + math.ceil(_LIMB * radius_px)
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
+    inside = cv2.erode((template.coverage > _COVERED).astype(np.uint8), disk) > 0
+    x, y = (template.corner_px + light.shift_px).tolist()
+    rows, columns = light.region.shape
+    core = light.bright & PixelBox(x=0, y=0, width=columns, height=rows).cut(inside, (x, y))
+    found = _in_blocks(core, center_px, max(_BLOCK * radius_px, 1.0))
+    enough = len(found.cells) >= _LEAST_BLOCKS
+    return found if enough else _in_blocks(light.bright, center_px, max(_BLOCK * radius_px, 1.0))
+
+
+def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:
+    """Blocks of some pixels (rows, columns) of an image."""
+    rows, columns = np.nonzero(pixels)
+    places = np.stack([columns, rows], axis=1)
+    cells, number = np.unique(np.floor((places - center_px) / side_px).astype(np.int64), axis=0, return_inverse=True)
+    return _Blocks(rows=rows, columns=columns, number=number.ravel(), cells=cells)
+
+
+def _placed(light: BodyLight, template: Template, center_px: Float) -> Float:
+    """Signal (rows, columns) of a template whose center of light is laid on that of the image, DN."""
+    expected = light.expected_dn(template.brightness)
+    kept = np.where(expected > light.threshold_dn, expected, 0.0)
+    kept = kept if kept.any() else expected
+    own = np.array([kept.sum(axis=0) @ np.arange(kept.shape[1]), kept.sum(axis=1) @ np.arange(kept.shape[0])])
+    shift = center_px - own / float(kept.sum())
+    rows, columns = light.region.shape
+    onto = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    return np.asarray(cv2.warpAffine(expected, onto, (columns, rows), flags=cv2.INTER_CUBIC), dtype=np.float64)
+
+
+def _unexplained_px2(light: BodyLight, residuals_dn: Float, center_px: Float, blocks: _Blocks) -> Float:
+    """Covariance (2, 2) of the center by the residuals of the blocks, each as one sigma."""
+    flux = float(light.signal_dn[light.bright].sum())
+    marks = blocks.sums(residuals_dn) / blocks.sums(light.signal_dn)  # of bright pixels: above 0
+    across, down = blocks.columns - center_px[0], blocks.rows - center_px[1]
+    left = residuals_dn[blocks.rows, blocks.columns]
+    pulls = np.stack([np.bincount(blocks.number, left * arm) for arm in (across, down)], axis=-1) / flux
+    return np.asarray(blocks.clustering(marks) * pulls.T @ pulls)

@@ -1,0 +1,299 @@
+"""The light of one resolved body, separated from the dark and from other bodies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.pixel_box import BoxPixels, PixelBox
+from giantlike.core.values import Value
+from giantlike.processing.limb.segmentation import ExpectedBlob, connected_blobs, identify_blobs, otsu_threshold
+from giantlike.ray_tracing import Template
+from giantlike.relative.light.sky import SkyPlane
+
+LIGHT_SIGMAS = 5.0
+"""Standard deviations of the sky above which a pixel is light: noise is as bright once in 3.5 million."""
+MIN_AREA_PX = 4
+"""Least area of a blob of light, px: hits and hot pixels are smaller."""
+TRACE = 0.002
+"""Share of the brightest pixel of a template above which light of the body counts."""
+_MIN_BACKGROUND_PX = 100  # px: their median is then known to an eighth of the noise
+_VISIBLE, _MOST_VISIBLE = 0.02, 0.5  # of the brightest pixel of a template: its expected blob, by the noise of the sky
+_REGION_MARGIN, _REGION_MARGIN_PX = 0.05, 3  # of the radius and px, for errors of range and law
+_OTSU_MARGIN = 0.25  # of the radius, for enough dark pixels
+_MAX_SATURATED = 0.2  # of the bright pixels: above, the center is not that of the light: see benchmarks/sensitivity.md
+_SETTLING, _SETTLED_PX = 4, 2
+"""Rounds in which the region follows its light, and motion, px, that ends them: less than the margin of the region."""
+_GAIN_ROUNDS = 30
+"""Halvings in which the gain of a clipped body is found: to a billionth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prediction(Value):
+    """The body as predicted: center, mean and largest radius, px, its light and that of the other targets."""
+
+    center_px: Float
+    radius_px: float
+    reach_px: float
+    search_px: float
+    template: Template
+    others: list[ExpectedBlob]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BodyLight(Value):
+    """The light of one body in the image.
+
+    Parameters
+    ----------
+    signal_dn : (rows, columns) float64, DN
+        Sky subtracted, bad pixels filled.
+    region : (rows, columns) bool
+        Pixels whose light counts as the body's.
+    expected : (rows, columns) bool
+        Pixels where light of the body is expected, with a margin.
+    threshold_dn : float, DN
+        Otsu's, above background.
+    ceiling_dn : float, DN
+        Least signal of a saturated pixel; infinite without one.
+    sky : SkyPlane
+    noise_variance_dn2 : callable
+        Variance, DN^2, of the noise of pixels of a given signal.
+    shift_px : (2,) int64, px
+        From a template at the predicted place to the light.
+    """
+
+    signal_dn: Float
+    region: Mask
+    expected: Mask
+    threshold_dn: float
+    ceiling_dn: float
+    sky: SkyPlane
+    noise_variance_dn2: Callable[[Float], Float]
+    shift_px: NDArray[np.int64]
+
+    @property
+    def bright(self) -> Mask:
+        """Pixels of the body above threshold."""
+        return np.asarray(self.region & (self.signal_dn > self.threshold_dn))
+
+    def variance_dn2(self, signal_dn: Float) -> Float:
+        """Variance of the noise of pixels (n,), DN^2: shot noise, and the noise of the sky as it is."""
+        shot = self.noise_variance_dn2(signal_dn) - float(self.noise_variance_dn2(np.zeros(1))[0])
+        return np.asarray(shot + self.sky.sigma_dn**2)
+
+    def centroid(self, threshold_dn: float) -> tuple[Float, Float, Float]:
+        """Center of the light above a threshold.
+
+        Parameters
+        ----------
+        threshold_dn : float, DN
+
+        Returns
+        -------
+        center_px : (2,) float64, px
+        noise_px2 : (2, 2) float64, px^2
+            Covariance by the noise of the pixels.
+        background_px2 : (2, 2) float64, px^2
+            Covariance by the errors of the plane under them, and by the bend of the sky, as one sigma.
+        """
+        rows, columns = np.nonzero(self.region & (self.signal_dn > threshold_dn))
+        values = self.signal_dn[rows, columns]
+        pixels = np.stack([columns, rows], axis=1).astype(np.float64)
+        center = values @ pixels / values.sum()
+        arms = (pixels - center) / values.sum()
+        noise = (arms * self.variance_dn2(values)[:, None]).T @ arms
+        lever = arms.T @ self.sky.basis(pixels[:, 0], pixels[:, 1])
+        bend = lever @ self.sky.bend_dn
+        return center, noise, lever[:, :3] @ self.sky.covariance_dn2 @ lever[:, :3].T + np.outer(bend, bend)
+
+    def expected_dn(self, brightness: Float) -> Float:
+        """Signal of a template: scaled to all of the light, and clipped where the image is.
+
+        Parameters
+        ----------
+        brightness : (h, w) float64
+            Of a template; any scale.
+
+        Returns
+        -------
+        (h, w) float64, DN
+        """
+        total = float(self.signal_dn[self.region].sum())
+        gain = total / float(brightness.sum())
+        if math.isinf(self.ceiling_dn):
+            return gain * brightness
+        low, high = gain, 100.0 * gain
+        for _ in range(_GAIN_ROUNDS):
+            gain = math.sqrt(low * high)
+            below = float(np.minimum(gain * brightness, self.ceiling_dn).sum()) < total
+            low, high = (gain, high) if below else (low, gain)
+        return np.minimum(gain * brightness, self.ceiling_dn)
+
+    def offset_px(self, template: Template, threshold_dn: float) -> Float:
+        """From the center of a template's light, cut at the same level, to the center of its body.
+
+        Parameters
+        ----------
+        template : Template
+        threshold_dn : float, DN
+
+        Returns
+        -------
+        (2,) float64, px
+        """
+        expected = self.expected_dn(template.brightness)
+        kept = np.where(expected > threshold_dn, expected, 0.0)
+        if not kept.any():
+            kept = expected
+        by_column, by_row = kept.sum(axis=0), kept.sum(axis=1)
+        along = np.array([by_column @ np.arange(by_column.size), by_row @ np.arange(by_row.size)])
+        center = along / float(by_column.sum())
+        return np.asarray(template.center_px - center - template.corner_px)
+
+
+def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> BodyLight | Failure:
+    """Find the light of the body and separate it from the dark and from other bodies.
+
+    Parameters
+    ----------
+    image : BoxPixels
+        The whole image.
+    bad, saturated : (rows, columns) bool
+        Pixels to fill, and pixels whose light was clipped.
+    prediction : Prediction
+
+    Returns
+    -------
+    BodyLight or Failure
+        ``NO_SIGNAL``, ``AMBIGUOUS``, ``SATURATED``, and ``OUT_OF_FRAME`` where light of the body is cut by the edge of
+        the image.
+    """
+    template = prediction.template
+    sky = _sky(image, prediction)
+    if isinstance(sky, Failure):
+        return sky
+    signal = _filled(image.values_dn, bad) - sky.levels_dn(image.usable.shape)
+    chosen = _blob_of(signal, sky, prediction)
+    if isinstance(chosen, Failure):
+        return chosen
+    blob, foreign, place_px = chosen
+    ceiling = float(signal[saturated].min()) if saturated.any() else math.inf
+    shift = np.rint(place_px - template.photocenter_px).astype(np.int64)
+    for _ in range(_SETTLING):
+        region, expected, around = _regions(template, shift, blob, prediction.radius_px)
+        light = BodyLight(
+            signal_dn=signal,
+            region=region & ~foreign,
+            expected=expected,
+            threshold_dn=otsu_threshold(signal[around & ~foreign]),
+            ceiling_dn=ceiling,
+            sky=sky,
+            noise_variance_dn2=image.noise_variance_dn2,
+            shift_px=shift,
+        )
+        bright = light.bright
+        if not bright.any():
+            return Failure(Reason.NO_SIGNAL, f"no pixel is above {light.threshold_dn:.4g} DN over background")
+        center = light.centroid(light.threshold_dn)[0] + light.offset_px(template, light.threshold_dn)
+        before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
+        if np.abs(shift - before).max() <= _SETTLED_PX:
+            break
+    clipped = float(saturated[bright].mean())
+    if clipped > _MAX_SATURATED:
+        return Failure(
+            Reason.SATURATED, f"{clipped:.0%} of the bright pixels are saturated, allowed {_MAX_SATURATED:.0%}"
+        )
+    return light
+
+
+def _blob_of(signal: Float, sky: SkyPlane, prediction: Prediction) -> tuple[Mask, Mask, Float] | Failure:
+    """Pixels of the blob of the body, those of other bodies, and the center of its light (2,), px."""
+    template, others, search_px = prediction.template, prediction.others, prediction.search_px
+    light = signal > LIGHT_SIGMAS * sky.sigma_dn
+    blobs = connected_blobs(signal, light, min_area_px=MIN_AREA_PX)
+    rows, columns = np.ogrid[: signal.shape[0], : signal.shape[1]]
+    near = np.hypot(columns - prediction.center_px[0], rows - prediction.center_px[1]) < prediction.reach_px + search_px
+    peak_dn = float(signal[near & light].max(initial=0.0))
+    least = LIGHT_SIGMAS * sky.sigma_dn / peak_dn if peak_dn > 0.0 else 0.0
+    visible = template.brightness > min(max(least, _VISIBLE), _MOST_VISIBLE) * float(template.brightness.max())
+    own = ExpectedBlob(
+        center_px=(float(template.photocenter_px[0]), float(template.photocenter_px[1])),
+        area_px=float(np.count_nonzero(visible)),
+    )
+    chosen = identify_blobs(blobs, [own, *others], search_px=search_px)
+    if isinstance(chosen, Failure) and chosen.reason is Reason.NO_SIGNAL and others:
+        chosen = identify_blobs(blobs, [own], search_px=search_px)  # another body may be too faint, or hidden
+    if isinstance(chosen, Failure):
+        cut = chosen.reason is Reason.NO_SIGNAL and bool(blobs.touch_frame.any())
+        return _cut_by_frame() if cut and _may_be_cut(template, signal.shape, search_px) else chosen
+    blob = int(chosen[0])
+    if bool(blobs.touch_frame[blob]):
+        return _cut_by_frame()
+    return blobs.labels == blob + 1, np.isin(blobs.labels, chosen[1:] + 1), blobs.centroids_px[blob]
+
+
+def _cut_by_frame() -> Failure:
+    return Failure(
+        Reason.OUT_OF_FRAME,
+        "the light of the body reaches the edge of the image; use an estimator that matches limb or template",
+    )
+
+
+def _may_be_cut(template: Template, shape: tuple[int, ...], search_px: float) -> bool:
+    """True if the predicted light, moved as far as the search allows, would reach over the edge of the image."""
+    rows, columns = np.nonzero(template.brightness > _VISIBLE * float(template.brightness.max()))
+    low = np.array([columns.min(), rows.min()]) + template.corner_px
+    high = np.array([columns.max(), rows.max()]) + template.corner_px
+    return bool((low < search_px).any() or (high > np.array(shape[::-1]) - 1 - search_px).any())
+
+
+def _sky(image: BoxPixels, prediction: Prediction) -> SkyPlane | Failure:
+    """Plane through all pixels that the body cannot reach."""
+    rows, columns = np.ogrid[: image.usable.shape[0], : image.usable.shape[1]]
+    (x, y), search_px = prediction.center_px, prediction.search_px
+    away = np.hypot(columns - x, rows - y) > prediction.reach_px + search_px
+    dark = away & image.usable
+    if np.count_nonzero(dark) < _MIN_BACKGROUND_PX:
+        return Failure(
+            Reason.OUT_OF_FRAME,
+            f"{np.count_nonzero(dark)} pixels lie more than {search_px:g} px from the body, needed "
+            f"{_MIN_BACKGROUND_PX} for a background; it fills the image",
+        )
+    floor = math.sqrt(float(image.noise_variance_dn2(np.zeros(1))[0]))
+    return SkyPlane.through(image.values_dn, dark, least_sigma_dn=max(0.1 * floor, 1e-9))
+
+
+def _filled(values_dn: Float, bad: Mask) -> Float:
+    """Pixels with bad ones replaced by the mean of the good ones around."""
+    if not bad.any():
+        return values_dn
+    share = cv2.blur((~bad).astype(np.float64), (5, 5))
+    near = cv2.blur(np.where(bad, 0.0, values_dn), (5, 5)) / np.maximum(share, 1e-6)
+    return np.asarray(np.where(bad, near, values_dn))
+
+
+def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius_px: float) -> tuple[Mask, Mask, Mask]:
+    """Pixels of the body's light, those where it is expected, and a box with enough dark around for a threshold."""
+    rows, columns = blob.shape
+    x, y = (template.corner_px + shift_px).tolist()
+    trace = template.brightness > TRACE * float(template.brightness.max())
+    expected = PixelBox(x=0, y=0, width=columns, height=rows).cut(trace, (x, y))
+    margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * radius_px)
+    down, right = np.ogrid[-margin : margin + 1, -margin : margin + 1]
+    disk = (np.hypot(down, right) <= margin).astype(np.uint8)
+    region, expected = (
+        np.asarray(cv2.dilate(part.astype(np.uint8), disk), dtype=bool) for part in (expected | blob, expected)
+    )
+    y, x = np.nonzero(region)
+    more = math.ceil(_OTSU_MARGIN * radius_px)
+    around = np.zeros(region.shape, dtype=bool)
+    around[max(y.min() - more, 0) : y.max() + more + 1, max(x.min() - more, 0) : x.max() + more + 1] = True
+    return region, expected, around

@@ -1,0 +1,79 @@
+"""Step and noise of the pixels of an image, and the detector in their unit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector
+from giantlike.core.pixel_noise import sky_noise, value_step
+
+NOISE = 0.05  # relative: 256 pixels a block, 64 blocks
+UNKNOWN = Detector(estimated=True, bias_dn=0.0)
+
+
+def sky(seed: int = 1, *, read_dn: float = 4.0) -> Float:
+    """A frame of 200 x 160 whole numbers: noise on a slope, a bright disk and stars."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.indices((160, 200))
+    level = 300.0 + 0.5 * columns - 0.2 * rows + 2000.0 * (np.hypot(columns - 120, rows - 60) < 40.0)
+    level[rng.integers(160, size=30), rng.integers(200, size=30)] += 500.0
+    return np.asarray(np.rint(level + rng.normal(0.0, read_dn, level.shape)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 16.0, 1.0 / 3.0, 1e-4])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_step_of_scaled_numbers_is_their_scale(scale: float, dtype: type) -> None:
+    assert value_step((scale * sky()).astype(dtype)) == pytest.approx(scale, rel=1e-4, abs=0.0)
+
+
+def test_numbers_without_a_common_step_or_too_few_have_none() -> None:
+    flat_field = 1.0 + 0.01 * np.random.default_rng(2).normal(size=(160, 200))
+    assert value_step(sky() * flat_field) < 1e-6
+    assert value_step(np.where(sky() > 1000, 3.7, 0.0)) == 0.0
+    assert value_step(np.where(sky() > 1000, 3000, 0)) == 1.0
+
+
+def test_noise_is_that_of_the_dark_whatever_its_slope_and_the_bright_body() -> None:
+    assert sky_noise(sky()) == pytest.approx(np.hypot(4.0, 1.0 / np.sqrt(12.0)), rel=NOISE, abs=0.0)
+    hole = np.zeros((160, 200), dtype=bool)
+    hole[:, :100] = True
+    broken = np.where(hole, 1e6 * np.random.default_rng(3).normal(size=hole.shape), sky())
+    assert sky_noise(broken, hole) == pytest.approx(4.0, rel=2 * NOISE, abs=0.0)
+    assert sky_noise(np.where(sky() > 1500, 3000.0, 0.0)) == 0.0
+
+
+def test_an_unknown_detector_takes_the_noise_of_the_image_in_its_own_unit() -> None:
+    counts = UNKNOWN.of_image(sky())
+    reflectances = UNKNOWN.of_image(1e-4 * sky())
+    signal = np.array([0.0, 100.0, 2000.0])
+    expected = 25.0 / counts.gain_e_per_dn**2 + signal / counts.gain_e_per_dn + 1.0 / 12.0
+    np.testing.assert_allclose(counts.variance_dn2(signal), expected, rtol=1e-12)
+    np.testing.assert_allclose(reflectances.variance_dn2(1e-4 * signal), 1e-8 * expected, rtol=1e-3)
+    assert counts.of_image(sky(2)) is counts  # known by then
+
+
+def test_a_known_detector_keeps_its_noise_and_adds_the_quantization_of_the_image() -> None:
+    known = Detector(gain_e_per_dn=2.0, read_noise_e=8.0)
+    assert known.of_image(sky()).variance_dn2(np.zeros(1)) == pytest.approx(16.0 + 1.0 / 12.0)
+    assert known.of_image(16 * sky()).variance_dn2(np.zeros(1)) == pytest.approx(16.0 + 256.0 / 12.0)
+    assert known.of_image(sky() + np.random.default_rng(4).uniform(size=(160, 200))).step_dn == pytest.approx(
+        0.0, abs=1e-6
+    )
+
+
+def test_a_detector_whose_read_noise_exceeds_all_of_an_image_is_not_in_its_unit() -> None:
+    found = Detector(gain_e_per_dn=20.0, read_noise_e=40.0, bias_dn=100.0).of_image(1e-4 * sky())
+    assert found.bias_dn == 0.0
+    assert np.sqrt(found.variance_dn2(np.zeros(1))[0]) == pytest.approx(4e-4, rel=2 * NOISE, abs=0.0)
+
+
+def test_a_camera_file_without_a_gain_and_a_read_noise_leaves_them_to_the_images() -> None:
+    table = {"name": "c", "columns": 20, "rows": 20, "fov_deg": 5.0}
+    assert Camera.from_mapping(table).detector.estimated
+    partly = Camera.from_mapping(table | {"detector": {"saturation_dn": 255.0}})
+    assert partly.detector == Detector(saturation_dn=255.0, estimated=True)
+    assert Camera.from_mapping(partly.to_mapping()) == partly
+    assert not Camera.from_mapping(table | {"detector": {"gain_e_per_dn": 2.0}}).detector.estimated

@@ -1,0 +1,180 @@
+"""Estimators that use all of the light, on images of the independent renderer: laws, slopes, markings, other units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from giantlike import independent
+from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.outcomes import CenterFix, Failure, Reason
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder, Sampling
+from giantlike.relative.estimator import Estimator
+from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA
+from giantlike.relative.light.moment import Moment
+from giantlike.relative.light.unresolved import Unresolved
+from giantlike.relative.limb.limb_matching import LimbMatching
+from giantlike.relative.template.cross_correlation import CrossCorrelation
+from giantlike.scene import Scene, Target
+from giantlike.shapes import Ellipsoid
+from tests.tolerances import RARE
+
+FOCAL_PX, SIZE = 5000.0, 180
+RADII_KM = np.array([1.0, 0.93, 0.88])
+KNOWN = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
+LAWS = ("mcewen", "lambert", "lommel_seeliger", "hapke", "minnaert")
+LEAST_NEES = 0.25  # per degree of freedom, over few draws: half of the 0.5 that many draws must have
+SAME_SIGMA = 1e-3  # of a sigma: rounding, in iterations that stop at 1e-4 px
+OTHER_SIGMA = (
+    0.5  # the same where the noise of a sky of 200 electrons is taken for read noise: shot noise twice too large
+)
+MARKED = independent.bumps(3, rms=0.1)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """An image of the independent renderer, what navigation believes, and the true center."""
+
+    image: Image
+    camera: Camera
+    scene: Scene
+    center_px: Float
+    toward_sun: Float
+
+    def fix(self, estimator: Estimator) -> CenterFix:
+        found = estimator.estimate(self.image, self.camera, self.scene)
+        assert isinstance(found, CenterFix), found
+        return found
+
+    def nees(self, fix: CenterFix) -> Float:
+        """Squared normalized errors along the direction to the Sun and across it."""
+        along = self.toward_sun
+        axes = np.stack([along, [-along[1], along[0]]])
+        return np.asarray((axes @ (fix.center_px - self.center_px)) ** 2 / np.diag(axes @ fix.covariance_px2 @ axes.T))
+
+    def scaled(self, factor: float) -> Shot:
+        """The same image in another unit."""
+        return replace(self, image=replace(self.image, pixels=factor * self.image.pixels.astype(np.float64)))
+
+
+@cache
+def light(seed: int, law: str, phase_deg: float, diameter_px: float, marked: bool) -> tuple[Float, Pose]:
+    """Noise-free image of peak 1, and the pose."""
+    rng = np.random.default_rng([seed, 1])
+    range_km = 2.0 * float(np.cbrt(RADII_KM.prod())) * FOCAL_PX / diameter_px
+    position_km = range_km * np.append(rng.uniform(-6.0, 6.0, 2) / FOCAL_PX, 1.0)
+    phase, clock = np.radians(phase_deg), rng.uniform(0.0, 2.0 * np.pi)
+    sun = np.array([np.sin(phase) * np.cos(clock), np.sin(phase) * np.sin(clock), -np.cos(phase)])
+    pose = Pose(position_km, Rotation.random(random_state=rng), sun)
+    middle = (SIZE - 1) / 2
+    view = PinholeView(focal_px=FOCAL_PX, center_px=(middle, middle), columns=SIZE, rows=SIZE)
+    body = EllipsoidBody(RADII_KM, albedo=MARKED if marked else None)
+    sampling = Sampling(cells=3, edge_rays=3)
+    return independent.render_body(body, view, pose, law=law, psf=Psf(0.8), peak_dn=1.0, sampling=sampling), pose
+
+
+def shot(
+    seed: int,
+    *,
+    law: str = "mcewen",
+    phase_deg: float = 60.0,
+    diameter_px: float = 60.0,
+    slope_dn: tuple[float, float] = (0.0, 0.0),
+    marked: bool = False,
+    detector: Detector | None = KNOWN,
+) -> Shot:
+    """A body that is believed to be McEwen's; prediction and range are off."""
+    clean, pose = light(seed, law, phase_deg, diameter_px, marked)
+    rng = np.random.default_rng([seed, 2])
+    sky = independent.background(clean.shape, constant_dn=200.0, slope_dn=slope_dn)
+    pixels = independent.record(3000.0 * clean + sky, rng, Recorder(gain_e_per_dn=1.0, read_noise_e=5.0)).pixels
+    middle = (SIZE - 1) / 2
+    camera = Camera(
+        name="independent",
+        columns=SIZE,
+        rows=SIZE,
+        model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=middle, cy_px=middle),
+        psf=GaussianPsf(sigma_px=0.8),
+    )
+    camera = camera if detector is None else replace(camera, detector=detector)
+    true_km, sun = np.asarray(pose.position_camera_km), np.asarray(pose.sun_direction_camera)
+    off_km = np.append(rng.normal(0.0, 3.0, 2) / FOCAL_PX * true_km[2], 0.0)
+    believed = ApparentGeometry(
+        position_inertial_km=(true_km + off_km) * (1.0 + 0.01 * rng.normal()),
+        inertial_from_body=pose.camera_from_body,
+        sun_direction_inertial=sun,
+    )
+    target = Target(name="BODY", shape=Ellipsoid(radii_km=RADII_KM, name="BODY"), ephemeris=believed)
+    image = Image(pixels=pixels.astype(np.int32), camera_from_inertial=Rotation.identity(), name="truth")
+    center_px = FOCAL_PX * true_km[:2] / true_km[2] + middle
+    toward_sun = sun[:2] / np.linalg.norm(sun[:2])
+    return Shot(image, camera, Scene(targets=(target,)), center_px, toward_sun)
+
+
+def within(values: list[Float]) -> None:
+    """Squared normalized errors (n, 2) neither exceed chi-square nor fall far below it, along the Sun and across."""
+    for total in np.sum(values, axis=0):
+        assert total < float(chi2.ppf(1.0 - RARE, len(values)))
+    assert np.mean(values) > LEAST_NEES
+
+
+def test_the_moment_holds_its_covariance_under_laws_that_it_does_not_know() -> None:
+    shots = [
+        shot(number, law=law, phase_deg=phase_deg)
+        for number, (law, phase_deg) in enumerate(
+            zip(LAWS * 2, (15, 40, 70, 95, 125, 95, 15, 125, 40, 70), strict=True)
+        )
+    ]
+    fixes = [each.fix(Moment()) for each in shots]
+    assert not any(fix.flags.suspect for fix in fixes)
+    values = [each.nees(fix) for each, fix in zip(shots, fixes, strict=True)]
+    within(values)
+    errors = [np.linalg.norm(fix.center_px - each.center_px) for each, fix in zip(shots, fixes, strict=True)]
+    assert np.median(errors) < 0.2  # px; 0.4 where the law is taken as given
+
+
+def test_a_slope_of_the_sky_does_not_move_the_moment() -> None:
+    fixes = [(each := shot(seed, phase_deg=15.0, slope_dn=(200.0, 100.0)), each.fix(Moment())) for seed in range(6)]
+    values = [each.nees(fix) for each, fix in fixes]
+    assert np.sum(values) < float(chi2.ppf(1.0 - RARE, 2 * len(values)))
+
+
+def test_markings_that_the_shape_lacks_are_in_the_covariance_of_the_moment() -> None:
+    fixes = [(each := shot(seed, phase_deg=30.0, marked=True), each.fix(Moment())) for seed in range(8)]
+    within([each.nees(fix) for each, fix in fixes])
+    assert not any(fix.flags.suspect for _, fix in fixes)
+
+
+@pytest.mark.parametrize("estimator", [Moment(), CrossCorrelation(), LimbMatching(), EllipsoidCRA(), Unresolved()])
+def test_the_same_image_as_reflectances_gives_the_same_fix(estimator: Estimator) -> None:
+    counts = shot(2, detector=None, diameter_px=6.0 if isinstance(estimator, Unresolved) else 60.0)
+    stated = replace(counts, camera=replace(counts.camera, detector=KNOWN))  # in counts: cannot be that of reflectances
+    first = counts.fix(estimator)
+    for other, share in ((counts.scaled(1e-4), SAME_SIGMA), (stated.scaled(1e-4), SAME_SIGMA), (stated, OTHER_SIGMA)):
+        fix = other.fix(estimator)
+        assert not fix.flags.suspect
+        sigma, expected = np.sqrt(np.diag(fix.covariance_px2)), np.sqrt(np.diag(first.covariance_px2))
+        np.testing.assert_allclose(sigma, expected, rtol=share)
+        np.testing.assert_array_less(np.abs(fix.center_px - first.center_px), share * sigma)
+
+
+def test_a_body_cut_by_the_frame_is_reported_as_such_by_the_moment() -> None:
+    whole = shot(4)
+    first = round(float(whole.center_px[0]) - 8.0)
+    middle = (SIZE - 1) / 2
+    model = PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=middle - first, cy_px=middle)
+    camera = replace(whole.camera, columns=SIZE - first, model=model)
+    found = Moment().estimate(replace(whole.image, pixels=whole.image.pixels[:, first:], mask=np.zeros((0, 0), bool)),
+                              camera, whole.scene)  # fmt: skip
+    assert isinstance(found, Failure)
+    assert found.reason is Reason.OUT_OF_FRAME
