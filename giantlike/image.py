@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, Mask, as_finite, as_image, require, require_number
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
 from giantlike.core.observer import ObserverState
-from giantlike.core.outcomes import AttitudeFix
+from giantlike.core.outcomes import AttitudeErrors, AttitudeFix
 from giantlike.core.time import et_from_time
 from giantlike.core.values import Value
 from giantlike.io.image_files import read_image_file
@@ -57,6 +57,8 @@ class Image(Value):
     attitude_covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
         Covariance of the small rotation about the camera axes; see
         :class:`~giantlike.core.outcomes.AttitudeFix`.
+    attitude_errors : AttitudeErrors
+        Its covariance by cause, its share in the errors of the camera, and flags that fixes made with it get too.
     observer : ObserverState, optional
         Spacecraft state, for parallax and aberration.
     metadata : mapping
@@ -83,6 +85,7 @@ class Image(Value):
     camera_from_inertial: Rotation | None = None
     attitude_source: AttitudeSource = AttitudeSource.NONE
     attitude_covariance_rad2: Float | None = None
+    attitude_errors: AttitudeErrors = field(default_factory=AttitudeErrors)
     observer: ObserverState | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
     name: str = "image"
@@ -166,6 +169,7 @@ class Image(Value):
         *,
         source: AttitudeSource | None = None,
         covariance_rad2: ArrayLike | None = None,
+        errors: AttitudeErrors | None = None,
     ) -> Image:
         """Return a new image with another attitude.
 
@@ -178,6 +182,8 @@ class Image(Value):
             Default: ``stars`` for a fix, ``a_priori`` for a rotation.
         covariance_rad2 : (3, 3) array_like, rad^2, camera axes, optional
             Covariance of a rotation; a fix brings its own.
+        errors : AttitudeErrors, optional
+            Of a rotation; a fix brings its own.
 
         Returns
         -------
@@ -193,7 +199,7 @@ class Image(Value):
         camera_name, default = self.camera_name, AttitudeSource.A_PRIORI
         covariance = None if covariance_rad2 is None else as_finite(covariance_rad2, (3, 3), "covariance_rad2")
         if isinstance(attitude, AttitudeFix):
-            default, covariance = AttitudeSource.STARS, attitude.covariance_rad2
+            default, covariance, errors = AttitudeSource.STARS, attitude.covariance_rad2, attitude.errors
             attitude = FrameRotation(
                 rotation=attitude.camera_from_inertial, target=attitude.camera_name, source=INERTIAL_FRAME
             )
@@ -205,5 +211,6 @@ class Image(Value):
             camera_from_inertial=attitude,
             attitude_source=source or default,
             attitude_covariance_rad2=covariance,
+            attitude_errors=AttitudeErrors() if errors is None else errors,
             camera_name=camera_name,
         )

@@ -49,9 +49,11 @@ class Cause(StrEnum):
     """Ephemeris of the target, across the line of sight and along it."""
     ABERRATION = "aberration"
     """Velocity of the observer, by which stellar aberration is removed."""
+    EPOCH = "epoch"
+    """Epoch of the image, by which the proper motion of stars is applied."""
 
 
-OUTSIDE = (Cause.ATTITUDE, Cause.EPHEMERIS, Cause.ABERRATION)
+OUTSIDE = (Cause.ATTITUDE, Cause.EPHEMERIS, Cause.ABERRATION, Cause.EPOCH)
 """Causes that leave the position in camera axes as it is: they matter where it meets inertial axes or a prediction."""
 IN_POSITION = tuple(cause for cause in Cause if cause not in OUTSIDE)
 """Causes in ``covariance_camera_km2``: those in the image, and the camera that turns pixels into directions."""

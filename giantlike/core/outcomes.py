@@ -76,9 +76,13 @@ class Quality(enum.Flag):
     AMBIGUOUS = enum.auto()
     """Another source as good lies in the search region."""
     OBSERVER_UNKNOWN = enum.auto()
-    """The motion of the spacecraft is not known: the attitude holds stellar aberration, some 20 arcsec at 1 au."""
+    """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
+
+    The covariance holds it too, as :attr:`~giantlike.core.causes.Cause.ABERRATION`. Give the position and velocity of
+    the observer with respect to the solar system barycenter: kernels or tables relative to the target do not tell it.
+    """
     EPOCH_UNKNOWN = enum.auto()
-    """No epoch: stars were taken where the catalog has them, at J2016.0."""
+    """No epoch: stars were taken where the catalog has them, at J2016.0, with the error of that in the covariance."""
     DISAGREEMENT = enum.auto()
     """Two independent estimators differ by more than their covariances explain."""
     UNCHECKED = enum.auto()
@@ -98,6 +102,9 @@ class Quality(enum.Flag):
         tuple of str
         """
         return tuple(str(flag.name).lower() for flag in Quality if flag in self and flag.value.bit_count() == 1)
+
+
+_FLAGS_OF_THE_SKY = Quality.OBSERVER_UNKNOWN | Quality.EPOCH_UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +134,30 @@ class Failure:
             Always.
         """
         raise EstimationError(f"{self.reason}: {self.detail}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AttitudeErrors(Value):
+    """Errors of an attitude beyond their covariance: by cause, and those that it has in common with what is measured.
+
+    Parameters
+    ----------
+    parts : mapping of Cause to (3, 3) float64, rad^2
+        Covariance of the small rotation ``e`` about the camera axes by cause; empty when all of it is noise.
+    by_camera : (3, m) float64, rad per unit of each parameter, optional
+        Derivative of ``e`` by the parameters of the camera model, in the order of their names: an attitude from stars
+        follows an error of the camera. None where it does not, or where that is not known.
+    flags : Quality
+        Flags of the attitude that fixes made with it share.
+    """
+
+    parts: Mapping[Cause, Float] = field(default_factory=dict)
+    by_camera: Float | None = None
+    flags: Quality = Quality.NONE
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", checked_parts(self.parts, 3))
+        Value.__post_init__(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,7 +197,10 @@ class AttitudeFix(Value):
     provenance : mapping of str to str
         Versions and hashes of what the fix was made from.
     parts : mapping of Cause to (3, 3) float64, rad^2
-        ``covariance_rad2`` by cause (noise, camera, aberration), which it is the sum of; empty when all of it is noise.
+        ``covariance_rad2`` by cause (noise, camera, aberration, epoch), which it is the sum of; empty when all of it is
+        noise.
+    by_camera : (3, m) float64, rad per unit of each parameter, optional
+        Derivative of ``e`` by the parameters of the camera model, in the order of their names.
     """
 
     camera_from_inertial: Rotation
@@ -187,12 +221,18 @@ class AttitudeFix(Value):
     flags: Quality = Quality.NONE
     provenance: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[Cause, Float] = field(default_factory=dict)
+    by_camera: Float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", checked_parts(self.parts, 3))
         if self.parts:
             require_sum(self.parts, tuple(Cause), self.covariance_rad2, "covariance_rad2")
         Value.__post_init__(self)
+
+    @property
+    def errors(self) -> AttitudeErrors:
+        """Errors by cause, the response to the camera and shared flags: what an image keeps of them."""
+        return AttitudeErrors(parts=self.parts, by_camera=self.by_camera, flags=self.flags & _FLAGS_OF_THE_SKY)
 
     @property
     def residuals_px(self) -> Float:

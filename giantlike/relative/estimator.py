@@ -177,7 +177,7 @@ class EstimatorInputs(Value):
     masked : (rows, columns) bool
         Bad pixels of the image.
     flags : Quality
-        What is known before the measurement: the source of the attitude.
+        What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
     provenance : mapping of str to str
     """
 
@@ -334,7 +334,7 @@ def gather(
         usable=~(image.mask | saturated),
         saturated=saturated & ~image.mask,
         masked=image.mask,
-        flags=_ATTITUDE_FLAGS[image.attitude_source],
+        flags=_ATTITUDE_FLAGS[image.attitude_source] | image.attitude_errors.flags,
         provenance=_provenance(image, camera, geometry, options),
     )
     problem = _problem(inputs)

@@ -51,6 +51,8 @@ class AttitudeSolution(Value):
         none.
     reduced_chi2 : float
         Chi-square over degrees of freedom without the floor.
+    by_pixels : (3, k, 2) float64, rad/px
+        Derivative of the small rotation by the places in the image of the k stars used.
     """
 
     camera_from_inertial: Rotation
@@ -61,6 +63,7 @@ class AttitudeSolution(Value):
     sigma_px: Float
     error_floor_px: float
     reduced_chi2: float
+    by_pixels: Float
 
 
 class AttitudeMethod(StrEnum):
@@ -287,4 +290,16 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
         sigma_px=np.sqrt(variances),
         error_floor_px=floor,
         reduced_chi2=plain / max(freedom, 1),
+        by_pixels=_by_pixels(state, chosen.inflated(floor), scale),
     )
+
+
+def _by_pixels(state: _State, stars: _Stars, scale: Scale) -> Float:
+    """Derivative (3, n, 2) of the rotation by the centroids: ``(H^T W H)^-1 H^T W``, rad/px."""
+    jacobian = state.jacobian(stars.directions, scale)
+    weighted = np.swapaxes(jacobian, 1, 2) @ np.linalg.inv(stars.covariance_px2)
+    normal = np.sum(weighted @ jacobian, axis=0)
+    units = 1.0 / np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)
+    by_pixels: Float = np.einsum("ij,njk->ink", inverse[:3], weighted)
+    return by_pixels

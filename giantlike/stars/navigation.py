@@ -15,6 +15,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
 from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.time import utc_text
@@ -25,6 +26,7 @@ from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.apriori import identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
+from giantlike.stars.consider import attitude_parts, response_to_camera
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky
 from giantlike.stars.lost_in_space import identify_in_cone, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within
@@ -200,18 +202,20 @@ class StarNavigation:
         self, image: Image, detections: Detections, usable: NDArray[np.intp], outcome: RefinedAttitude, method: str
     ) -> AttitudeFix:
         solution, used = outcome.solution, outcome.solution.used
-        stars = outcome.field.stars.select(outcome.matches.star_indices[used])
+        field = outcome.field.select(outcome.matches.star_indices[used])
+        by_camera = response_to_camera(solution, field)
+        parts = attitude_parts(solution, field, by_camera, self.camera, image, self.options)
         indices = usable[outcome.matches.detection_indices[used]]
         focal = solution.model.focal_length_px
         return AttitudeFix(
             camera_from_inertial=solution.camera_from_inertial,
-            covariance_rad2=solution.covariance_rad2,
-            star_ids=stars.ids,
+            covariance_rad2=summed(parts, tuple(Cause)),
+            star_ids=field.stars.ids,
             detection_indices=indices.astype(np.int64),
             observed_px=detections.points_px[indices],
             predicted_px=solution.predicted_px[used],
             sigma_px=solution.sigma_px[used],
-            magnitudes=stars.magnitude,
+            magnitudes=field.stars.magnitude,
             n_detected=outcome.n_detections,
             n_rejected=int((~used).sum()),
             false_match_probability=outcome.false_match_probability,
@@ -221,6 +225,8 @@ class StarNavigation:
             camera_name=self.camera.frame_name,
             flags=_flags(image, solution, detections.flags[indices]),
             provenance=self._provenance(image, outcome, method),
+            parts=parts,
+            by_camera=by_camera,
         )
 
     def _provenance(self, image: Image, outcome: RefinedAttitude, method: str) -> Mapping[str, str]:

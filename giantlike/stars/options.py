@@ -61,6 +61,13 @@ class StarOptions:
     light_deflection : bool
         Apply the deflection of light by the Sun, where the position of the spacecraft is known. Default off: it
         exceeds 0.01 arcsec only within 44 degrees of the Sun (4.07 mas / tan(angle / 2) at 1 au).
+    unknown_speed_km_s : float, km/s
+        Root mean square speed, with respect to the solar system barycenter and in any direction, of an observer whose
+        velocity is not known: its aberration enters the covariance. Default 30: the Earth moves with 29.8, Venus
+        with 35, Mars with 24; that is 12 arcsec about each axis across the line of sight.
+    unknown_epoch_years : float, years
+        Standard deviation of the time from J2016.0 of an image without an epoch: the proper motion of its stars enters
+        the covariance. Default 15: images of this century lie within one of them, those of Voyager within three.
 
     Raises
     ------
@@ -83,6 +90,8 @@ class StarOptions:
     max_false_match_probability: float = 1e-6
     attitude_method: AttitudeMethod = AttitudeMethod.WEIGHTED
     light_deflection: bool = False
+    unknown_speed_km_s: float = 30.0
+    unknown_epoch_years: float = 15.0
 
     def __post_init__(self) -> None:
         if self.max_magnitude is not None:
@@ -91,6 +100,8 @@ class StarOptions:
         require_number(self.max_pixel_distance, "max_pixel_distance", above=0.0)
         require_number(self.attitude_error_deg, "attitude_error_deg", above=0.0, most=180.0)  # which is any attitude
         require_number(self.inlier_px, "inlier_px", above=0.0)
+        require_number(self.unknown_speed_km_s, "unknown_speed_km_s", least=0.0)
+        require_number(self.unknown_epoch_years, "unknown_epoch_years", least=0.0)
         for name, least in (
             ("ransac_iterations", 1),
             ("seed", 0),

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, require, require_number
+from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import skew
-from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
 from giantlike.core.values import Value
 from giantlike.stars.rates import AngularRates
@@ -76,12 +77,15 @@ class StarAttitude(Value):
         Of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
     apriori : Rotation, optional
         A priori ``camera_from_inertial``.
+    errors : AttitudeErrors
+        By cause, and those shared with the camera, of which every solution of one camera has the same.
     """
 
     et: float
     camera_from_inertial: Rotation
     covariance_rad2: Float
     apriori: Rotation | None = None
+    errors: AttitudeErrors = field(default_factory=AttitudeErrors)
 
     def __post_init__(self) -> None:
         require(math.isfinite(self.et), f"et must be finite, got {self.et}")
@@ -102,12 +106,15 @@ class TransferredAttitude(Value):
         Indices of the star solutions used, one or two.
     gap_s : float, s
         Time to the nearest of them.
+    errors : AttitudeErrors
+        Those of the star solutions carried along; the drift is noise.
     """
 
     camera_from_inertial: Rotation
     covariance_rad2: Float
     used: tuple[int, ...]
     gap_s: float
+    errors: AttitudeErrors
 
 
 def transfer_attitude(
@@ -191,13 +198,14 @@ def _from_one(
     et: float, stars: Sequence[StarAttitude], index: int, relative: Rotation, options: TransferOptions
 ) -> TransferredAttitude:
     star = stars[index]
-    turn = relative.as_matrix()
     gap = abs(star.et - et)
+    covariance, errors = _carried([star], [relative.as_matrix()], _walk(gap, options))
     return TransferredAttitude(
         camera_from_inertial=relative * star.camera_from_inertial,
-        covariance_rad2=turn @ star.covariance_rad2 @ turn.T + _walk(gap, options),
+        covariance_rad2=covariance,
         used=(index,),
         gap_s=gap,
+        errors=errors,
     )
 
 
@@ -212,13 +220,45 @@ def _between(
     rate = weight * _left_jacobian(weight * turn)
     by_second = rate @ np.linalg.inv(_left_jacobian(turn))
     by_first = part.as_matrix() - rate @ np.linalg.inv(_left_jacobian(-turn))
-    covariance = by_first @ first.covariance_rad2 @ by_first.T + by_second @ second.covariance_rad2 @ by_second.T
+    drift = _walk(weight * (1 - weight) * span, options)
+    covariance, errors = _carried([first, second], [by_first, by_second], drift)
     return TransferredAttitude(
         camera_from_inertial=part * first.camera_from_inertial,
-        covariance_rad2=covariance + _walk(weight * (1 - weight) * span, options),
+        covariance_rad2=covariance,
         used=(before, after),
         gap_s=min(weight, 1 - weight) * span,
+        errors=errors,
     )
+
+
+def _carried(stars: Sequence[StarAttitude], by_stars: Sequence[Float], drift: Float) -> tuple[Float, AttitudeErrors]:
+    """Covariance (3, 3) and errors of ``sum(B e) + drift`` of star solutions with errors ``e``.
+
+    Noise is new in each solution. Other causes (the camera, the velocity of the observer) are common to all of them:
+    with ``S`` the symmetric root of such a part, they add up to ``sum(B S)``, which is exact where the parts are equal.
+    """
+    parts = [star.errors.parts or {Cause.NOISE: star.covariance_rad2} for star in stars]
+    total = {Cause.NOISE: drift}
+    for cause in {cause for each in parts for cause in each}:
+        roots = [by @ _root(each[cause]) for by, each in zip(by_stars, parts, strict=True) if cause in each]
+        if cause is Cause.NOISE:
+            total[cause] = drift + sum((root @ root.T for root in roots), np.zeros((3, 3)))
+        else:
+            root = sum(roots, np.zeros((3, 3)))
+            total[cause] = root @ root.T
+    flags, known = Quality.NONE, [star.errors.by_camera for star in stars if star.errors.by_camera is not None]
+    for star in stars:
+        flags |= star.errors.flags
+    turned = [by @ each for by, each in zip(by_stars, known, strict=True)] if len(known) == len(stars) else []
+    by_camera = sum(turned[1:], turned[0]) if turned else None
+    return summed(total, tuple(Cause)), AttitudeErrors(parts=total, by_camera=by_camera, flags=flags)
+
+
+def _root(matrix: Float) -> Float:
+    """Symmetric root of a covariance (3, 3)."""
+    values, axes = np.linalg.eigh(matrix)
+    root: Float = (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T
+    return root
 
 
 def _walk(duration_s: float, options: TransferOptions) -> Float:

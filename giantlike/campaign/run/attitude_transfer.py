@@ -76,6 +76,7 @@ def _star(record: AttitudeRecord) -> StarAttitude | None:
         camera_from_inertial=attitude.rotation,
         covariance_rad2=np.array(attitude.covariance_rad2),
         apriori=record.apriori,
+        errors=attitude.errors,
     )
 
 
@@ -99,7 +100,9 @@ def _transferred(
         return record.replace(
             status="failed", problem=problem, attitude=None, ra_deg=None, dec_deg=None, roll_deg=None, fov_deg=None
         )
-    attitude = attitude_of(outcome.camera_from_inertial, AttitudeSource.INTERPOLATED, outcome.covariance_rad2)
+    attitude = attitude_of(
+        outcome.camera_from_inertial, AttitudeSource.INTERPOLATED, outcome.covariance_rad2, outcome.errors
+    )
     sources = [donors[index][0] for index in outcome.used]
     suspect = any(source.status == "suspect" for source in sources)
     provenance = {
@@ -108,4 +111,4 @@ def _transferred(
         "gap_s": f"{outcome.gap_s:.6g}",
     }
     record = with_attitude(record, campaign.camera, attitude, "suspect" if suspect else "ok")
-    return record.replace(provenance=provenance)
+    return record.replace(provenance=provenance, flags=list(outcome.errors.flags.names()))

@@ -10,7 +10,7 @@ from giantlike.campaign.store.records import Attitude, AttitudeRecord, Observati
 from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.errors import InputError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
-from giantlike.core.outcomes import AttitudeFix, CenterFix, PositionFix, Quality
+from giantlike.core.outcomes import AttitudeErrors, AttitudeFix, CenterFix, PositionFix, Quality
 from giantlike.image import AttitudeSource
 from giantlike.scene import TargetGeometry
 
@@ -30,7 +30,12 @@ def status_of(flags: Quality) -> Status:
     return "suspect" if flags.suspect else "ok"
 
 
-def attitude_of(rotation: Rotation, source: AttitudeSource, covariance_rad2: Float | None = None) -> Attitude:
+def attitude_of(
+    rotation: Rotation,
+    source: AttitudeSource,
+    covariance_rad2: Float | None = None,
+    errors: AttitudeErrors | None = None,
+) -> Attitude:
     """Attitude as a record holds it.
 
     Parameters
@@ -39,15 +44,20 @@ def attitude_of(rotation: Rotation, source: AttitudeSource, covariance_rad2: Flo
         ``camera_from_inertial``.
     source : AttitudeSource
     covariance_rad2 : (3, 3) float64, optional, rad^2
+    errors : AttitudeErrors, optional
 
     Returns
     -------
     Attitude
     """
+    errors = errors or AttitudeErrors()
     return Attitude(
         source=str(source),
         quaternion_xyzw=quaternion_xyzw(rotation).tolist(),
         covariance_rad2=None if covariance_rad2 is None else covariance_rad2.tolist(),
+        parts={cause: part.tolist() for cause, part in errors.parts.items()},
+        by_camera=None if errors.by_camera is None else errors.by_camera.tolist(),
+        flags=list(errors.flags.names()),
     )
 
 
@@ -90,7 +100,7 @@ def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> Atti
     -------
     AttitudeRecord
     """
-    attitude = attitude_of(fix.camera_from_inertial, AttitudeSource.STARS, fix.covariance_rad2)
+    attitude = attitude_of(fix.camera_from_inertial, AttitudeSource.STARS, fix.covariance_rad2, fix.errors)
     return with_attitude(record, camera, attitude, status_of(fix.flags)).replace(
         n_detected=fix.n_detected,
         n_matched=fix.n_used,

@@ -396,6 +396,7 @@ def _estimated(bench: Workbench, job: ImageJob) -> ObservationsRecord | Problem:
             job.attitude.rotation,
             source=AttitudeSource(job.attitude.source),
             covariance_rad2=job.attitude.covariance_rad2,
+            errors=job.attitude.errors,
         )
     epoch_utc = None if image.epoch is None else utc_text(image.epoch)
     observations: list[ObservationRecord] = []

@@ -10,11 +10,12 @@ from abc import abstractmethod
 from typing import ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
-from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.causes import Cause
+from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
 
 Vector: TypeAlias = list[float]
 Matrix: TypeAlias = list[list[float]]
@@ -81,16 +82,37 @@ class Attitude(_Record):
         ``camera_from_inertial``, scalar last.
     covariance_rad2 : (3, 3) list of float, optional, rad^2
         Of the small rotation about the camera axes; None where unknown.
+    parts : mapping of Cause to (3, 3) list of float, rad^2
+        The covariance by cause; empty where all of it is noise.
+    by_camera : (3, m) list of float, optional, rad per unit of each parameter of the camera model
+        Derivative of the small rotation, as in :class:`~giantlike.core.outcomes.AttitudeErrors`.
+    flags : list of str
+        Names of the flags that fixes made with this attitude share.
     """
 
     source: str
     quaternion_xyzw: Vector
     covariance_rad2: Matrix | None = None
+    parts: dict[Cause, Matrix] = Field(default_factory=dict)
+    by_camera: Matrix | None = None
+    flags: list[str] = Field(default_factory=list)
 
     @property
     def rotation(self) -> Rotation:
         """``camera_from_inertial``."""
         return Rotation.from_quat(self.quaternion_xyzw)
+
+    @property
+    def errors(self) -> AttitudeErrors:
+        """Errors by cause, those shared with the camera, and flags."""
+        flags = Quality.NONE
+        for name in self.flags:
+            flags |= Quality[name.upper()]
+        return AttitudeErrors(
+            parts={cause: np.array(part) for cause, part in self.parts.items()},
+            by_camera=None if self.by_camera is None else np.array(self.by_camera),
+            flags=flags,
+        )
 
     @property
     def sigma_rad(self) -> Float:
