@@ -159,6 +159,23 @@ class AttitudeErrors(Value):
         object.__setattr__(self, "parts", checked_parts(self.parts, 3))
         Value.__post_init__(self)
 
+    def apart_from_camera(self, covariance_rad2: Float) -> Float:
+        """Covariance of the attitude beside a body whose camera part already holds the turn of the stars.
+
+        Parameters
+        ----------
+        covariance_rad2 : (3, 3) float64, rad^2
+            Of the attitude.
+
+        Returns
+        -------
+        (3, 3) float64, rad^2
+            Without the part of the camera where :attr:`by_camera` is known, else the same.
+        """
+        if self.by_camera is None or Cause.CAMERA not in self.parts:
+            return covariance_rad2
+        return summed(self.parts, [cause for cause in Cause if cause is not Cause.CAMERA])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeFix(Value):

@@ -75,10 +75,15 @@ def with_budget(
     body = _body_parts(fix, geometry, again, missing=set(Cause) - set(parts))
     if isinstance(body, Failure):
         return body
-    added = body | _camera_part(camera, position_km, geometry, size)
+    turn, errors = (place_per_km @ -skew(position_km))[:size], image.attitude_errors
+    added = body | _camera_part(camera, position_km, geometry, turn, errors.by_camera)
     if image.attitude_covariance_rad2 is not None:
-        turn = place_per_km @ -skew(position_km)
-        added[Cause.ATTITUDE] = _propagated(turn[:size], image.attitude_covariance_rad2)
+        apart = (
+            image.attitude_covariance_rad2
+            if camera.uncertainty is None
+            else errors.apart_from_camera(image.attitude_covariance_rad2)
+        )
+        added[Cause.ATTITUDE] = _propagated(turn, apart)
     sigma_km = geometry.target.uncertainty.ephemeris_km
     if sigma_km > 0.0:
         added[Cause.EPHEMERIS] = _propagated(place_per_km[:size], sigma_km**2 * np.eye(3))
@@ -192,14 +197,24 @@ def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
     return cosine * axis + sine * around, cosine * around - sine * axis
 
 
-def _camera_part(camera: Camera, position_km: Float, geometry: TargetGeometry, size: int) -> dict[Cause, Float]:
-    """Part of the camera model, where its uncertainty is known."""
+def _camera_part(
+    camera: Camera, position_km: Float, geometry: TargetGeometry, turn: Float, attitude_by_camera: Float | None
+) -> dict[Cause, Float]:
+    """Part of the camera model, where its uncertainty is known.
+
+    An attitude from stars in the same image follows an error of the camera, and takes the body along by ``turn``, the
+    derivative (size, 3) of its place by the rotation: what both have in common, such as an error of the principal
+    point, moves the body on the sky as little as the stars.
+    """
     known = camera.uncertainty
     if known is None or not known.estimated:
         return {}
     response = camera_response(
-        camera, position_km, geometry.target.shape.mean_radius_km, geometry.sun_direction_camera, size=size
+        camera, position_km, geometry.target.shape.mean_radius_km, geometry.sun_direction_camera, size=len(turn)
     )
+    if attitude_by_camera is not None:
+        chosen = [camera.model.parameter_names.index(name) for name in known.estimated]
+        response = response + turn @ attitude_by_camera[:, chosen]
     return {Cause.CAMERA: _propagated(response, known.covariance)}
 
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord, StarMatches, Status
 from giantlike.core.arrays import Float, finite_or_none
+from giantlike.core.causes import Cause
 from giantlike.core.errors import InputError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix, CenterFix, PositionFix, Quality
@@ -153,7 +154,8 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
     -----
     With ``J`` the derivative of the projection at ``p`` and ``e`` the small rotation about the camera axes by which
     the attitude is off, the center moves by ``J (e x p) = -J [p]x e``; the position in inertial axes
-    ``R^T p`` moves by ``R^T [p]x e``.
+    ``R^T p`` moves by ``R^T [p]x e``. The camera part of the fix holds what the camera does to both where the attitude
+    comes from stars: that of the attitude is then left out.
     """
     record = record.replace(
         status=status_of(fix.flags),
@@ -191,7 +193,11 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
     if attitude.covariance_rad2 is None:
         return record
     covariance = np.array(attitude.covariance_rad2)
-    with_attitude_px2 = fix.covariance_px2 + by_attitude @ covariance @ by_attitude.T
+    with_attitude_px2 = fix.covariance_px2
+    if Cause.CAMERA in fix.parts:
+        covariance = attitude.errors.apart_from_camera(covariance)
+        with_attitude_px2 = with_attitude_px2 + fix.parts[Cause.CAMERA][:2, :2]
+    with_attitude_px2 = with_attitude_px2 + by_attitude @ covariance @ by_attitude.T
     record = record.replace(covariance_with_attitude_px2=with_attitude_px2.tolist())
     if isinstance(fix, PositionFix):
         combined = fix.covariance_camera_km2 + cross @ covariance @ cross.T
