@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from giantlike import ApparentGeometry
 from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import BrownModel
 from giantlike.catalogs import MemoryCatalog, StarTable
@@ -22,7 +23,7 @@ from giantlike.image import AttitudeSource, Image
 from giantlike.independent import PinholeView, StarField, aberrated, random_stars
 from giantlike.processing.detection.detections import Detections
 from giantlike.relative.budget import with_budget
-from giantlike.scene import ApparentGeometry, Scene, Target, TargetGeometry
+from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import Ellipsoid
 from giantlike.stars import StarNavigation, StarOptions
 from giantlike.stars.transfer import StarAttitude, TransferOptions, TransferredAttitude, transfer_attitude
@@ -105,7 +106,7 @@ def _solved(
     apriori = Rotation.from_rotvec(1e-4 * rng.normal(size=3)) * attitude
     pixels = np.zeros((SIZE, SIZE), np.uint8)
     settings = {"epoch": EPOCH} | image
-    made = Image(pixels=pixels, camera_from_inertial=apriori, **settings)  # type: ignore[arg-type]
+    made = Image(pixels=pixels, camera_from_inertial=apriori, **settings)
     fix = StarNavigation(camera, _catalog(field, shared)).solve_detections(made, _detections(points)).unwrap()
     return fix, attitude, (attitude * fix.camera_from_inertial.inv()).as_rotvec()
 
