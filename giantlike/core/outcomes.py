@@ -87,7 +87,20 @@ class Quality(enum.Flag):
     """Two independent estimators differ by more than their covariances explain."""
     UNCHECKED = enum.auto()
     """No independent estimator found the body, so nothing confirms the fix."""
-    SUSPECT = LOW_SCORE | MANY_REJECTED | FAR_FROM_PREDICTION | LARGE_RESIDUALS | AMBIGUOUS | DISAGREEMENT
+    UNCONFIRMED = enum.auto()
+    """Other estimators found the body, but each of them is suspect itself, so nothing confirms the fix."""
+    WRONG_LIGHT = enum.auto()
+    """Light lies on another side of the body than the Sun: its direction, or the order of rows, is wrong."""
+    SUSPECT = (
+        LOW_SCORE
+        | MANY_REJECTED
+        | FAR_FROM_PREDICTION
+        | LARGE_RESIDUALS
+        | AMBIGUOUS
+        | DISAGREEMENT
+        | UNCONFIRMED
+        | WRONG_LIGHT
+    )
 
     @property
     def suspect(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -159,10 +159,11 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     """Chooses an estimator by apparent size, shape and limb in view, and checks it by an independent one.
 
     The estimators of the choice are tried in order; the first fix to which none of its own checks objects is taken,
-    else the first fix. A second estimator that uses something else (the limb instead of the light), or the light in
-    another way, checks it: where the two differ by more than their covariances explain, the fix is flagged
-    ``DISAGREEMENT`` and so is suspect; where there is no second fix that is certain enough and not suspect itself, it
-    is flagged ``UNCHECKED``.
+    else the first fix. Second estimators that use something else (the limb instead of the light), or the light in
+    another way, check it (:func:`verdict`). Any second fix that is certain enough has a say against it, suspect or
+    not: where the two differ by more than their covariances explain, the fix is flagged ``DISAGREEMENT``. Only one that
+    is not suspect confirms it. Where there are second fixes, but none confirms it, it is flagged ``UNCONFIRMED``. Both
+    make it suspect. Where no second estimator finds the body at all, it is flagged ``UNCHECKED``.
 
     The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
     range, under the name ``auto``; its ``provenance`` says which (``chosen``), why (``because``), what checked it
@@ -194,9 +195,14 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
             return _nothing(choice, outcomes)
         fix = outcome(taken)
         assert isinstance(fix, CenterFix)
-        flag, checked = self._check(fix, choice, taken, outcome)
-        provenance = {**fix.provenance, "chosen": taken, "because": choice.because, **checked}
-        return replace(fix, estimator=self.name, flags=fix.flags | flag, provenance=provenance)
+        # Estimators that use another part of the image come first; another use of the same light is better than none.
+        order = sorted(choice.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1])
+        seconds = ((name, outcome(name)) for name in order if name != taken)
+        found = verdict(fix, seconds, false_alarm=self.options.false_alarm)
+        provenance = {**fix.provenance, "chosen": taken, "because": choice.because}
+        if found.checked_by:
+            provenance |= {"checked_by": found.checked_by, "agreement": f"{found.agreement:.3g}"}
+        return replace(fix, estimator=self.name, flags=fix.flags | found.flag, provenance=provenance)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
         diameter_px = 2.0 * inputs.radius_px
@@ -218,20 +224,56 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         """Return an estimator with its options, which have its name."""
         return _CHOICES[name][0](getattr(self.options, name))
 
-    def _check(
-        self, fix: CenterFix, choice: Choice, taken: str, outcome: Callable[[str], CenterFix | Failure]
-    ) -> tuple[Quality, dict[str, str]]:
-        """Flag of the check of a fix, and its provenance."""
-        # Estimators that use another part of the image come first; another use of the same light is better than none.
-        for name in sorted(choice.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1]):
-            if name == taken:
-                continue
-            second = outcome(name)
-            if isinstance(second, CenterFix) and not second.flags.suspect and _certain_enough(second, fix):
-                agreement = agreement_of(fix, second)
-                flag = Quality.NONE if agreement >= self.options.false_alarm else Quality.DISAGREEMENT
-                return flag, {"checked_by": name, "agreement": f"{agreement:.3g}"}
-        return Quality.UNCHECKED, {}
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What other fixes of the same body say of a fix.
+
+    Parameters
+    ----------
+    flag : Quality
+        ``NONE`` for a fix that is confirmed, ``DISAGREEMENT``, ``UNCONFIRMED`` or ``UNCHECKED``.
+    checked_by : str
+        Name of the estimator that decided; empty where none did.
+    agreement : float
+        Probability that right fixes differ by as much.
+    """
+
+    flag: Quality
+    checked_by: str = ""
+    agreement: float = 1.0
+
+
+def verdict(
+    fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]], *, false_alarm: float = 1e-4
+) -> Verdict:
+    """Compare a fix with second fixes of the same body, in order, until one that is trusted decides.
+
+    Parameters
+    ----------
+    fix : CenterFix
+    seconds : iterable of (str, CenterFix or Failure)
+        Name and outcome of other estimators, the most independent first. No more are taken than are needed.
+    false_alarm : float
+        Probability that two right fixes are called a disagreement.
+
+    Returns
+    -------
+    Verdict
+    """
+    found = False
+    for name, second in seconds:
+        if isinstance(second, Failure):
+            continue
+        found = True
+        if not _certain_enough(second, fix):
+            continue
+        agreement = agreement_of(fix, second)
+        if agreement < false_alarm:
+            return Verdict(flag=Quality.DISAGREEMENT, checked_by=name, agreement=agreement)
+        if not second.flags.suspect:
+            return Verdict(flag=Quality.NONE, checked_by=name, agreement=agreement)
+    return Verdict(flag=Quality.UNCONFIRMED if found else Quality.UNCHECKED)
 
 
 def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:

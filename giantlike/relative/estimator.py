@@ -23,6 +23,7 @@ from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import place_jacobian, with_budget
+from giantlike.relative.light_side import with_light_checked
 from giantlike.scene import Scene, TargetGeometry
 
 Options = TypeVar("Options")
@@ -124,6 +125,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             return inputs
         result = self._estimate(inputs)
         if not isinstance(result, Failure):
+            result = with_light_checked(result, inputs.pixels_dn, ~inputs.masked, camera, inputs.geometry)
             result = with_budget(
                 result, image, camera, inputs.geometry, lambda moved: self._estimate(replace(inputs, geometry=moved))
             )

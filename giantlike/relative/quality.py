@@ -23,6 +23,12 @@ The median absolute deviation, by which outliers are found, breaks down where ha
 """
 BORDER_SHARE = 0.9
 """Share of a bounded search beyond which a fix lies at its border: the body may lie outside."""
+LIGHT_LOG_ODDS = math.log(1000.0)
+"""Logarithm of the odds for a Sun on another side beyond which light lies on the wrong one: a thousand to one.
+
+On eleven real images, each as it is and in eight variants, the odds against a right Sun were never above 3 to 1, those
+against a Sun on the wrong side were over 10^8 to 1 at phase angles of 20 deg and more, and some 10 to 1 at 7-13 deg.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,6 +62,8 @@ class QualityChecks(Value):
         The body reaches over the edge of the image.
     ambiguous : bool
         Another source as good lies in the search region.
+    light_log_odds : float
+        Logarithm of the odds that light comes from another side than the Sun's.
     """
 
     off_px: Float
@@ -70,6 +78,7 @@ class QualityChecks(Value):
     outline_share: float = 1.0
     cut_by_frame: bool = False
     ambiguous: bool = False
+    light_log_odds: float = -math.inf
 
     def __post_init__(self) -> None:
         require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
@@ -96,6 +105,7 @@ class QualityChecks(Value):
             (Quality.LARGE_RESIDUALS, self.residuals > 1.0),
             (Quality.FAR_FROM_PREDICTION, self.far_from_prediction),
             (Quality.AMBIGUOUS, self.ambiguous),
+            (Quality.WRONG_LIGHT, self.light_log_odds > LIGHT_LOG_ODDS),
         )
         flags = Quality.NONE
         for flag, raised in checks:

@@ -201,9 +201,22 @@ def test_the_command_lists_every_estimator_with_its_options() -> None:
     assert CliRunner().invoke(app, ["estimators", "magic"]).exit_code == 2
 
 
-def test_a_check_that_is_suspect_or_tells_nothing_is_none(rock: TriangleMesh) -> None:
+def test_a_fix_that_only_suspect_or_vague_fixes_speak_for_is_suspect(rock: TriangleMesh) -> None:
     vague = replace(_fix((5, 5)), covariance_px2=np.diag([400.0, 400.0]))
-    for second in (vague, _fix((5, 5), Quality.LARGE_RESIDUALS)):
+    for second in (vague, _fix((0, 0), Quality.LARGE_RESIDUALS)):
         fix = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=second)
         assert isinstance(fix, CenterFix)
-        assert fix.flags == Quality.UNCHECKED
+        assert fix.flags == Quality.UNCONFIRMED
+        assert fix.flags.suspect
+
+
+def test_a_suspect_check_that_is_certain_has_a_say_against_a_fix_but_none_for_it(rock: TriangleMesh) -> None:
+    suspect = Quality.LARGE_RESIDUALS
+    against = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=_fix((5, 5), suspect), moment=_fix((0, 0)))
+    assert isinstance(against, CenterFix)
+    assert against.flags == Quality.DISAGREEMENT
+    assert against.provenance["checked_by"] == "limb_matching"
+    confirmed = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=_fix((0, 0), suspect), moment=_fix((0, 0)))
+    assert isinstance(confirmed, CenterFix)
+    assert confirmed.flags == Quality.NONE
+    assert confirmed.provenance["checked_by"] == "moment"
