@@ -63,15 +63,16 @@ class LimbPixels(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellFits(Value):
-    """Information of each cell on three parameters, its brightness left free.
+    """Information of each cell on the horizon's place and on what all cells share, its brightness left free.
 
-    These are the outward shift of the horizon, px; the variance that the blur has besides, px^2; and the coefficient
-    of the next power of the cosine of emission, over the gain.
+    The parameters are the outward shift of the horizon, px; the variance that the blur has besides, px^2; the
+    coefficient of the next power of the cosine of emission, over the gain; and the share of each of the other laws,
+    where it is as bright as the law of the body.
 
     Parameters
     ----------
-    information : (c, 3, 3) float64
-    pull : (c, 3) float64
+    information : (c, 1 + s, 1 + s) float64
+    pull : (c, 1 + s) float64
         Information times estimate.
     chi2 : (c,) float64
         Per degree of freedom, all free, by pixel noise.
@@ -98,34 +99,28 @@ class CellFits(Value):
 
     @property
     def shared(self) -> Float:
-        """Shift (c, 2) taken for a unit of blur and of law error."""
+        """Shift (c, s) taken for a unit of each of the shared errors."""
         result: Float = self.information[:, 0, 1:] / self.information[:, 0, :1]
         return result
 
     @property
     def raw_shift_px(self) -> Float:
-        """Shift (c,) with blur and law as assumed."""
+        """Shift (c,) with all that is shared as assumed."""
         result: Float = self.pull[:, 0] / self.information[:, 0, 0]
         return result
 
-    def about_shared(self, keep: Mask) -> tuple[Float, Float]:
-        """Add up what cells say about blur and law, every shift left free.
-
-        Parameters
-        ----------
-        keep : (c,) bool
+    def about_shared(self) -> tuple[Float, Float]:
+        """Return what each cell says about the shared errors, its shift left free.
 
         Returns
         -------
-        information : (2, 2) float64
-        pull : (2,) float64
+        information : (c, s, s) float64
+        pull : (c, s) float64
             Information times estimate.
         """
-        gained = self.information[keep, 1:, 1:] - np.einsum(
-            "ca,cb->cab", self.information[keep, 1:, 0], self.shared[keep]
-        )
-        pull = self.pull[keep, 1:] - self.information[keep, 1:, 0] * self.raw_shift_px[keep, None]
-        return gained.sum(axis=0), pull.sum(axis=0)
+        crossed = self.information[:, 1:, 0]
+        information: Float = self.information[:, 1:, 1:] - crossed[:, :, None] * self.shared[:, None, :]
+        return information, self.pull[:, 1:] - crossed * self.raw_shift_px[:, None]
 
 
 def limb_pixels(
@@ -182,7 +177,7 @@ def fit_cells(
     pixels : LimbPixels
     data_dn : (rows, columns) float64, DN
     table : ProfileTable
-        Its last power is the one that is taken for the error of the law; those before are free in each cell.
+        Its last power and the other laws are shared errors; the powers before are free in each cell.
     variance_dn2 : callable
         Noise variance of pixels of a brightness, DN^2.
 
@@ -200,8 +195,9 @@ def fit_cells(
         part.reshape(*good.shape, -1) for part in table.at(pixels.nodes.ravel(), pixels.outward_px.ravel())
     )
     data = np.where(good, data_dn[pixels.rows, pixels.columns], 0.0)
+    free = table.powers - 1
     columns = np.concatenate(
-        [value[..., :-1], pixels.along[..., None] * value[..., :1], np.ones((*good.shape, 1))], axis=-1
+        [value[..., :free], pixels.along[..., None] * value[..., :1], np.ones((*good.shape, 1))], axis=-1
     )
     weights = good / variance_dn2(np.maximum(data, 0.0))
     for _ in range(_REFITS):
@@ -209,23 +205,26 @@ def fit_cells(
         fitted = (columns @ solution[..., None])[..., 0]
         weights = good / variance_dn2(np.maximum(fitted, 0.0))
     solution, solver = _solved(columns, weights, data)
-    powers = solution[:, : value.shape[2] - 1]
-    inside = np.where(good, (value[..., :-1] @ powers[..., None])[..., 0], 0.0).max(axis=1)
-    gain = inside / np.maximum(np.where(good, value[..., 0], 0.0).max(axis=1), _RIDGE)
-    extra = np.stack(
+    powers = solution[:, :free]
+    inside = np.where(good, (value[..., :free] @ powers[..., None])[..., 0], 0.0).max(axis=1)
+    largest = np.where(good[..., None], value, 0.0).max(axis=1)
+    gains = inside[:, None] / np.maximum(largest, _RIDGE)
+    gains[:, free] = gains[:, 0]
+    gain = gains[:, 0]
+    extra = np.concatenate(
         [
-            -(slope[..., :-1] @ powers[..., None])[..., 0],
-            0.5 * (curve[..., :-1] @ powers[..., None])[..., 0],
-            value[..., -1] * gain[:, None],
+            -slope[..., :free] @ powers[..., None],
+            0.5 * curve[..., :free] @ powers[..., None],
+            value[..., free:] * gains[:, None, free:],
         ],
         axis=-1,
     )
     weighted = extra * weights[..., None]
-    crossed = np.swapaxes(columns, 1, 2) @ weighted  # (c, n, 3)
+    crossed = np.swapaxes(columns, 1, 2) @ weighted  # (c, n, 1 + s)
     information = np.swapaxes(extra, 1, 2) @ weighted - np.swapaxes(crossed, 1, 2) @ (solver @ crossed)
     left = data - (columns @ solution[..., None])[..., 0]
     pull = (np.swapaxes(weighted, 1, 2) @ left[..., None])[..., 0]
-    freedom = good.sum(axis=1) - columns.shape[2] - 3
+    freedom = good.sum(axis=1) - columns.shape[2] - extra.shape[2]
     information = _floored(information, freedom)
     explained = np.einsum("ci,ci->c", pull, np.linalg.solve(information, pull[..., None])[..., 0])
     remains = np.maximum((weights * left**2).sum(axis=1) - explained, 0.0)
@@ -241,10 +240,11 @@ def fit_cells(
 
 
 def _floored(information: Float, freedom: Indices) -> Float:
-    """Information (c, 3, 3) that can be inverted: hardly any for cells of which rounding alone is left."""
-    information = np.where((freedom < _MIN_FREEDOM)[:, None, None], _RIDGE * np.eye(3), information)
+    """Information (c, n, n) that can be inverted: hardly any for cells of which rounding alone is left."""
+    one = np.eye(information.shape[1])
+    information = np.where((freedom < _MIN_FREEDOM)[:, None, None], _RIDGE * one, information)
     least = _RIDGE * np.maximum(np.trace(information, axis1=1, axis2=2), 1e-30)
-    result: Float = information + least[:, None, None] * np.eye(3)
+    result: Float = information + least[:, None, None] * one
     return result
 
 

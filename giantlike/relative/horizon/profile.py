@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
@@ -100,6 +100,12 @@ class HorizonArc(Value):
         result: Float = -(self.by_pixel @ self.normals_px[..., None])[..., 0]
         return result
 
+    def incidence(self, sun_direction_camera: Float) -> Float:
+        """Cosine (k,) of incidence on the horizon itself, for a unit vector (3,) from body to Sun, camera axes."""
+        normals = (self.points_camera_km - self.body.position_camera_km) @ self.body.figure.shape_matrix
+        result: Float = normals @ sun_direction_camera / np.linalg.norm(normals, axis=1)
+        return result
+
     def thinned(self, cell_px: float, every: int) -> HorizonArc:
         """Return the points in every so many-th of the cells of a length, px."""
         return select_rows(self, (self.along_px / cell_px).astype(np.int64) % every == 0)
@@ -166,13 +172,17 @@ class ProfileTable(Value):
     ----------
     first_px, step_px : float, px
         The distances are ``first + i step``, positive outward.
-    values : (d, k, m, p) float64
-        The d-th derivative by distance, 1/px^d, at k points of the horizon and m distances, for p powers.
+    values : (d, k, m, p + q) float64
+        The d-th derivative by distance, 1/px^d, at k points of the horizon and m distances, for p powers and q other
+        laws.
+    powers : int
+        The number p.
     """
 
     first_px: float
     step_px: float
     values: Float
+    powers: int
 
     def at(self, nodes: Indices, outward_px: Float) -> tuple[Float, Float, Float]:
         """Interpolate the table.
@@ -186,7 +196,7 @@ class ProfileTable(Value):
 
         Returns
         -------
-        value, slope, curve : (n, p) float64
+        value, slope, curve : (n, p + q) float64
             Brightness and its first two derivatives, 1/px and 1/px^2.
         """
         place = (outward_px - self.first_px) / self.step_px
@@ -206,6 +216,7 @@ def profile_table(
     width_px: float,
     window_px: float,
     powers: int,
+    others: tuple[Reflectance, ...] = (),
 ) -> ProfileTable:
     r"""Tabulate the brightness that a blurred image of an ellipsoid has across its horizon.
 
@@ -222,6 +233,8 @@ def profile_table(
         How far from the horizon the table reaches.
     powers : int
         ``law mu^j`` is tabulated for j from 0 up to this, not included.
+    others : tuple of Reflectance
+        Other laws, tabulated after the powers.
 
     Returns
     -------
@@ -241,8 +254,14 @@ def profile_table(
     roots = 0.5 * math.sqrt(deepest) * (_DEPTHS + 1.0)
     depths, weights = roots**2, math.sqrt(deepest) * _DEPTH_WEIGHTS * roots
     inward = arc.inward
-    light, emission = _surface(arc, depths, sun_direction_camera, law)
-    basis = np.stack([light * emission**power for power in range(powers)])  # (p, k, q)
+    surface = _surface(arc, depths, sun_direction_camera)
+    light = surface.brightness(law)
+    basis = np.stack(
+        [
+            *(light * surface.emission**power for power in range(powers)),
+            *(surface.brightness(other) for other in others),
+        ]
+    )  # (p + q, k, depths)
     step = _TABLE_STEP * width_px
     count = math.ceil((window_px + 1.0) / step)
     offsets = np.arange(-count, count + 1) * step
@@ -254,8 +273,8 @@ def profile_table(
     turned, sharper = (0.5 * width_px**2 * basis * part for part in (bends, bends**2))
     values = np.stack(
         [np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1], 0, -1) for d in range(3)]
-    )  # (3, k, m, p)
-    return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values)
+    )  # (3, k, m, p + q)
+    return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values, powers=powers)
 
 
 def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflectance) -> Float:
@@ -277,7 +296,7 @@ def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflect
     (k,) float64
         In the unit of the law.
     """
-    light, _ = _surface(arc, _LIT_DEPTHS_PX, sun_direction_camera, law)
+    light = _surface(arc, _LIT_DEPTHS_PX, sun_direction_camera).brightness(law)
     return np.asarray(light.mean(axis=1), dtype=np.float64)
 
 
@@ -286,8 +305,24 @@ def blur_width_px(psf_variance_px2: float) -> float:
     return math.sqrt(psf_variance_px2 + PIXEL_VARIANCE_PX2)
 
 
-def _surface(arc: HorizonArc, depths_px: Float, sun: Float, law: Reflectance | None) -> tuple[Float, Float]:
-    """Brightness and cosine of emission (k, q) of the surface at depths (q,) inside points of the horizon."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Surface(Value):
+    """Surface at some depths inside points of a horizon: where rays meet it, both cosines and the phase, (k, q)."""
+
+    meets: Mask
+    incidence: Float
+    emission: Float
+    phase_rad: Float
+
+    def brightness(self, law: Reflectance | None) -> Float:
+        """Brightness (k, q) by a law, or 1 without one."""
+        if law is None:
+            return self.meets.astype(np.float64)
+        return np.where(self.meets, law(self.incidence, self.emission, self.phase_rad), 0.0)
+
+
+def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> _Surface:
+    """The surface at depths (q,) inside points of the horizon."""
     figure, position_km, inward = arc.body.figure, arc.body.position_camera_km, arc.inward
     pull, conic = figure.cone(position_km)
     rays = arc.directions[:, None] + depths_px[None, :, None] * inward[:, None]
@@ -297,12 +332,12 @@ def _surface(arc: HorizonArc, depths_px: Float, sun: Float, law: Reflectance | N
     distance = (rays @ pull - np.sqrt(np.maximum(inside, 0.0))) / stretch
     normals = (distance[..., None] * rays - position_km) @ figure.shape_matrix
     normals /= np.sqrt(np.einsum("kqi,kqi->kq", normals, normals))[..., None]
-    emission = np.clip(-np.einsum("kqi,kqi->kq", normals, rays), 0.0, 1.0)
-    meets = inside > 0.0
-    if law is None:
-        return meets.astype(np.float64), emission
-    phase = np.arccos(np.clip(-(rays @ sun), -1.0, 1.0))
-    return np.where(meets, law(np.clip(normals @ sun, -1.0, 1.0), emission, phase), 0.0), emission
+    return _Surface(
+        meets=inside > 0.0,
+        incidence=np.clip(normals @ sun, -1.0, 1.0),
+        emission=np.clip(-np.einsum("kqi,kqi->kq", normals, rays), 0.0, 1.0),
+        phase_rad=np.arccos(np.clip(-(rays @ sun), -1.0, 1.0)),
+    )
 
 
 def _kernels(distances: Float, width: float) -> Float:
