@@ -14,9 +14,9 @@ import numpy as np
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.relative.horizon.geometry import PixelRays, ray_residuals
-from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
+from giantlike.relative.horizon.profile import ArcPlaces, HorizonArc, Indices, ProfileTable
 
 _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
 """Steps in which pixels are gathered, px: less than 1 / sqrt(2), so that none is left out."""
@@ -37,8 +37,8 @@ class LimbPixels(Value):
     Parameters
     ----------
     columns, rows : (c, p) int64, px
-    nodes : (c, p) int64
-        Nearest point of the horizon.
+    places : ArcPlaces
+        Along the horizon, of all c p pixels.
     outward_px : (c, p) float64, px
         Distance from the horizon.
     along : (c, p) float64
@@ -53,7 +53,7 @@ class LimbPixels(Value):
 
     columns: Indices
     rows: Indices
-    nodes: Indices
+    places: ArcPlaces
     outward_px: Float
     along: Float
     good: Mask
@@ -159,12 +159,13 @@ def limb_pixels(
     first = _firsts(pixels)
     pixels, nodes = pixels[first], nodes[first]
     rays = PixelRays(model.unproject(pixels.astype(np.float64)), arc.by_pixel[nodes])
-    outward, _, _ = ray_residuals(rays, arc.body.figure, arc.body.position_camera_km, steps=_FOOT_STEPS)
+    outward, _, normals = ray_residuals(rays, arc.body.figure, arc.body.position_camera_km, steps=_FOOT_STEPS)
     near = (np.abs(outward) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
     if not near.any():
         return None
     pixels, nodes, outward = pixels[near], nodes[near], outward[near]
-    return _in_cells(arc, pixels, nodes, outward, window_px, cell_px)
+    places = ArcPlaces.of(arc, pixels - outward[:, None] * normals[near], nodes)
+    return _in_cells(arc, pixels, places, outward, window_px, cell_px)
 
 
 def fit_cells(
@@ -192,7 +193,7 @@ def fit_cells(
     """
     good = pixels.good
     value, slope, curve = (
-        part.reshape(*good.shape, -1) for part in table.at(pixels.nodes.ravel(), pixels.outward_px.ravel())
+        part.reshape(*good.shape, -1) for part in table.at(pixels.places, pixels.outward_px.ravel())
     )
     data = np.where(good, data_dn[pixels.rows, pixels.columns], 0.0)
     free = table.powers - 1
@@ -259,13 +260,13 @@ def _solved(columns: Float, weights: Float, data: Float) -> tuple[Float, Float]:
 
 
 def _in_cells(
-    arc: HorizonArc, pixels: Indices, nodes: Indices, outward: Float, window_px: float, cell_px: float
+    arc: HorizonArc, pixels: Indices, places: ArcPlaces, outward: Float, window_px: float, cell_px: float
 ) -> LimbPixels:
     """Sort pixels (n, 2) into cells and pad them."""
     number = (arc.along_px / cell_px).astype(np.int64)
-    cell = number[nodes]
+    cell = number[places.nodes]
     order = np.argsort(cell, kind="stable")
-    pixels, nodes, outward, cell = pixels[order], nodes[order], outward[order], cell[order]
+    pixels, places, outward, cell = pixels[order], select_rows(places, order), outward[order], cell[order]
     present, start, count = np.unique(cell, return_index=True, return_counts=True)
     index = start[:, None] + np.minimum(np.arange(count.max()), count[:, None] - 1)
     good = np.arange(count.max()) < count[:, None]
@@ -277,7 +278,7 @@ def _in_cells(
     return LimbPixels(
         columns=pixels[index, 0],
         rows=pixels[index, 1],
-        nodes=nodes[index],
+        places=select_rows(places, index.ravel()),
         outward_px=outward[index],
         along=along,
         good=good,

@@ -28,9 +28,11 @@ Indices = NDArray[np.int64]
 _OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 180, 1200
 """Points of a horizon from which its length is found; least and largest number of the points laid on it."""
 _NODE_PX = 2.0
-"""Length of horizon to a point, px: profiles change along it over a part of the radius."""
+"""Length of horizon to a point, px: profiles change along it over a part of the radius, and are interpolated."""
 _DEPTHS, _DEPTH_WEIGHTS = np.polynomial.legendre.leggauss(36)
 _REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
+_PIXEL_FOURTH_CUMULANT = -1.0 / 120.0
+"""Fourth cumulant of a uniform density of width 1, px^4."""
 _LEAST_RADIUS = 0.3  # of lines of equal depth over that of the horizon
 _TABLE_STEP = 0.35  # of the width of the blur
 _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])  # inside the horizon, where limb counts as lit or dark
@@ -111,6 +113,57 @@ class HorizonArc(Value):
         return select_rows(self, (self.along_px / cell_px).astype(np.int64) % every == 0)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArcPlaces(Value):
+    """Places along a horizon, between its points.
+
+    Parameters
+    ----------
+    nodes, beside : (n,) int64
+        The nearest point, and the one on the other side of the place; the same point twice where there is none.
+    share : (n,) float64
+        How far the place lies from the first to the second, 0 to 1/2.
+    """
+
+    nodes: Indices
+    beside: Indices
+    share: Float
+
+    @classmethod
+    def of(cls, arc: HorizonArc, feet_px: Float, near: Indices) -> ArcPlaces:
+        """Return the places of points on a horizon.
+
+        Parameters
+        ----------
+        arc : HorizonArc
+        feet_px : (n, 2) float64, px
+            Points on the horizon.
+        near : (n,) int64
+            Points of the arc near them.
+
+        Returns
+        -------
+        ArcPlaces
+        """
+
+        ahead = np.einsum("ni,ni->n", arc.tangents_px[:-1], np.diff(arc.points_px, axis=0))
+        sense = math.copysign(1.0, float(np.median(ahead))) if ahead.size else 1.0
+
+        def aside(nodes: Indices) -> Float:
+            offset: Float = np.einsum("ni,ni->n", feet_px - arc.points_px[nodes], arc.tangents_px[nodes])
+            return offset * sense / arc.spacing_px
+
+        def neighbor(nodes: Indices, step: Indices) -> Indices:
+            found = np.clip(nodes + step, 0, len(arc.points_px) - 1)
+            apart = np.abs(arc.along_px[found] - arc.along_px[nodes])
+            return np.where(apart < (np.abs(step) + 0.5) * arc.spacing_px, found, nodes)
+
+        nodes = neighbor(near, np.rint(aside(near)).astype(np.int64))
+        offset = aside(nodes)
+        beside = neighbor(nodes, np.sign(offset).astype(np.int64))
+        return cls(nodes=nodes, beside=beside, share=np.minimum(np.abs(offset), 1.0))
+
+
 def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -> HorizonArc | Failure:
     """Lay points on the horizon of an ellipsoid.
 
@@ -184,15 +237,15 @@ class ProfileTable(Value):
     values: Float
     powers: int
 
-    def at(self, nodes: Indices, outward_px: Float) -> tuple[Float, Float, Float]:
+    def at(self, places: ArcPlaces, outward_px: Float) -> tuple[Float, Float, Float]:
         """Interpolate the table.
 
         Parameters
         ----------
-        nodes : (n,) int64
-            Points of the horizon.
+        places : ArcPlaces
+            Along the horizon.
         outward_px : (n,) float64, px
-            Distances from them.
+            Distances from it.
 
         Returns
         -------
@@ -202,7 +255,11 @@ class ProfileTable(Value):
         place = (outward_px - self.first_px) / self.step_px
         index = np.clip(np.floor(place).astype(np.int64), 0, self.values.shape[2] - 2)
         t = (place - index)[:, None]
-        near, far = self.values[:, nodes, index], self.values[:, nodes, index + 1]
+        share = places.share[:, None]
+        near, far = (
+            (1.0 - share) * self.values[:, places.nodes, column] + share * self.values[:, places.beside, column]
+            for column in (index, index + 1)
+        )
         value = _hermite(near[0], far[0], self.step_px * near[1], self.step_px * far[1], t)
         slope = _hermite(near[1], far[1], self.step_px * near[2], self.step_px * far[2], t)
         return value, slope, (1.0 - t) * near[2] + t * far[2]
@@ -271,8 +328,12 @@ def profile_table(
     kernels = _kernels(offsets[None] + depths[:, None], width_px) * weights[:, None]
     bends = bend[:, None] / np.maximum(1.0 - bend[:, None] * depths, _LEAST_RADIUS)  # of the lines of equal depth
     turned, sharper = (0.5 * width_px**2 * basis * part for part in (bends, bends**2))
+    flatter = basis * (_PIXEL_FOURTH_CUMULANT / 24.0 * np.sum(arc.normals_px**4, axis=1))[:, None]
     values = np.stack(
-        [np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1], 0, -1) for d in range(3)]
+        [
+            np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1] + flatter @ kernels[d + 4], 0, -1)
+            for d in range(3)
+        ]
     )  # (3, k, m, p + q)
     return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values, powers=powers)
 
@@ -341,10 +402,15 @@ def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> _Surface:
 
 
 def _kernels(distances: Float, width: float) -> Float:
-    """A Gaussian and its first three derivatives (4, ...)."""
+    """A Gaussian and its first six derivatives (7, ...)."""
     z = distances / width
     bell = np.exp(-0.5 * z**2) / (width * math.sqrt(2.0 * np.pi))
-    return np.stack([bell, -z / width * bell, (z**2 - 1.0) / width**2 * bell, (3.0 * z - z**3) / width**3 * bell])
+    before, here = np.zeros_like(z), np.ones_like(z)  # Hermite polynomials
+    kernels = [bell]
+    for order in range(1, 7):
+        before, here = here, z * here - (order - 1) * before
+        kernels.append((-1.0 / width) ** order * here * bell)
+    return np.stack(kernels)
 
 
 def _hermite(near: Float, far: Float, near_slope: Float, far_slope: Float, t: Float) -> Float:
