@@ -24,10 +24,10 @@ from giantlike.processing.limb.measurement import (
     too_few,
 )
 from giantlike.processing.limb.search import find_limb
-from giantlike.ray_tracing import Reflectance
+from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.horizon.cells import CellFits, fit_cells, limb_pixels
 from giantlike.relative.horizon.geometry import Altitude, Figure
-from giantlike.relative.horizon.profile import HorizonArc, Indices, blur_width_px, brightness_inside, horizon_arc, profile_table
+from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
 from giantlike.relative.horizon.rings import Rings
 from giantlike.relative.limb.fix import (
     EdgeModel,
@@ -43,6 +43,16 @@ _COARSE_POINTS = 120
 """Points for the search of the horizon as a whole."""
 _LAW_POWERS, _STEP_POWERS = 2, 3
 """Powers of the cosine of emission that are free in every cell: a line on the law, or a parabola without one."""
+OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.5), Minnaert(k=0.75))
+"""Laws that the surface may have instead of the one told, or mixtures with it: they are estimated with the position.
+
+Lambert and Lommel-Seeliger are the limits of bright and of dark surfaces, and McEwen's and the lunar law mixtures of
+them; Minnaert's exponent is 0.5 for a flat disk at full phase and 1 for Lambert, and two of them between span the rest.
+Laws outside of this span (Hapke's with slopes of 20 degrees, Akimov's) come out with squared errors of 0.8-1.4 per
+degree of freedom at 15 to 125 degrees of phase, of 4 to 28 with one exponent of 0.7.
+"""
+_OTHER_LAW_SIGMA = 1.0
+"""Standard deviation of the share of another law: at 1 the surface has that law altogether."""
 _LAW_SIGMA = 0.2
 """How much a smooth reflectance law may add to another at the square of the cosine of emission, over the first."""
 _STEP_LAW_SIGMA = 2.0
@@ -56,13 +66,6 @@ _UNKNOWN_PSF_SIGMA_PX2 = 2.0
 """Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
 _LEAST_VARIANCE_PX2 = 0.1
 """Least variance of the point spread function, px^2, to which ``psf_error`` is applied: that of a pixel."""
-import os
-from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert
-OTHER_LAWS={'0':(),'2':(Lambert(), LommelSeeliger()),'3':(Lambert(), LommelSeeliger(), Minnaert(k=0.7)),'1':(Minnaert(k=0.7),)}[os.environ.get('OTH','3')]
-ORDER=int(os.environ.get('ORDER','1'))
-ALONG=float(os.environ.get('ALONG','0.3'))
-OTHER_SIGMA=float(os.environ.get('OSIG','1'))
-_LAW_SIGMA=float(os.environ.get('LSIG','0.2'))
 _SMALL_DISK_PX = 4.6
 """Its cube over that of the radius is what the profile leaves of the limb of small disks, px; measured from 20 px."""
 _CELL_RADII, _LEAST_CELL_PX = 0.25, 3.0
@@ -157,16 +160,13 @@ class CellMeasurement(LimbMeasurement):
     ----------
     fits : CellFits
         Of the good cells.
-    modes : (n, s, m) float64
-        Shared errors of each cell by the m parameters of all cells: the first is the blur, the others belong to the law.
-    prior : (m,) float64
-        Information on these parameters before the measurement.
-    expected : (m,) float64
+    prior : (s,) float64
+        Information on the shared errors before the measurement: the first is the blur, the others belong to the law.
+    expected : (s,) float64
         Their values before the measurement.
     """
 
     fits: CellFits
-    modes: Float
     prior: Float
     expected: Float
 
@@ -175,38 +175,29 @@ class CellMeasurement(LimbMeasurement):
         """Variance that the profiles leave over that of pixel noise, at least 1."""
         return max(float(np.median(self.fits.chi2[self.keep])), 1.0) if self.keep.any() else 1.0
 
-    @property
-    def by_mode(self) -> Float:
-        """Shift (n, m) taken for a unit of each of the parameters."""
-        result: Float = np.einsum("cs,csm->cm", self.fits.shared, self.modes)
-        return result
-
-    def about_modes(self) -> tuple[Float, Float]:
-        """Add up what the kept cells say about the shared parameters, every shift left free.
+    def about_shared(self) -> tuple[Float, Float]:
+        """Add up what is known of the shared errors before and what the kept cells say, every shift left free.
 
         Returns
         -------
-        information : (m, m) float64
-            That before the measurement included.
-        pull : (m,) float64
+        information : (s, s) float64
+        pull : (s,) float64
             Information times estimate.
         """
-        information, pull = self.fits.about_shared()
-        modes, scale2 = self.modes[self.keep], self.noise_scale2
-        total = np.einsum("csm,cst,ctn->mn", modes, information[self.keep], modes, optimize=True) / scale2
-        pulled = np.einsum("csm,cs->m", modes, pull[self.keep]) / scale2
-        return total + np.diag(self.prior), pulled + self.prior * self.expected
+        information, pull = self.fits.about_shared(self.keep)
+        scale2 = self.noise_scale2
+        return information / scale2 + np.diag(self.prior), pull / scale2 + self.prior * self.expected
 
     def blur_and_law(self) -> tuple[Float, Float]:
-        """Estimate the shared parameters with every shift left free.
+        """Estimate the shared errors with every shift left free.
 
         Returns
         -------
-        estimate : (m,) float64
+        estimate : (s,) float64
             Variance of the blur beyond that assumed, px^2; errors of the law.
-        covariance : (m, m) float64
+        covariance : (s, s) float64
         """
-        information, pull = self.about_modes()
+        information, pull = self.about_shared()
         scale = np.sqrt(np.diagonal(information))
         covariance = np.asarray(np.linalg.inv(information / np.outer(scale, scale)), dtype=np.float64)
         covariance /= np.outer(scale, scale)
@@ -372,7 +363,7 @@ class CellScan(Value):
         if good.sum() < options.min_cells:
             return too_few(view, area, good, rejected, needed=options.min_cells)
         fits, middles = select_rows(fits, good), pixels.middles[good]
-        modes, prior = self._modes(arc, middles, first)
+        prior = self._prior(0 if first else len(OTHER_LAWS))
         return CellMeasurement(
             predicted_px=arc.points_px[middles],
             normals_px=arc.normals_px[middles],
@@ -389,7 +380,6 @@ class CellScan(Value):
             rejected=rejected,
             area=area,
             fits=fits,
-            modes=modes,
             prior=prior,
             expected=np.concatenate([[self.nominal_psf_px2 - psf_px2], np.zeros(prior.size - 1)]),
         )
@@ -401,15 +391,15 @@ class CellScan(Value):
         known = self.view.psf_sigma_px is not None
         stiff = _STIFF if known and state.iteration < _STIFF_STEPS else 0.0
         sigma = measured.sigma_px[keep] * math.sqrt(measured.noise_scale2)
-        design = np.concatenate([measured.design, measured.by_mode], axis=1)[keep] / sigma[:, None]
-        information, pull = measured.about_modes()
+        design = np.concatenate([measured.design, measured.fits.shared], axis=1)[keep] / sigma[:, None]
+        information, pull = measured.about_shared()
         normal = design.T @ design
         normal[3:, 3:] += information + stiff * np.eye(len(information))
         right = design.T @ (measured.shift_px[keep] / sigma)
         right[3:] += pull
         scale = np.sqrt(np.diagonal(normal))
         solution = np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale
-        psf_px2 = 0.0 if known or state.iteration == 0 else float(solution[3])
+        psf_px2 = 0.0 if state.iteration == 0 or stiff else float(solution[3])
         return LimbStep(position_km=solution[:3], keep=keep, psf_px2=psf_px2)
 
     def settled(self, measured: CellMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
@@ -424,7 +414,7 @@ class CellScan(Value):
         """Return the shifts with blur and law as the cells show them, and what their errors do to the shifts."""
         kept = replace(measured, keep=step.keep)
         estimate, covariance = kept.blur_and_law()
-        shared_px = kept.by_mode @ np.linalg.cholesky(covariance)
+        shared_px = kept.fits.shared @ np.linalg.cholesky(covariance)
         radius_px = self.view.radius_px
         lawless = 0.0
         if self.options.edges is EdgeModel.STEP:
@@ -432,29 +422,18 @@ class CellScan(Value):
         brightness_px = math.hypot(lawless, (_SMALL_DISK_PX / radius_px) ** 3)
         return replace(
             kept,
-            shift_px=kept.shift_px - kept.by_mode @ estimate,
+            shift_px=kept.shift_px - kept.fits.shared @ estimate,
             common_px={Cause.PSF: shared_px[:, :1], Cause.REFLECTANCE: shared_px[:, 1:]},
             smooth_errors=(SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=radius_px),),
         )
 
-    def _modes(self, arc: HorizonArc, middles: Indices, first: bool) -> tuple[Float, Float]:
-        """Shared errors of cells by parameters of all of them (c, s, m), and a priori information on those (m,)."""
+    def _prior(self, other_laws: int) -> Float:
+        """A priori information on blur, the power of the law and other laws."""
         sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
         if self.view.psf_sigma_px is not None:
             sigma_px2 = 2.0 * self.options.psf_error * max(self.nominal_psf_px2, _LEAST_VARIANCE_PX2)
         law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
-        incidence = arc.incidence(self.view.sun_direction_camera)[middles]
-        along = np.polynomial.legendre.legvander(2.0 * incidence / max(incidence.max(), 1e-9) - 1.0, ORDER)
-        shared = 2 if first else 2 + len(OTHER_LAWS)
-        modes = np.zeros((middles.size, shared, 1 + (shared - 1) * (ORDER + 1)))
-        modes[:, 0, 0] = 1.0
-        sigmas = [sigma_px2]
-        for number in range(1, shared):
-            place = 1 + (number - 1) * (ORDER + 1)
-            modes[:, number, place : place + ORDER + 1] = along
-            size = law_sigma if number == 1 else OTHER_SIGMA
-            sigmas += [size] + [size * ALONG] * ORDER
-        return modes, np.array(sigmas) ** -2.0
+        return np.array([sigma_px2, law_sigma, *[_OTHER_LAW_SIGMA] * other_laws]) ** -2.0
 
     def _clear(self, position_km: Float) -> Mask:
         """Usable pixels (rows, columns) that no rings cover."""

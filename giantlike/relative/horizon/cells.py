@@ -109,18 +109,23 @@ class CellFits(Value):
         result: Float = self.pull[:, 0] / self.information[:, 0, 0]
         return result
 
-    def about_shared(self) -> tuple[Float, Float]:
-        """Return what each cell says about the shared errors, its shift left free.
+    def about_shared(self, keep: Mask) -> tuple[Float, Float]:
+        """Add up what cells say about the shared errors, every shift left free.
+
+        Parameters
+        ----------
+        keep : (c,) bool
 
         Returns
         -------
-        information : (c, s, s) float64
-        pull : (c, s) float64
+        information : (s, s) float64
+        pull : (s,) float64
             Information times estimate.
         """
-        crossed = self.information[:, 1:, 0]
-        information: Float = self.information[:, 1:, 1:] - crossed[:, :, None] * self.shared[:, None, :]
-        return information, self.pull[:, 1:] - crossed * self.raw_shift_px[:, None]
+        crossed = self.information[keep, 1:, 0]
+        gained = self.information[keep, 1:, 1:] - crossed[:, :, None] * self.shared[keep, None, :]
+        pull = self.pull[keep, 1:] - crossed * self.raw_shift_px[keep, None]
+        return gained.sum(axis=0), pull.sum(axis=0)
 
 
 def limb_pixels(
@@ -164,8 +169,8 @@ def limb_pixels(
     if not near.any():
         return None
     pixels, nodes, outward = pixels[near], nodes[near], outward[near]
-    places = ArcPlaces.of(arc, pixels - outward[:, None] * normals[near], nodes)
-    return _in_cells(arc, pixels, places, outward, window_px, cell_px)
+    feet = ArcPlaces.of(arc, pixels - outward[:, None] * normals[near], nodes)
+    return _in_cells(arc, pixels, feet, outward, window_px, cell_px)
 
 
 def fit_cells(
@@ -192,9 +197,7 @@ def fit_cells(
     profile is linearized; blur enters through half the second derivative of the profile.
     """
     good = pixels.good
-    value, slope, curve = (
-        part.reshape(*good.shape, -1) for part in table.at(pixels.places, pixels.outward_px.ravel())
-    )
+    value, slope, curve = (part.reshape(*good.shape, -1) for part in table.at(pixels.places, pixels.outward_px.ravel()))
     data = np.where(good, data_dn[pixels.rows, pixels.columns], 0.0)
     free = table.powers - 1
     columns = np.concatenate(

@@ -102,12 +102,6 @@ class HorizonArc(Value):
         result: Float = -(self.by_pixel @ self.normals_px[..., None])[..., 0]
         return result
 
-    def incidence(self, sun_direction_camera: Float) -> Float:
-        """Cosine (k,) of incidence on the horizon itself, for a unit vector (3,) from body to Sun, camera axes."""
-        normals = (self.points_camera_km - self.body.position_camera_km) @ self.body.figure.shape_matrix
-        result: Float = normals @ sun_direction_camera / np.linalg.norm(normals, axis=1)
-        return result
-
     def thinned(self, cell_px: float, every: int) -> HorizonArc:
         """Return the points in every so many-th of the cells of a length, px."""
         return select_rows(self, (self.along_px / cell_px).astype(np.int64) % every == 0)
@@ -145,7 +139,6 @@ class ArcPlaces(Value):
         -------
         ArcPlaces
         """
-
         ahead = np.einsum("ni,ni->n", arc.tangents_px[:-1], np.diff(arc.points_px, axis=0))
         sense = math.copysign(1.0, float(np.median(ahead))) if ahead.size else 1.0
 
