@@ -419,9 +419,11 @@ def place_covariance(model: CameraModel, position_camera_km: Float, covariance_c
     (3, 3) float64
         Of x, y in px and of the natural logarithm of the range.
     """
-    jacobian = place_jacobian(model, position_camera_km)
-    covariance = jacobian @ covariance_camera_km2 @ jacobian.T
-    return (covariance + covariance.T) / 2.0
+    variances, axes = np.linalg.eigh(covariance_camera_km2)
+    # By its root: where all of a covariance lies along the line of sight, rounding would leave no covariance of pixels.
+    moved = place_jacobian(model, position_camera_km) @ (axes * np.sqrt(np.maximum(variances, 0.0)))
+    result: Float = moved @ moved.T
+    return result
 
 
 def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:

@@ -301,9 +301,9 @@ def test_what_is_not_known_of_the_altitude_is_in_the_covariance_of_the_range_and
 def test_oblateness_tells_some_of_the_altitude() -> None:
     """Haze of the same height everywhere makes an oblate body rounder."""
     case = hazy(193, 0.006, polar_km=0.24)
-    options = SigmoidLimbOptions(limb_altitude_km=0.004, altitude_sigma_km=0.003)
+    options = SigmoidLimbOptions(limb_altitude_km=0.004, altitude_sigma_km=0.005)
     fix = fixed(case, options)
-    assert float(fix.provenance["altitude_sigma_km"]) < 0.0025
+    assert float(fix.provenance["altitude_sigma_km"]) < 0.8 * 0.005
     assert case.nees(fix) < chi2.ppf(1.0 - RARE, 3)
 
 
