@@ -21,13 +21,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from stress_stars import CORNER_CASE, STAR_CASES, StarCase, StarSeen, corner_draws, star_draw, star_view
 from stress_truth import CASES, Case, Draw, Seen, draw_of, view_of
 
 from giantlike.core.arrays import Float
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix
+from giantlike.core.errors import OpNavError
+from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
 from giantlike.relative import ESTIMATORS, Estimator, LimbMatchingOptions
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRAOptions
 from giantlike.relative.limb.fix import EdgeModel
+from giantlike.stars import StarNavigation
 
 BEYOND_SIGMAS, BEYOND_PX, BEYOND_RANGE = 5.0, 0.5, 0.005
 """A silent wrong answer: ok, beyond so many sigma in center or range, and beyond so much."""
@@ -78,11 +81,16 @@ def answer_of(draw: Draw, estimator: Estimator) -> Answer:
     """Run an estimator on a draw."""
     seen = draw.seen
     began = time.process_time()
-    fix = estimator.estimate(draw.image, seen.camera, draw.scene)
+    try:
+        fix = estimator.estimate(draw.image, seen.camera, draw.scene)
+    except (OpNavError, ValueError, ArithmeticError) as error_raised:
+        return Answer(view=seen.number, status=f"raised {type(error_raised).__name__}: {error_raised}"[:120])
     spent = time.process_time() - began
     if isinstance(fix, Failure):
         return Answer(view=seen.number, status=str(fix.reason), cpu_s=spent)
     status = "ok" if not fix.flags.suspect else "suspect:" + "+".join(_suspect_flags(fix))
+    if seen.case.observed:
+        return Answer(view=seen.number, status=status, cpu_s=spent, **_observed_less_computed(draw, fix))
     error = fix.center_px - seen.center_px
     numbers = {
         "error_px": float(np.hypot(*error)) / np.sqrt(2.0),
@@ -100,7 +108,28 @@ def answer_of(draw: Draw, estimator: Estimator) -> Answer:
     return Answer(view=seen.number, status=status, cpu_s=spent, **numbers)
 
 
-def _suspect_flags(fix: CenterFix) -> list[str]:
+def _observed_less_computed(draw: Draw, fix: CenterFix) -> dict[str, float]:
+    """Errors with everything that stands between the pixels and inertial axes, beside the sum of all parts.
+
+    Computed is the true position, turned by the attitude that was told, through the camera that was told.
+    """
+    told = draw.image.camera_from_inertial
+    assert told is not None
+    position = (told * draw.seen.attitude.inv()).apply(draw.seen.position_camera_km)
+    error = fix.center_px - draw.seen.camera.model.project(position)
+    covariance = fix.covariance_total
+    numbers = {
+        "error_px": float(np.hypot(*error)) / np.sqrt(2.0),
+        "sigma_px": float(np.sqrt(0.5 * np.trace(covariance[:2, :2]))),
+    }
+    if isinstance(fix, PositionFix):
+        ratio = fix.range_km / float(np.linalg.norm(position))
+        error = np.append(error, np.log(ratio))
+        numbers |= {"range_error": ratio - 1.0, "range_sigma": float(np.sqrt(covariance[2, 2]))}
+    return numbers | {"nees": _nees(error, covariance[: error.size, : error.size])}
+
+
+def _suspect_flags(fix: CenterFix | AttitudeFix) -> list[str]:
     return [name for name in fix.flags.names() if type(fix.flags)[name.upper()].suspect]
 
 
@@ -108,8 +137,34 @@ def _nees(error: Float, covariance: Float) -> float:
     return float(error @ np.linalg.solve(covariance, error)) / error.size
 
 
-def run_case(case: Case, names: Sequence[str], views: int, draws: int) -> dict[str, list[Answer]]:
+def attitude_of(case: StarCase, seen: StarSeen, seed: int) -> Answer:
+    """Solve the attitude of a draw of a star field; errors are of both axes across the boresight, as pixels."""
+    image = star_draw(case, seen, seed)
+    began = time.process_time()
+    fix = StarNavigation(seen.camera, seen.catalog).solve(image)
+    spent = time.process_time() - began
+    if isinstance(fix, Failure):
+        return Answer(view=seen.number, status=str(fix.reason), cpu_s=spent)
+    error = (seen.attitude * fix.camera_from_inertial.inv()).as_rotvec()
+    focal = seen.camera.model.focal_length_px
+    return Answer(
+        view=seen.number,
+        status="suspect:" + "+".join(_suspect_flags(fix)) if fix.flags.suspect else "ok",
+        error_px=float(np.hypot(*error[:2])) / np.sqrt(2.0) * focal,
+        sigma_px=float(np.sqrt(0.5 * np.trace(fix.covariance_rad2[:2, :2]))) * focal,
+        nees=_nees(error, fix.covariance_rad2),
+        cpu_s=spent,
+    )
+
+
+def run_case(case: Case | StarCase, names: Sequence[str], views: int, draws: int) -> dict[str, list[Answer]]:
     """All answers of a case by estimator; every view is rendered once."""
+    if isinstance(case, StarCase):
+        skies = [star_view(case, number) for number in range(views)]
+        return {"stars": [attitude_of(case, seen, seed) for seen in skies for seed in range(draws)]}
+    if case.name == CORNER_CASE.name:
+        corners = [draw for number in range(views) for draw in corner_draws(number, draws)]
+        return {name: [answer_of(draw, estimator_of(name, case)) for draw in corners] for name in names}
     answers: dict[str, list[Answer]] = {name: [] for name in names}
     estimators = {name: estimator_of(name, case) for name in names}
     for number in range(views):
@@ -139,14 +194,14 @@ def summary(answers: Sequence[Answer]) -> dict[str, object]:
     wrong = sum(_silently_wrong(answer) for answer in good)
     nees = np.array([answer.nees for answer in good])
     owners = np.array([answer.view for answer in good])
-    ranged = not np.isnan(good[0].range_error)
+    ranged = any(not np.isnan(answer.range_error) for answer in good)
     return result | {
         "error_px": _short(float(np.median([answer.error_px for answer in good]))),
         "sigma_px": _short(float(np.median([answer.sigma_px for answer in good]))),
-        "range_error_percent": _short(100 * float(np.median(np.abs([a.range_error for a in good]))))
+        "range_error_percent": _short(100 * float(np.nanmedian(np.abs([a.range_error for a in good]))))
         if ranged
         else None,
-        "range_sigma_percent": _short(100 * float(np.median([a.range_sigma for a in good]))) if ranged else None,
+        "range_sigma_percent": _short(100 * float(np.nanmedian([a.range_sigma for a in good]))) if ranged else None,
         "nees": _short(float(nees.mean())),
         "nees_95": [_short(each) for each in _interval(nees, owners)],
         "nees_median": _short(float(np.median(nees))),
@@ -203,7 +258,7 @@ def table_of(report: dict[str, dict[str, dict[str, object]]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _job(arguments: tuple[Case, tuple[str, ...], int, int]) -> tuple[str, dict[str, dict[str, object]]]:
+def _job(arguments: tuple[Case | StarCase, tuple[str, ...], int, int]) -> tuple[str, dict[str, dict[str, object]]]:
     warnings.simplefilter("ignore")
     case, names, views, draws = arguments
     return case.name, {name: summary(answers) for name, answers in run_case(case, names, views, draws).items()}
@@ -219,7 +274,8 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="Markdown file for the table")
     wanted = parser.parse_args()
     parts = [part for part in wanted.cases.split(",") if part]
-    chosen = [case for case in CASES if not parts or any(part in case.name for part in parts)]
+    known = (*CASES, *STAR_CASES, CORNER_CASE)
+    chosen = [case for case in known if not parts or any(part in case.name for part in parts)]
     only = {name for name in wanted.estimators.split(",") if name}
     jobs = [
         (case, names, wanted.views, wanted.draws)

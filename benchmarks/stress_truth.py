@@ -35,7 +35,7 @@ from giantlike.independent import (
     render_body,
 )
 from giantlike.ray_tracing import Hapke, Lambert, LommelSeeliger, McEwen, Minnaert, Reflectance
-from giantlike.scene import Scene, Target
+from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
 
 RADII_KM = (10.0, 9.2, 8.6)
@@ -77,6 +77,8 @@ class Case:
     frame_px: int = 0
     estimators: tuple[str, ...] = ()
     options: str = ""
+    observed: bool = False
+    """Compare observed less computed with the sum of all parts: attitude and camera count."""
 
     @property
     def size_px(self) -> int:
@@ -95,13 +97,10 @@ class Seen:
     camera: Camera
     shape: Shape
     position_camera_km: Float
+    center_px: Float
     camera_from_body: Rotation
     sun: Float
-
-    @property
-    def center_px(self) -> Float:
-        """Place of the center."""
-        return np.asarray(self.camera.model.project(self.position_camera_km), dtype=np.float64)
+    attitude: Rotation = ATTITUDE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,13 +177,14 @@ def view_of(case: Case, number: int) -> Seen:
         camera=camera,
         shape=told,
         position_camera_km=position,
+        center_px=view.project(position),
         camera_from_body=turn,
         sun=sun,
     )
 
 
 def draw_of(seen: Seen, seed: int) -> Draw:
-    """Expose a view, and make the scene with errors of the prediction."""
+    """Expose a view, and make the scene with errors of the prediction; sigmas of what is wrong on purpose are told."""
     case = seen.case
     rng = np.random.default_rng([seen.number, seed, 815])
     center = seen.center_px
@@ -195,20 +195,28 @@ def draw_of(seen: Seen, seed: int) -> Draw:
     sight = seen.camera.model.unproject(predicted)
     distance = float(np.linalg.norm(seen.position_camera_km)) * (1.0 + rng.uniform(-RANGE_ERROR, RANGE_ERROR))
     wrong = Rotation.from_rotvec(np.radians(case.pole_error_deg) * rng.normal(size=3))
-    camera_from_inertial = ATTITUDE
-    if case.attitude_error_deg:
-        turned = Rotation.from_rotvec(np.radians(case.attitude_error_deg) * rng.normal(size=3))
-        camera_from_inertial = turned * ATTITUDE
-    back = ATTITUDE.inv()
+    turned = Rotation.from_rotvec(np.radians(case.attitude_error_deg) * rng.normal(size=3))
+    back = seen.attitude.inv()
     geometry = ApparentGeometry(
         position_inertial_km=back.apply(distance * sight),
         inertial_from_body=back * wrong * seen.camera_from_body,
         sun_direction_inertial=back.apply(seen.sun),
     )
-    target = Target(name="BODY", shape=seen.shape, ephemeris=geometry, reflectance=TOLD_LAWS[case.told_law])
+    target = Target(
+        name="BODY",
+        shape=seen.shape,
+        ephemeris=geometry,
+        reflectance=TOLD_LAWS[case.told_law],
+        uncertainty=TargetUncertainty(
+            pole_rad=math.radians(case.pole_error_deg), spin_rad=math.radians(case.pole_error_deg)
+        ),
+    )
     image = Image(
         pixels=shot.pixels.astype(np.float32),
-        camera_from_inertial=camera_from_inertial,
+        camera_from_inertial=turned * seen.attitude,
+        attitude_covariance_rad2=np.radians(case.attitude_error_deg) ** 2 * np.eye(3)
+        if case.attitude_error_deg
+        else None,
         name=f"{case.name} {seen.number} {seed}",
     )
     return Draw(seen=seen, image=image, scene=Scene(targets=(target,)))
@@ -281,7 +289,7 @@ CASES: tuple[Case, ...] = (
     replace(_BASE, name="dead columns, 30 px", diameter_px=30.0, dead_columns=2),
     replace(_BASE, name="pole 2 deg off", pole_error_deg=2.0),
     replace(_BASE, name="pole 2 deg off, rock", body="rock", estimators=ROCK, pole_error_deg=2.0),
-    replace(_BASE, name="attitude 0.01 deg off", attitude_error_deg=0.01),
+    replace(_BASE, name="attitude 0.01 deg off", attitude_error_deg=0.01, observed=True),
     replace(_BASE, name="relief 1 % unlisted", relief=0.01),
     replace(_BASE, name="relief 1 % unlisted, rock", body="rock", estimators=ROCK, relief=0.01),
     replace(_BASE, name="albedo 15 %", albedo=0.15),
