@@ -27,8 +27,7 @@ from stress_truth import CASES, Case, Draw, Seen, draw_of, view_of
 from giantlike.core.arrays import Float
 from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
-from giantlike.relative import ESTIMATORS, Estimator, LimbMatchingOptions
-from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRAOptions
+from giantlike.relative import ESTIMATORS, Estimator, LimbMatching, LimbMatchingOptions
 from giantlike.relative.limb.fix import EdgeModel
 from giantlike.stars import StarNavigation
 
@@ -57,6 +56,7 @@ class Answer:
 
     view: int
     status: str
+    phase_deg: float = 0.0
     error_px: float = np.nan
     sigma_px: float = np.nan
     range_error: float = np.nan
@@ -68,12 +68,8 @@ class Answer:
 def estimator_of(name: str, case: Case) -> Estimator:
     """An estimator with its defaults, or with the options of the case."""
     if case.options == "step":
-        if name == "limb_matching":
-            options: object = LimbMatchingOptions()
-        else:
-            options = EllipsoidCRAOptions()
-        scan = replace(options.scan, edges=EdgeModel.STEP)  # type: ignore[attr-defined]
-        return ESTIMATORS[name](replace(options, scan=scan))  # type: ignore[type-var]
+        options = LimbMatchingOptions()
+        return LimbMatching(replace(options, scan=replace(options.scan, edges=EdgeModel.STEP)))
     return ESTIMATORS[name]()
 
 
@@ -84,13 +80,15 @@ def answer_of(draw: Draw, estimator: Estimator) -> Answer:
     try:
         fix = estimator.estimate(draw.image, seen.camera, draw.scene)
     except (OpNavError, ValueError, ArithmeticError) as error_raised:
-        return Answer(view=seen.number, status=f"raised {type(error_raised).__name__}: {error_raised}"[:120])
+        return Answer(view=seen.number, status=f"raised {type(error_raised).__name__}: {error_raised}"[:90])
     spent = time.process_time() - began
     if isinstance(fix, Failure):
         return Answer(view=seen.number, status=str(fix.reason), cpu_s=spent)
     status = "ok" if not fix.flags.suspect else "suspect:" + "+".join(_suspect_flags(fix))
     if seen.case.observed:
-        return Answer(view=seen.number, status=status, cpu_s=spent, **_observed_less_computed(draw, fix))
+        return Answer(
+            view=seen.number, status=status, phase_deg=seen.phase_deg, cpu_s=spent, **_observed_less_computed(draw, fix)
+        )
     error = fix.center_px - seen.center_px
     numbers = {
         "error_px": float(np.hypot(*error)) / np.sqrt(2.0),
@@ -105,7 +103,7 @@ def answer_of(draw: Draw, estimator: Estimator) -> Answer:
         }
     else:
         numbers["nees"] = _nees(error, fix.covariance_px2)
-    return Answer(view=seen.number, status=status, cpu_s=spent, **numbers)
+    return Answer(view=seen.number, status=status, phase_deg=seen.phase_deg, cpu_s=spent, **numbers)
 
 
 def _observed_less_computed(draw: Draw, fix: CenterFix) -> dict[str, float]:
@@ -205,6 +203,10 @@ def summary(answers: Sequence[Answer]) -> dict[str, object]:
         "nees": _short(float(nees.mean())),
         "nees_95": [_short(each) for each in _interval(nees, owners)],
         "nees_median": _short(float(np.median(nees))),
+        "nees_by_phase": {
+            f"{phase:g}": _short(float(np.mean([a.nees for a in good if a.phase_deg == phase])))
+            for phase in sorted({answer.phase_deg for answer in good})
+        },
         "silent_wrong": wrong,
     }
 
@@ -271,7 +273,8 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=25)
     parser.add_argument("--draws", type=int, default=8, help="noise draws by view")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--output", type=Path, help="Markdown file for the table")
+    parser.add_argument("--results", type=Path, help="JSON of earlier runs that this one is added to")
+    parser.add_argument("--output", type=Path, help="Markdown file for the table of all of them")
     wanted = parser.parse_args()
     parts = [part for part in wanted.cases.split(",") if part]
     known = (*CASES, *STAR_CASES, CORNER_CASE)
@@ -283,13 +286,19 @@ def main() -> None:
         if (names := tuple(name for name in case.estimators if not only or name in only))
     ]
     report: dict[str, dict[str, dict[str, object]]] = {}
+    if wanted.results and wanted.results.exists():
+        report = json.loads(wanted.results.read_text(encoding="utf-8"))
     with ProcessPoolExecutor(wanted.workers) as pool:
         for name, cells in pool.map(_job, jobs):
-            report[name] = cells
+            report[name] = report.get(name, {}) | cells
+            report = {each.name: report[each.name] for each in known if each.name in report}
             print(json.dumps({name: cells}), file=sys.stderr, flush=True)
+            if wanted.results:
+                wanted.results.write_text(json.dumps(report, indent=1), encoding="utf-8")
             if wanted.output:
                 wanted.output.write_text(table_of(report), encoding="utf-8")
-    print(json.dumps(report, indent=1))
+    if not wanted.results:
+        print(json.dumps(report, indent=1))
 
 
 if __name__ == "__main__":

@@ -320,6 +320,6 @@ CASES: tuple[Case, ...] = (
         phases_deg=(0.0, 60.0, 120.0, 150.0),
         estimators=("unresolved", "auto"),
     ),
-    replace(_BASE, name="edges step", estimators=LIMBS[:2], options="step"),
-    replace(_BASE, name="edges step, law lambert", estimators=LIMBS[:2], options="step", law="lambert"),
+    replace(_BASE, name="edges step", estimators=LIMBS[:1], options="step"),
+    replace(_BASE, name="edges step, law lambert", estimators=LIMBS[:1], options="step", law="lambert"),
 )
