@@ -15,7 +15,7 @@ from giantlike.independent.light import Motion, unaberrated
 from giantlike.independent.psf import Psf
 from giantlike.independent.views import PinholeView
 
-RAYS_AT_ONCE = 200_000
+RAYS_AT_ONCE = 60_000
 """Rays in one call: keeps the arrays of a batch within a processor's cache and memory small."""
 
 

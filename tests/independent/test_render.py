@@ -142,3 +142,16 @@ def test_ray_by_ray_aberration_moves_and_scales_a_disk_as_tangent_photons_do() -
     ratio = np.sqrt(image.sum() / still.sum())
     assert abs(ratio / (half / np.arcsin(1.0 / position[2])) - 1.0) < 1e-4
     assert abs(ratio - 1.0) > 5e-3  # the effect is there to be seen
+
+
+def test_bumps_neither_scale_nor_move_a_sphere() -> None:
+    relief = bumps(5, rms=0.05, cells=128)
+    step = np.arange(200)
+    # Points of a golden spiral cover the sphere evenly.
+    height, turn = 1.0 - (2.0 * step + 1.0) / 200.0, step * np.pi * (3.0 - np.sqrt(5.0))
+    side = np.sqrt(1.0 - height**2)
+    directions = np.stack([side * np.cos(turn), side * np.sin(turn), height], axis=1)
+    heights = relief(directions)
+    assert abs(heights.std() / 0.05 - 1.0) < 0.1
+    np.testing.assert_allclose((heights[:, None] * directions).mean(axis=0), 0.0, rtol=0, atol=2e-3)
+    assert abs(heights.mean()) < 2e-3
