@@ -30,7 +30,8 @@ from giantlike.relative.estimator import gather
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
 from giantlike.relative.limb.fix import limb_view
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
-from giantlike.relative.limb.line_scan import LimbScanOptions, LineScan, Outline, lay_lines
+from giantlike.relative.limb.line_scan import LineScan, Outline, lay_lines
+from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, sphere
 from tests.limb_images import CAMERA, NEES_LIMIT, BodyImage, assert_sound, body_image, mean_nees_band

@@ -27,7 +27,8 @@ from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, mea
 from giantlike.relative.horizon.geometry import Altitude, Figure, fit_horizon
 from giantlike.relative.limb.fix import IteratedSearch
 from giantlike.relative.limb.limb_matching import solve_limb
-from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
+from giantlike.relative.limb.line_scan import measure_by_lines
+from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.shapes import Ellipsoid
 from tests.tolerances import SETTLED
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
@@ -34,6 +35,9 @@ _RIVAL_PX, _RIVAL_CORRELATION = 2.0, 0.98
 
 Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` for the correlation.
 """
+_MODEL_ERROR = 0.02
+"""Error of the expected profile over its height: without it the dark side, where the noise is least, would rule, and
+with it whatever little light is there besides. No study yet."""
 _REFINEMENTS = 2
 """Linear steps before the last one, after the search in multiples of the sampling step.
 
@@ -94,6 +98,14 @@ class ProfileMatch(Value):
         Normalized correlation at the best shift.
     unexplained : (n,) float64
         Root mean square of what the match leaves, over the height of the profile in the image.
+    shared_px : (n, c) float64, px
+        Shift taken for a unit of each of the c parameters that all lines share.
+    shared_gain : (n, c) float64
+        Gain taken for a unit of each, over the gain.
+    information : (n, c, c) float64
+        What each line says about these, its shift, gain, offset and slope left free.
+    pull : (n, c) float64
+        That information times the estimate.
     at_border : (n,) bool
         The best shift is the largest that was allowed.
     rivalled : (n,) bool
@@ -107,6 +119,10 @@ class ProfileMatch(Value):
     gain_dn: Float
     correlation: Float
     unexplained: Float
+    shared_px: Float
+    shared_gain: Float
+    information: Float
+    pull: Float
     at_border: Mask
     rivalled: Mask
 
@@ -212,7 +228,8 @@ def match_profiles(
     variance_dn2: Callable[[Float], Float],
     window_px: float,
     search_px: float,
-    model_error: float = 0.02,
+    shared: Float | None = None,
+    about_px: Float | None = None,
 ) -> ProfileMatch:
     """Match the profile of every line with the one expected there, in shift, gain, offset and slope.
 
@@ -228,9 +245,12 @@ def match_profiles(
         How far to both sides of the limb profiles are compared.
     search_px : float, px
         Largest shift.
-    model_error : float
-        Error of the expected profile as a fraction of its height: without it the dark side, where the noise is
-        least, would rule, and with it whatever little light is there besides. No study of the default yet.
+    shared : (n, m, c) float64, optional
+        Change of the expected brightness with each of c parameters that all lines share; none by default.
+    about_px : (n,) float64, px, optional
+        Places about which the match is linear, from elsewhere than the noise of the line itself: the shifts and what
+        lines say about shared parameters are then linear in the noise and so without bias. NaN, and the default, is
+        the best shift of the line.
 
     Returns
     -------
@@ -260,32 +280,41 @@ def match_profiles(
     near = slice(middle - half - most, middle + half + most + 1)
     windows = sliding_window_view(scans.values_dn[:, near], 2 * half + 1, axis=1)
     correlation = _correlations(windows, profile)
-    lag = np.argmax(correlation, axis=1)
+    lag, shift, fixed = _start(correlation, step, about_px)
     lines = np.arange(lag.size)
     best = correlation[lines, lag]
     far = np.abs(np.arange(2 * most + 1)[None] - lag[:, None]) * step > _RIVAL_PX
     rival = np.max(np.where(far & _local_maxima(correlation), correlation, -1.0), axis=1)
     data = windows[lines, lag]
-    shift = np.zeros(lag.size)
-    columns = _design(expected, offsets, part, step)
-    variance, weights = _weights(data, columns, variance_dn2, model_error)
+    columns = _design(_moved(expected, shift / step), offsets, part, step)
+    variance, weights = _weights(data, columns, variance_dn2)
     for _ in range(_REFINEMENTS):
         solution = _solve(columns, data, weights)
-        shift = np.clip(shift + _quotient(solution), -step, step)
+        shift = np.where(fixed, shift, np.clip(shift + _quotient(solution), -step, step))
         columns = _design(_moved(expected, shift / step), offsets, part, step)
-    solution, sigma_px, without_slope_px = _fit(data, columns, offsets, variance, weights)
-    shift = np.clip(shift + _quotient(solution), -step, step)
+    operator = _gain(columns, weights, _stiffness(columns, weights, _solve(columns, data, weights)))
+    solution = np.asarray(np.einsum("nkw,nw->nk", operator, data), dtype=np.float64)
+    others = np.zeros((*expected.shape, 0)) if shared is None else shared
+    moved = [_moved(others[..., i], shift / step)[:, part] * solution[:, :1] for i in range(others.shape[-1])]
+    changes = np.stack(moved, axis=-1) if moved else np.zeros((*data.shape, 0))
+    shift = shift + np.clip(_quotient(solution), -2.0 * step, 2.0 * step)
     left = data - np.einsum("nwk,nk->nw", columns, solution)
+    taken, information, pull = _about_shared(columns, changes, operator, weights, left)
+    gain = np.where(solution[:, 0] == 0.0, np.inf, solution[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         unexplained = np.sqrt(np.mean(left**2, axis=1)) / (np.abs(solution[:, 0]) * np.ptp(profile, axis=1))
     return ProfileMatch(
         complete=np.all(scans.usable[:, near], axis=1),
         shift_px=(lag - most) * step + shift,
-        sigma_px=sigma_px,
-        without_slope_px=without_slope_px,
+        sigma_px=_noise_px(operator, solution, offsets, variance),
+        without_slope_px=_without_slope_px(columns, data, weights),
         gain_dn=solution[:, 0],
         correlation=best,
         unexplained=np.where(np.isfinite(unexplained), unexplained, np.inf),
+        shared_px=taken[:, 2] / gain[:, None],
+        shared_gain=taken[:, 0] / gain[:, None],
+        information=information,
+        pull=pull,
         at_border=(lag == 0) | (lag == 2 * most),
         rivalled=rival > _RIVAL_CORRELATION * best,
     )
@@ -342,6 +371,18 @@ def _correlations(windows: Float, profile: Float) -> Float:
     return np.where(spread > 1e-9 * np.sqrt(square), product / np.maximum(spread, 1e-300), 0.0)
 
 
+def _start(correlation: Float, step: float, about_px: Float | None) -> tuple[NDArray[np.intp], Float, Mask]:
+    """Lag and the rest of the shift, px, that lines (n, lags) start from; True where they are to stay there."""
+    best = np.argmax(correlation, axis=1)
+    if about_px is None:
+        return best, np.zeros(best.size), np.zeros(best.size, dtype=bool)
+    most = correlation.shape[1] // 2
+    fixed = np.isfinite(about_px)
+    asked = np.clip(np.rint(np.where(fixed, about_px, 0.0) / step).astype(np.intp) + most, 0, 2 * most)
+    lag = np.where(fixed, asked, best)
+    return lag, np.where(fixed, np.nan_to_num(about_px) - (lag - most) * step, 0.0), fixed
+
+
 def _local_maxima(values: Float) -> Mask:
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     result: Mask = (values >= padded[:, :-2]) & (values >= padded[:, 2:])
@@ -371,32 +412,42 @@ def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
     return np.stack([profile, np.ones_like(profile), outward, offsets * profile], axis=-1)
 
 
-def _weights(
-    data: Float, columns: Float, variance_dn2: Callable[[Float], Float], model_error: float
-) -> tuple[Float, Float]:
+def _weights(data: Float, columns: Float, variance_dn2: Callable[[Float], Float]) -> tuple[Float, Float]:
     """Noise variance (n, w) of data (n, w), DN^2, from an unweighted fit, and weights that allow for model error."""
     first = _solve(columns, data, np.ones_like(data))
     bright = np.maximum(np.einsum("nwk,nk->nw", columns[..., :2], first[:, :2]), 0.0)
     variance = variance_dn2(bright)
-    return variance, 1.0 / (variance + (model_error * bright.max(axis=1, keepdims=True)) ** 2)
+    return variance, 1.0 / (variance + (_MODEL_ERROR * bright.max(axis=1, keepdims=True)) ** 2)
 
 
-def _fit(data: Float, columns: Float, offsets: Float, variance: Float, weights: Float) -> tuple[Float, Float, Float]:
-    """Weighted fit of data (n, w) by columns (n, w, 4), slopes held as :func:`_stiffness` says.
-
-    Solution (n, 4), standard deviation (n,) of the shift by noise, px, and further shift (n,) without slopes, px.
-    """
-    free = _solve(columns, data, weights)
-    stiff = _solve(columns[..., :3], data, weights)
-    operator = _gain(columns, weights, _stiffness(columns, weights, free))
-    solution = np.einsum("nkw,nw->nk", operator, data)
+def _noise_px(operator: Float, solution: Float, offsets: Float, variance: Float) -> Float:
+    """Standard deviation (n,) of the shifts by noise, px, of solutions (n, 4) made by operators (n, 4, w)."""
     apart = offsets[:, None] - offsets
     correlation = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
     noise = operator[:, 2] * np.sqrt(variance)
     sigma = np.sqrt(np.einsum("nw,nw->n", noise @ correlation, noise))
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = sigma / np.abs(solution[:, 0])
-    return solution, np.where(np.isfinite(sigma), sigma, np.inf), _quotient(stiff) - _quotient(free)
+    return np.where(np.isfinite(sigma), sigma, np.inf)
+
+
+def _without_slope_px(columns: Float, data: Float, weights: Float) -> Float:
+    """Further shift (n,), px, of a fit by columns (n, w, 4) whose slope is held at nothing over one with free slope."""
+    return _quotient(_solve(columns[..., :3], data, weights)) - _quotient(_solve(columns, data, weights))
+
+
+def _about_shared(
+    columns: Float, changes: Float, operator: Float, weights: Float, left: Float
+) -> tuple[Float, Float, Float]:
+    """What lines say about parameters that they share: what a unit does to a fit (n, 4, c), information, and pull.
+
+    ``changes`` (n, w, c) are those of the data (n, w) with the parameters, ``left`` is what the fit by ``columns``
+    (n, w, 4), whose solutions ``operator`` (n, 4, w) makes, leaves.
+    """
+    taken = operator @ changes
+    weighted = np.swapaxes(changes * weights[..., None], 1, 2)
+    information = weighted @ (changes - columns @ taken)
+    return taken, (information + np.swapaxes(information, 1, 2)) / 2.0, (weighted @ left[..., None])[..., 0]
 
 
 def _stiffness(columns: Float, weights: Float, free: Float) -> Float:

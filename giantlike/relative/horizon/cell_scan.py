@@ -103,7 +103,6 @@ class HorizonScan(ScanOptions):
 
     cell_px: float = 7.0
     min_cells: int = 8
-    psf_error: float = 0.05
     rings_km: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -111,7 +110,6 @@ class HorizonScan(ScanOptions):
         require_number(self.window_px, "window_px", least=2.0)
         require_number(self.cell_px, "cell_px", least=2.0, most=50.0)
         require_number(self.min_cells, "min_cells", least=6)
-        require_number(self.psf_error, "psf_error", above=0.0, most=1.0)
         if self.rings_km is not None:
             require(len(self.rings_km) == 2, f"rings_km must be an inner and an outer radius, got {self.rings_km}")
             object.__setattr__(self, "rings_km", tuple(float(radius) for radius in self.rings_km))

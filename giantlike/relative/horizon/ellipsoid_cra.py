@@ -18,7 +18,8 @@ from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, apparen
 from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
 from giantlike.relative.horizon.geometry import CraMethod, Figure, christian_robinson, fit_horizon
 from giantlike.relative.limb.fix import LimbSolution, limb_fix, limb_view
-from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
+from giantlike.relative.limb.line_scan import measure_by_lines
+from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, TriangleMesh
 
 RELIEF_LENGTH = 0.3

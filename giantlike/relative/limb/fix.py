@@ -57,17 +57,21 @@ class ScanOptions:
         How far to both sides of the limb pixels are used.
     min_contrast : float
         Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    psf_error : float
+        Relative standard deviation of the width of the camera's point spread function.
     """
 
     edges: EdgeModel = EdgeModel.TEMPLATE
     window_px: float = 5.0
     min_contrast: float = 0.35
+    psf_error: float = 0.05
 
     def __post_init__(self) -> None:
         require(self.edges in list(EdgeModel), f"edges must be one of {', '.join(EdgeModel)}, got {self.edges!r}")
         object.__setattr__(self, "edges", EdgeModel(self.edges))
         require_number(self.window_px, "window_px", above=0.0, most=50.0)
         require_number(self.min_contrast, "min_contrast", above=0.0, most=1.0)
+        require_number(self.psf_error, "psf_error", above=0.0, most=1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,8 @@ from giantlike.processing.correlated_fit import correlated_solution
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix, limb_view
-from giantlike.relative.limb.line_scan import LimbScanOptions, measure_by_lines
+from giantlike.relative.limb.line_scan import measure_by_lines
+from giantlike.relative.limb.profiles import LimbScanOptions
 
 _LONGEST_WAVES, _LEAST_WAVES_PX = 1.0 / 3.0, 15.0
 """Correlation length of errors along the limb that residuals show, over the radius and at least; more is brightness."""

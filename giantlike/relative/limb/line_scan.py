@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require_number
+from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
-from giantlike.core.detector import GaussianPsf
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import (
@@ -18,7 +18,6 @@ from giantlike.processing.limb.measurement import (
     LimbView,
     PredictedLimb,
     SmoothError,
-    judge_points,
     limb_design,
     no_lit_limb,
     pixels_near,
@@ -27,27 +26,24 @@ from giantlike.processing.limb.measurement import (
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
-    ProfileMatch,
     Scans,
     edge_width_px,
     line_offsets,
-    match_profiles,
     scan_lines,
-    step_profile,
 )
 from giantlike.processing.limb.search import find_limb
-from giantlike.ray_tracing import Body, Silhouette, outline_brightness, render_near, trace_silhouette
+from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
 from giantlike.relative.limb.fix import (
     PATIENCE,
     EdgeModel,
     IteratedSearch,
     LimbState,
     LimbStep,
-    ScanOptions,
     agreeing_step,
     next_motion_px,
     settle_limb,
 )
+from giantlike.relative.limb.profiles import LimbScanOptions, expected_profiles, match_lines
 
 _OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)  # of an outline all around: a degree is 2 px at a radius of 100
 _COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
@@ -56,67 +52,14 @@ _LEAST_LINES = 8
 """Lines laid on the shortest limb; fewer than the options ask for, which then say that there are too few."""
 _FIRST_SEARCH_PX = 3.0
 """Distance that lines are searched farther in the first measurement, px: room for the error of the coarse search."""
-_FIRST_LINES, _FIRST_RAYS = 100, 2
-"""Lines and rays of the first measurement, which only needs to be good to the width of a profile."""
+_FIRST_LINES = 100
+"""Lines of the first measurement, which only needs to be good to the width of a profile."""
 _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
 """Share of the relief by which a limb may still move, and reliefs by which lines are searched farther."""
-_MIN_CORRELATION, _MIN_CORRELATION_LOOSE = 0.9, 0.8
-"""Normalized correlation of good lines with the expected profile; loose where that is not of the body itself."""
-_MAX_UNEXPLAINED, _MAX_UNEXPLAINED_LOOSE = 0.15, 0.3
-"""Residuals of good lines over the height of the profile."""
-_MAX_NOISE_PX = 0.5
-"""Standard deviation by noise beyond which a line is too weak: half the width of a usual profile."""
+_PSF_STEP = 0.25
+"""Change of the variance of the point spread function, over it, after which the limb is measured again."""
 _MIN_WIDTH_PX = 0.3
 """Least point spread function measured on a limb: below, pixels do not sample it."""
-_FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12
-"""Radius below which bodies get more rays to a pixel, as few pixels average few rays; and the most they get."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LimbScanOptions(ScanOptions):
-    """Options of the lines across a limb.
-
-    Parameters
-    ----------
-    edges : EdgeModel
-    spacing_px : float, px
-        Between neighboring lines along the limb.
-    max_lines : int
-        With longer limbs the lines stand farther apart.
-    min_lines : int
-        Fewer good lines than this are no limb.
-    window_px : float, px
-        How far to both sides of the limb profiles are compared.
-    local_search_px : float, px
-        How far a single line may find its edge from the outline that was located as a whole.
-    step_px : float, px
-        Between samples on a line.
-    rays_per_pixel_side : int
-        Of the rendered template where the outline lies; small bodies get more.
-    min_contrast : float
-        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
-    """
-
-    spacing_px: float = 1.5
-    max_lines: int = 400
-    min_lines: int = 12
-    local_search_px: float = 4.0
-    step_px: float = 0.5
-    rays_per_pixel_side: int = 5
-
-    def __post_init__(self) -> None:
-        ScanOptions.__post_init__(self)
-        require_number(self.spacing_px, "spacing_px", above=0.0)
-        require_number(self.local_search_px, "local_search_px", above=0.0)
-        require_number(self.step_px, "step_px", above=0.0, most=1.0)
-        require_number(self.min_lines, "min_lines", least=6)
-        require_number(self.max_lines, "max_lines", least=self.min_lines, most=1000)
-        require_number(self.rays_per_pixel_side, "rays_per_pixel_side", least=1, most=16)
-
-    @property
-    def margin_px(self) -> float:
-        """Distance from the edge of the frame that points of the limb need for their profiles, px."""
-        return self.window_px + 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -289,8 +232,21 @@ def measure_by_lines(
         return _not_seen(view, moved.silhouette, body, options.margin_px)
     scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief)
     closest_km = body.shape.circumscribing_radius_km
-    start = LimbState(position_camera_km=position)
+    start = LimbState(position_camera_km=position, psf_px2=(view.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2)
     return settle_limb(scan, start, search, min_points=options.min_lines, closest_km=closest_km)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LineMeasurement(LimbMeasurement):
+    """Limb measured line by line.
+
+    Parameters
+    ----------
+    psf_px2 : float, px^2
+        Variance of the point spread function as the lines show it.
+    """
+
+    psf_px2: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -321,44 +277,49 @@ class LineScan(Value):
         """Root mean square of the relief, px."""
         return 0.0 if self.relief is None else self.relief.sigma_px
 
-    def measure(self, state: LimbState) -> LimbMeasurement | Failure:
+    def measure(self, state: LimbState) -> LineMeasurement | Failure:
         """Measure the limb across the body in a state, roughly at first."""
         if state.iteration > 0:
-            return self.measured(state.position_camera_km)
-        rough = replace(self.options, rays_per_pixel_side=_FIRST_RAYS)
-        scan = replace(self, lines=self.lines.thinned(_FIRST_LINES), options=rough)
+            return self.measured(state.position_camera_km, psf_px2=state.psf_px2)
+        scan = replace(self, lines=self.lines.thinned(_FIRST_LINES))
         return scan.measured(state.position_camera_km, extra_px=_FIRST_SEARCH_PX)
 
-    def step(self, measured: LimbMeasurement, state: LimbState) -> LimbStep:
-        """Robust least-squares step."""
-        del state
-        return agreeing_step(measured, self.search.outlier_mad)
+    def step(self, measured: LineMeasurement, state: LimbState) -> LimbStep:
+        """Robust least-squares step, and the width of the point spread function as the lines show it."""
+        step = agreeing_step(measured, self.search.outlier_mad)
+        return replace(step, psf_px2=measured.psf_px2 - state.psf_px2)
 
-    def settled(self, measured: LimbMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
+    def settled(self, measured: LineMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
         """Return True if the next step would be small, or in the end if noise explains this one."""
+        if state.iteration == 0 or abs(step.psf_px2) > _PSF_STEP * state.psf_px2:
+            return False
         tolerance_px = self.search.tolerance_px + _RELIEF_TOLERANCE * self.relief_px
         by_noise = state.iteration >= PATIENCE and moved_px < self.finish(measured, step).motion_sigma_px(
             step.position_km
         )
         return next_motion_px(state.moved_px, moved_px) < tolerance_px or by_noise
 
-    def finish(self, measured: LimbMeasurement, step: LimbStep) -> LimbMeasurement:
+    def finish(self, measured: LineMeasurement, step: LimbStep) -> LimbMeasurement:
         """Return the measurement with the points that agree."""
         return replace(measured, keep=step.keep)
 
-    def measured(self, position_camera_km: Float, *, extra_px: float = 0.0) -> LimbMeasurement | Failure:
+    def measured(
+        self, position_camera_km: Float, *, psf_px2: float | None = None, extra_px: float = 0.0
+    ) -> LineMeasurement | Failure:
         """Measure the limb across the body at a position.
 
         Parameters
         ----------
         position_camera_km : (3,) float64, km, camera axes
             Good to a few pixels.
+        psf_px2 : float, px^2, optional
+            Variance of the point spread function; None for a first, rough measurement with what is known of it.
         extra_px : float, px
             How much farther than ``options`` say each line is searched.
 
         Returns
         -------
-        LimbMeasurement or Failure
+        LineMeasurement or Failure
             ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``.
         """
         view, options, body = self.view, self.options, self.body.at(position_camera_km)
@@ -368,28 +329,28 @@ class LineScan(Value):
             return limb
         offsets = line_offsets(options.window_px + search_px, options.step_px)
         scans = scan_lines(view.pixels_dn, view.usable, limb.points_px, limb.normals_px, offsets)
-        width = _psf_sigma(view, scans, options)
+        width = _psf_sigma(view, scans, options) if psf_px2 is None else math.sqrt(psf_px2)
         if isinstance(width, Failure):
             return width
-        expected = _expected(self.view, body, scans, width, options)
-        if isinstance(expected, Failure):
-            return expected
-        variance = view.detector.variance_dn2
-        match = match_profiles(scans, expected, variance_dn2=variance, window_px=options.window_px, search_px=search_px)
-        good, rejected = _judged(match, loose=self.relief_px > 0.0 or options.edges is EdgeModel.STEP)
+        profiles = expected_profiles(view, body, scans, width**2, options, first=psf_px2 is None)
+        if isinstance(profiles, Failure):
+            return profiles
+        loose = self.relief_px > 0.0 or options.edges is EdgeModel.STEP
+        found = match_lines(view, scans, profiles, window_px=options.window_px, search_px=search_px, loose=loose)
+        match, good, rejected = found.match, found.good, found.rejected
         area = pixels_near(limb.points_px, limb.normals_px, offsets, view.usable.shape)
         if good.sum() < options.min_lines:
             return too_few(view, area, good, rejected, needed=options.min_lines)
         brightness_px = match.brightness_error_px(good)
         jacobian = view.model.project_jacobian(limb.points_camera_km[good])
-        return LimbMeasurement(
+        return LineMeasurement(
             predicted_px=limb.points_px[good],
             normals_px=limb.normals_px[good],
             design=limb_design(limb.normals_px[good], jacobian),
             shift_px=match.shift_px[good],
             sigma_px=match.sigma_px[good],
             keep=np.ones(int(good.sum()), dtype=bool),
-            common_px={},
+            common_px={cause: shared[good] for cause, shared in found.common_px.items()},
             smooth_errors=(
                 SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=self.view.radius_px),
             ),
@@ -400,6 +361,7 @@ class LineScan(Value):
             rejected=rejected,
             area=area,
             relief=self.relief,
+            psf_px2=width**2 + found.psf_px2,
         )
 
 
@@ -437,44 +399,3 @@ def _psf_sigma(view: LimbView, scans: Scans, options: LimbScanOptions) -> float 
     variance, window_px, search_px = view.detector.variance_dn2, options.window_px, options.local_search_px
     width = edge_width_px(scans, variance_dn2=variance, window_px=window_px, search_px=search_px)
     return math.sqrt(max(width**2 - PIXEL_VARIANCE_PX2 - SAMPLING_VARIANCE_PX2, _MIN_WIDTH_PX**2))
-
-
-def _expected(
-    view: LimbView, body: Body, scans: Scans, psf_sigma_px: float, options: LimbScanOptions
-) -> Float | Failure:
-    """Profiles (n, m) that the lines should show."""
-    if options.edges is EdgeModel.STEP:
-        width = math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
-        return np.tile(step_profile(scans.offsets_px, width), (len(scans.points_px), 1))
-    compared = np.abs(scans.offsets_px) <= options.window_px + 2.0 * options.step_px
-    brightness = render_near(
-        scans.points_px[:, None] + scans.offsets_px[compared, None] * scans.normals_px[:, None],
-        body,
-        replace(view.plane, psf=GaussianPsf(sigma_px=psf_sigma_px)),
-        sun_direction_camera=view.sun_direction_camera,
-        rays_per_pixel_side=_rays_for(view.radius_px, options.rays_per_pixel_side),
-    )
-    if isinstance(brightness, Failure):
-        return brightness
-    everywhere = np.ones(brightness.shape, dtype=bool)
-    return scan_lines(brightness, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn
-
-
-def _rays_for(radius_px: float, rays: int) -> int:
-    """Rays along a pixel for a body of some radius: few pixels on the limb average few rays."""
-    more = max(_FEW_RAYS_RADIUS_PX / radius_px, 1.0)
-    return max(min(math.ceil(more * rays), _MAX_RAYS), rays)
-
-
-def _judged(match: ProfileMatch, *, loose: bool) -> tuple[Mask, dict[str, int]]:
-    """Good lines and the rejected; loose where the expected profile is not that of the body."""
-    alike: Mask = match.correlation >= (_MIN_CORRELATION_LOOSE if loose else _MIN_CORRELATION)
-    alike &= match.unexplained <= (_MAX_UNEXPLAINED_LOOSE if loose else _MAX_UNEXPLAINED)
-    return judge_points(
-        complete=match.complete,
-        strong=match.sigma_px < _MAX_NOISE_PX,
-        alike=alike,
-        gain_dn=match.gain_dn,
-        even=not loose,
-        also={"beyond the search": ~match.at_border, "ambiguous": ~match.rivalled},
-    )

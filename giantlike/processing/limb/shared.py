@@ -1,0 +1,118 @@
+"""Parameters that all lines across a limb share: how the reflectance law and the blur differ from those assumed.
+
+A wrong law or blur moves the whole limb in or out and leaves no residuals between lines, but it shows in the profile of
+every line. What lines say about it is added up, every shift left free, and taken off the shifts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import convolve1d
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
+from giantlike.processing.limb.scan import ProfileMatch
+
+_LINES_TOGETHER = 10
+"""Neighboring lines whose errors are taken to have something in common: 15 px of limb with the usual spacing.
+
+Profiles of lines share pixels over 4 px, and albedo is alike over some of that.
+"""
+
+
+_GAIN_STEPS = 4
+"""Rounds of shared parameters and gains: each takes off most of what is left of twofold gains."""
+_GAIN_LIMITS = (0.2, 5.0)
+"""Least and largest gain over that fitted before, as for good points of a limb."""
+
+
+_SMOOTHED_LINES = 15
+"""Neighboring lines over which shifts are averaged: leaves a quarter of their noise, follows the course of a limb."""
+_OWN_SIGMAS, _OWN_PX = 3.0, 0.1
+"""Sigmas of its noise, and px besides, by which a line may lie off its neighbors and still be taken for one of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SharedEstimate(Value):
+    """Estimate of the parameters that all lines share.
+
+    Parameters
+    ----------
+    values : (c,) float64
+    covariance : (c, c) float64
+    """
+
+    values: Float
+    covariance: Float
+
+
+def estimate_shared(match: ProfileMatch, good: Mask, *, prior: Float, expected: Float) -> SharedEstimate:
+    """Estimate the parameters that all lines share.
+
+    Parameters
+    ----------
+    match : ProfileMatch
+    good : (n,) bool
+        Lines that count.
+    prior : (c,) float64
+        Information on each parameter before the measurement: one over its variance.
+    expected : (c,) float64
+        Values before the measurement, from those that the expected profiles were made with.
+
+    Returns
+    -------
+    SharedEstimate
+        Values from those that the expected profiles were made with.
+
+    Notes
+    -----
+    What the shared parameters change is multiplied by the gain of a line, and this changes with them: a line that was
+    fitted with too little gain overstates them as much. Some rounds of both settle that.
+
+    The covariance comes from how the lines differ in what they say (Newey and West's estimate, which counts that
+    neighbors say the same for the same reason), not from the noise that the weights suppose.
+    """
+    gain = np.ones(int(good.sum()))
+    for _ in range(_GAIN_STEPS):
+        information, pull = gain[:, None, None] ** 2 * match.information[good], gain[:, None] * match.pull[good]
+        total = information.sum(axis=0) + np.diag(prior)
+        scale = np.sqrt(np.diagonal(total))
+        inverse = np.linalg.inv(total / np.outer(scale, scale)) / np.outer(scale, scale)
+        values = inverse @ (pull.sum(axis=0) + prior * expected)
+        gain = np.clip(1.0 - gain * (match.shared_gain[good] @ values), *_GAIN_LIMITS)
+    scores = pull - np.einsum("nij,j->ni", information, values)
+    freedom = len(scores) / max(len(scores) - prior.size, 1)
+    scatter = scores.T @ scores
+    for lag in range(1, min(_LINES_TOGETHER, len(scores) - 1) + 1):
+        shared = scores[lag:].T @ scores[:-lag]
+        scatter += (1.0 - lag / (_LINES_TOGETHER + 1.0)) * (shared + shared.T)
+    covariance = inverse @ (freedom * scatter + np.diag(prior)) @ inverse
+    return SharedEstimate(values=values, covariance=(covariance + covariance.T) / 2.0)
+
+
+def smooth_places(match: ProfileMatch, good: Mask) -> Float:
+    """Places of lines by those of their neighbors, about which the next match is made.
+
+    Parameters
+    ----------
+    match : ProfileMatch
+        Lines in order along the limb.
+    good : (n,) bool
+        Lines that count.
+
+    Returns
+    -------
+    (n,) float64, px
+        NaN for lines that are not good, or lie farther from their neighbors than noise explains: relief.
+    """
+    count = min(_SMOOTHED_LINES, int(good.sum()))
+    shift, sigma = match.shift_px[good], match.sigma_px[good]
+    level = convolve1d(shift / sigma**2, np.ones(count), mode="nearest") / convolve1d(
+        sigma**-2.0, np.ones(count), mode="nearest"
+    )
+    near = np.abs(shift - level) < _OWN_SIGMAS * sigma + _OWN_PX
+    result = np.full(good.size, np.nan)
+    result[good] = np.where(near, level, np.nan)
+    return result

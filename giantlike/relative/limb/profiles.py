@@ -1,0 +1,351 @@
+"""Profiles of brightness that lines across a limb should show, and their match with those of the image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask, require_number
+from giantlike.core.causes import Cause
+from giantlike.core.detector import GaussianPsf
+from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
+from giantlike.processing.limb.measurement import LimbView, judge_points
+from giantlike.processing.limb.scan import (
+    PIXEL_VARIANCE_PX2,
+    SAMPLING_VARIANCE_PX2,
+    ProfileMatch,
+    Scans,
+    match_profiles,
+    scan_lines,
+    step_profile,
+)
+from giantlike.processing.limb.shared import SharedEstimate, estimate_shared, smooth_places
+from giantlike.ray_tracing import Body, render_near
+from giantlike.ray_tracing.reflectance import Lambert, LommelSeeliger, Minnaert, Reflectance
+from giantlike.relative.limb.fix import EdgeModel, ScanOptions
+
+OTHER_LAWS: tuple[Reflectance, ...] = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
+"""Laws that the surface may have instead or besides: of strong, no and medium limb darkening.
+
+At one phase angle the mixtures of the first two are all of McEwen's and lunar-Lambert laws, and Hapke's law of dark
+surfaces is close to one; the third is none.
+"""
+LAW_SIGMA = 1.0
+"""Standard deviation of the share of each of the other laws before the measurement: as likely as the law given."""
+_STEP_LAW_SIGMA = 2.0
+"""The same of the powers of the cosine of emission, over a constant, where no law is used; as for horizons."""
+_STEP_POWERS = (1.0, 2.0)
+"""Powers of the cosine of emission that the brightness inside a limb may have where no law is used."""
+_DEPTH_STEP_PX = 0.05
+"""Step of the integral over depth that blurs these."""
+_UNKNOWN_PSF_SIGMA_PX2 = 2.0
+"""Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
+_LEAST_VARIANCE_PX2 = 0.1
+"""Least variance of the point spread function, px^2, to which ``psf_error`` is applied: that of a pixel."""
+_ROUNDS, _SETTLED_PX = 4, 0.002
+"""Most fits, each about the shared parameters found before; and the shift by their change that needs no other one.
+
+The shares of laws multiply the gain of each line, so that one linear step from one law to another leaves a few percent.
+"""
+_FIRST_RAYS = 2
+"""Rays along a pixel for the first measurement, which only needs to be good to the width of a profile."""
+_FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12
+"""Radius below which bodies get more rays to a pixel, as few pixels average few rays; and the most they get."""
+_MIN_CORRELATION, _MIN_CORRELATION_LOOSE = 0.9, 0.8
+"""Normalized correlation of good lines with the expected profile; loose where that is not of the body itself."""
+_MAX_UNEXPLAINED, _MAX_UNEXPLAINED_LOOSE = 0.15, 0.3
+"""Residuals of good lines over the height of the profile."""
+_MAX_NOISE_PX = 0.5
+"""Standard deviation by noise beyond which a line is too weak: half the width of a usual profile."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimbScanOptions(ScanOptions):
+    """Options of the lines across a limb.
+
+    Parameters
+    ----------
+    edges : EdgeModel
+    spacing_px : float, px
+        Between neighboring lines along the limb.
+    max_lines : int
+        With longer limbs the lines stand farther apart.
+    min_lines : int
+        Fewer good lines than this are no limb.
+    window_px : float, px
+        How far to both sides of the limb profiles are compared.
+    local_search_px : float, px
+        How far a single line may find its edge from the outline that was located as a whole.
+    step_px : float, px
+        Between samples on a line.
+    rays_per_pixel_side : int
+        Of the rendered template where the outline lies; small bodies get more.
+    min_contrast : float
+        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    psf_error : float
+        Relative standard deviation of the width of the camera's point spread function.
+    """
+
+    spacing_px: float = 1.5
+    max_lines: int = 400
+    min_lines: int = 12
+    local_search_px: float = 4.0
+    step_px: float = 0.5
+    rays_per_pixel_side: int = 5
+
+    def __post_init__(self) -> None:
+        ScanOptions.__post_init__(self)
+        require_number(self.spacing_px, "spacing_px", above=0.0)
+        require_number(self.local_search_px, "local_search_px", above=0.0)
+        require_number(self.step_px, "step_px", above=0.0, most=1.0)
+        require_number(self.min_lines, "min_lines", least=6)
+        require_number(self.max_lines, "max_lines", least=self.min_lines, most=1000)
+        require_number(self.rays_per_pixel_side, "rays_per_pixel_side", least=1, most=16)
+
+    @property
+    def margin_px(self) -> float:
+        """Distance from the edge of the frame that points of the limb need for their profiles, px."""
+        return self.window_px + 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExpectedProfiles(Value):
+    """Profiles that lines should show, and how parameters that all lines share change them.
+
+    Parameters
+    ----------
+    values : (n, m) float64
+        Any unit.
+    changes : (n, m, c) float64
+        By each of c parameters.
+    prior : (c,) float64
+        Information on the parameters before the measurement.
+    expected : (c,) float64
+        Parameters before the measurement, from those that the profiles are made with.
+    causes : tuple of Cause
+        One for each parameter; the last is the variance of the point spread function, px^2.
+    """
+
+    values: Float
+    changes: Float
+    prior: Float
+    expected: Float
+    causes: tuple[Cause, ...]
+
+    def moved(self, step: Float) -> ExpectedProfiles:
+        """Return the profiles with parameters (c,) changed by a step."""
+        return replace(self, values=self.values + self.changes @ step, expected=self.expected - step)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MatchedLines(Value):
+    """Lines of an image matched with the profiles expected there.
+
+    Parameters
+    ----------
+    match : ProfileMatch
+        With the shared parameters as found.
+    good : (n,) bool
+    rejected : dict of str to int
+        Number of the others by reason.
+    common_px : dict of Cause to (n, c) float64, px
+        Shift of the lines by one standard deviation of each of the shared parameters.
+    psf_px2 : float, px^2
+        Change of the variance of the point spread function that was found.
+    """
+
+    match: ProfileMatch
+    good: Mask
+    rejected: dict[str, int]
+    common_px: dict[Cause, Float]
+    psf_px2: float
+
+
+def expected_profiles(
+    view: LimbView, body: Body, scans: Scans, psf_px2: float, options: LimbScanOptions, *, first: bool
+) -> ExpectedProfiles | Failure:
+    """Profiles that lines should show.
+
+    Parameters
+    ----------
+    view : LimbView
+    body : Body
+    scans : Scans
+        The lines.
+    psf_px2 : float, px^2
+        Variance of the point spread function.
+    options : LimbScanOptions
+    first : bool
+        For a first, rough measurement: with fewer rays and without shared parameters.
+
+    Returns
+    -------
+    ExpectedProfiles or Failure
+        As of :func:`giantlike.ray_tracing.render_near`.
+    """
+    if options.edges is EdgeModel.STEP:
+        values, changes = _step_profiles(scans, psf_px2, view.radius_px)
+        sigma = _STEP_LAW_SIGMA
+    else:
+        others = () if first else tuple(law for law in OTHER_LAWS if law != body.reflectance)
+        rendered = _rendered(
+            view, body, scans, psf_px2, options, others, rays=_FIRST_RAYS if first else options.rays_per_pixel_side
+        )
+        if isinstance(rendered, Failure):
+            return rendered
+        values, sigma = rendered[0], LAW_SIGMA
+        height = np.ptp(values, axis=1)
+        scaled = [law * float(np.median(height / np.maximum(np.ptp(law, axis=1), 1e-300))) for law in rendered[1:]]
+        changes = np.stack([law - values for law in scaled], axis=-1) if scaled else np.zeros((*values.shape, 0))
+    count = changes.shape[-1]
+    if first:
+        return ExpectedProfiles(
+            values=values, changes=changes[..., :0], prior=np.zeros(0), expected=np.zeros(0), causes=()
+        )
+    second = np.zeros_like(values)
+    second[:, 1:-1] = (values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) / scans.step_px**2
+    nominal, psf_sigma = _nominal_psf(view, psf_px2, options.psf_error)
+    return ExpectedProfiles(
+        values=values,
+        changes=np.concatenate([changes, 0.5 * second[..., None]], axis=-1),
+        prior=np.append(np.full(count, sigma**-2), psf_sigma**-2),
+        expected=np.append(np.zeros(count), nominal - psf_px2),
+        causes=(*(Cause.REFLECTANCE,) * count, Cause.PSF),
+    )
+
+
+def match_lines(
+    view: LimbView, scans: Scans, profiles: ExpectedProfiles, *, window_px: float, search_px: float, loose: bool
+) -> MatchedLines:
+    """Match the lines of an image with the profiles expected there, and find what all lines share.
+
+    Parameters
+    ----------
+    view : LimbView
+    scans : Scans
+    profiles : ExpectedProfiles
+    window_px, search_px : float, px
+        As of :func:`giantlike.processing.limb.scan.match_profiles`.
+    loose : bool
+        The profiles are not those of the body itself: good lines need to be less alike.
+
+    Returns
+    -------
+    MatchedLines
+    """
+    variance = view.detector.variance_dn2
+    found = np.zeros(profiles.prior.size)
+    about_px = None
+    none = SharedEstimate(values=found, covariance=np.zeros((found.size, found.size)))
+    for number in range(_ROUNDS):
+        match = match_profiles(
+            scans,
+            profiles.values,
+            variance_dn2=variance,
+            window_px=window_px,
+            search_px=search_px,
+            shared=profiles.changes,
+            about_px=about_px,
+        )
+        good, rejected = _judged(match, loose=loose)
+        estimate = none
+        if found.size == 0 or not good.any():
+            break
+        estimate = estimate_shared(match, good, prior=profiles.prior, expected=profiles.expected)
+        last = number > 0 and float(np.median(np.abs(match.shared_px[good] @ estimate.values))) < _SETTLED_PX
+        if last or number == _ROUNDS - 1:
+            break
+        about_px = smooth_places(match, good) - match.shared_px @ estimate.values
+        profiles, found = profiles.moved(estimate.values), found + estimate.values
+    match = replace(match, shift_px=match.shift_px - match.shared_px @ estimate.values)
+    by_sigma = match.shared_px @ _root(estimate.covariance)
+    causes = np.array(profiles.causes)
+    return MatchedLines(
+        match=match,
+        good=good,
+        rejected=rejected,
+        common_px={cause: by_sigma[:, causes == cause] for cause in dict.fromkeys(profiles.causes)},
+        psf_px2=float((found + estimate.values)[-1]) if found.size else 0.0,
+    )
+
+
+def _root(covariance: Float) -> Float:
+    """Lower triangular root (c, c) of a covariance."""
+    scale = np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
+    correlation = covariance / np.outer(scale, scale)
+    return scale[:, None] * np.linalg.cholesky(correlation + 1e-9 * np.eye(scale.size))
+
+
+def _nominal_psf(view: LimbView, psf_px2: float, psf_error: float) -> tuple[float, float]:
+    """Variance of the point spread function before the measurement, px^2, and its standard deviation."""
+    if view.psf_sigma_px is None:
+        return psf_px2, _UNKNOWN_PSF_SIGMA_PX2
+    nominal = view.psf_sigma_px**2
+    return nominal, 2.0 * psf_error * max(nominal, _LEAST_VARIANCE_PX2)
+
+
+def _step_profiles(scans: Scans, psf_px2: float, radius_px: float) -> tuple[Float, Float]:
+    """Profile (n, m) of a step, and what powers of the cosine of emission on a sphere add to it, (n, m, powers)."""
+    width = math.sqrt(psf_px2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
+    offsets, lines = scans.offsets_px, len(scans.points_px)
+    step = step_profile(offsets, width)
+    depth = np.arange(0.5 * _DEPTH_STEP_PX, offsets[-1] + 6.0 * width, _DEPTH_STEP_PX)
+    cosine = np.sqrt(np.maximum(1.0 - np.maximum(1.0 - depth / radius_px, 0.0) ** 2, 0.0))
+    spread = np.exp(-0.5 * ((offsets[:, None] + depth) / width) ** 2) * (
+        _DEPTH_STEP_PX / (width * math.sqrt(2.0 * math.pi))
+    )
+    powers = np.stack([spread @ cosine**power for power in _STEP_POWERS], axis=-1)
+    return np.tile(step, (lines, 1)), np.tile(powers, (lines, 1, 1))
+
+
+def _rendered(
+    view: LimbView,
+    body: Body,
+    scans: Scans,
+    psf_px2: float,
+    options: LimbScanOptions,
+    others: Sequence[Reflectance],
+    *,
+    rays: int,
+) -> list[Float] | Failure:
+    """Profiles (n, m) of the body under its law and under others."""
+    compared = np.abs(scans.offsets_px) <= options.window_px + 4.0 * scans.step_px
+    per_side = _rays_for(view.radius_px, rays)
+    images = render_near(
+        scans.points_px[:, None] + scans.offsets_px[compared, None] * scans.normals_px[:, None],
+        body,
+        replace(view.plane, psf=GaussianPsf(sigma_px=math.sqrt(psf_px2))),
+        sun_direction_camera=view.sun_direction_camera,
+        rays_per_pixel_side=per_side,
+        other_laws=others,
+    )
+    if isinstance(images, Failure):
+        return images
+    everywhere = np.ones(images.shape[1:], dtype=bool)
+    return [
+        scan_lines(image, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn for image in images
+    ]
+
+
+def _rays_for(radius_px: float, rays: int) -> int:
+    """Rays along a pixel for a body of some radius: few pixels on the limb average few rays."""
+    more = max(_FEW_RAYS_RADIUS_PX / radius_px, 1.0)
+    return max(min(math.ceil(more * rays), _MAX_RAYS), rays)
+
+
+def _judged(match: ProfileMatch, *, loose: bool) -> tuple[Mask, dict[str, int]]:
+    """Good lines and the rejected; loose where the expected profile is not that of the body."""
+    alike: Mask = match.correlation >= (_MIN_CORRELATION_LOOSE if loose else _MIN_CORRELATION)
+    alike &= match.unexplained <= (_MAX_UNEXPLAINED_LOOSE if loose else _MAX_UNEXPLAINED)
+    return judge_points(
+        complete=match.complete,
+        strong=match.sigma_px < _MAX_NOISE_PX,
+        alike=alike,
+        gain_dn=match.gain_dn,
+        even=not loose,
+        also={"beyond the search": ~match.at_border, "ambiguous": ~match.rivalled},
+    )
