@@ -24,6 +24,8 @@ Profiles of lines share pixels over 4 px, and albedo is alike over some of that.
 
 _GAIN_STEPS = 4
 """Rounds of shared parameters and gains: each takes off most of what is left of twofold gains."""
+_SPREAD_STEPS = 3
+"""Rounds of the estimate and of how far lines scatter about it."""
 _GAIN_LIMITS = (0.2, 5.0)
 """Least and largest gain over that fitted before, as for good points of a limb."""
 
@@ -72,24 +74,45 @@ def estimate_shared(match: ProfileMatch, good: Mask, *, prior: Float, expected: 
     fitted with too little gain overstates them as much. Some rounds of both settle that.
 
     The covariance comes from how the lines differ in what they say (Newey and West's estimate, which counts that
-    neighbors say the same for the same reason), not from the noise that the weights suppose.
+    neighbors say the same for the same reason), not from the noise that the weights suppose. Where they differ by more
+    than that noise (albedo, relief, a point spread function of another form), what is known before counts for more.
     """
-    gain = np.ones(int(good.sum()))
+    information, pull, gain_change = match.information[good], match.pull[good], match.shared_gain[good]
+    spread = 1.0
+    for _ in range(_SPREAD_STEPS):
+        values, inverse, gain = _solved(information, pull, gain_change, prior * spread, expected)
+        scores = gain[:, None] * pull - gain[:, None] ** 2 * np.einsum("nij,j->ni", information, values)
+        scatter = _scatter(scores)
+        told = np.einsum("n,nij->ij", gain**2, information)
+        spread = max(float(np.trace(inverse @ scatter) / max(np.trace(inverse @ told), 1e-9)), 1.0)
+    covariance = inverse @ (scatter + spread**2 * np.diag(prior)) @ inverse
+    return SharedEstimate(values=values, covariance=(covariance + covariance.T) / 2.0)
+
+
+def _solved(
+    information: Float, pull: Float, gain_change: Float, prior: Float, expected: Float
+) -> tuple[Float, Float, Float]:
+    """Shared parameters (c,), inverse (c, c) of all information on them, and gains (n,) over those fitted before."""
+    gain = np.ones(len(pull))
     for _ in range(_GAIN_STEPS):
-        information, pull = gain[:, None, None] ** 2 * match.information[good], gain[:, None] * match.pull[good]
-        total = information.sum(axis=0) + np.diag(prior)
+        total = np.einsum("n,nij->ij", gain**2, information) + np.diag(prior)
         scale = np.sqrt(np.diagonal(total))
         inverse = np.linalg.inv(total / np.outer(scale, scale)) / np.outer(scale, scale)
-        values = inverse @ (pull.sum(axis=0) + prior * expected)
-        gain = np.clip(1.0 - gain * (match.shared_gain[good] @ values), *_GAIN_LIMITS)
-    scores = pull - np.einsum("nij,j->ni", information, values)
-    freedom = len(scores) / max(len(scores) - prior.size, 1)
+        used = gain
+        values = inverse @ (gain @ pull + prior * expected)
+        gain = np.clip(1.0 - gain * (gain_change @ values), *_GAIN_LIMITS)
+    return values, inverse, used
+
+
+def _scatter(scores: Float) -> Float:
+    """Covariance (c, c) of the sum of scores (n, c) whose neighbors have something in common."""
+    count, parameters = scores.shape
     scatter = scores.T @ scores
-    for lag in range(1, min(_LINES_TOGETHER, len(scores) - 1) + 1):
+    for lag in range(1, min(_LINES_TOGETHER, count - 1) + 1):
         shared = scores[lag:].T @ scores[:-lag]
         scatter += (1.0 - lag / (_LINES_TOGETHER + 1.0)) * (shared + shared.T)
-    covariance = inverse @ (freedom * scatter + np.diag(prior)) @ inverse
-    return SharedEstimate(values=values, covariance=(covariance + covariance.T) / 2.0)
+    result: Float = scatter * (count / max(count - parameters, 1))
+    return result
 
 
 def smooth_places(match: ProfileMatch, good: Mask) -> Float:
