@@ -28,15 +28,10 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative.estimator import center_of_position
+from giantlike.relative.template.align import align_template
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
-from giantlike.relative.template.fit import (
-    TemplateFit,
-    TemplateFitOptions,
-    TemplateImages,
-    TemplateState,
-    align_template,
-    fit_template,
-)
+from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
+from giantlike.relative.template.state import TemplateImages, TemplateState
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, TriangleMesh, irregular_body, load_shape, sphere
 from tests.tolerances import FLOAT64_SUM, RARE

@@ -25,8 +25,8 @@ from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, Ren
 from giantlike.relative.estimator import gather
 from giantlike.relative.light.phase_correction import kaasalainen_tanga
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
-from giantlike.relative.template.fit import TemplateImages
 from giantlike.relative.template.rendering import TemplateRenderer
+from giantlike.relative.template.state import TemplateImages
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, irregular_body, sphere
 from tests.limb_images import body_image

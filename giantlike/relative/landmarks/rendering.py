@@ -15,7 +15,7 @@ from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, trace_body
 from giantlike.relative.landmarks.visibility import SeenLandmarks
-from giantlike.relative.template.rendering import contrasting_law
+from giantlike.relative.template.rendering import contrasting_laws
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog
 
 BORDER_PX = 3
@@ -220,7 +220,7 @@ class LandmarkRenderer(Value):
         if isinstance(trace, Failure) or isinstance(template, Failure):
             return None
         coverage = replace(template, brightness=template.coverage).placed(box.width, box.height)
-        other = trace.with_reflectance(contrasting_law(body.reflectance)).template() if self.other_law else None
+        other = trace.with_reflectance(contrasting_laws(body.reflectance)[0]).template() if self.other_law else None
         return _Images(
             light=template.placed(box.width, box.height),
             other=other.placed(box.width, box.height) if isinstance(other, Template) else None,

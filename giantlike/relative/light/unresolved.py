@@ -156,7 +156,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
             **inputs.identity,
             center_px=fit.state.center_px + shift_px,
             covariance_px2=fit.covariance[:2, :2] + systematic,
-            residuals=fit.residuals_dn[fit.used] / float(fit.model_dn.max() - fit.offset_dn),
+            residuals=fit.residuals_dn[fit.used] / float(fit.signal_dn.max()),
             n_used=int(fit.used.sum()),
             n_rejected=fit.n_rejected,
             score=measured.snr,

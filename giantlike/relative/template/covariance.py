@@ -243,6 +243,34 @@ class LinearFit(Value):
         """
         return self._sandwich(_correlated(self.columns * (self.weights * error), length_px / math.sqrt(2.0)))
 
+    def omission_covariance(self, residuals: Float, column: Float, sigma: float) -> Float:
+        """Covariance of the parameters from a column that was left out of the model.
+
+        Parameters
+        ----------
+        residuals : (h, w) float64
+        column : (h, w) float64
+        sigma : float
+            A priori standard deviation of its parameter.
+
+        Returns
+        -------
+        (k, k) float64
+
+        Notes
+        -----
+        With the column in the model, its parameter would be ``t`` standard deviations from zero and the others would
+        change by ``d``. Noise alone makes ``t^2`` one on average; the rest, ``d d^T (1 - 1 / t^2)``, is an error of the
+        model. (This is Hausman's comparison of two estimates, for one column.)
+        """
+        weighted = (self.weights * column).ravel()
+        shared = self.columns.reshape(len(self.columns), -1) @ weighted
+        moves = np.linalg.solve(self.information, shared)
+        information = float(column.ravel() @ weighted - shared @ moves) + sigma**-2
+        score = float(weighted @ residuals.ravel())
+        squares = score**2 / information
+        return np.asarray(np.outer(moves, moves) * (score / information) ** 2 * max(1.0 - 1.0 / max(squares, 1.0), 0.0))
+
     def full_covariance(self, residuals: Float, noise: Float, error: Float, *, blur_px: float, block_px: int) -> Float:
         """Covariance of the parameters from noise and from correlated errors of the model.
 

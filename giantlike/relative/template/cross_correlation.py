@@ -16,12 +16,8 @@ from giantlike.processing.correlate import CorrelationOptions, locate_template
 from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, position_of_center
 from giantlike.relative.quality import QualityChecks
-from giantlike.relative.template.fit import (
-    TemplateFit,
-    TemplateFitOptions,
-    align_template,
-    fit_template,
-)
+from giantlike.relative.template.align import align_template
+from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
     UNKNOWN_BLUR_SIGMA_PX2,
@@ -269,7 +265,7 @@ def _fix(
 ) -> CenterFix | PositionFix:
     """Return the fix of a match, with its flags."""
     fit, model = match.fit, inputs.camera.model
-    signal = fit.model_dn - fit.offset_dn
+    signal = fit.signal_dn
     lit = signal >= _LIT * float(signal.max())
     center = CenterFix(
         **inputs.identity,
@@ -304,7 +300,7 @@ def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, search_px: 
     rows, columns = np.nonzero(lit & within)
     area[rows + box.y, columns + box.x] = True
     seen = lit & fit.used
-    signal = fit.model_dn[seen] - fit.offset_dn
+    signal = fit.signal_dn[seen]
     unexplained = float(np.linalg.norm(fit.residuals_dn[seen]) / np.linalg.norm(signal))
     n_used = int(fit.used.sum())
     checks = QualityChecks(

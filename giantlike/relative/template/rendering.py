@@ -16,8 +16,10 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import (
     Body,
     FocalPlane,
+    Hapke,
     Lambert,
     LommelSeeliger,
+    Minnaert,
     Reflectance,
     RenderOptions,
     Template,
@@ -25,7 +27,7 @@ from giantlike.ray_tracing import (
     trace_body,
 )
 from giantlike.relative.estimator import apparent_radius_px
-from giantlike.relative.template.fit import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState, warped
+from giantlike.relative.template.state import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState, warped
 
 UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 """A priori standard deviation, px^2, of the variance of a point spread function that the camera does not know."""
@@ -36,34 +38,21 @@ _POINT_PX = 1e-3  # px: smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_across`` samples them finely enough
 _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it: bodies are rarely more elongated
 _NEAR_PX, _NEAR_BLUR = 1.0, 0.1
-"""Motion of center or limb, px, and share of the blur up to which the changes by other laws are moved along."""
+"""Motion of center or limb, px, and share of the blur up to which derivatives are moved along."""
 _ROUGH = 2.0  # times the distance between rays: on the way to the solution, which needs no fine edges
-_COARSE_RADIUS_PX = 20.0  # px, from which the changes by other laws are rendered so too; smaller bodies are all edge
+_COARSE_RADIUS_PX = 20.0  # px, from which renders on the way are rough; smaller bodies are all edge
 _FINE_RAYS = 2  # along the side of a pixel, at least: one a pixel leaves 0.02 px of a 300 px body, two 0.003
-_SMALL_RADIUS_PX = 10.0  # px, below which derivatives are those of renders, see TemplateImages
+_OTHER_LAWS: tuple[Reflectance, ...] = (Hapke(w=0.9), Minnaert(k=0.6))
+"""Laws that are mixed in besides the one that contrasts: light scattered many times, and a limb brighter than that of
+any mixture of the others. Against truths of Hapke (w = 0.3 and 0.8) and Minnaert (k = 0.6) these two keep errors at those
+of an exact law; without them they reach 0.4 and 2 px of a body of 200 px."""
+_UNTRIED_LAW: Reflectance = Minnaert(k=0.8)
+"""Law that is not mixed in: what it would change says how much laws outside of the mixture matter. Its limb lies
+between those of the others, where sums of laws follow a power law worst."""
+_SMALL_RADIUS_PX = 10.0
+"""Radius, px, below which derivatives are those of renders, see TemplateImages, and only one other law is mixed in."""
 _STEP_PX, _LOG_RANGE_STEP, _BLUR_STEP_PX2 = 0.125, 0.04, 0.1
 """Steps to both sides for these derivatives: of the center, px, of the logarithm of the range and of the blur, px^2."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _OtherLight(Value):
-    """Changes of the light at one state.
-
-    Parameters
-    ----------
-    state : TemplateState
-        State that they were rendered for.
-    shares : (k,) float64
-        Light under each other law over that under the law of the target.
-    differences : (k, h, w) float64
-        What is different besides.
-    derivatives : (4, h, w) float64, optional
-    """
-
-    state: TemplateState
-    shares: tuple[float, ...]
-    differences: tuple[Float, ...]
-    derivatives: Float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -146,10 +135,11 @@ class TemplateRenderer(Value):
         return box.limited(self.plane.columns, self.plane.rows, FIT_BORDER_PX)
 
     def synthesis(self, box: PixelBox, *, other_law: bool) -> Synthesis:
-        """Return the function that renders states into a box, optionally under another reflectance law as well.
+        """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
-        The differences that the other law and another range make are rendered anew only where the geometry has moved by
-        a pixel, and moved along with it up to there.
+        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else. The
+        derivatives of small bodies are rendered anew only where the geometry has moved by a pixel, and moved along with
+        it up to there.
 
         Parameters
         ----------
@@ -160,46 +150,38 @@ class TemplateRenderer(Value):
         -------
         callable
         """
-        laws = (contrasting_law(self.target.reflectance),) if other_law else ()
-        latest: list[_OtherLight] = []
+        most = None if self.radius_px >= _SMALL_RADIUS_PX else 1
+        others = contrasting_laws(self.target.reflectance)[:most] if other_law else ()
+        laws = (self.target.reflectance, *others)
+        untried = other_law and self.radius_px >= _SMALL_RADIUS_PX
+        latest: list[tuple[TemplateState, Float]] = []
 
         def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
-            light: Float | None = None
-            if not (latest and self._near(latest[0].state, state)):
-                made = self._changes(box, state, laws)
+            rough = not fine and self.radius_px >= _COARSE_RADIUS_PX
+            sampling = self.sampling(FIT_BORDER_PX, rough=rough, min_rays=_FINE_RAYS if fine else 1)
+            extra = (_UNTRIED_LAW,) if fine and untried else ()
+            lights = self._lights(box, state, laws + extra, sampling)
+            if isinstance(lights, Failure):
+                return lights
+            light, *differing = lights[: len(laws)]
+            if self.radius_px >= _SMALL_RADIUS_PX:
+                return TemplateImages(light=light, others=differing, untried=lights[-1] if extra else None)
+            if not (latest and self._near(latest[0][0], state)):
+                made = self._derivatives(box, state)
                 if isinstance(made, Failure):
                     return made
-                light, changes = made
-                latest[:] = [changes]
-            changes = latest[0]
-            if fine or light is None:
-                sampling = self.sampling(FIT_BORDER_PX, rough=not fine, min_rays=_FINE_RAYS if fine else 1)
-                rendered = self._light(box, state, sampling)
-                if isinstance(rendered, Failure):
-                    return rendered
-                light = rendered
-
-            def moved(image: Float) -> Float:
-                return image if changes.state is state else warped(image, box.corner_px, changes.state, state)
-
-            pairs = zip(changes.shares, changes.differences, strict=True)
-            return TemplateImages(
-                light=light,
-                others=[share * light + moved(difference) for share, difference in pairs],
-                derivatives=None if changes.derivatives is None else np.stack([moved(d) for d in changes.derivatives]),
-            )
+                latest[:] = [(state, made)]
+            there, derivatives = latest[0]
+            if there is not state:
+                derivatives = np.stack([warped(one, box.corner_px, there, state) for one in derivatives])
+            return TemplateImages(light=light, others=differing, derivatives=derivatives)
 
         return images
 
-    def _light(self, box: PixelBox, state: TemplateState, sampling: RenderOptions) -> Float | Failure:
-        """Light (h, w) predicted for a state, on the pixels of a box."""
-        template = self.render(state, sampling)
-        return template if isinstance(template, Failure) else placed(template, box)
-
-    def _changes(
-        self, box: PixelBox, state: TemplateState, laws: tuple[Reflectance, ...]
-    ) -> tuple[Float, _OtherLight] | Failure:
-        """The light at a state, and its changes by other laws and, on a small body, by another range."""
+    def _lights(
+        self, box: PixelBox, state: TemplateState, laws: tuple[Reflectance, ...], sampling: RenderOptions
+    ) -> list[Float] | Failure:
+        """Light (h, w) predicted for a state under each law, on the pixels of a box, all from the same rays."""
         trace = trace_body(
             self.body(state),
             self.plane.model,
@@ -207,23 +189,17 @@ class TemplateRenderer(Value):
             psf=GaussianPsf(sigma_px=math.sqrt(state.psf_variance_px2)),
             columns=self.plane.columns,
             rows=self.plane.rows,
-            options=self.sampling(FIT_BORDER_PX, rough=self.radius_px >= _COARSE_RADIUS_PX),
+            options=sampling,
         )
         if isinstance(trace, Failure):
             return trace
         lights = []
-        for law in (self.target.reflectance, *laws):
+        for law in laws:
             template = trace.with_reflectance(law).template()
             if isinstance(template, Failure):
                 return template
             lights.append(placed(template, box))
-        light, *others = lights
-        shares = tuple(float(other.sum()) / max(float(light.sum()), 1e-300) for other in others)
-        differences = tuple(other - share * light for share, other in zip(shares, others, strict=True))
-        derivatives = self._derivatives(box, state) if self.radius_px < _SMALL_RADIUS_PX else None
-        if isinstance(derivatives, Failure):
-            return derivatives
-        return light, _OtherLight(state, shares, differences, derivatives)
+        return lights
 
     def _derivatives(self, box: PixelBox, state: TemplateState) -> Float | Failure:
         """Derivatives (4, h, w) of the light at a state, from renders to both sides of it."""
@@ -238,23 +214,23 @@ class TemplateRenderer(Value):
                     log_range=state.log_range + float(log_range),
                     psf_variance_px2=state.psf_variance_px2 + float(variance),
                 )
-                light = self._light(box, there, self.sampling(FIT_BORDER_PX))
-                if isinstance(light, Failure):
-                    return light
-                sides.append(light)
+                template = self.render(there, self.sampling(FIT_BORDER_PX))
+                if isinstance(template, Failure):
+                    return template
+                sides.append(placed(template, box))
             derivatives.append((sides[1] - sides[0]) / (2.0 * max(step, 1e-6)))
         return np.stack(derivatives)
 
     def _near(self, first: TemplateState, second: TemplateState) -> bool:
-        """Return True if the changes by other laws can be moved from one state to another."""
+        """Return True if derivatives can be moved from one state to another."""
         shift_px = float(np.abs(first.center_px - second.center_px).max())
         limb_px = abs(first.log_range - second.log_range) * self.radius_px
         blur_px2 = abs(first.psf_variance_px2 - second.psf_variance_px2)
         return max(shift_px, limb_px) < _NEAR_PX and blur_px2 < _NEAR_BLUR * (0.1 + first.psf_variance_px2)
 
 
-def contrasting_law(law: Reflectance) -> Reflectance:
-    """Return a law that a fit mixes into that of the target, so that a wrong law does not pull the center.
+def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:
+    """Return laws that a fit mixes into that of the target, so that a wrong law does not pull the center.
 
     Parameters
     ----------
@@ -263,10 +239,12 @@ def contrasting_law(law: Reflectance) -> Reflectance:
 
     Returns
     -------
-    Reflectance
-        Lambert, or Lommel-Seeliger for a target with Lambert's law.
+    tuple of Reflectance
+        The one that differs most first: Lambert, or Lommel-Seeliger for a target with Lambert's law. A small body shows
+        no more than that.
     """
-    return LommelSeeliger() if isinstance(law, Lambert) else Lambert()
+    first: Reflectance = LommelSeeliger() if isinstance(law, Lambert) else Lambert()
+    return first, *_OTHER_LAWS
 
 
 def placed(template: Template, box: PixelBox, shift_px: NDArray[np.int64] | None = None) -> Float:

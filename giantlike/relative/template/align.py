@@ -1,0 +1,95 @@
+"""Alignment: a rough start of a fit is improved by moving and scaling one render, on images reduced in size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.pixel_box import BoxPixels
+from giantlike.relative.template.linear import RANGE, Problem, X, Y
+from giantlike.relative.template.state import TemplateImages, TemplateState, warped
+
+_RADII_PX = (12.0, 40.0)
+"""Radii, px, of the body in the reduced images: errors of half of it are still found, then refined."""
+_STEPS = 5  # in each reduced image; the best state on the way is taken
+_STEP_PX = 2.0  # px of the reduced image: the reach of its slopes after _BLUR_PX
+_BLUR_PX = 0.6  # px of the reduced image: block means alias without it
+_WARPED_OVER = 4  # pixels averaged after an image was moved: the errors of the interpolation average with them
+
+
+def align_template(
+    pixels: BoxPixels, light: Float, rendered: TemplateState, start: TemplateState, *, radius_px: float
+) -> TemplateState:
+    """Improve a rough start from one render by moving and scaling it, on images reduced in size and then less so.
+
+    Parameters
+    ----------
+    pixels : BoxPixels
+    light : (h, w) float64
+        A template rendered for the state ``rendered``.
+    rendered, start : TemplateState
+    radius_px : float, px
+        Of the body; the first reduction leaves 12 px of it, the last 40.
+
+    Returns
+    -------
+    TemplateState
+        The best state on the way, which may be the start.
+    """
+    state = start
+    for radius in _RADII_PX:
+        factor = max(round(radius_px / radius), 1)
+        last = min(factor, _WARPED_OVER)  # part of the reduction comes before the light is moved, part hides that
+        first = round(factor / last)
+        factor = first * last
+        share = _mean_over(pixels.usable.astype(np.float64), factor)
+        known = _mean_over(np.where(pixels.usable, pixels.values_dn, 0.0), factor)
+        small = BoxPixels(
+            values_dn=_softened(known) / np.maximum(_softened(share), 1e-6),
+            usable=share > 0.5,
+            corner_px=(0, 0),
+            noise_variance_dn2=pixels.noise_variance_dn2,
+        )
+        part = _mean_over(light, first)
+        tried: list[tuple[float, TemplateState]] = []
+        for _ in range(_STEPS):
+            moved = warped(
+                part, (0, 0), _reduced(rendered, pixels.corner_px, first), _reduced(state, pixels.corner_px, first)
+            )
+            moved = _softened(_mean_over(moved, last))
+            moved = moved[: small.usable.shape[0], : small.usable.shape[1]]
+            if not float(moved.sum()) > 0.0:
+                break
+            problem = Problem(small, TemplateImages(light=moved), _reduced(state, pixels.corner_px, factor), None)
+            tried.append((problem.misfit_dn2(), state))
+            step = problem.plain_step(_STEP_PX)
+            state = replace(
+                state, center_px=state.center_px + factor * step[[X, Y]], log_range=state.log_range + step[RANGE]
+            )
+        if not tried:
+            return start
+        state = min(tried, key=lambda entry: entry[0])[1]
+    return state
+
+
+def _reduced(state: TemplateState, corner_px: tuple[int, int], factor: int) -> TemplateState:
+    """Return a state in the pixels of a box that was reduced in size."""
+    center = (state.center_px - corner_px + 0.5) / factor - 0.5
+    return replace(state, center_px=center, psf_variance_px2=_BLUR_PX**2)
+
+
+def _mean_over(image: Float, factor: int) -> Float:
+    """Mean over squares of ``factor`` pixels; what does not fill a square at the end is left out."""
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    if height == 0 or width == 0:
+        return np.zeros((1, 1))
+    squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor)
+    return np.asarray(squares.mean(axis=(1, 3)))
+
+
+def _softened(image: Float) -> Float:
+    """An image blurred a little, so that its slopes can be taken."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX, borderType=cv2.BORDER_REPLICATE), np.float64)

@@ -1,0 +1,160 @@
+"""The linear problem of a template fit: columns of geometry and photometry, and the step that they ask for."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.pixel_box import BoxPixels
+from giantlike.relative.template.covariance import Prior, RobustFit, VarianceModel, robust_fit
+from giantlike.relative.template.state import TemplateImages, TemplateState
+
+X, Y, RANGE, BLUR, GAIN, OFFSET, RAMP_X, RAMP_Y = range(8)
+"""Parameters: center in px, logarithm of the range, variance of the point spread function in px^2, then photometry: the
+light, a constant background and its slopes over half the box. After them come the other reflectance laws."""
+LAWS = RAMP_Y + 1
+
+PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+"""Variance, px^2, of a square pixel along one axis."""
+
+_FIRST_DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])  # central, of sixth order, 1/px
+_SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])  # the same, 1/px^2
+_MIXING_SIGMA = 1.0
+"""A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
+about between those that are mixed."""
+
+
+class Problem:
+    """One linear step: derivatives of the model around a state, and the pixels to explain.
+
+    The model is linear in its photometry: the light, a constant and a slope of the background, and the differences that
+    other laws make.
+
+    Parameters
+    ----------
+    pixels : BoxPixels
+    images : TemplateImages
+        Rendered for ``state``.
+    state : TemplateState
+    photometry : (k,) float64, optional
+        Coefficients of the photometric columns from a problem nearby; None finds them by plain least squares, with the
+        law of the target alone.
+    """
+
+    def __init__(
+        self, pixels: BoxPixels, images: TemplateImages, state: TemplateState, photometry: Float | None
+    ) -> None:
+        self.pixels, self.light = pixels, images.light
+        total = float(images.light.sum())
+        differences = [_difference(other, images.light) for other in images.others]
+        self.untried = None if images.untried is None else _difference(images.untried, images.light)
+        basis = np.stack([images.light, *_background(images.light.shape), *differences])
+        if photometry is None:
+            first = unweighted(basis[: LAWS - GAIN], pixels)
+            photometry = np.concatenate([first, np.zeros(len(differences))])
+        self.gain_dn = float(photometry[0])
+        body = [0, *range(LAWS - GAIN, len(basis))]
+        self.signal = np.tensordot(photometry[body], basis[body], 1)
+        self.model = self.signal + np.tensordot(photometry[1 : LAWS - GAIN], basis[1 : LAWS - GAIN], 1)
+        x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
+        y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
+        spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
+        rendered = images.derivatives
+        by_pixels = self.signal if rendered is None else np.tensordot(photometry[body[1:]], basis[body[1:]], 1)
+        slope_x, slope_y, curvature = _derivatives(by_pixels)
+        radial = x * slope_x + y * slope_y + spread * curvature
+        moved = np.stack([-slope_x, -slope_y, radial, 0.5 * curvature])
+        if rendered is not None:
+            moved += self.gain_dn * rendered
+        self._slope2 = moved[X] ** 2 + moved[Y] ** 2
+        self.columns = np.concatenate([moved, basis])
+        self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / total))
+
+    @property
+    def mixing_sigma_dn(self) -> float:
+        """A priori standard deviation of the parameter of another law."""
+        return _MIXING_SIGMA * max(abs(self.gain_dn), 1e-12)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters."""
+        return len(self.columns)
+
+    def misfit_dn2(self) -> float:
+        """Mean square of image minus model, with the brightness that fits best."""
+        use = self.pixels.usable
+        basis, values = self.columns[GAIN:, use], self.pixels.values_dn[use]
+        found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
+        return float(np.mean((values - found @ basis) ** 2))
+
+    def plain_step(self, longest_px: float) -> Float:
+        """Unweighted step (3,) in x, y and logarithm of the range, brightness free, not longer than ``longest_px``."""
+        names = [X, Y, RANGE, *range(GAIN, LAWS)]
+        step = unweighted(self.columns[names], self.pixels)[: RANGE + 1]
+        length_px = max(float(np.hypot(step[X], step[Y])), abs(float(step[RANGE])) * self.reach_px, 1e-12)
+        return np.asarray(step * min(1.0, longest_px / length_px))
+
+    def prior(self, mean: Float, sigma: Float) -> Prior:
+        """Prior of all parameters from that of the first four, ``mean`` and ``sigma`` (4,): laws get their own."""
+        means, sigmas = np.zeros(self.n_parameters), np.full(self.n_parameters, np.inf)
+        means[:GAIN], sigmas[:GAIN] = mean, sigma
+        sigmas[LAWS:] = self.mixing_sigma_dn
+        return Prior(means, sigmas**-2)
+
+    def solve(self, prior: Prior, clip_sigma: float, errors: Float | None) -> RobustFit | Failure:
+        """Weighted least squares with the model-error variances that the residuals ask for."""
+        use = self.pixels.usable
+        signal = self.signal[use]
+        shapes = np.stack([np.ones(signal.size), self._slope2[use], signal**2])
+        variances = VarianceModel(self.pixels.noise_variance_dn2(signal), shapes)
+        design, values = self.columns[:, use].T, self.pixels.values_dn[use]
+        fit = robust_fit(design, values, variances, prior, clip_sigma=clip_sigma, start=errors)
+        if fit is None:
+            return Failure(
+                Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"
+            )
+        return fit
+
+
+def unweighted(basis: Float, pixels: BoxPixels) -> Float:
+    """Plain least squares.
+
+    Parameters
+    ----------
+    basis : (k, h, w) float64
+    pixels : BoxPixels
+
+    Returns
+    -------
+    (k,) float64
+        Coefficients of the images, over the usable pixels.
+    """
+    brightness = np.linalg.lstsq(basis[:, pixels.usable].T, pixels.values_dn[pixels.usable], rcond=None)[0]
+    return brightness.astype(np.float64, copy=False)
+
+
+def _difference(other: Float, light: Float) -> Float:
+    """Light (h, w) under another law less that under the law of the target, at the same sum."""
+    return np.asarray(other * (float(light.sum()) / max(float(other.sum()), 1e-300)) - light)
+
+
+def _background(shape: tuple[int, ...]) -> tuple[Float, Float, Float]:
+    """A constant, and slopes from -1 to 1 along x and y (h, w)."""
+    y, x = (np.linspace(-1.0, 1.0, size) for size in shape)
+    return np.ones(shape), np.broadcast_to(x, shape), np.broadcast_to(y[:, None], shape)
+
+
+def _derivatives(image: Float) -> tuple[Float, Float, Float]:
+    """Slopes along x and y and the Laplacian (h, w), by differences of sixth order."""
+    keep = np.ones(1)
+
+    def slope(along_x: Float, along_y: Float) -> Float:
+        filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
+        return filtered.astype(np.float64, copy=False)
+
+    curvature: Float = slope(_SECOND_DERIVATIVE, keep) + slope(keep, _SECOND_DERIVATIVE)
+    return slope(_FIRST_DERIVATIVE, keep), slope(keep, _FIRST_DERIVATIVE), curvature

@@ -1,0 +1,88 @@
+"""States and images of a template: where a body is rendered, what it looks like there, and how to move the image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
+
+FIT_BORDER_PX = 4
+"""Pixels over the frame that a fitted box should reach: derivatives take that many neighbors."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TemplateState(Value):
+    """Geometry and blur that a template is rendered for.
+
+    Parameters
+    ----------
+    center_px : (2,) float64, px
+        Center of the body in the image.
+    log_range : float
+        Natural logarithm of the range over the a priori range.
+    psf_variance_px2 : float, px^2
+    """
+
+    center_px: Float
+    log_range: float = 0.0
+    psf_variance_px2: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TemplateImages(Value):
+    """A body rendered into the box that is fitted.
+
+    Parameters
+    ----------
+    light : (h, w) float64
+        Brightness under the reflectance law of the target.
+    others : (k, h, w) float64
+        Brightness under k other laws, which the fit may mix in; none by default.
+    untried : (h, w) float64, optional
+        Brightness under a law that the fit does not mix in; what it would change enters the covariance.
+    derivatives : (4, h, w) float64, optional
+        Of ``light``, by x and y of the center in px, the logarithm of the range and the variance of the point spread
+        function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
+        sharp as a point spread function, which does not matter on wide bodies. On small ones, shift, range, blur and
+        law nearly do the same to the image, and with such errors they seem to be distinguishable.
+    """
+
+    light: Float
+    others: Sequence[Float] = ()
+    untried: Float | None = None
+    derivatives: Float | None = None
+
+
+Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]
+"""Renders the body for a state into the fitted box; finely (True) at the end of the fit, roughly on the way."""
+
+
+def warped(light: Float, corner_px: tuple[int, int], rendered: TemplateState, to: TemplateState) -> Float:
+    """Move and scale a template to another state within the same box.
+
+    Parameters
+    ----------
+    light : (h, w) float64
+        Rendered for the state ``rendered``.
+    corner_px : (int, int), px
+        Column and row of its first element.
+    rendered, to : TemplateState
+
+    Returns
+    -------
+    (h, w) float64
+    """
+    scale = math.exp(to.log_range - rendered.log_range)
+    corner = np.asarray(corner_px, dtype=np.float64)
+    shift = rendered.center_px - corner - scale * (to.center_px - corner)
+    matrix = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    size = (light.shape[1], light.shape[0])
+    return np.asarray(cv2.warpAffine(light, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float64)
