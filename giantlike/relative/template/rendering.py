@@ -44,8 +44,8 @@ _COARSE_RADIUS_PX = 20.0  # px, from which renders on the way are rough; smaller
 _FINE_RAYS = 2  # along the side of a pixel, at least: one a pixel leaves 0.02 px of a 300 px body, two 0.003
 _OTHER_LAWS: tuple[Reflectance, ...] = (Hapke(w=0.9), Minnaert(k=0.6))
 """Laws that are mixed in besides the one that contrasts: light scattered many times, and a limb brighter than that of
-any mixture of the others. Against truths of Hapke (w = 0.3 and 0.8) and Minnaert (k = 0.6) these two keep errors at those
-of an exact law; without them they reach 0.4 and 2 px of a body of 200 px."""
+any mixture of the others. Against truths of Hapke (w = 0.3 and 0.8) and Minnaert (k = 0.6) these two keep errors at
+those of an exact law; without them they reach 0.4 and 2 px of a body of 200 px."""
 _UNTRIED_LAW: Reflectance = Minnaert(k=0.8)
 """Law that is not mixed in: what it would change says how much laws outside of the mixture matter. Its limb lies
 between those of the others, where sums of laws follow a power law worst."""
