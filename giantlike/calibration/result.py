@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -163,6 +164,27 @@ class CalibrationResult(Value):
     def rms_px(self) -> float:
         """Radial residual rms of the observations used, px."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
+
+    def weighted_rms_px(self, image: int | None = None) -> float:
+        """Radial residual rms of the observations used, with their weights in the fit.
+
+        Faint stars, whose noise says nothing about the camera, count little in it.
+
+        Parameters
+        ----------
+        image : int, optional
+            Number of one image; default: all.
+
+        Returns
+        -------
+        float, px
+            NaN without observations.
+        """
+        mine = self.used if image is None else self.used & (self.image_index == image)
+        if not mine.any():
+            return math.nan
+        weights = self.sigma_px[mine] ** -2.0
+        return math.sqrt(float(np.average(np.sum(self.residuals_px[mine] ** 2, axis=1), weights=weights)))
 
     @property
     def n_used(self) -> int:

@@ -160,7 +160,7 @@ def _print_table(calibration: dict[str, Any]) -> None:
         f"{calibration['n_rejected']} rejected; residual rms {calibration['rms_px']:.3f} px radial, "
         f"{calibration['residual_sigma_px']:.3f} px per axis; map known to {calibration['map_sigma_max_px']:.3f} px"
     )
-    if every:
+    if every and every["min_snr"] > 0:
         typer.echo(
             f"all {every['count']} stars, also those of SNR < {every['min_snr']:g}: "
             f"residual rms {every['rms_px']:.3f} px radial (their sigmas promise {every['noise_px']:.3f} px)"

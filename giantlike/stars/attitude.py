@@ -16,7 +16,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.statistics import error_floor, squared_residuals
+from giantlike.core.statistics import error_floor, error_terms, squared_residuals
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 
@@ -49,6 +49,8 @@ class AttitudeSolution(Value):
     error_floor_px : float, px
         Standard deviation per axis added in quadrature to that of every star to explain the residuals; 0 if they need
         none.
+    error_factor : float
+        Factor on the standard deviations of the stars themselves, at least 1.
     reduced_chi2 : float
         Chi-square over degrees of freedom without the floor.
     by_pixels : (3, k, 2) float64, rad/px
@@ -62,6 +64,7 @@ class AttitudeSolution(Value):
     predicted_px: Float
     sigma_px: Float
     error_floor_px: float
+    error_factor: float
     reduced_chi2: float
     by_pixels: Float
 
@@ -103,9 +106,10 @@ def fit_attitude(
 
     Every star is weighted with its full 2x2 covariance or, by the methods that solve Wahba's problem, with the mean of
     its variances along both axes. Stars with residuals beyond ``outlier_sigma`` are rejected in rounds, with the
-    scatter estimated by its median. If the remaining residuals exceed their covariances, an error floor common to all
-    stars is added in quadrature until chi-square equals its degrees of freedom: the covariance of the attitude then
-    includes the unmodeled error, and no bright star dominates the fit.
+    scatter estimated by its median. If the remaining residuals exceed their covariances, these are scaled by a factor
+    and an error floor common to all stars is added in quadrature, so that chi-square equals its degrees of freedom
+    (:func:`~giantlike.core.statistics.error_terms`): the covariance of the attitude then includes the unmodeled error,
+    and no bright star dominates the fit.
 
     Parameters
     ----------
@@ -168,9 +172,9 @@ class _Stars(Value):
     def select(self, which: Mask) -> _Stars:
         return select_rows(self, which)
 
-    def inflated(self, floor_px: float) -> _Stars:
-        """Stars with an error floor added to every covariance."""
-        return replace(self, covariance_px2=self.covariance_px2 + floor_px**2 * np.eye(2))
+    def inflated(self, floor_px: float, factor: float = 1.0) -> _Stars:
+        """Stars with their standard deviations scaled and an error floor added to every covariance."""
+        return replace(self, covariance_px2=factor**2 * self.covariance_px2 + floor_px**2 * np.eye(2))
 
     def residuals(self, state: _State) -> Float:
         return self.points_px - state.predict(self.directions)
@@ -266,21 +270,21 @@ def _without_outliers(
 
 
 def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitter) -> AttitudeSolution | Failure:
-    """Last fit, of the stars kept: with their own covariances if chi-square allows, else with an error floor."""
+    """Last fit, of the stars kept: with their own covariances if chi-square allows, else with larger ones."""
     chosen = stars.select(used)
     freedom = 2 * int(used.sum()) - 3 - scale
     fitted = fit(state, chosen, scale)
     if isinstance(fitted, Failure):
         return fitted
     plain = float(squared_residuals(chosen.residuals(fitted[0]), chosen.covariance_px2).sum())
-    floor = 0.0
+    factor, floor = 1.0, 0.0
     if freedom > 0 and float(gammainc(freedom / 2.0, plain / 2.0)) > _NOISE_EXPLAINS:
-        floor = error_floor(chosen.residuals(state), chosen.covariance_px2, freedom=freedom)
-        fitted = fit(state, chosen.inflated(floor), scale)
+        factor, floor = error_terms(chosen.residuals(state), chosen.covariance_px2, freedom=freedom)
+        fitted = fit(state, chosen.inflated(floor, factor), scale)
         if isinstance(fitted, Failure):
             return fitted
     state, covariance = fitted
-    variances = np.trace(stars.inflated(floor).covariance_px2, axis1=1, axis2=2) / 2.0
+    variances = np.trace(stars.inflated(floor, factor).covariance_px2, axis1=1, axis2=2) / 2.0
     return AttitudeSolution(
         camera_from_inertial=state.rotation,
         covariance_rad2=covariance[:3, :3],
@@ -289,8 +293,9 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
         predicted_px=state.predict(stars.directions),
         sigma_px=np.sqrt(variances),
         error_floor_px=floor,
+        error_factor=factor,
         reduced_chi2=plain / max(freedom, 1),
-        by_pixels=_by_pixels(state, chosen.inflated(floor), scale),
+        by_pixels=_by_pixels(state, chosen.inflated(floor, factor), scale),
     )
 
 

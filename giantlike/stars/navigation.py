@@ -243,6 +243,7 @@ class StarNavigation:
             "epoch": f"J{EPOCH_WHEN_UNKNOWN} assumed" if image.epoch is None else utc_text(image.epoch),
             "observer": "barycenter at rest assumed" if image.observer is None else "position and velocity",
             "error_floor_px": f"{solution.error_floor_px:.4g}",
+            "error_factor": f"{solution.error_factor:.4g}",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
 

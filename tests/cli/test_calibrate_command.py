@@ -27,7 +27,7 @@ from tests.campaign_files import OBSERVER, sky
 from tests.tolerances import FALSE_ALARM, FLOAT64_SUM
 
 MAP_PX = 0.02  # rms over the field: 160 stars of 0.1 px in each of four images give 0.003
-REAL_RMS_PX = 0.13  # required of the real frames
+REAL_RMS_PX = 0.13  # required of the bright stars of the real frames; faint ones have more noise
 ESTIMATE = ["fx_px", "fy_px", "k1"]
 TRUTH = Camera(
     name="eye",
@@ -102,9 +102,8 @@ def test_a_camera_is_calibrated_from_its_size_a_rough_field_of_view_and_stars(do
     assert summary["status"] == "ok"
     assert summary["settled"]
     assert summary["targets"] == "stars"
-    assert summary["all_stars"]["min_snr"] == 20.0
-    assert summary["all_stars"]["count"] >= summary["n_used"]
-    assert summary["all_stars"]["rms_px"] > summary["rms_px"]  # faint stars have more noise
+    assert summary["all_stars"]["min_snr"] == 0.0
+    assert summary["all_stars"]["count"] == pytest.approx(summary["n_used"], rel=0.1)
     assert [one["name"] for one in summary["parameters"]] == ESTIMATE
     camera = Camera.load(path.parent / "done" / "camera.toml")
     assert map_difference(TRUTH.model, camera.model, columns=480, rows=400).rms_px < MAP_PX
@@ -240,6 +239,8 @@ def test_real_frames_of_one_camera_are_fitted_to_their_centroid_noise(data_dir: 
     result = giantlike("calibrate", *frames, "--fov", "11", "--output", tmp_path / "tetra3", "--workers", "1", "--json")
     assert result.exit_code == 0, result.stderr
     summary = json.loads(result.stdout)["calibration"]
-    assert summary["rms_px"] <= REAL_RMS_PX
-    assert summary["n_used"] > 100
+    brightest = min((one for one in summary["residuals"] if one["kind"] == "magnitude"), key=lambda one: one["middle"])
+    assert brightest["rms_px"] <= REAL_RMS_PX
+    assert brightest["count"] > 100
+    assert summary["n_used"] > 800
     assert summary["n_rejected"] < 10

@@ -104,7 +104,8 @@ class Workbench(Value):
     def with_camera(self, camera: Camera) -> Workbench:
         """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky.
 
-        They rest on stars as bright as those of the calibration, so that residuals of the two compare.
+        They rest on stars as bright as those of the calibration where that has a limit, so that residuals of the two
+        compare.
 
         Parameters
         ----------
