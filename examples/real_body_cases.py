@@ -23,7 +23,7 @@ from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import direction_from_radec, rotate
-from giantlike.core.light import aberrate
+from giantlike.core.light import boosted
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
@@ -206,7 +206,7 @@ def planet(body: str, observer: str, et: float) -> tuple[Float, Rotation, Float,
     velocity = spk_state(observer, et, observer="SOLAR SYSTEM BARYCENTER")[1]
     at_emission, _ = spk_state(center, emission, observer="SOLAR SYSTEM BARYCENTER")
     sun, _ = spk_state("SUN", emission, observer="SOLAR SYSTEM BARYCENTER")
-    position = aberrate(at_emission - at_reception, velocity)
+    position = boosted(at_emission - at_reception, velocity)
     return position, orientation(f"IAU_{body}", emission), unit(sun - at_emission), body_radii_km(body)
 
 

@@ -13,7 +13,7 @@ from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require, require_number, unit
 from giantlike.core.errors import FrameMismatchError, InputError
 from giantlike.core.frames import rotate
-from giantlike.core.light import aberrate
+from giantlike.core.light import aberrate, boosted
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
@@ -99,7 +99,8 @@ class TargetGeometry(Value):
     target : Target
         The body.
     position_camera_km : (3,), km, camera axes
-        Apparent position of the origin of the shape, from the camera.
+        Apparent position of the origin of the shape, from the camera; its length is the range by which the size in
+        the image goes, see :func:`~giantlike.core.light.boosted`.
     camera_from_body : Rotation
         Orientation at the time the light left the body.
     sun_direction_camera : (3,), unitless, camera axes
@@ -158,7 +159,8 @@ class Scene(Value):
     light_time : bool
         True to take geometric targets at the time the light left them.
     stellar_aberration : bool
-        True to shift geometric targets by the motion of the observer with respect to the common origin.
+        True to see geometric targets as an observer does who moves with respect to the common origin: shifted, and at
+        the distance that belongs to their size in the image.
 
     Raises
     ------
@@ -260,7 +262,9 @@ class Scene(Value):
         """Compute the apparent geometry of a target in inertial axes.
 
         The steps: 1. observer at mid-exposure; 2. target when the light left it; 3. its orientation then; 4. the Sun
-        as seen from the target then; 5. stellar aberration by the velocity of the observer.
+        as seen from the target then; 5. the motion of the observer: stellar aberration, and the distance by which the
+        size of the body goes (:func:`~giantlike.core.light.boosted`); 6. the side that the body turns to a camera that
+        moves with respect to it, and the Sun's own aberration there, up to some 1e-4 rad.
 
         Parameters
         ----------
@@ -293,15 +297,18 @@ class Scene(Value):
         observer_km, observer_km_s = observer
         path = light_path if self.light_time else _straight
         vector, emission = path(ephemeris, et, observer_km)
+        inertial_from_body = ephemeris.inertial_from_body(emission)
         sun = None
         if isinstance(self.light, Ephemeris):
             sun = unit(path(self.light, emission, observer_km + vector)[0])
         if self.stellar_aberration:
-            vector = aberrate(vector, observer_km_s)
+            body_km_s = ephemeris.state(emission)[1]
+            turn = _turn_between(aberrate(unit(vector), body_km_s), aberrate(unit(vector), observer_km_s))
+            inertial_from_body = turn * inertial_from_body
+            sun = None if sun is None else rotate(turn, aberrate(sun, body_km_s))
+            vector = boosted(vector, observer_km_s)
         return ApparentGeometry(
-            position_inertial_km=vector,
-            inertial_from_body=ephemeris.inertial_from_body(emission),
-            sun_direction_inertial=sun,
+            position_inertial_km=vector, inertial_from_body=inertial_from_body, sun_direction_inertial=sun
         )
 
     def _observer_state(self, image: Image, et: float) -> tuple[Float, Float] | None:
@@ -394,6 +401,13 @@ def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float,
         emission = et - float(np.linalg.norm(vector)) / SPEED_OF_LIGHT_KM_S
         vector = source.state(emission)[0] - observer_km
     return vector, emission
+
+
+def _turn_between(first: Float, second: Float) -> Rotation:
+    """Smallest rotation from one unit direction to another close by, inertial axes."""
+    axis = np.cross(first, second)
+    sine = float(np.linalg.norm(axis))
+    return Rotation.from_rotvec(axis * (math.asin(min(sine, 1.0)) / sine if sine > 0.0 else 0.0))
 
 
 def _straight(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:

@@ -381,7 +381,9 @@ class PositionFix(CenterFix):
     Parameters
     ----------
     position_camera_km : (3,) float64, km, camera axes
-        Apparent position of the origin of the shape model from the camera: light time and aberration not removed.
+        Apparent position of the origin of the shape model from the camera: light time and aberration not removed. Its
+        length, the range, is the distance by which the size in the image goes: the distance that the light came in
+        the frame of the observer, :func:`~giantlike.core.light.boosted`.
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
         Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model by which
         pixels became directions (:data:`~giantlike.core.causes.IN_POSITION`). The attitude and the ephemeris of the
@@ -408,7 +410,7 @@ class PositionFix(CenterFix):
 
     @property
     def range_km(self) -> float:
-        """Distance from camera to body center, km."""
+        """Apparent distance from camera to body center, km."""
         return float(np.linalg.norm(self.position_camera_km))
 
     @property

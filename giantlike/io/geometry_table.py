@@ -9,7 +9,8 @@ One row per image and target. Every column but ``file`` may be absent or empty:
 ``qx``, ``qy``, ``qz``, ``qw``                 a priori camera_from_inertial, scalar last
 ``target``                                     target name
 ``target_x_km``, ``target_y_km``,              camera to target center, inertial axes, apparent (light time
-``target_z_km``                                and aberration already in)
+``target_z_km``                                and aberration already in; length: light-time distance times
+                                               the Doppler factor, which SPICE's LT+S leaves out)
 ``body_qx``, ``body_qy``, ``body_qz``,         body_from_inertial at the time the light left, scalar last
 ``body_qw``
 ``sun_x``, ``sun_y``, ``sun_z``                unit vector target to Sun, inertial

@@ -69,7 +69,9 @@ class AttitudeRow:
 class ObservationRow:
     """One row per image, target and estimator: the center of a body (the origin of its shape model), and its position.
 
-    Positions are apparent: light time and aberration are still in. Sigmas are of the image measurement alone; only
+    Positions are apparent: light time and aberration are still in, and their lengths are the distances by which sizes
+    in the image go, ``r g (1 + n.b)`` with the light-time distance r in direction n, the velocity b of the observer
+    over that of light and ``g = 1 / sqrt(1 - b^2)``. Sigmas are of the image measurement alone; only
     ``covariance_with_attitude_px2`` and ``covariance_inertial_km2`` hold the uncertainty of the attitude as well.
     """
 
@@ -89,7 +91,7 @@ class ObservationRow:
     x_camera_km: float | None = column("Measured vector from camera to center, x.", "km", _CAMERA)
     y_camera_km: float | None = column("Measured vector from camera to center, y.", "km", _CAMERA)
     z_camera_km: float | None = column("Measured vector from camera to center, z.", "km", _CAMERA)
-    range_km: float | None = column("Measured distance from camera to center.", "km")
+    range_km: float | None = column("Measured apparent distance from camera to center.", "km")
     sigma_range_km: float | None = column("One sigma of `range_km`.", "km")
     score: float | None = column("Measure of fit of the estimator.")
     n_used: int | None = column("Number of pixels or points used.")

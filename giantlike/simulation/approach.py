@@ -19,7 +19,7 @@ from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import Float, require, require_number, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import camera_from_inertial_of_pointing, radec_from_direction
-from giantlike.core.light import aberrate
+from giantlike.core.light import boosted
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
 from giantlike.core.values import Value
@@ -341,7 +341,7 @@ class _Encounter(Value):
     def apparent_km(self, et: float) -> Float:
         """Apparent vector (3,) from camera to body, km, inertial axes."""
         position, velocity = self.spacecraft.state(et)
-        return aberrate(light_path(self.orbit, et, position)[0], velocity)
+        return boosted(light_path(self.orbit, et, position)[0], velocity)
 
 
 def _toward_camera(to_sun_km: Float, phase_deg: float, turn_deg: float) -> Float:

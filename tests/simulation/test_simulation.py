@@ -327,7 +327,9 @@ def test_apparent_places_are_those_of_light_time_and_stellar_aberration_by_spice
         for _ in range(6):
             vector = body.state(et - light_time_s)[0] - observer.position_km
             light_time_s = float(np.linalg.norm(vector)) / SPEED_OF_LIGHT_KM_S
-        expected = spiceypy.stelab(vector, observer.velocity_km_s.copy())
+        beta = observer.velocity_km_s / SPEED_OF_LIGHT_KM_S
+        doppler = (1.0 + beta @ vector / np.linalg.norm(vector)) / np.sqrt(1.0 - beta @ beta)
+        expected = doppler * spiceypy.stelab(vector, observer.velocity_km_s.copy())
         apparent = frame.scene.apparent(unexposed(frame.shot, plan.camera), frame.scene.targets[0])
         assert isinstance(apparent, ApparentGeometry)
         range_km = float(np.linalg.norm(vector))
