@@ -318,7 +318,9 @@ class CenterFix(Value):
     parts : mapping of Cause to (k, k) float64
         The covariance by cause, of x and y in px (k = 2) and, in a :class:`PositionFix`, of the natural logarithm of
         the range (k = 3). Causes ``IN_IMAGE`` sum to ``covariance_px2``; the camera, the attitude, the ephemeris and
-        aberration stand beside them, as the pixels by which they shift the direction. Empty when all is noise.
+        aberration stand beside them, as the pixels by which they shift the direction in inertial axes: where the
+        attitude comes from stars, ``CAMERA`` is what the camera does to stars and body together. Empty when all is
+        noise.
 
     Raises
     ------
@@ -386,8 +388,8 @@ class PositionFix(CenterFix):
         the frame of the observer, :func:`~giantlike.core.light.boosted`.
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
         Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model by which
-        pixels became directions (:data:`~giantlike.core.causes.IN_POSITION`). The attitude and the ephemeris of the
-        target are not in it.
+        pixels became directions, as it is without the attitude. The attitude and the ephemeris of the target are not
+        in it.
     limb_px : (n, 2) float64, px
         Image points used, for overlays.
     """

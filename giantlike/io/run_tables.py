@@ -71,8 +71,9 @@ class ObservationRow:
 
     Positions are apparent: light time and aberration are still in, and their lengths are the distances by which sizes
     in the image go, ``r g (1 + n.b)`` with the light-time distance r in direction n, the velocity b of the observer
-    over that of light and ``g = 1 / sqrt(1 - b^2)``. Sigmas are of the image measurement alone; only
-    ``covariance_with_attitude_px2`` and ``covariance_inertial_km2`` hold the uncertainty of the attitude as well.
+    over that of light and ``g = 1 / sqrt(1 - b^2)``. Sigmas are of the measured center, with what is not known of the
+    body; ``sigma_range_km`` and ``covariance_camera_km2`` hold the camera model as well, and ``..._total_px``,
+    ``covariance_with_attitude_px2`` and ``covariance_inertial_km2`` camera and attitude.
     """
 
     file: str = column("Image file, as in `attitudes`.")
@@ -88,11 +89,17 @@ class ObservationRow:
     sigma_x_px: float | None = column("One sigma of `x_px`.", "px", _IMAGE)
     sigma_y_px: float | None = column("One sigma of `y_px`.", "px", _IMAGE)
     rho_xy: float | None = column("Correlation of `x_px` and `y_px`.", "", _IMAGE)
+    sigma_x_total_px: float | None = column(
+        "One sigma of `x_px` with camera and attitude; empty where the attitude's is unknown.", "px", _IMAGE
+    )
+    sigma_y_total_px: float | None = column("The same of `y_px`.", "px", _IMAGE)
     x_camera_km: float | None = column("Measured vector from camera to center, x.", "km", _CAMERA)
     y_camera_km: float | None = column("Measured vector from camera to center, y.", "km", _CAMERA)
     z_camera_km: float | None = column("Measured vector from camera to center, z.", "km", _CAMERA)
     range_km: float | None = column("Measured apparent distance from camera to center.", "km")
     sigma_range_km: float | None = column("One sigma of `range_km`.", "km")
+    rho_x_range: float | None = column("Correlation of `x_px` and `range_km`, without the camera.", "", _IMAGE)
+    rho_y_range: float | None = column("Correlation of `y_px` and `range_km`, without the camera.", "", _IMAGE)
     score: float | None = column("Measure of fit of the estimator.")
     n_used: int | None = column("Number of pixels or points used.")
     n_rejected: int | None = column("Number of pixels or points rejected.")
@@ -108,6 +115,9 @@ class ObservationRow:
         f"Covariance of that attitude, {_TRIANGLE}.", "rad²", _CAMERA
     )
     predicted_camera_km: Sequence[float] | None = _parquet("A priori vector from camera to center.", "km", _CAMERA)
+    parts: str | None = _parquet(
+        "Covariance of x, y (px) and, where there is a range, of its logarithm by cause, as JSON: matrices by name."
+    )
     covariance_px2: Sequence[float] | None = _parquet("Covariance of the measured center (xx, xy, yy).", "px²", _IMAGE)
     covariance_with_attitude_px2: Sequence[float] | None = _parquet(
         "The same with the uncertainty of the attitude; empty where that is unknown.", "px²", _IMAGE

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
+from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
 from giantlike.image import Image
@@ -45,7 +45,9 @@ def with_budget(
 ) -> AnyFix | Failure:
     """Add the causes of error that an estimator cannot see in its image to a fix.
 
-    A cause that the fix already has is left as it is. The sigmas are those of ``camera.uncertainty``, of
+    A cause that the fix already has is left as it is. An attitude from stars follows the errors of its camera, so
+    that the direction of a body in inertial axes has less of them than that in camera axes: the part ``CAMERA`` is the
+    former, in ``covariance_camera_km2`` is the latter. The sigmas are those of ``camera.uncertainty``, of
     ``image.attitude_covariance_rad2`` and of ``geometry.target.uncertainty``; one that is not given adds nothing.
 
     Parameters
@@ -62,7 +64,7 @@ def with_budget(
     Returns
     -------
     CenterFix, PositionFix or Failure
-        The same fix with all ``parts``, its ``covariance_px2`` and ``covariance_camera_km2`` the sums of theirs;
+        The same fix with all ``parts``, and with what they add to its ``covariance_px2`` and ``covariance_camera_km2``;
         a failure of the estimator where it finds nothing when the body is moved by one sigma either way.
     """
     size = 3 if isinstance(fix, PositionFix) else 2
@@ -75,29 +77,24 @@ def with_budget(
     body = _body_parts(fix, geometry, again, missing=set(Cause) - set(parts))
     if isinstance(body, Failure):
         return body
-    turn, errors = (place_per_km @ -skew(position_km))[:size], image.attitude_errors
-    added = body | _camera_part(camera, position_km, geometry, turn, errors.by_camera)
-    if image.attitude_covariance_rad2 is not None:
-        apart = (
-            image.attitude_covariance_rad2
-            if camera.uncertainty is None
-            else errors.apart_from_camera(image.attitude_covariance_rad2)
-        )
-        added[Cause.ATTITUDE] = _propagated(turn, apart)
+    turn = (place_per_km @ -skew(position_km))[:size]
+    added, in_camera = body | _attitude_parts(image, turn), summed({**body, Cause.NOISE: np.zeros((size, size))})
+    known = camera.uncertainty
+    if known is not None and known.estimated and Cause.CAMERA not in parts:
+        radius_km = geometry.target.shape.mean_radius_km
+        response = camera_response(camera, position_km, radius_km, geometry.sun_direction_camera, size=size)
+        in_camera = in_camera + _propagated(response, known.covariance)
+        added[Cause.CAMERA] = _propagated(response + turn @ _attitude_by_camera(image, camera), known.covariance)
     sigma_km = geometry.target.uncertainty.ephemeris_km
     if sigma_km > 0.0:
         added[Cause.EPHEMERIS] = _propagated(place_per_km[:size], sigma_km**2 * np.eye(3))
     new = {cause: part for cause, part in added.items() if cause not in parts}
     changes: dict[str, object] = {"parts": parts | new}
-    in_image = [cause for cause in IN_IMAGE if cause in new]
-    if in_image:
-        changes["covariance_px2"] = fix.covariance_px2 + summed(new, in_image)[:2, :2]
-    in_position = [cause for cause in IN_POSITION if cause in new]
-    if isinstance(fix, PositionFix) and in_position:
-        km_per_place = np.asarray(np.linalg.inv(place_per_km), dtype=np.float64)
-        changes["covariance_camera_km2"] = fix.covariance_camera_km2 + _propagated(
-            km_per_place, summed(new, in_position)
-        )
+    if body:
+        changes["covariance_px2"] = fix.covariance_px2 + summed(body)[:2, :2]
+    if isinstance(fix, PositionFix) and in_camera.any():
+        added_km2 = position_covariance(model, position_km, in_camera)
+        changes["covariance_camera_km2"] = fix.covariance_camera_km2 + added_km2
     return replace(fix, **changes)  # type: ignore[arg-type]
 
 
@@ -116,6 +113,24 @@ def place_jacobian(model: CameraModel, position_camera_km: Float) -> Float:
     """
     along = position_camera_km / float(position_camera_km @ position_camera_km)
     return np.vstack([model.project_jacobian(position_camera_km), along])
+
+
+def position_covariance(model: CameraModel, position_camera_km: Float, covariance: Float) -> Float:
+    """Covariance of a position from that of the place of the body, such as a sum of the parts of a fix.
+
+    Parameters
+    ----------
+    model : CameraModel
+    position_camera_km : (3,) float64, km, camera axes
+    covariance : (3, 3) float64
+        Of x, y in px and of the natural logarithm of the range.
+
+    Returns
+    -------
+    (3, 3) float64, km^2, camera axes
+    """
+    km_per_place = np.asarray(np.linalg.inv(place_jacobian(model, position_camera_km)), dtype=np.float64)
+    return _propagated(km_per_place, covariance)
 
 
 def camera_response(
@@ -197,25 +212,23 @@ def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
     return cosine * axis + sine * around, cosine * around - sine * axis
 
 
-def _camera_part(
-    camera: Camera, position_km: Float, geometry: TargetGeometry, turn: Float, attitude_by_camera: Float | None
-) -> dict[Cause, Float]:
-    """Part of the camera model, where its uncertainty is known.
-
-    An attitude from stars in the same image follows an error of the camera, and takes the body along by ``turn``, the
-    derivative (size, 3) of its place by the rotation: what both have in common, such as an error of the principal
-    point, moves the body on the sky as little as the stars.
-    """
-    known = camera.uncertainty
-    if known is None or not known.estimated:
+def _attitude_parts(image: Image, turn: Float) -> dict[Cause, Float]:
+    """Parts of the attitude (3, 3), rad^2, through the derivative of the place by the turn of the camera."""
+    covariance, parts = image.attitude_covariance_rad2, image.attitude_errors.parts
+    if covariance is None:
         return {}
-    response = camera_response(
-        camera, position_km, geometry.target.shape.mean_radius_km, geometry.sun_direction_camera, size=len(turn)
-    )
-    if attitude_by_camera is not None:
-        chosen = [camera.model.parameter_names.index(name) for name in known.estimated]
-        response = response + turn @ attitude_by_camera[:, chosen]
-    return {Cause.CAMERA: _propagated(response, known.covariance)}
+    apart = {cause: parts[cause] for cause in (Cause.ABERRATION, Cause.EPOCH) if cause in parts}
+    left = image.attitude_errors.apart_from_camera(covariance) - (summed(apart, apart) if apart else 0.0)
+    return {cause: _propagated(turn, part) for cause, part in {Cause.ATTITUDE: left, **apart}.items()}
+
+
+def _attitude_by_camera(image: Image, camera: Camera) -> Float:
+    """Derivative (3, k) of the attitude by the uncertain parameters of the camera; zero where it is not from stars."""
+    assert camera.uncertainty is not None
+    names, by_camera = camera.model.parameter_names, image.attitude_errors.by_camera
+    if by_camera is None or by_camera.shape[1] != len(names):
+        return np.zeros((3, len(camera.uncertainty.estimated)))
+    return by_camera[:, [names.index(name) for name in camera.uncertainty.estimated]]
 
 
 def _body_parts(

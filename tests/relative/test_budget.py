@@ -15,24 +15,27 @@ from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
 from giantlike.core.frames import rotate
-from giantlike.core.outcomes import PositionFix
+from giantlike.core.outcomes import AttitudeErrors, PositionFix
+from giantlike.image import AttitudeSource
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
 from giantlike.ray_tracing import Lambert
 from giantlike.relative import Estimator
 from giantlike.relative.budget import place_jacobian
+from giantlike.relative.estimator import place_covariance
 from giantlike.scene import TargetUncertainty
 from giantlike.shapes import Ellipsoid
 
 VIEW = PinholeView(900.0, (127.5, 127.5), 256, 256, k1=-0.05)
 SUN = np.array([0.5, -0.3, -0.8]) / np.linalg.norm([0.5, -0.3, -0.8])
 RANGE_KM = 1000.0
-ESTIMATED = ("fx_px", "fy_px", "k1", "k2", "p1", "p2")
+TRUTH = {"fx_px": 900.0, "fy_px": 900.0, "cx_px": 127.5, "cy_px": 127.5, "k1": -0.05, "k2": 0.0, "p1": 0.0, "p2": 0.0}
+STEPS = {name: 1e-2 if name.endswith("px") else 1e-5 for name in TRUTH}
 N_STARS, STAR_SIGMA_PX = 150, 0.1
 FALSE_ALARM = 1e-4  # of each test of squared errors
 
 
 def camera(**values: float) -> Camera:
-    model = BrownModel(**{"fx_px": 900.0, "fy_px": 900.0, "cx_px": 127.5, "cy_px": 127.5, "k1": -0.05} | values)
+    model = BrownModel(**TRUTH | values)
     detector = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
     return Camera(name="test", columns=256, rows=256, model=model, psf=GaussianPsf(sigma_px=0.7), detector=detector)
 
@@ -53,40 +56,60 @@ def scene(position_km: Float, radii_km: Float, attitude: Rotation, uncertainty: 
     return Scene(targets=(body,))
 
 
+def in_the_corner() -> Float:
+    axis = VIEW.directions([215.0, 45.0])
+    return RANGE_KM * axis / np.linalg.norm(axis)
+
+
+def drawn_camera(known: ModelUncertainty, rng: np.random.Generator) -> tuple[Camera, Float]:
+    """Camera as a calibration leaves it, and the error of each of ``TRUTH``: true less drawn."""
+    values = dict(TRUTH)
+    errors = rng.multivariate_normal(np.zeros(len(known.estimated)), known.covariance)
+    for name, error in zip(known.estimated, errors, strict=True):
+        values[name] -= float(error)
+    return replace(camera(**values), uncertainty=known), np.array([TRUTH[name] - values[name] for name in TRUTH])
+
+
 def place_error(camera: Camera, fix: PositionFix, truth_km: Float) -> Float:
     return place_jacobian(camera.model, fix.position_camera_km) @ (fix.position_camera_km - truth_km)
 
 
-def star_calibration(rng: np.random.Generator) -> Float:
-    """Covariance of the estimated parameters from stars all over the frame, the attitude being free; by differences."""
+def star_design(rng: np.random.Generator) -> Float:
+    """Derivative of the pixels of stars all over the frame by turns of the camera and parameters, by differences."""
     rays = VIEW.directions(rng.uniform(0.0, 255.0, (N_STARS, 2)))
-    steps = np.array([1e-5] * 3 + [1e-2, 1e-2, 1e-4, 1e-3, 1e-5, 1e-5])
+    steps = np.array([1e-5] * 3 + [STEPS[name] for name in TRUTH])
 
     def pixels(state: Float) -> Float:
-        fx, fy, k1, k2, p1, p2 = state[3:] + np.array([900.0, 900.0, -0.05, 0.0, 0.0, 0.0])
+        fx, fy, cx, cy, k1, k2, p1, p2 = state[3:] + np.array(list(TRUTH.values()))
         plane = replace(VIEW, focal_px=1.0, center_px=(0.0, 0.0), k1=k1, k2=k2, p1=p1, p2=p2)
         turned = plane.project(rays + np.cross(state[:3], rays))
-        return np.ravel(turned * [fx, fy])
+        return np.ravel(turned * [fx, fy] + [cx, cy])
 
-    unit = np.diag(steps)
-    design = np.array([(pixels(step) - pixels(-step)) / (2.0 * step.sum()) for step in unit]).T
-    covariance = STAR_SIGMA_PX**2 * np.linalg.inv(design.T @ design)[3:, 3:]
-    return (covariance + covariance.T) / 2.0
+    return np.array([(pixels(step) - pixels(-step)) / (2.0 * step.sum()) for step in np.diag(steps)]).T
+
+
+def calibrated(design: Float, estimated: tuple[str, ...]) -> ModelUncertainty:
+    """Covariance of parameters by a calibration in which the attitude is free."""
+    chosen = design[:, [0, 1, 2, *(3 + list(TRUTH).index(name) for name in estimated)]]
+    covariance = STAR_SIGMA_PX**2 * np.linalg.inv(chosen.T @ chosen)[3:, 3:]
+    return ModelUncertainty(
+        estimated=estimated,
+        covariance=(covariance + covariance.T) / 2.0,
+        residual_sigma_px=STAR_SIGMA_PX,
+        n_observations=N_STARS,
+        n_images=1,
+    )
 
 
 def test_the_direction_of_a_body_in_a_corner_has_the_error_of_the_calibrated_camera() -> None:
     rng = np.random.default_rng(5)
-    covariance = star_calibration(rng)
-    axis = VIEW.directions([215.0, 45.0])
-    position = RANGE_KM * axis / np.linalg.norm(axis)
+    known = calibrated(star_design(rng), ("fx_px", "fy_px", "k1", "k2", "p1", "p2"))
+    position = in_the_corner()
     light = render_body(EllipsoidBody([30.0] * 3), VIEW, Pose(position, Rotation.identity(), SUN), law="lambert")
-    known = ModelUncertainty(
-        estimated=ESTIMATED, covariance=covariance, residual_sigma_px=STAR_SIGMA_PX, n_observations=N_STARS, n_images=1
-    )
     here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty())
     draws, image_alone, with_camera = 10, 0.0, 0.0
-    for values in rng.multivariate_normal([900.0, 900.0, -0.05, 0.0, 0.0, 0.0], covariance, draws):
-        drawn = replace(camera(**dict(zip(ESTIMATED, values, strict=True))), uncertainty=known)
+    for _ in range(draws):
+        drawn = drawn_camera(known, rng)[0]
         image = Image(pixels=noisy(light, rng), camera_from_inertial=Rotation.identity())
         fix = LimbMatching().estimate(image, drawn, here).unwrap()
         assert not fix.flags.suspect
@@ -97,6 +120,38 @@ def test_the_direction_of_a_body_in_a_corner_has_the_error_of_the_calibrated_cam
     low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
     assert low < with_camera < high
     assert image_alone > 3.0 * high
+
+
+def test_errors_of_the_camera_that_the_attitude_from_its_stars_follows_cancel_in_inertial_axes() -> None:
+    rng = np.random.default_rng(8)
+    design = star_design(rng)
+    known = calibrated(design, ("fx_px", "fy_px", "cx_px", "cy_px", "k1"))
+    position = in_the_corner()
+    light = render_body(EllipsoidBody([30.0] * 3), VIEW, Pose(position, Rotation.identity(), SUN), law="lambert")
+    follows = -np.linalg.lstsq(design[:, :3], design[:, 3:], rcond=None)[0]
+    here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty())
+    draws, squared = 8, 0.0
+    for _ in range(draws):
+        drawn, error = drawn_camera(known, rng)
+        names = drawn.model.parameter_names
+        by_camera = np.zeros((3, len(names)))
+        by_camera[:, [names.index(name) for name in TRUTH]] = follows
+        turn = Rotation.from_rotvec(follows @ error)  # takes the attitude that the stars gave to the true one
+        sensed = Image(pixels=noisy(light, rng)).with_attitude(
+            turn.inv(),
+            source=AttitudeSource.STARS,
+            covariance_rad2=1e-16 * np.eye(3),
+            errors=AttitudeErrors(by_camera=by_camera),
+        )
+        fix = LimbMatching().estimate(sensed, drawn, here).unwrap()
+        seen = rotate(turn, fix.position_camera_km)  # by the attitude that the stars gave, in inertial axes
+        off = place_error(drawn, fix, fix.position_camera_km + position - seen)
+        total = summed(fix.parts, [cause for cause in Cause if cause is not Cause.EPHEMERIS])
+        squared += float(off @ np.linalg.solve(total, off))
+        in_camera_axes = place_covariance(drawn.model, fix.position_camera_km, fix.covariance_camera_km2)
+        assert np.sqrt(in_camera_axes[0, 0] / total[0, 0]) > 5.0
+    low, high = chi2.ppf(FALSE_ALARM, 3 * draws), chi2.ppf(1.0 - FALSE_ALARM, 3 * draws)
+    assert low < squared < high
 
 
 def test_scale_and_orientation_of_a_body_are_in_its_covariance() -> None:

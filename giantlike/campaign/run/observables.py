@@ -8,11 +8,12 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord, StarMatches, Status
 from giantlike.core.arrays import Float, finite_or_none
-from giantlike.core.causes import Cause
+from giantlike.core.causes import Cause, summed
 from giantlike.core.errors import InputError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix, CenterFix, PositionFix, Quality
 from giantlike.image import AttitudeSource
+from giantlike.relative.budget import position_covariance
 from giantlike.scene import TargetGeometry
 
 
@@ -154,8 +155,7 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
     -----
     With ``J`` the derivative of the projection at ``p`` and ``e`` the small rotation about the camera axes by which
     the attitude is off, the center moves by ``J (e x p) = -J [p]x e``; the position in inertial axes
-    ``R^T p`` moves by ``R^T [p]x e``. The camera part of the fix holds what the camera does to both where the attitude
-    comes from stars: that of the attitude is then left out.
+    ``R^T p`` moves by ``R^T [p]x e``. Covariances with the attitude are sums of the parts of the fix.
     """
     record = record.replace(
         status=status_of(fix.flags),
@@ -167,6 +167,7 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
         n_rejected=fix.n_rejected,
         flags=list(fix.flags.names()),
         provenance=dict(fix.provenance),
+        parts={cause: part.tolist() for cause, part in fix.parts.items()},
     )
     position = camera.model.unproject(fix.center_px) * geometry.range_km
     if isinstance(fix, PositionFix):
@@ -182,25 +183,19 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
     if attitude is None:
         return record
     camera_from_inertial = attitude.rotation.as_matrix()
-    by_position, cross = camera.model.project_jacobian(position), skew(position)
-    by_attitude = -by_position @ cross
+    by_position = camera.model.project_jacobian(position)
+    by_attitude = -by_position @ skew(position)
     record = record.replace(
         partial_position_inertial_px_km=(by_position @ camera_from_inertial).tolist(),
         partial_attitude_px_rad=by_attitude.tolist(),
     )
     if isinstance(fix, PositionFix):
         record = record.replace(position_inertial_km=(camera_from_inertial.T @ position).tolist())
-    if attitude.covariance_rad2 is None:
+    if Cause.ATTITUDE not in fix.parts:
         return record
-    covariance = np.array(attitude.covariance_rad2)
-    with_attitude_px2 = fix.covariance_px2
-    if Cause.CAMERA in fix.parts:
-        covariance = attitude.errors.apart_from_camera(covariance)
-        with_attitude_px2 = with_attitude_px2 + fix.parts[Cause.CAMERA][:2, :2]
-    with_attitude_px2 = with_attitude_px2 + by_attitude @ covariance @ by_attitude.T
-    record = record.replace(covariance_with_attitude_px2=with_attitude_px2.tolist())
+    total = summed(fix.parts, [cause for cause in Cause if cause is not Cause.EPHEMERIS])
+    record = record.replace(covariance_with_attitude_px2=total[:2, :2].tolist())
     if isinstance(fix, PositionFix):
-        combined = fix.covariance_camera_km2 + cross @ covariance @ cross.T
-        inertial = camera_from_inertial.T @ combined @ camera_from_inertial
+        inertial = camera_from_inertial.T @ position_covariance(camera.model, position, total) @ camera_from_inertial
         record = record.replace(covariance_inertial_km2=inertial.tolist())
     return record

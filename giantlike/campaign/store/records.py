@@ -325,6 +325,8 @@ class ObservationRecord(_Record):
         As in the tables; None where unknown.
     flags : list of str
     provenance : dict of str to str
+    parts : mapping of Cause to (k, k) list of float
+        Covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
     limb_px : (n, 2) list of float, px
         Limb points used.
     time_s : float, s
@@ -356,6 +358,7 @@ class ObservationRecord(_Record):
     n_rejected: int | None = None
     flags: list[str] = []
     provenance: dict[str, str] = {}
+    parts: dict[Cause, Matrix] = Field(default_factory=dict)
     limb_px: Matrix = []
     time_s: float = 0.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from giantlike.campaign.store.records import AttitudeRecord, Matrix, ObservationRecord
+from giantlike.core.causes import summed
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.io.run_tables import AttitudeRow, ObservationRow
 from giantlike.io.tables import write_rows
@@ -53,10 +55,9 @@ def _attitude_row(record: AttitudeRecord) -> AttitudeRow:
 
 def _observation_row(record: ObservationRecord) -> ObservationRow:
     attitude, covariance = record.attitude, record.covariance_px2
-    sigmas: list[float] | None = None
+    sigmas = _sigmas(covariance)
     correlation = None
-    if covariance is not None:
-        sigmas = np.sqrt(np.diag(covariance)).tolist()
+    if covariance is not None and sigmas is not None:
         product = sigmas[0] * sigmas[1]
         correlation = covariance[0][1] / product if product > 0 else None
     return _row(
@@ -66,6 +67,9 @@ def _observation_row(record: ObservationRecord) -> ObservationRow:
         **_named("x_px y_px", record.center_px),
         **_named("sigma_x_px sigma_y_px", sigmas),
         rho_xy=correlation,
+        **_named("sigma_x_total_px sigma_y_total_px", _sigmas(record.covariance_with_attitude_px2)),
+        **_named("rho_x_range rho_y_range", _range_correlations(record)),
+        parts=json.dumps(record.parts) if record.parts else None,
         **_named("x_camera_km y_camera_km z_camera_km", record.position_camera_km),
         attitude_source=None if attitude is None else attitude.source,
         camera_from_inertial_xyzw=None if attitude is None else attitude.quaternion_xyzw,
@@ -77,6 +81,21 @@ def _observation_row(record: ObservationRecord) -> ObservationRow:
         covariance_camera_km2=_triangle(record.covariance_camera_km2),
         covariance_inertial_km2=_triangle(record.covariance_inertial_km2),
     )
+
+
+def _sigmas(covariance: Matrix | None) -> list[float] | None:
+    """Square roots of the diagonal."""
+    return None if covariance is None else [math.sqrt(row[k]) for k, row in enumerate(covariance)]
+
+
+def _range_correlations(record: ObservationRecord) -> list[float] | None:
+    """Correlations of x and y with the range; None where no range was estimated."""
+    if record.range_km is None or not record.parts:
+        return None
+    total = summed({cause: np.array(part) for cause, part in record.parts.items()})
+    sigmas = np.sqrt(np.diag(total))
+    product = sigmas[:2] * sigmas[2]
+    return (total[:2, 2] / product).tolist() if (product > 0.0).all() else None
 
 
 def _row(kind: type[Row], record: AttitudeRecord | ObservationRecord, **cells: Any) -> Row:
