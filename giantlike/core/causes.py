@@ -67,7 +67,8 @@ SUM_TOLERANCE = 1e-6
 """Largest difference of a covariance from the sum of its parts, over the product of the standard deviations.
 
 Parts and covariance come by different ways through Jacobians whose scales differ by the range in km over the angle of
-a pixel, up to some 1e8 in float64: six digits remain, and no sigma is known to six digits.
+a pixel, up to some 1e8 in float64: six digits remain, and no sigma is known to six digits. Parts of lower rank are
+positive semi-definite to as many.
 """
 
 
@@ -150,7 +151,7 @@ def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]
         cause = Cause(key)
         matrix = as_floats(part, (size, size), f"parts: {cause}")
         require(matrix.ndim == 2, f"parts: {cause} must have shape ({size}, {size}), got {matrix.shape}")
-        check_covariance(matrix, f"parts: {cause}")
+        check_covariance(matrix, f"parts: {cause}", tolerance=SUM_TOLERANCE)
         checked[cause] = read_only(matrix)
     return {cause: checked[cause] for cause in Cause if cause in checked}
 

@@ -89,11 +89,13 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
     return view
 
 
-def check_covariance(covariance: Float, name: str) -> None:
+def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE_TOLERANCE) -> None:
     """Raise :class:`InputError` unless matrices (..., n, n) are symmetric and positive semi-definite.
 
-    Elements are compared after division by the standard deviations, so that units and scales do not matter. Matrices
-    with infinities or NaN stand for what is not known and are not checked.
+    Eigenvalues of correlation matrices may be as far below zero as ``tolerance``, and mirrored elements may differ by
+    as much or by :data:`ASYMMETRY_TOLERANCE`, whichever is more. Elements are compared after division by the standard
+    deviations, so that units and scales do not matter. Matrices with infinities or NaN stand for what is not known and
+    are not checked.
     """
     shape = covariance.shape
     require(len(shape) >= 2 and shape[-1] == shape[-2], f"{name} must be square, got shape {shape}")
@@ -103,10 +105,11 @@ def check_covariance(covariance: Float, name: str) -> None:
     sigma = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     correlation = covariance / (sigma[..., :, None] * sigma[..., None, :])
     asymmetry = float(np.max(np.abs(correlation - np.swapaxes(correlation, -1, -2)), initial=0.0))
-    require(asymmetry <= ASYMMETRY_TOLERANCE, f"{name} must be symmetric, mirrored elements differ by {asymmetry:.2g}")
+    symmetric = asymmetry <= max(ASYMMETRY_TOLERANCE, tolerance)
+    require(symmetric, f"{name} must be symmetric, mirrored elements differ by {asymmetry:.2g}")
     least = float(np.min(np.linalg.eigvalsh(correlation), initial=0.0))
     require(
-        least >= -EIGENVALUE_TOLERANCE,
+        least >= -tolerance,
         f"{name} must be positive semi-definite, its correlation matrix has the eigenvalue {least:.2g}",
     )
 

@@ -78,7 +78,10 @@ def with_budget(
     if isinstance(body, Failure):
         return body
     turn = (place_per_km @ -skew(position_km))[:size]
-    added, in_camera = body | _attitude_parts(image, turn), summed({**body, Cause.NOISE: np.zeros((size, size))})
+    added, in_camera = (
+        body | _attitude_parts(image, camera, turn),
+        summed({**body, Cause.NOISE: np.zeros((size, size))}),
+    )
     known = camera.uncertainty
     if known is not None and known.estimated and Cause.CAMERA not in parts:
         radius_km = geometry.target.shape.mean_radius_km
@@ -212,13 +215,15 @@ def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
     return cosine * axis + sine * around, cosine * around - sine * axis
 
 
-def _attitude_parts(image: Image, turn: Float) -> dict[Cause, Float]:
+def _attitude_parts(image: Image, camera: Camera, turn: Float) -> dict[Cause, Float]:
     """Parts of the attitude (3, 3), rad^2, through the derivative of the place by the turn of the camera."""
-    covariance, parts = image.attitude_covariance_rad2, image.attitude_errors.parts
+    covariance, errors = image.attitude_covariance_rad2, image.attitude_errors
     if covariance is None:
         return {}
-    apart = {cause: parts[cause] for cause in (Cause.ABERRATION, Cause.EPOCH) if cause in parts}
-    left = image.attitude_errors.apart_from_camera(covariance) - (summed(apart, apart) if apart else 0.0)
+    if camera.uncertainty is not None:
+        covariance = errors.apart_from_camera(covariance)
+    apart = {cause: errors.parts[cause] for cause in (Cause.ABERRATION, Cause.EPOCH) if cause in errors.parts}
+    left = covariance - (summed(apart, apart) if apart else 0.0)
     return {cause: _propagated(turn, part) for cause, part in {Cause.ATTITUDE: left, **apart}.items()}
 
 

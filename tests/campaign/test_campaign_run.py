@@ -78,7 +78,8 @@ ATTITUDE_COLUMNS = (
 )  # as in the contract, and the flags
 OBSERVATION_COLUMNS = (
     "file,epoch_utc,target,estimator,status,reason,predicted_x_px,predicted_y_px,x_px,y_px,sigma_x_px,sigma_y_px,"
-    "rho_xy,x_camera_km,y_camera_km,z_camera_km,range_km,sigma_range_km,score,n_used,n_rejected,flags,time_s"
+    "rho_xy,sigma_x_total_px,sigma_y_total_px,x_camera_km,y_camera_km,z_camera_km,range_km,sigma_range_km,"
+    "rho_x_range,rho_y_range,score,n_used,n_rejected,flags,time_s"
 )  # likewise
 
 

@@ -77,3 +77,10 @@ def test_parts_of_an_attitude_sum_to_its_covariance() -> None:
     AttitudeFix(covariance_rad2=4e-12 * np.eye(3), parts=parts, **values)
     with pytest.raises(InputError, match="covariance_rad2"):
         AttitudeFix(covariance_rad2=1e-12 * np.eye(3), parts=parts, **values)
+
+
+def test_a_part_of_rank_one_may_have_lost_digits_on_its_way_through_jacobians() -> None:
+    shift = np.array([1.0, -2.0])
+    rounded = np.outer(shift, shift) - 1e-8 * np.eye(2)
+    fix = center_fix(covariance_px2=rounded + np.eye(2), parts={Cause.NOISE: np.eye(2), Cause.PSF: rounded})
+    assert fix.parts[Cause.PSF] is not None
