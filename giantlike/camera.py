@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -31,6 +30,7 @@ from giantlike.core.atomic import write_text_atomic
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import FrameRotation, quaternion_xyzw, require_same_frame, rotation_from_xyzw
+from giantlike.core.reading import toml_table
 from giantlike.core.tables import checked_table, record_of_numbers, table_of_numbers
 from giantlike.core.values import Value
 
@@ -301,13 +301,7 @@ class Camera:
         DataError
             The file is missing or not valid TOML, a key is unknown or missing, or a value is out of range.
         """
-        try:
-            with Path(path).open("rb") as stream:
-                table = tomllib.load(stream)
-        except OSError as error:
-            raise DataError(path, f"cannot read camera file: {error.strerror}") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise DataError(path, f"is not valid TOML: {error}") from error
+        table = toml_table(Path(path), "camera file")
         try:
             return cls.from_mapping(table)
         except InputError as error:

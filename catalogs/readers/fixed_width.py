@@ -15,6 +15,7 @@ from giantlike.core.reading import reads, unzipped
 from giantlike.core.values import Value
 
 Places = Mapping[str, tuple[int, int]]
+_LARGEST = 2.0**53  # whole numbers beyond this are not exact as float64
 """First and last byte of each column, counted from 1, as in the byte-by-byte descriptions of the CDS."""
 
 
@@ -41,11 +42,27 @@ class Lines(Value):
         words = self.words(place)
         words = np.where(words == b"", b"nan", words)
         try:
-            return words.astype(np.float64)
+            found = words.astype(np.float64)
         except ValueError:
             row = next(row for row, word in enumerate(words) if parsed(word) is None)
-            found = words[row].decode(errors="replace")
-            raise ValueError(f"line {row + 1}, bytes {place[0]}-{place[1]}: expected a number, got {found!r}") from None
+            raise self._refusal(row, place, "a number") from None
+        if np.isinf(found).any():
+            raise self._refusal(int(np.isinf(found).argmax()), place, "a finite number")
+        return found
+
+    def integers(self, place: tuple[int, int]) -> NDArray[np.int64]:
+        """Whole numbers (n,) of a column, 0 where it is blank; anything else is a ``ValueError``."""
+        found = self.numbers(place)
+        found = np.where(np.isnan(found), 0.0, found)
+        wrong = (found != np.round(found)) | (np.abs(found) > _LARGEST)
+        if wrong.any():
+            raise self._refusal(int(wrong.argmax()), place, "a whole number")
+        return found.astype(np.int64)
+
+    def _refusal(self, row: int, place: tuple[int, int], needed: str) -> ValueError:
+        """Error for the text of a column in a line."""
+        found = self.words(place)[row].decode(errors="replace")
+        return ValueError(f"{self.record(row)}, bytes {place[0]}-{place[1]}: expected {needed}, got {found!r}")
 
     def record(self, row: int) -> str:
         """Name of a line in error messages."""
@@ -131,7 +148,7 @@ def read_hipparcos(path: Path, *, max_magnitude: float | None = None) -> ReadSta
     column = {name: lines.numbers(place) for name, place in places.items() if name != "flag"}
     bv = column["bv"]
     columns = {
-        "ids": -column["hip"].astype(np.int64),
+        "ids": -lines.integers(places["hip"]),
         "ra_deg": np.degrees(column["ra_rad"]) if new else column["ra_deg"],
         "dec_deg": np.degrees(column["dec_rad"]) if new else column["dec_deg"],
         "pm_ra_mas_yr": column["pm_ra"],
@@ -221,8 +238,8 @@ def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
         has_hp = lines.words(TYCHO_SUPPLEMENT["magnitude_flag"]) == b"H"
         columns["magnitude"] = np.where(has_hp, vt, columns["magnitude"])
     columns["is_double"] = double.astype(np.float64)
-    numbers = [np.nan_to_num(column[name]).astype(np.int64) for name in ("tyc1", "tyc2", "tyc3")]
-    columns["ids"] = numbers[0] * 1_000_000 + numbers[1] * 10 + numbers[2]
+    region, number, component = (lines.integers(places[name]) for name in ("tyc1", "tyc2", "tyc3"))
+    columns["ids"] = region * 1_000_000 + number * 10 + component
     return stars_of(columns, band="V", record=lines.record, max_magnitude=max_magnitude)
 
 

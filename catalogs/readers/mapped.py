@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +25,7 @@ from giantlike.catalogs.readers.tabular import Table, open_table
 from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads
+from giantlike.core.reading import reads, toml_table
 
 Term = str | float
 """``NAME`` or ``NAME*FACTOR`` of a column, or a number that all stars have in common."""
@@ -225,7 +224,7 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
 
 @reads("a TOML file of columns")
 def _read_column_map(path: Path) -> ColumnMap:
-    terms = tomllib.loads(path.read_text(encoding="utf-8"))
+    terms = toml_table(path, "file of columns")
     band = terms.pop("band", "user")
     if not isinstance(band, str):
         raise ValueError(f"band must be text such as 'V', got {band!r}")

@@ -11,9 +11,10 @@ from __future__ import annotations
 import functools
 import gzip
 import hashlib
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, Protocol, TypeVar, cast
+from typing import Any, ParamSpec, Protocol, TypeVar, cast
 
 from giantlike.core.errors import DataError
 
@@ -58,7 +59,7 @@ def reads(what: str) -> _Decorator:
             except DataError:
                 raise
             except Exception as error:
-                if not _is_of_content(error):
+                if not is_of_content(error):
                     raise
                 path = cast(Path, args[0] if args else kwargs["path"])
                 raise DataError(path, _problem(error, what)) from error
@@ -66,6 +67,35 @@ def reads(what: str) -> _Decorator:
         return guarded
 
     return decorate
+
+
+def toml_table(path: Path, what: str) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What the file is, without an article, for messages.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    DataError
+        The file is missing or is not TOML.
+    """
+    try:
+        with path.open("rb") as stream:
+            return tomllib.load(stream)
+    except OSError as error:
+        raise DataError(path, f"cannot read the {what}: {error.strerror}") from error
+    except RecursionError as error:
+        raise DataError(path, "is not valid TOML: its brackets are nested too deeply") from error
+    except ValueError as error:
+        raise DataError(path, f"is not valid TOML: {error}") from error
 
 
 def unzipped(content: bytes) -> bytes:
@@ -92,8 +122,17 @@ def library_message(error: BaseException) -> str:
     return f"{short}: {first}" if short else first
 
 
-def _is_of_content(error: Exception) -> bool:
-    """True unless a mistake in this package's own code raised the exception."""
+def is_of_content(error: Exception) -> bool:
+    """True if the content of a file caused an exception, not a mistake in this package's own code.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    bool
+    """
     return isinstance(error, _OF_CONTENT) or type(error).__module__ != "builtins" or not _raised_here(error)
 
 

@@ -1,15 +1,18 @@
 """Camera models from and to OpenCV's calibration files (``cv2.FileStorage``, YAML or XML).
 
-OpenCV counts pixels from the center of the first one, and its x and y are ours: nothing is converted.
+They are read by parsers of YAML and XML, because ``cv2.FileStorage`` can end the process at a damaged file. OpenCV
+counts pixels from the center of the first one, and its x and y are ours: nothing is converted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
+import yaml
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, OpenCVModel, PinholeModel
@@ -51,20 +54,12 @@ def read_opencv_camera(path: str | Path, *, fisheye: bool | None = None) -> Impo
         The file is missing or no FileStorage, has no camera matrix, a mirrored one, or coefficients of a number or
         kind (a tilted sensor) that no model here has.
     """
-    import cv2
-
-    Path(path).open("rb").close()  # a missing file is said to be missing
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as error:
-        raise ValueError(str(error).strip().splitlines()[-1]) from error
-    try:
-        matrix, coefficients = _matrix(storage, _MATRIX), _matrix(storage, _COEFFICIENTS)
-        width, height = (_whole(storage, keys) for keys in (_WIDTH, _HEIGHT))
-        if fisheye is None:
-            fisheye = _is_fisheye(storage)
-    finally:
-        storage.release()
+    content = Path(path).read_bytes()
+    storage = _xml_storage(content) if Path(path).suffix.lower() == ".xml" else _yaml_storage(content)
+    matrix, coefficients = _matrix(storage, _MATRIX), _matrix(storage, _COEFFICIENTS)
+    width, height = (_whole(storage, keys) for keys in (_WIDTH, _HEIGHT))
+    if fisheye is None:
+        fisheye = _is_fisheye(storage)
     if matrix is None or matrix.shape != (3, 3):
         raise ValueError(f"a 3 by 3 matrix under one of {', '.join(_MATRIX)} is needed")
     model = _model(matrix, np.array([]) if coefficients is None else coefficients.ravel(), fisheye)
@@ -116,26 +111,67 @@ def write_opencv_camera(path: str | Path, model: CameraModel, *, columns: int, r
     write_text_atomic(Path(path), storage.releaseAndGetString())
 
 
-def _node(storage: Any, keys: Sequence[str]) -> Any:
-    """The first node of a storage that there is under one of several keys, else an empty one."""
-    nodes = [storage.getNode(key) for key in keys]
-    return next((node for node in nodes if not node.empty()), nodes[0])
+class _Loader(yaml.SafeLoader):
+    """Reads the matrices of OpenCV as plain mappings; constructs nothing else than YAML's own types."""
 
 
-def _matrix(storage: Any, keys: Sequence[str]) -> Float | None:
-    matrix = _node(storage, keys).mat()
-    return None if matrix is None else np.asarray(matrix, dtype=np.float64)
+def _plain_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    return loader.construct_mapping(node, deep=True)
 
 
-def _whole(storage: Any, keys: Sequence[str]) -> int | None:
-    node = _node(storage, keys)
-    return int(node.real()) if node.isInt() else None
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _plain_matrix)
 
 
-def _is_fisheye(storage: Any) -> bool:
-    named = _node(storage, ("distortion_model",))
-    if named.isString():
-        return str(named.string()) in {"fisheye", "equidistant"}
+def _yaml_storage(content: bytes) -> Mapping[str, Any]:
+    """Values of a YAML file by key; OpenCV's own first line ``%YAML:1.0`` is no directive of YAML."""
+    text = content.decode("utf-8")
+    storage = yaml.load(text.partition("\n")[2] if text.startswith("%YAML:") else text, _Loader)
+    if not isinstance(storage, dict):
+        raise ValueError("it has no keys with values")
+    return storage
+
+
+def _xml_storage(content: bytes) -> Mapping[str, Any]:
+    """Values of an XML file by key: texts, and the parts of matrices."""
+    return {
+        entry.tag: {part.tag: part.text or "" for part in entry} if len(entry) else (entry.text or "").strip()
+        for entry in ElementTree.fromstring(content)
+    }
+
+
+def _value(storage: Mapping[str, Any], keys: Sequence[str]) -> Any:
+    """Value of the first of several keys that a storage has; None if it has none of them."""
+    return next((storage[key] for key in keys if key in storage), None)
+
+
+def _matrix(storage: Mapping[str, Any], keys: Sequence[str]) -> Float | None:
+    value = _value(storage, keys)
+    if value is None:
+        return None
+    if not isinstance(value, dict) or not {"rows", "cols", "data"} <= value.keys():
+        raise ValueError(f"a matrix with rows, cols and data is needed under one of {', '.join(keys)}")
+    data = value["data"].split() if isinstance(value["data"], str) else value["data"]
+    try:
+        numbers = np.array([float(number) for number in data])
+        rows, columns = int(value["rows"]), int(value["cols"])
+    except TypeError as error:
+        raise ValueError(f"the matrix under one of {', '.join(keys)} holds something else than numbers") from error
+    if min(rows, columns) < 0 or rows * columns != numbers.size:
+        raise ValueError(f"a matrix of {rows} rows and {columns} columns cannot have {numbers.size} numbers")
+    return numbers.reshape(rows, columns)
+
+
+def _whole(storage: Mapping[str, Any], keys: Sequence[str]) -> int | None:
+    value = _value(storage, keys)
+    if not isinstance(value, int | str | None):
+        raise ValueError(f"a whole number is needed under one of {', '.join(keys)}, got {value!r}")
+    return None if value is None else int(value)
+
+
+def _is_fisheye(storage: Mapping[str, Any]) -> bool:
+    named = storage.get("distortion_model")
+    if isinstance(named, str):
+        return named.strip('"') in {"fisheye", "equidistant"}
     return bool(_whole(storage, ("fisheye_model",)))
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, require
+from giantlike.core.child import in_child
 from giantlike.core.errors import DataError
 from giantlike.core.reading import file_sha256, library_message, reads
 from giantlike.core.time import time_from_et, utc_text
@@ -36,8 +37,8 @@ _DEEPEST = 8  # meta-kernels that list meta-kernels: more are taken for a circle
 _DATA_SECTION = re.compile(
     r"^[ \t]*\\begindata[ \t]*\r?$(.*?)(?:^[ \t]*\\begintext[ \t]*\r?$|\Z)", re.MULTILINE | re.DOTALL
 )
-_ASSIGNMENT = re.compile(r"([A-Za-z]\w*)\s*\+?=\s*(\((?:'(?:[^']|'')*'|[^)'])*\)|'(?:[^']|'')*'|\S+)")
-_QUOTED = re.compile(r"'((?:[^']|'')*)'")
+_ASSIGNMENT = re.compile(r"([A-Za-z]\w*)\s*\+?=\s*(\((?:'(?:[^']|'')*+'|[^)'])*+\)|'(?:[^']|'')*+'|\S+)")
+_QUOTED = re.compile(r"'((?:[^']|'')*+)'")
 _UNKNOWN_NAME = ("IDCODENOTFOUND", "NOTRANSLATION", "UNKNOWNFRAME", "bods2c")
 
 
@@ -130,11 +131,12 @@ def find_kernels(patterns: Sequence[str | Path], base: str | Path) -> tuple[Path
     return tuple(found)
 
 
-def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKernels:
+def load_kernels(patterns: Sequence[str | Path], base: str | Path, *, trusted: bool = False) -> SpiceKernels:
     """Load SPICE kernels into this process.
 
     All files are looked for and checked before the first is loaded. SPICE itself reads files that are cut off
-    or no kernels at all without complaint; they are refused here. A meta-kernel is replaced by the kernels it
+    or no kernels at all without complaint; they are refused here. A damaged one can end the process: all are
+    loaded in another process first. A meta-kernel is replaced by the kernels it
     lists, whose paths are relative to the meta-kernel's own folder (SPICE alone takes them from the
     working directory).
 
@@ -144,6 +146,8 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
         Paths or glob patterns, as for :func:`find_kernels`.
     base : path-like
         Folder that relative paths start from.
+    trusted : bool
+        They were loaded before, by another process of this run: do not try them first.
 
     Returns
     -------
@@ -161,6 +165,8 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
     for path in find_kernels(patterns, base):
         expanded = _expanded(path)
         paths = [known for known in paths if known not in expanded] + expanded
+    if not trusted:
+        _require_loadable(paths)
     loaded: list[Path] = []
     for path in paths:
         try:
@@ -171,6 +177,44 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path) -> SpiceKerne
         loaded.append(path)
         _LOG.debug("loaded the kernel %s", path)
     return SpiceKernels(tuple(loaded))
+
+
+def try_kernels(paths: Sequence[Path]) -> dict[str, Float]:
+    """Load kernels as :func:`load_kernels` does, in a process that may end at a damaged one.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+
+    Returns
+    -------
+    dict
+        Empty.
+
+    Raises
+    ------
+    SpiceyError
+        SPICE refuses one.
+    """
+    import spiceypy
+
+    for path in paths:
+        spiceypy.furnsh(str(path))
+    return {}
+
+
+def _require_loadable(paths: Sequence[Path]) -> None:
+    """Raise :class:`DataError` for the first kernel that SPICE does not load or breaks down at."""
+    try:
+        in_child(try_kernels, paths)
+    except ValueError as error:
+        for path in paths:
+            reads("a SPICE kernel")(_require_alone)(path)
+        raise DataError(paths[-1], f"SPICE cannot load this kernel after the others: {error}") from error
+
+
+def _require_alone(path: Path) -> None:
+    in_child(try_kernels, [path])
 
 
 def spk_state(target: str | int, et: float, *, observer: str | int, frame: str = "J2000") -> tuple[Float, Float]:

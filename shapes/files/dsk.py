@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, require
+from giantlike.core.child import in_child
 from giantlike.core.errors import InputError
 from giantlike.core.reading import library_message
 from giantlike.core.units import SECONDS_PER_JULIAN_YEAR
@@ -67,12 +69,35 @@ def read_dsk(path: Path) -> Surface:
 
     Raises
     ------
+    ValueError
+        CSPICE finds the file damaged, a segment is not of type 2, or its counts cannot be true.
+    """
+    require_whole_das(path)
+    arrays = in_child(read_segments, [path])
+    return Surface(vertices=arrays["vertices"], faces=arrays["faces"], in_km=True)
+
+
+def read_segments(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
+    """Read all segments of one DSK by CSPICE, which a damaged file can end with its process.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The one file.
+
+    Returns
+    -------
+    dict of str to array
+        ``vertices`` (n, 3), km, and ``faces`` (m, 3), from 0.
+
+    Raises
+    ------
     ValueError, SpiceyError
         CSPICE finds the file damaged, a segment is not of type 2, or its counts cannot be true.
     """
     import spiceypy
 
-    require_whole_das(path)
+    (path,) = paths
     handle = spiceypy.dasopr(str(path))
     try:
         segments = _segments(spiceypy, handle, path.stat().st_size)
@@ -80,8 +105,7 @@ def read_dsk(path: Path) -> Surface:
         spiceypy.dascls(handle)
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in segments])
     faces = [plates + start for (_, plates), start in zip(segments, starts, strict=False)]
-    vertices = np.concatenate([vertices for vertices, _ in segments])
-    return Surface(vertices=vertices, faces=np.concatenate(faces), in_km=True)
+    return {"vertices": np.concatenate([vertices for vertices, _ in segments]), "faces": np.concatenate(faces)}
 
 
 def _segments(spice: Any, handle: int, size: int) -> list[tuple[Float, Faces]]:

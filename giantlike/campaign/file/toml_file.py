@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.reading import toml_table
 
 Content = TypeVar("Content", bound=BaseModel)
 
@@ -70,13 +70,7 @@ def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dic
     DataError
         The file is missing or is not TOML, a key is unknown or missing, or a value has the wrong type.
     """
-    try:
-        with path.open("rb") as stream:
-            table = tomllib.load(stream)
-    except OSError as error:
-        raise DataError(path, f"cannot read the {what}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(path, f"is not valid TOML: {error}") from error
+    table = toml_table(path, what)
     try:
         # Strict JSON rules fit TOML: they allow text for an enumeration, but no text for a number.
         return model.model_validate_json(json.dumps(table, default=_refuse_dates)), table
@@ -84,6 +78,8 @@ def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dic
         raise DataError(path, _first_problem(error, model)) from error
     except InputError as error:
         raise DataError(path, str(error)) from error
+    except RecursionError as error:
+        raise DataError(path, "its brackets are nested too deeply") from error
 
 
 def _refuse_dates(value: object) -> Any:

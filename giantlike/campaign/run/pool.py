@@ -147,7 +147,7 @@ def _start_worker(campaign: Campaign) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches all processes: the others end without a traceback
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
-    _bench_of_this_process.append(Workbench.load(campaign))
+    _bench_of_this_process.append(Workbench.load(campaign, trusted=True))
 
 
 def _end_with_parent() -> None:

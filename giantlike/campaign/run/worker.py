@@ -73,12 +73,14 @@ class Workbench(Value):
     kernels: SpiceKernels | None
 
     @classmethod
-    def load(cls, campaign: Campaign) -> Workbench:
+    def load(cls, campaign: Campaign, *, trusted: bool = False) -> Workbench:
         """Load catalog, shapes and kernels.
 
         Parameters
         ----------
         campaign : Campaign
+        trusted : bool
+            Another process of this run loaded the kernels before.
 
         Returns
         -------
@@ -98,7 +100,7 @@ class Workbench(Value):
                 detection=campaign.stars.detection,
             )
         shapes = {target.name: target.load_shape() for target in campaign.targets}
-        kernels = None if campaign.spice is None else load_kernels(campaign.spice.kernels, ".")
+        kernels = None if campaign.spice is None else load_kernels(campaign.spice.kernels, ".", trusted=trusted)
         return cls(campaign, navigation, shapes, kernels)
 
     def with_camera(self, camera: Camera) -> Workbench:

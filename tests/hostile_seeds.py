@@ -1,0 +1,228 @@
+"""Small valid files of every kind that the package reads, each with its reader: what hostile files are made from."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import spiceypy
+import tomli_w
+import trimesh
+
+import giantlike as gl
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.render.plan import RenderPlan
+from giantlike.catalogs import load_catalog
+from giantlike.catalogs.readers import build_catalog
+from giantlike.catalogs.stored import save_catalog
+from giantlike.io import load_kernels, read_ephemeris_table, read_geometry
+from giantlike.io.attitude_series import read_attitude_csv
+from giantlike.io.camera_import import read_foreign_camera
+from giantlike.io.camera_opencv import write_opencv_camera
+from giantlike.io.image_files import read_image_file
+from giantlike.shapes import Ellipsoid, load_shape, mesh_from_ellipsoid, save_shape
+from giantlike.shapes.files.dsk import DskIdentity
+from giantlike.shapes.landmarks import LandmarkCatalog, landmark_of, load_landmarks, save_landmarks
+from giantlike.stars.rates import read_rates
+from tests.camera_models.test_camera_models import NAVCAM
+from tests.campaign_files import campaign_table
+from tests.catalogs import test_catalog_readers as catalog_files
+from tests.cli.test_render_command import scene_table
+from tests.io import test_camera_files as camera_files
+from tests.io import test_image_files as image_files
+from tests.io import test_spice as kernel_files
+from tests.shapes.test_local_maps import _map
+
+EPOCHS = ("2020-01-01T00:00:00", "2020-01-01T00:01:00", "2020-01-01T00:02:00")
+MESH = mesh_from_ellipsoid(Ellipsoid(radii_km=np.array([3.0, 2.0, 1.0])), facets=80)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file: the name of one, how to write a valid one, and what reads it."""
+
+    file: str
+    write: Callable[[Path], object]
+    read: Callable[[Path], object]
+
+
+def _with(text: str | bytes) -> Callable[[Path], object]:
+    content = text.encode() if isinstance(text, str) else text
+    return lambda path: path.write_bytes(content)
+
+
+def _encoded(suffix: str, pixels: np.ndarray) -> bytes:
+    return bytes(cv2.imencode(suffix, pixels)[1].tobytes())
+
+
+def _exported(kind: str) -> bytes:
+    mesh = trimesh.Trimesh(MESH.vertices_km, MESH.faces, process=False)
+    if kind == "stl":
+        return bytes(trimesh.exchange.stl.export_stl_ascii(mesh).encode())
+    data = mesh.export(file_type="ply", encoding="ascii")
+    return data.encode() if isinstance(data, str) else bytes(data)
+
+
+def _table(columns: str, values: str) -> str:
+    return "\n".join([f"epoch_utc,{columns}", *(f"{epoch},{values}" for epoch in EPOCHS)]) + "\n"
+
+
+def _spk(path: Path) -> None:
+    handle = spiceypy.spkopn(str(path), "made up", 0)
+    states = [[1e6 + k, 2e6, 3e6, 1.0, 0.0, 0.0] for k in range(9)]
+    spiceypy.spkw09(handle, 2000999, 10, "J2000", 0.0, 800.0, "made up", 3, 9, states, [100.0 * k for k in range(9)])
+    spiceypy.spkcls(handle)
+
+
+def _read_kernel(path: Path) -> None:
+    with load_kernels([path], path.parent):
+        pass
+
+
+def _read_spk(path: Path) -> None:
+    from giantlike.io.spice import spk_state
+
+    with load_kernels([path], path.parent):
+        spk_state(2000999, 350.0, observer=10)
+
+
+def _read_catalog(form: str) -> Callable[[Path], object]:
+    return lambda path: build_catalog([path], form, name="hostile")
+
+
+def _raster(path: Path, pixels: np.ndarray) -> None:
+    path.write_bytes(_encoded(path.suffix, pixels))
+
+
+def _own_catalog(path: Path) -> None:
+    source = path.with_name("stars.csv")
+    source.write_text("ra_deg,dec_deg,magnitude\n" + "\n".join(f"{10 * k},{k},{k % 7}" for k in range(30)) + "\n")
+    save_catalog(load_catalog(source), path, sources=[])
+
+
+def _maplet(path: Path) -> None:
+    half, spacing = 3, 0.01
+    head = bytearray(72)
+    struct.pack_into(">f", head, 6, spacing)
+    struct.pack_into("<H", head, 10, half)
+    axes = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    struct.pack_into(">13f", head, 15, 0.0, 0.0, 2.0, *axes, 0.01)
+    path.write_bytes(bytes(head) + struct.pack(">hB", 5, 100) * (2 * half + 1) ** 2)
+
+
+def _landmarks(path: Path) -> None:
+    save_landmarks(LandmarkCatalog((landmark_of(_map()),)), path)
+
+
+def _campaign(path: Path) -> None:
+    (path.parent / "images").mkdir(exist_ok=True)
+    (path.parent / "images" / "a.fits").write_bytes(b"")
+    (path.parent / "geometry.csv").write_text("file\na.fits\n")
+    gl.Camera(name="c", columns=8, rows=8, model=NAVCAM, psf=gl.GaussianPsf()).save(path.parent / "camera.toml")
+    path.write_text(tomli_w.dumps(campaign_table()))
+
+
+PIXELS = (np.arange(24 * 20).reshape(20, 24) * 37 % 251).astype(np.uint8)
+GYRO = _table("rate_x_rad_s,rate_y_rad_s,rate_z_rad_s", "1e-3,0,0")
+ORBIT = _table("x_km,y_km,z_km,vx_km_s,vy_km_s,vz_km_s,body_qx,body_qy,body_qz,body_qw", "1,2,3,0,0,1,0,0,0,1")
+GEOMETRY = (
+    "file,epoch_utc,exposure_s,qx,qy,qz,qw,target,target_x_km,target_y_km,target_z_km\n"
+    "a.fits,2020-01-01T00:00:00,0.5,0,0,0,1,ROCK,1,2,300\nb.fits,2020-01-01T00:00:09,0.5,0,0,0.6,0.8,ROCK,1,2,300\n"
+)
+GIANT_CAMERA = (
+    '<CameraModels>\n<OREX><navcam module="giant.camera_models.x" type="BrownModel"><n_rows>1944</n_rows>'
+    "<n_cols>2592</n_cols><kx>3473.3</kx><ky>np.float64(3473.4)</ky><kxy>0.0</kxy><px>1268.7</px><py>949.6</py>"
+    "<k1>-0.539</k1><k2>0.388</k2><k3>-0.214</k3><p1>-2.55e-4</p1><p2>8.64e-4</p2>"
+    "<temperature_coefficients>array([2.37e-05, 0.0, 0.0])</temperature_coefficients>"
+    "<misalignment>array([0., 0., 0.])</misalignment></navcam></OREX></CameraModels>\n"
+)
+LEAPSECONDS = (
+    "KPL/LSK\n\\begindata\nDELTET/DELTA_T_A = 32.184\nDELTET/K = 1.657D-3\nDELTET/EB = 1.671D-2\n"
+    "DELTET/M = ( 6.239996D0 1.99096871D-7 )\nDELTET/DELTA_AT = ( 10, @1972-JAN-1\n 37, @2017-JAN-1 )\n\\begintext\n"
+)
+FRAME = (
+    "KPL/FK\n\\begindata\nFRAME_NAV = -999001\nFRAME_-999001_NAME = 'NAV'\nFRAME_-999001_CLASS = 4\n"
+    "FRAME_-999001_CLASS_ID = -999001\nFRAME_-999001_CENTER = -999\nTKFRAME_-999001_SPEC = 'ANGLES'\n"
+    "TKFRAME_-999001_RELATIVE = 'J2000'\nTKFRAME_-999001_ANGLES = ( 1, 2, 3 )\nTKFRAME_-999001_AXES = ( 1, 2, 3 )\n"
+    "TKFRAME_-999001_UNITS = 'DEGREES'\nNAIF_BODY_NAME += ( 'ROCK' )\nNAIF_BODY_CODE += ( 2000999 )\n\\begintext\n"
+)
+
+
+def _image(path: Path) -> object:
+    return read_image_file(path)
+
+
+def _foreign(path: Path) -> object:
+    return read_foreign_camera(path, instrument_id=-64361)
+
+
+KINDS: dict[str, Kind] = {
+    "image fits": Kind("a.fits", lambda path: gl.io.write_fits(path, PIXELS), _image),
+    "image compressed fits": Kind("a.fits", lambda path: image_files.compressed_fits(path), _image),
+    "image fits.gz": Kind(
+        "a.fits.gz",
+        lambda path: path.write_bytes(gzip.compress(image_files.plain_fits(path.with_name("p.fits")))),
+        _image,
+    ),
+    "image png": Kind("a.png", lambda path: _raster(path, PIXELS), _image),
+    "image tiff": Kind("a.tiff", lambda path: _raster(path, PIXELS.astype(np.uint16) * 200), _image),
+    "image jpeg": Kind("a.jpg", lambda path: _raster(path, PIXELS), _image),
+    "image vicar": Kind("a.vic", _with(image_files.vicar(PIXELS, items="TASK='X' A=3 B='it''s'")), _image),
+    "image pds3": Kind(
+        "a.img",
+        lambda path: path.write_bytes(image_files.pds3_label("^IMAGE = 8").ljust(630) + image_files.pds3_rows(">i2")),
+        _image,
+    ),
+    "camera": Kind(
+        "camera.toml",
+        lambda path: gl.Camera(name="c", columns=8, rows=8, model=NAVCAM, psf=gl.GaussianPsf()).save(path),
+        gl.Camera.load,
+    ),
+    "camera opencv yaml": Kind("c.yml", lambda path: write_opencv_camera(path, NAVCAM, columns=8, rows=8), _foreign),
+    "camera opencv xml": Kind("c.xml", lambda path: write_opencv_camera(path, NAVCAM, columns=8, rows=8), _foreign),
+    "camera giant": Kind("g.xml", _with(GIANT_CAMERA), _foreign),
+    "camera kernel": Kind("c.ti", _with(camera_files.IK.format(center="( 511.5, 511.5 )")), _foreign),
+    **{
+        f"shape {suffix}": Kind(
+            f"s.{suffix}",
+            lambda path: save_shape(MESH, path, dsk=DskIdentity(center=401, frame="IAU_PHOBOS")),
+            load_shape,
+        )
+        for suffix in ("obj", "ply", "stl", "tab", "npz", "bds")
+    },
+    "shape text ply": Kind("s.ply", _with(_exported("ply")), load_shape),
+    "shape text stl": Kind("s.stl", _with(_exported("stl")), load_shape),
+    "maplet": Kind("m.MAP", _maplet, load_landmarks),
+    "landmarks": Kind("l.npz", _landmarks, load_landmarks),
+    "catalog": Kind("c.stars", _own_catalog, lambda path: load_catalog(path).cone(np.array([1.0, 0, 0]), 0.5)),
+    "catalog csv": Kind("c.csv", _with("ra_deg,dec_deg,magnitude\n10,20,3\n11,21,4.5\n"), load_catalog),
+    "catalog hipparcos": Kind("hip_main.dat", _with(catalog_files._hip_main() + b"\n"), _read_catalog("hipparcos")),
+    "catalog tycho2": Kind(
+        "tyc2.dat",
+        _with(catalog_files.TYCHO_FIRST + "\n" + catalog_files.TYCHO_NO_MEAN + "\n"),
+        _read_catalog("tycho2"),
+    ),
+    "catalog ucac4": Kind("z001", _with(catalog_files._ucac4() * 3), _read_catalog("ucac4")),
+    "catalog usno": Kind("gnc.csv", _with(catalog_files.GNC), _read_catalog("usno-gnc")),
+    "catalog gaia csv": Kind("g.csv", catalog_files._write_csv, _read_catalog("gaia")),
+    "catalog gaia fits": Kind("g.fits", catalog_files._write_fits, _read_catalog("gaia")),
+    "catalog gaia ecsv": Kind("g.ecsv", catalog_files._write_ecsv, _read_catalog("gaia")),
+    "catalog gaia parquet": Kind("g.parquet", catalog_files._write_parquet, _read_catalog("gaia")),
+    "catalog gaia votable": Kind("g.vot", catalog_files._write_votable, _read_catalog("gaia")),
+    "rates": Kind("gyro.csv", _with(GYRO), read_rates),
+    "ephemeris": Kind("orbit.csv", _with(ORBIT), read_ephemeris_table),
+    "geometry": Kind("geometry.csv", _with(GEOMETRY), read_geometry),
+    "attitudes": Kind("attitudes.csv", _with(_table("qx,qy,qz,qw", "0,0,0,1")), read_attitude_csv),
+    "campaign": Kind("campaign.toml", _campaign, Campaign.load),
+    "scene": Kind("scene.toml", lambda path: path.write_text(tomli_w.dumps(scene_table())), RenderPlan.load),
+    "kernel pck": Kind("k.tpc", lambda path: kernel_files.write_pck(path), _read_kernel),
+    "kernel lsk": Kind("k.tls", _with(LEAPSECONDS), _read_kernel),
+    "kernel fk": Kind("k.tf", _with(FRAME), _read_kernel),
+    "kernel spk": Kind("k.bsp", _spk, _read_spk),
+}
+"""Kinds of files, by name."""
