@@ -42,6 +42,7 @@ from giantlike.campaign.store.records import (
     ObservationRecord,
     ObservationsRecord,
     Problem,
+    RunSummary,
 )
 from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import Record, RunFolder, stamp_of
@@ -134,18 +135,18 @@ def run_campaign(
 
 def _finish(folder: RunFolder, result: RunResult) -> None:
     write_tables(folder.path, result.attitudes, result.observations)
-    run = {
-        "name": result.name,
-        "hdu": result.hdu,
-        "bottom_up": result.bottom_up,
-        "max_overlays": result.max_overlays,
-        "warnings": result.warnings,
-        "time_s": round(result.time_s, 3),
-    }
+    run = RunSummary(
+        name=result.name,
+        hdu=result.hdu,
+        bottom_up=result.bottom_up,
+        max_overlays=result.max_overlays,
+        warnings=list(result.warnings),
+        time_s=round(result.time_s, 3),
+    )
     images = {record.file: record.sha256 for record in result.attitudes}
-    folder.write_provenance(folder.provenance() | {"images_sha256": images, "run": run})
+    folder.write_provenance(folder.provenance() | {"images_sha256": images, "run": run.model_dump()})
     write_report(result)
-    folder.log("run_finished", failed_images=len(result.failed_images), time_s=run["time_s"])
+    folder.log("run_finished", failed_images=len(result.failed_images), time_s=run.time_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,12 @@ records. Results therefore never depend on whether a run was interrupted.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
-from typing import ClassVar, Literal, Self, TypeAlias
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
@@ -19,6 +20,30 @@ from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
 
 Vector: TypeAlias = list[float]
 Matrix: TypeAlias = list[list[float]]
+_UNIT = 1e-6  # departure of the length of a quaternion from 1 that is rounding
+
+
+def _unit_quaternion(values: Vector) -> Vector:
+    if len(values) != 4 or not abs(math.hypot(*values) - 1.0) < _UNIT:
+        raise ValueError(f"a unit quaternion of four numbers is needed, got {values}")
+    return values
+
+
+def _three_by_three(values: Matrix) -> Matrix:
+    if [len(row) for row in values] != [3, 3, 3]:
+        raise ValueError("a matrix of three rows and three columns is needed")
+    return values
+
+
+def _flag_name(name: str) -> str:
+    if name.upper() not in Quality.__members__:
+        raise ValueError(f"there is no quality flag {name!r}")
+    return name
+
+
+UnitQuaternion: TypeAlias = Annotated[Vector, AfterValidator(_unit_quaternion)]
+Covariance: TypeAlias = Annotated[Matrix, AfterValidator(_three_by_three)]
+FlagName: TypeAlias = Annotated[str, AfterValidator(_flag_name)]
 Status: TypeAlias = Literal["ok", "suspect", "failed"]
 
 
@@ -71,6 +96,32 @@ class Problem(_Record):
         return cls(reason=failure.reason, detail=failure.detail)
 
 
+class RunSummary(_Record):
+    """Section ``run`` of the provenance of a finished run.
+
+    Parameters
+    ----------
+    name : str
+        Of the campaign.
+    hdu : int or str or None
+        FITS extension that was read.
+    bottom_up : bool
+        True if the rows were reversed on reading.
+    max_overlays : int
+        Number of images shown in the report.
+    warnings : list of str
+    time_s : float, s
+        Of the last part of the run.
+    """
+
+    name: str
+    hdu: int | str | None
+    bottom_up: bool = False
+    max_overlays: int
+    warnings: list[str]
+    time_s: float
+
+
 class Attitude(_Record):
     """An attitude and its covariance.
 
@@ -91,11 +142,11 @@ class Attitude(_Record):
     """
 
     source: str
-    quaternion_xyzw: Vector
-    covariance_rad2: Matrix | None = None
-    parts: dict[Cause, Matrix] = Field(default_factory=dict)
+    quaternion_xyzw: UnitQuaternion
+    covariance_rad2: Covariance | None = None
+    parts: dict[Cause, Covariance] = Field(default_factory=dict)
     by_camera: Matrix | None = None
-    flags: list[str] = Field(default_factory=list)
+    flags: list[FlagName] = Field(default_factory=list)
 
     @property
     def rotation(self) -> Rotation:

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, RunSummary
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
 from giantlike.core.errors import DataError
 from giantlike.core.values import Value
@@ -177,16 +178,20 @@ def load_result(path: Path) -> RunResult:
     run = folder.provenance().get("run")
     if not isinstance(run, dict):
         raise DataError(path, "the run in this folder is not finished: continue it with giantlike run --resume")
+    try:
+        summary = RunSummary.model_validate(run)
+    except ValidationError as error:
+        raise DataError(path, f"provenance.json is damaged: {' '.join(str(error).split())[:200]}") from error
     return RunResult(
         folder=path,
         attitudes=tuple(folder.load_all(AttitudeRecord)),
         bodies=tuple(folder.load_all(ObservationsRecord)),
-        name=run["name"],
-        hdu=run["hdu"],
-        bottom_up=run.get("bottom_up", False),
-        max_overlays=run["max_overlays"],
-        warnings=tuple(run["warnings"]),
-        time_s=run["time_s"],
+        name=summary.name,
+        hdu=summary.hdu,
+        bottom_up=summary.bottom_up,
+        max_overlays=summary.max_overlays,
+        warnings=tuple(summary.warnings),
+        time_s=summary.time_s,
         calibration=_calibration(path / CALIBRATION_FILE),
     )
 
@@ -255,6 +260,6 @@ def _calibration(path: Path) -> dict[str, Any] | None:
         return None
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(path, "is damaged: continue the run with giantlike run --resume") from error
     return dict(content)

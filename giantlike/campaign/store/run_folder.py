@@ -117,7 +117,7 @@ class RunFolder:
         """
         try:
             content = json.loads((self.path / _PROVENANCE).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             if not self.path.exists():
                 raise DataError(self.path, "there is no such run folder") from error
             raise DataError(self.path, f"is not a run folder: {_PROVENANCE} is missing or damaged") from error
