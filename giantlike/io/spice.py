@@ -13,6 +13,7 @@ import math
 import re
 import struct
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -26,6 +27,7 @@ from giantlike.core.child import in_child
 from giantlike.core.errors import DataError
 from giantlike.core.reading import file_sha256, library_message, reads
 from giantlike.core.time import time_from_et, utc_text
+from giantlike.shapes import Ellipsoid
 
 _LOG = logging.getLogger("giantlike.io")
 
@@ -352,6 +354,33 @@ def body_radii_km(body: str | int) -> Float:
         lambda: spiceypy.bodvrd(str(body), "RADII", 3), None, f"no radii of {body}", "load a PCK that has them"
     )
     return np.asarray(radii, dtype=np.float64)
+
+
+def ellipsoid_from_pck(body: str | int, kernels: Sequence[str | Path] = (), base: str | Path = ".") -> Ellipsoid:
+    """Reference ellipsoid of a body by its name, from a planetary constants kernel (PCK).
+
+    Parameters
+    ----------
+    body : str or int
+        NAIF name or id, such as ``"JUPITER"``.
+    kernels : sequence of path-like, optional
+        Kernels to load for the answer and to unload after it; those already loaded answer where there are none.
+    base : path-like
+        Folder that relative paths start from.
+
+    Returns
+    -------
+    Ellipsoid
+        Under the name of the body.
+
+    Raises
+    ------
+    DataError
+        A kernel is missing or damaged, the body is unknown, or no PCK has its radii.
+    """
+    with load_kernels(kernels, base) if kernels else nullcontext():
+        radii_km = body_radii_km(body)
+    return Ellipsoid(radii_km=radii_km, name=str(body))
 
 
 def _ask(question: Callable[[], Answer], et: float | None, subject: str, advice: str) -> Answer:

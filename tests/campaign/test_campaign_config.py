@@ -21,7 +21,7 @@ from giantlike.stars.transfer import TransferMethod
 from tests.campaign_files import CAMERA, RADII_KM, campaign_table
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-TEXT_KERNEL = "KPL/PCK\n\\begindata\nBODY999_RADII = ( 1 1 1 )\n\\begintext\n"
+TEXT_KERNEL = "KPL/PCK\n\\begindata\nBODY999_RADII = ( 1 2 3 )\n\\begintext\n"
 
 
 def write(folder: Path, table: dict[str, Any]) -> Path:
@@ -90,6 +90,28 @@ def test_only_campaign_images_and_camera_are_required(tmp_path: Path) -> None:
     assert campaign.stars is None
     assert campaign.targets == ()
     assert not campaign.is_star_image(10.0)
+
+
+def test_radii_of_a_planetary_constants_kernel_are_taken_by_name(tmp_path: Path) -> None:
+    table = campaign_table()
+    table["targets"][0] |= {"shape": {"radii": "pck"}, "spice_body": "999"}
+    table["spice"] = {"kernels": ["pck.tpc"], "spacecraft": "-64"}
+    (target,) = Campaign.load(write(tmp_path, table)).targets
+    shape = target.load_shape()
+    assert isinstance(shape, Ellipsoid)
+    assert shape.radii_km.tolist() == [1.0, 2.0, 3.0]
+
+
+def test_uncertainties_of_targets_and_a_priori_attitudes_are_turned_into_radians(tmp_path: Path) -> None:
+    table = campaign_table()
+    table["images"]["attitude_sigma_deg"] = 0.5
+    table["targets"][0]["uncertainty"] = {"scale": 1e-3, "pole_deg": 0.1, "spin_deg": 0.2, "ephemeris_km": 5.0}
+    campaign = Campaign.load(write(tmp_path, table))
+    known = campaign.targets[0].uncertainty
+    found = [known.scale, known.pole_rad, known.spin_rad, known.ephemeris_km]
+    np.testing.assert_allclose(found, [1e-3, math.radians(0.1), math.radians(0.2), 5.0], rtol=1e-12)
+    assert campaign.apriori_covariance_rad2 is not None
+    np.testing.assert_allclose(np.sqrt(np.diag(campaign.apriori_covariance_rad2)), math.radians(0.5), rtol=1e-12)
 
 
 def test_mesh_reflectance_and_estimator_options_are_taken_over(tmp_path: Path) -> None:
@@ -196,6 +218,15 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
     (lambda t: t["targets"][0].update(shape={"radii_km": [1.0, 2.0, -1.0]}), "must be three positive and finite"),
     (lambda t: t["targets"][0].update(shape={"radii_km": [1.0, math.inf, 1.0]}), "must be three positive and finite"),
     (lambda t: t["targets"][0].update(shape={"radii_km": [1.0, math.nan, 1.0]}), "must be three positive and finite"),
+    (lambda t: t["targets"][0].update(shape={"radii": "pck"}), r"targets\[0\].shape: .*radii of a PCK need \[spice\]"),
+    (
+        lambda t: t.update(
+            spice={"kernels": ["pck.tpc"], "spacecraft": "-64"},
+            targets=[t["targets"][0] | {"shape": {"radii": "pck"}, "spice_body": "599"}],
+        ),
+        r"targets\[0\].shape: .*no radii of 599",
+    ),
+    (lambda t: t["targets"][0].update(uncertainty={"scale": -1.0}), r"targets\[0\].uncertainty.scale: "),
     (lambda t: t["targets"][0].update(shape=5), r"targets\[0\].shape: expected a mesh file or"),
     (lambda t: t["targets"][0].update(reflectance={"model": "phong"}), r"targets\[0\].reflectance model must be one"),
     (lambda t: t["targets"].append(dict(t["targets"][0])), "targets: two targets have the name 'PEBBLE'"),

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from giantlike.calibration.star_images import start_model
 from giantlike.camera import Camera
 from giantlike.campaign.file.inputs import (
@@ -24,8 +26,9 @@ from giantlike.campaign.file.inputs import (
 )
 from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
 from giantlike.campaign.file.toml_file import named, read_toml
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.units import RAD_PER_DEG
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.options import StarOptions
@@ -109,6 +112,8 @@ class Campaign:
         Number of images shown in the report.
     warnings : tuple of str
         Oddities that are not mistakes.
+    apriori_sigma_rad : float or None, rad
+        Standard deviation of a priori attitudes about each camera axis.
     """
 
     path: Path
@@ -128,6 +133,7 @@ class Campaign:
     targets: tuple[TargetSetup, ...]
     max_overlays: int
     warnings: tuple[str, ...] = field(default=())
+    apriori_sigma_rad: float | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Campaign:
@@ -152,6 +158,11 @@ class Campaign:
             return _resolve(path, content, table)
         except InputError as error:
             raise DataError(path, str(error)) from error
+
+    @property
+    def apriori_covariance_rad2(self) -> Float | None:
+        """Covariance (3, 3) of a priori attitudes about the camera axes, rad^2; None where it is not known."""
+        return None if self.apriori_sigma_rad is None else self.apriori_sigma_rad**2 * np.eye(3)
 
     def path_from_output(self, path: Path) -> str:
         """Path of a file relative to the run folder, so that both can be moved together.
@@ -212,8 +223,8 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         geometry = {image.key: by_path[image.path] for image in images if image.path in by_path}
         unmatched = _unmatched(geometry_table, images, geometry, folder, with_spice=content.spice is not None)
     spice = spice_of(path, content.spice)
-    targets, guessed = targets_of(path, content.targets)
-    stars, calibration = content.stars, content.calibration
+    targets, guessed = targets_of(path, content.targets, spice)
+    stars, calibration, sigma_deg = content.stars, content.calibration, content.images.attitude_sigma_deg
     if calibration is not None:
         stars = stars or StarsSection(lost_in_space=True)
         start = start_model(camera.model, calibration.estimate, calibration.model, 1.0)
@@ -237,6 +248,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         targets=targets,
         max_overlays=content.report.max_overlays,
         warnings=(*guessed, *unmatched, *_oddities(geometry_file, geometry, targets, spice)),
+        apriori_sigma_rad=None if sigma_deg is None else sigma_deg * RAD_PER_DEG,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,14 @@ from giantlike.campaign.file.toml_file import named
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_xyzw
-from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.core.units import RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER
 from giantlike.image import ObserverState
 from giantlike.io.geometry_table import GeometryTable, read_geometry
-from giantlike.io.spice import attitude, find_kernels, orientation, spk_state
+from giantlike.io.spice import attitude, ellipsoid_from_pck, find_kernels, orientation, spk_state
 from giantlike.ray_tracing import McEwen, Reflectance, reflectance_from_mapping
 from giantlike.relative import ESTIMATORS, Estimator
+from giantlike.scene import TargetUncertainty
 from giantlike.shapes import Ellipsoid, Shape, load_shape
 from giantlike.shapes.files.formats import read_file
 from giantlike.shapes.load import guessed_units
@@ -128,6 +129,7 @@ class TargetSetup:
         Empty in a scene file.
     spice_body, frame : str
         NAIF name and body-fixed frame.
+    uncertainty : TargetUncertainty
     """
 
     name: str
@@ -137,6 +139,7 @@ class TargetSetup:
     estimators: tuple[Estimator, ...]
     spice_body: str
     frame: str
+    uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
 
     def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
         """Orientation by SPICE when the light left that a camera sees.
@@ -314,7 +317,9 @@ def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
     return SpiceSetup(kernels=kernels, spacecraft=section.spacecraft, camera_from_frame=from_frame)
 
 
-def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[TargetSetup, ...], list[str]]:
+def targets_of(
+    path: Path, sections: Sequence[BodySection], spice: SpiceSetup | None
+) -> tuple[tuple[TargetSetup, ...], list[str]]:
     """Bodies of the ``[[targets]]`` of a campaign or scene file.
 
     Parameters
@@ -322,6 +327,8 @@ def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[Targe
     path : Path
         The campaign or scene file.
     sections : sequence of BodySection
+    spice : SpiceSetup or None
+        Kernels that know the radii of bodies.
 
     Returns
     -------
@@ -339,7 +346,7 @@ def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[Targe
     """
     decided, remarks = list[TargetSetup](), list[str]()
     for number, section in enumerate(sections):
-        target = _target(path, f"targets[{number}]", section)
+        target = _target(path, f"targets[{number}]", section, spice)
         if isinstance(target.shape, Path) and target.units == "auto":
             surface = read_file(target.shape)
             units = "km"
@@ -352,8 +359,14 @@ def targets_of(path: Path, sections: Sequence[BodySection]) -> tuple[tuple[Targe
     return tuple(decided), remarks
 
 
-def _target(path: Path, where: str, section: BodySection) -> TargetSetup:
-    shape = section.shape
+def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | None) -> TargetSetup:
+    shape, spice_body = section.shape, section.spice_body or section.name
+    if shape is None:
+        require(spice is not None, f"{where}.shape: the radii of a PCK need [spice] with kernels")
+        assert spice is not None
+        with named(f"{where}.shape: "):
+            x_km, y_km, z_km = ellipsoid_from_pck(spice_body, spice.kernels).radii_km.tolist()
+        shape = (x_km, y_km, z_km)
     with named(f"{where}."):
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
     return TargetSetup(
@@ -362,8 +375,19 @@ def _target(path: Path, where: str, section: BodySection) -> TargetSetup:
         units=section.units,
         reflectance=reflectance,
         estimators=_estimators(path, where, section) if isinstance(section, TargetSection) else (),
-        spice_body=section.spice_body or section.name,
-        frame=section.frame or section.spice_body or section.name,
+        spice_body=spice_body,
+        frame=section.frame or spice_body,
+        uncertainty=_uncertainty(section) if isinstance(section, TargetSection) else TargetUncertainty(),
+    )
+
+
+def _uncertainty(section: TargetSection) -> TargetUncertainty:
+    known = section.uncertainty
+    return TargetUncertainty(
+        scale=known.scale,
+        pole_rad=known.pole_deg * RAD_PER_DEG,
+        spin_rad=known.spin_deg * RAD_PER_DEG,
+        ephemeris_km=known.ephemeris_km,
     )
 
 

@@ -30,12 +30,15 @@ def _checked_hdu(value: object) -> int | str:
     return value
 
 
-def _checked_shape(value: object) -> str | Radii:
+def _checked_shape(value: object) -> str | Radii | None:
+    """Name of a mesh file, radii, or None for the radii of a PCK."""
     if isinstance(value, str):
         return value
+    if value == {"radii": "pck"}:
+        return None
     radii = value.get("radii_km") if isinstance(value, Mapping) and len(value) == 1 else None
     if not isinstance(radii, list) or len(radii) != 3:
-        raise InputError(f"expected a mesh file or {{ radii_km = [a, b, c] }}, got {value!r}")
+        raise InputError(f"expected a mesh file or {{ radii_km = [a, b, c] }} or {{ radii = 'pck' }}, got {value!r}")
     if any(isinstance(r, bool) or not isinstance(r, int | float) or not math.isfinite(r) or not r > 0 for r in radii):
         raise InputError(f"radii_km must be three positive and finite numbers, got {radii!r}")
     return float(radii[0]), float(radii[1]), float(radii[2])
@@ -61,6 +64,9 @@ class ImagesSection(Section):
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
     """The first stored row is the bottom of the picture: reverse the rows."""
+    attitude_sigma_deg: float | None = Field(default=None, gt=0, le=30)
+    """One sigma of a priori attitudes about each camera axis, deg, for the covariances of fixes made with them; without
+    it they hold no uncertainty of the attitude."""
 
 
 class SpiceSection(Section):
@@ -138,8 +144,9 @@ class BodySection(Section):
 
     name: str = Field(min_length=1)
     """Name of the target in tables; the default of `spice_body`."""
-    shape: Annotated[str | Radii, PlainValidator(_checked_shape)]
-    """Mesh file, or an ellipsoid as `{ radii_km = [a, b, c] }`."""
+    shape: Annotated[str | Radii | None, PlainValidator(_checked_shape)]
+    """Mesh file, or an ellipsoid: `{ radii_km = [a, b, c] }`, or `{ radii = "pck" }` for those that a planetary
+    constants kernel of `[spice]` gives the `spice_body`."""
     units: Literal["km", "m", "auto"] = "km"
     """Unit of the mesh file; `auto` decides by the size of the body, with a warning."""
     reflectance: dict[str, Any] | None = None
@@ -150,6 +157,19 @@ class BodySection(Section):
     """Body-fixed SPICE frame, where it is not the body's default."""
 
 
+class UncertaintySection(Section):
+    """One sigma of what is given of a target, for the covariances of fixes; 0 is for what is exact."""
+
+    scale: float = Field(default=0.0, ge=0, le=0.3)
+    """Relative error of the size of the shape."""
+    pole_deg: float = Field(default=0.0, ge=0, le=25)
+    """Error of the direction of the body-fixed z axis, about each of the other two axes, deg."""
+    spin_deg: float = Field(default=0.0, ge=0, le=25)
+    """Error of the rotation about the body-fixed z axis, deg."""
+    ephemeris_km: float = Field(default=0.0, ge=0)
+    """Error of the predicted position along each axis, km; part of observed less computed, not of the fix."""
+
+
 class TargetSection(BodySection):
     """``[[targets]]``: a body, and the estimators to run on it."""
 
@@ -157,6 +177,7 @@ class TargetSection(BodySection):
     """Names of the estimators; `giantlike estimators` lists them."""
     options: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """Options by estimator; `giantlike estimators NAME` shows those of one."""
+    uncertainty: UncertaintySection = UncertaintySection()
 
 
 class ReportSection(Section):

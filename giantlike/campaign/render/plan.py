@@ -265,7 +265,7 @@ class RenderPlan(Value):
 def _resolve(path: Path, content: RenderFile) -> RenderPlan:
     camera, _ = camera_of(path, content.camera)
     require(camera.psf is not None, "camera: rendering needs the PSF of the camera, [psf] with sigma_px")
-    targets, guessed = targets_of(path, content.targets)
+    targets, guessed = targets_of(path, content.targets, spice_of(path, content.spice))
     light = content.light
     require(light.direction is None or any(light.direction), "light.direction: must not be the zero vector")
     outside = not light.extended or light.distance_au * AU_KM > SUN_RADIUS_KM

@@ -47,11 +47,12 @@ def transfer_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) ->
     return transferred
 
 
-def attitude_to_use(record: AttitudeRecord) -> Attitude | None:
+def attitude_to_use(campaign: Campaign, record: AttitudeRecord) -> Attitude | None:
     """Attitude for the estimators: the one found, else the a priori one.
 
     Parameters
     ----------
+    campaign : Campaign
     record : AttitudeRecord
 
     Returns
@@ -61,7 +62,7 @@ def attitude_to_use(record: AttitudeRecord) -> Attitude | None:
     """
     if record.attitude is not None or record.apriori is None:
         return record.attitude
-    return attitude_of(record.apriori, AttitudeSource.A_PRIORI)
+    return attitude_of(record.apriori, AttitudeSource.A_PRIORI, campaign.apriori_covariance_rad2)
 
 
 def _star(record: AttitudeRecord) -> StarAttitude | None:

@@ -179,7 +179,13 @@ def _has_state(body: str, et: float, origin: str) -> bool:
 
 
 def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | SpiceEphemeris) -> Target:
-    return Target(name=target.name, shape=shape, ephemeris=ephemeris, reflectance=target.reflectance)
+    return Target(
+        name=target.name,
+        shape=shape,
+        ephemeris=ephemeris,
+        reflectance=target.reflectance,
+        uncertainty=target.uncertainty,
+    )
 
 
 def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape) -> Scene | Failure:

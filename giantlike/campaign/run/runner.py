@@ -217,7 +217,7 @@ class _Run:
             if not image.body_image or not targets_in(self.campaign, entry.key):
                 self.folder.drop_observations(entry.index)
                 continue
-            attitude = attitude_to_use(image)
+            attitude = attitude_to_use(self.campaign, image)
             done = self._load(ObservationsRecord, entry)
             if not image.readable and image.problem is not None:
                 record = failed_observations(self.campaign, entry, image.problem, epoch_utc=image.epoch_utc)

@@ -308,7 +308,8 @@ def _solved(bench: Workbench, entry: ImageEntry) -> AttitudeRecord | Problem:
     if bench.navigation is not None and record.star_image:
         return _from_stars(record, bench.navigation, image)
     if apriori is not None:
-        return with_attitude(record, campaign.camera, attitude_of(apriori, AttitudeSource.A_PRIORI))
+        attitude = attitude_of(apriori, AttitudeSource.A_PRIORI, campaign.apriori_covariance_rad2)
+        return with_attitude(record, campaign.camera, attitude)
     missing = Problem(reason=Reason.NO_ATTITUDE, detail=f"{entry.key}: no attitude in table, header or SPICE")
     return record.replace(problem=missing)
 
