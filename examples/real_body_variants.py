@@ -17,7 +17,6 @@ import argparse
 import dataclasses
 import json
 import math
-import sys
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -157,12 +156,13 @@ def frames(data: Path, output: Path) -> list[Frame]:
     found = []
     for source in (vesta, europa, jupiter, voyager, cassini_without_geometry, earth, eros):
         for case in source(data):
-            found.append(_frame(case, known))
+            found.append(frame_of(case, known))
     cache.write_text(json.dumps(known, indent=1))
     return found
 
 
-def _frame(case: Case, known: dict[str, list[float]]) -> Frame:
+def frame_of(case: Case, known: dict[str, list[float]]) -> Frame:
+    """A case and its truth in camera axes; outlines are taken from ``known``, or measured and added to it."""
     geometry = case.scene.geometry(case.image)
     assert not isinstance(geometry, Failure)
     camera, turn, sun = case.camera, geometry.camera_from_body, geometry.sun_direction_camera
@@ -516,10 +516,14 @@ def run(
     if processes == 1:
         return [row for job in jobs for row in _task(job)]
     found: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(processes, mp_context=get_context("fork")) as pool:
-        for job, rows in zip(jobs, pool.map(_task, jobs), strict=True):
+    with (
+        (output / "variants.jsonl").open("w") as lines,
+        ProcessPoolExecutor(processes, mp_context=get_context("fork")) as pool,
+    ):
+        for rows in pool.map(_task, jobs):
             found += rows
-            print(job[1], _FRAMES[job[0]].name, file=sys.stderr, flush=True)
+            lines.writelines(json.dumps(row) + "\n" for row in rows)
+            lines.flush()
     return found
 
 
