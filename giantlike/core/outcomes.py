@@ -88,7 +88,7 @@ class Quality(enum.Flag):
     UNCHECKED = enum.auto()
     """No independent estimator found the body, so nothing confirms the fix."""
     UNCONFIRMED = enum.auto()
-    """Other estimators found the body, but each of them is suspect itself, so nothing confirms the fix."""
+    """No estimator that is not suspect itself confirms the fix, where one should."""
     WRONG_LIGHT = enum.auto()
     """Light lies on another side of the body than the Sun: its direction, or the order of rows, is wrong."""
     SUSPECT = (

@@ -98,11 +98,15 @@ class Choice:
         Names of those to check with, in order.
     because : str
         Reason of the choice, for the provenance.
+    needs_check : bool
+        True where a check that fails speaks against the fix: the shape model of an irregular body tells what its face
+        looks like, that of an ellipsoid knows nothing of markings, clouds and rings.
     """
 
     estimators: tuple[str, ...]
     checks: tuple[str, ...]
     because: str
+    needs_check: bool = False
 
 
 def choose(
@@ -151,8 +155,10 @@ def choose(
         because = f"{seen}, an ellipsoid: its horizon, whatever its face looks like"
         return Choice((EllipsoidCRA.name, limb, template), (template, light, EllipsoidCRA.name), because)
     if in_frame < 1.0:
-        return Choice((limb, template, SurfaceFeatures.name), (template, limb), f"{seen}, cut by it: its limb")
-    return Choice((template, limb, light), (limb, light, template), f"{seen}, of irregular shape: all of its light")
+        because = f"{seen}, cut by it: its limb"
+        return Choice((limb, template, SurfaceFeatures.name), (template, limb), because, needs_check=True)
+    because = f"{seen}, of irregular shape: all of its light"
+    return Choice((template, limb, light), (limb, light, template), because, needs_check=True)
 
 
 class Auto(BodyEstimator[AutoOptions, CenterFix]):
@@ -163,7 +169,8 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     another way, check it (:func:`verdict`). Any second fix that is certain enough has a say against it, suspect or
     not: where the two differ by more than their covariances explain, the fix is flagged ``DISAGREEMENT``. Only one that
     is not suspect confirms it. Where there are second fixes, but none confirms it, it is flagged ``UNCONFIRMED``. Both
-    make it suspect. Where no second estimator finds the body at all, it is flagged ``UNCHECKED``.
+    make it suspect. Where no second estimator finds the body at all, a fix of the first choice is flagged
+    ``UNCHECKED``; a fix of a later choice, or of an irregular body whose limb is in view, is ``UNCONFIRMED`` then.
 
     The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
     range, under the name ``auto``; its ``provenance`` says which (``chosen``), why (``because``), what checked it
@@ -198,7 +205,9 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         # Estimators that use another part of the image come first; another use of the same light is better than none.
         order = sorted(choice.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1])
         seconds = ((name, outcome(name)) for name in order if name != taken)
-        found = verdict(fix, seconds, false_alarm=self.options.false_alarm)
+        later = taken != choice.estimators[0]
+        alone = Quality.UNCONFIRMED if later or choice.needs_check else Quality.UNCHECKED
+        found = verdict(fix, seconds, alone=alone, false_alarm=self.options.false_alarm)
         provenance = {**fix.provenance, "chosen": taken, "because": choice.because}
         if found.checked_by:
             provenance |= {"checked_by": found.checked_by, "agreement": f"{found.agreement:.3g}"}
@@ -245,7 +254,11 @@ class Verdict:
 
 
 def verdict(
-    fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]], *, false_alarm: float = 1e-4
+    fix: CenterFix,
+    seconds: Iterable[tuple[str, CenterFix | Failure]],
+    *,
+    alone: Quality = Quality.UNCHECKED,
+    false_alarm: float = 1e-4,
 ) -> Verdict:
     """Compare a fix with second fixes of the same body, in order, until one that is trusted decides.
 
@@ -254,6 +267,8 @@ def verdict(
     fix : CenterFix
     seconds : iterable of (str, CenterFix or Failure)
         Name and outcome of other estimators, the most independent first. No more are taken than are needed.
+    alone : Quality
+        Flag of a fix where no other estimator gives one.
     false_alarm : float
         Probability that two right fixes are called a disagreement.
 
@@ -273,7 +288,7 @@ def verdict(
             return Verdict(flag=Quality.DISAGREEMENT, checked_by=name, agreement=agreement)
         if not second.flags.suspect:
             return Verdict(flag=Quality.NONE, checked_by=name, agreement=agreement)
-    return Verdict(flag=Quality.UNCONFIRMED if found else Quality.UNCHECKED)
+    return Verdict(flag=Quality.UNCONFIRMED if found else alone)
 
 
 def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:

@@ -162,11 +162,19 @@ def test_what_rests_on_something_else_checks_before_what_rests_on_the_same(rock:
     assert second_best.provenance["checked_by"] == "moment"
 
 
-def test_a_fix_that_nothing_confirms_says_so_without_being_suspect(rock: TriangleMesh) -> None:
+def test_an_irregular_body_that_one_estimator_alone_finds_is_suspect(rock: TriangleMesh) -> None:
     fix = _told(rock, cross_correlation=_fix((0, 0)))
     assert isinstance(fix, CenterFix)
-    assert fix.flags == Quality.UNCHECKED
+    assert fix.flags == Quality.UNCONFIRMED
     assert "checked_by" not in fix.provenance
+
+
+def test_an_ellipsoid_that_its_limb_alone_finds_is_unchecked_but_not_suspect() -> None:
+    case = body_image(MOON, 8, phase_deg=50.0)
+    for name, flag in (("ellipsoid_cra", Quality.UNCHECKED), ("cross_correlation", Quality.UNCONFIRMED)):
+        fix = _Told(**{name: _fix((0, 0))}).estimate(case.image, case.camera, case.scene)
+        assert isinstance(fix, CenterFix)
+        assert fix.flags == flag
 
 
 def test_a_fix_to_which_its_own_checks_object_gives_way_to_the_next(rock: TriangleMesh) -> None:
