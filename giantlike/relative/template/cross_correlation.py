@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
@@ -50,6 +50,9 @@ class CrossCorrelationOptions:
     ----------
     search_px : int, px
         Largest error of the predicted center, along each axis.
+    search_range : float
+        Largest relative error of the predicted range; what is found beyond it is suspect. As wide as that of
+        ``ellipse_fit``: the range of a small body is uncertain by some percent itself.
     min_score : float
         Least correlation of a body that counts as found.
     estimate_scale : bool, optional
@@ -82,6 +85,7 @@ class CrossCorrelationOptions:
     """
 
     search_px: int = 40
+    search_range: float = 0.05
     min_score: float = 0.5
     estimate_scale: bool | None = None
     min_scale_diameter_px: float = 15.0
@@ -94,6 +98,7 @@ class CrossCorrelationOptions:
 
     def __post_init__(self) -> None:
         CorrelationOptions(search_px=self.search_px, min_score=self.min_score)
+        require_number(self.search_range, "search_range", least=0.0, most=0.3)
         require(self.min_scale_diameter_px > 0, f"min_scale_diameter_px must be > 0, got {self.min_scale_diameter_px}")
         TemplateFitOptions(
             max_iterations=self.max_iterations,
@@ -275,7 +280,7 @@ def _fix(
         n_used=int(fit.used.sum()),
         n_rejected=fit.n_rejected,
         score=fit.score,
-        flags=_flags(inputs, match, lit, options.search_px),
+        flags=_flags(inputs, match, lit, options),
     )
     if not _scaled(options, inputs.radius_px):
         return center
@@ -292,7 +297,7 @@ def _fix(
     )
 
 
-def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, search_px: int) -> Quality:
+def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, options: CrossCorrelationOptions) -> Quality:
     """Flags of a match whose light falls on the pixels ``lit`` (h, w) of its box."""
     fit, box = match.fit, match.box
     area = np.zeros_like(inputs.usable)
@@ -305,7 +310,9 @@ def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, search_px: 
     n_used = int(fit.used.sum())
     checks = QualityChecks(
         off_px=fit.state.center_px - inputs.predicted_px,
-        search_px=search_px,
+        search_px=options.search_px,
+        range_ratio=math.exp(-fit.state.log_range),
+        search_range=options.search_range,
         bounded=True,
         n_used=n_used,
         n_offered=n_used + fit.n_rejected,
