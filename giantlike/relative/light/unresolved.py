@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.detector import Detector
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.processing.detection.detect import detect_sources
@@ -26,9 +26,17 @@ from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2, UNKNOWN_
 _BACKGROUND_PX = 12  # px, width of the ring around the search region for the background and its noise
 _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the centroid
 _WINDOW_REACH_SIGMAS = 5.0  # of the window: less than 4e-6 of a Gaussian lies beyond
+_HOT_PSF, _HOT_LIGHT = 0.7, 0.3
+"""Largest width of a hot pixel, over that of the point spread function, which may be stated 30 % too wide, and over that
+of the light expected, of which a quarter is the least that is fitted."""
 _RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival: see benchmarks/sensitivity.md
 _FIT_MARGIN_PX = 4  # px around the template: derivatives take so many, and the background is fitted
-_RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # finer is lost in noise
+_RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # over a body that is lit all over; finer is lost in noise
+_LEAST_LIT, _MOST_RAYS = 0.05, 720
+"""Least lit share of the disk that rays are added for, as many lit ones as on a full disk, and most of them across.
+
+At 150 degrees a crescent of 4 px is 0.3 px thick, and 96 rays across move its center by 0.02 px; 372 by 0.005 px.
+"""
 _LARGE_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid and fit: then one sees something else
 
 
@@ -116,13 +124,13 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
             target=inputs.geometry.body(),
             plane=inputs.focal_plane(),
             sun_direction_camera=inputs.geometry.sun_direction_camera,
-            rays_across=int(np.clip(_RAYS_PER_PIXEL * diameter, *_RAYS_ACROSS)),
+            rays_across=_rays_across(diameter, inputs.geometry.phase_angle_rad),
         )
         template = renderer.render(renderer.start, renderer.sampling(math.ceil(options.search_px)))
         if isinstance(template, Failure):
             return template
         image = inputs.pixels
-        found = _brightest(image, inputs.masked, inputs.camera.detector, template, options)
+        found = _brightest(inputs, template, options)
         if isinstance(found, Failure):
             return found
         start_px, rivals = found
@@ -164,24 +172,31 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         )
 
 
-def _brightest(
-    image: BoxPixels, bad: Mask, detector: Detector, template: Template, options: UnresolvedOptions
-) -> tuple[Float, bool] | Failure:
+def _rays_across(diameter_px: float, phase_rad: float) -> int:
+    """Rays over a body: as many on the lit part of its disk at any phase."""
+    lit = max(0.5 * (1.0 + math.cos(phase_rad)), _LEAST_LIT)
+    return min(round(float(np.clip(_RAYS_PER_PIXEL * diameter_px, *_RAYS_ACROSS)) / math.sqrt(lit)), _MOST_RAYS)
+
+
+def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedOptions) -> tuple[Float, bool] | Failure:
     """Position of the brightest source in the search region, and True if another is bright enough to be it instead."""
+    image, bad, detector = inputs.pixels, inputs.masked, inputs.camera.detector
+    optics_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
     expected_px, search_px = template.photocenter_px, options.search_px
     box = _box_around(expected_px, search_px + _BACKGROUND_PX, image)
     if box.width < 2 * _BACKGROUND_PX or box.height < 2 * _BACKGROUND_PX:
         return Failure(
             Reason.OUT_OF_FRAME, f"the predicted center of light {_text(expected_px)} px is outside the image"
         )
-    sources = detect_sources(
-        box.cut(image.values_dn), detector=detector, psf_sigma_px=_width_px(template), mask=box.cut(bad)
-    )
+    width_px = _width_px(template)
+    sources = detect_sources(box.cut(image.values_dn), detector=detector, psf_sigma_px=width_px, mask=box.cut(bad))
     if isinstance(sources, Failure):
         return sources
     points = sources.points_px + box.corner_px
     near = np.linalg.norm(points - expected_px, axis=1) <= search_px
-    near &= (sources.snr >= options.min_snr) & ((sources.flags & np.uint16(DetectionFlag.SHARP)) == 0)
+    hot = (sources.flags & np.uint16(DetectionFlag.SHARP)) > 0
+    hot &= sources.width_px < max(_HOT_PSF * optics_px, _HOT_LIGHT * width_px)  # a thin crescent is sharp too
+    near &= (sources.snr >= options.min_snr) & ~hot
     if not near.any():
         return Failure(
             Reason.NO_SIGNAL,
