@@ -15,6 +15,15 @@ from giantlike.independent.light import Motion, unaberrated
 from giantlike.independent.psf import Psf
 from giantlike.independent.views import PinholeView
 
+RAYS_ACROSS_LIGHT, MOST_EDGE_RAYS = 24, 40
+"""Least number of rays across the lit part of the disk, and most of them along the side of a cell.
+
+With 12 rays along a pixel the center of light of a crescent 4 px long and 0.3 px thick is off by 0.02 px.
+"""
+
+SMALL_PX = 1.5
+"""Distance from the center within which pixels count as edges: smaller bodies may miss the centers of all pixels."""
+
 RAYS_AT_ONCE = 60_000
 """Rays in one call: keeps the arrays of a batch within a processor's cache and memory small."""
 
@@ -127,14 +136,14 @@ def render_body(
     psf : Psf, optional
         Optics; a Gaussian of 0.7 px unless given.
     sampling : Sampling, optional
-        Rays by pixel.
+        Rays by pixel; by default 12 along the side of a pixel at an edge, and more for small bodies and thin crescents.
 
     Returns
     -------
     (rows, columns) float64
         Signal. Brightness centroids of a disk of 300 px are right to 0.002 px.
     """
-    psf, sampling = psf or Psf(), sampling or Sampling()
+    psf, sampling = psf or Psf(), sampling or _fine_enough(body, view, pose)
     stage = _Stage(body=body, view=view, pose=pose, law=LAWS[law] if isinstance(law, str) else law)
     image = np.zeros((view.rows, view.columns))
     box = _box(stage, psf.reach_px)
@@ -149,6 +158,17 @@ def render_body(
     np.maximum(image, 0.0, out=image)
     highest = float(image.max())
     return image if peak_dn is None or highest == 0.0 else image * (peak_dn / highest)
+
+
+def _fine_enough(body: Body, view: PinholeView, pose: Pose) -> Sampling:
+    """Sampling with enough rays across the lit part of the disk."""
+    usual = Sampling()
+    position = np.asarray(pose.position_camera_km, dtype=float)
+    distance = float(np.linalg.norm(position))
+    lit = 0.5 * (1.0 - float(position @ np.asarray(pose.sun_direction_camera, dtype=float)) / distance)
+    across_px = 2.0 * body.bounding_radius_km / distance * view.focal_px * max(lit, 1e-3)
+    wanted = int(np.ceil(RAYS_ACROSS_LIGHT / (across_px * usual.cells)))
+    return Sampling(cells=usual.cells, edge_rays=min(max(wanted, usual.edge_rays), MOST_EDGE_RAYS))
 
 
 def _box(stage: _Stage, margin: int) -> tuple[int, int, int, int] | None:
@@ -184,6 +204,8 @@ def _cells(stage: _Stage, box: tuple[int, int, int, int], sampling: Sampling) ->
     odd = smooth.copy()
     odd[smooth] = within.max(axis=(1, 2)) != within.min(axis=(1, 2))  # small shadows inside a pixel
     edge |= odd
+    across = np.hypot(*(grid - stage.view.project(stage.pose.position_camera_km)).transpose(2, 0, 1))
+    edge |= across < SMALL_PX  # a body that misses the centers of all pixels has no edge between them
     light[edge], _ = _in_pixels(stage, grid[edge], sampling.cells, sampling.edge_rays)
     return np.asarray(light.transpose(0, 2, 1, 3).reshape(rows * sampling.cells, columns * sampling.cells), dtype=float)
 

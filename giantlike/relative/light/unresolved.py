@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.causes import Cause, summed
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
@@ -27,7 +28,7 @@ _BACKGROUND_PX = 12  # px, width of the ring around the search region for the ba
 _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the centroid
 _WINDOW_REACH_SIGMAS = 5.0  # of the window: less than 4e-6 of a Gaussian lies beyond
 _HOT_PSF, _HOT_LIGHT = 0.7, 0.3
-"""Largest width of a hot pixel, over that of the point spread function, which may be stated 30 % too wide, and over that
+"""Largest width of a hot pixel over that of the point spread function, which may be stated 30 % too wide, and over that
 of the light expected, of which a quarter is the least that is fitted."""
 _RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival: see benchmarks/sensitivity.md
 _FIT_MARGIN_PX = 4  # px around the template: derivatives take so many, and the background is fitted
@@ -91,9 +92,10 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
     spheres that are not resolved, leaves 0.1 px at 2 px and 60 degrees and 0.5 px at 12 px.
 
     ``score`` is the signal to noise of the source, ``residuals`` are image minus model over the brightest pixel of the
-    model. The covariance holds noise, errors of the model as the residuals show them, an error ``range_sigma`` of the
-    range, and of the correction: for ``rendered`` the effect of another reflectance law, as far as the image leaves
-    that open; for ``kaasalainen_tanga`` and ``ellipsoid`` their difference from the rendered correction, as one sigma.
+    model. The covariance holds, as parts, ``noise`` and ``reflectance``: errors of the model as the residuals show
+    them, an error ``range_sigma`` of the range, and of the correction: for ``rendered`` the effect of another
+    reflectance law, as far as the image leaves that open; for ``kaasalainen_tanga`` and ``ellipsoid`` their difference
+    from the rendered correction, as one sigma.
 
     Failures are ``NOT_UNRESOLVED`` for larger bodies, ``NO_SIGNAL``, ``OUT_OF_FRAME``, ``NOT_LIT``, ``SATURATED``,
     ``NOT_CONVERGED`` and ``DEGENERATE_GEOMETRY``.
@@ -151,6 +153,8 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         shift_px = correction_px - rendered_px
         scaled_px = options.range_sigma * correction_px * float(kind is not Correction.RENDERED)  # else in the fit
         systematic = np.outer(shift_px, shift_px) + np.outer(scaled_px, scaled_px)
+        noise_px2 = fit.noise_covariance[:2, :2]
+        parts = {Cause.NOISE: noise_px2, Cause.REFLECTANCE: _excess(fit.covariance[:2, :2], noise_px2) + systematic}
         disagreement_px = float(np.linalg.norm(fit.state.center_px - start_px))
         checks = QualityChecks(
             off_px=np.array([np.linalg.norm(measured.point_px - template.photocenter_px), 0.0]),
@@ -163,13 +167,20 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         return CenterFix(
             **inputs.identity,
             center_px=fit.state.center_px + shift_px,
-            covariance_px2=fit.covariance[:2, :2] + systematic,
+            covariance_px2=summed(parts),
+            parts=parts,
             residuals=fit.residuals_dn[fit.used] / float(fit.signal_dn.max()),
             n_used=int(fit.used.sum()),
             n_rejected=fit.n_rejected,
             score=measured.snr,
             flags=inputs.flags_at(core) | checks.flags,
         )
+
+
+def _excess(total: Float, part: Float) -> Float:
+    """What a covariance (2, 2) has more than a part of it; rounding and what is less count as zero."""
+    values, axes = np.linalg.eigh(0.5 * (total + total.T) - 0.5 * (part + part.T))
+    return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
 
 def _rays_across(diameter_px: float, phase_rad: float) -> int:
