@@ -35,7 +35,7 @@ KNOWN = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
 LAWS = ("mcewen", "lambert", "lommel_seeliger", "hapke", "minnaert")
 LEAST_NEES = 0.25  # per degree of freedom, over few draws: half of the 0.5 that many draws must have
 CRESCENTS = ((1.0, "mcewen"), (2.0, "hapke"), (4.0, "mcewen"), (4.0, "lambert"), (8.0, "lommel_seeliger"))
-SAME_SIGMA = 1e-3  # of a sigma: rounding, in iterations that stop at 1e-4 px
+SAME_SIGMA = 0.2  # of a sigma: iterations that stop at a tenth of it, and go other ways by rounding
 OTHER_SIGMA = (
     0.5  # the same where the noise of a sky of 200 electrons is taken for read noise: shot noise twice too large
 )
