@@ -17,9 +17,21 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder, Sampling, record, render_body
+from giantlike.independent import (
+    Defects,
+    EllipsoidBody,
+    PinholeView,
+    Pose,
+    Psf,
+    Recorder,
+    Sampling,
+    record,
+    render_body,
+)
 from giantlike.ray_tracing import Hapke, Lambert, LommelSeeliger, McEwen, Minnaert, Reflectance
-from giantlike.relative import EllipsoidCRA, Estimator, SigmoidLimb
+from giantlike.relative import EllipsoidCRA, EllipsoidCRAOptions, Estimator, SigmoidLimb
+from giantlike.relative.horizon.cell_scan import HorizonScan
+from giantlike.relative.limb.fix import EdgeModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 from tests.tolerances import RARE
@@ -47,10 +59,19 @@ class Seen:
     camera_from_body: Rotation
     sun: Float
 
-    def fix(self, estimator: Estimator, told: Reflectance, seed: int, *, psf_px: float = PSF_PX) -> CenterFix | Failure:
+    def fix(
+        self,
+        estimator: Estimator,
+        told: Reflectance,
+        seed: int,
+        *,
+        psf_px: float = PSF_PX,
+        dead_columns: tuple[int, ...] = (),
+    ) -> CenterFix | Failure:
         """Estimate the position from this light with noise, the prediction being 3 px and 1 % off."""
         rng = np.random.default_rng(seed)
-        read = record(self.light_dn, rng, Recorder(bias_dn=BIAS_DN, saturation_dn=16383.0))
+        defects = Defects(dead_columns=dead_columns)
+        read = record(self.light_dn, rng, Recorder(bias_dn=BIAS_DN, saturation_dn=16383.0), defects)
         rows, columns = read.pixels.shape
         camera = Camera(
             name="stress",
@@ -125,3 +146,59 @@ def test_a_law_that_is_not_that_of_the_body_is_in_the_covariance(estimator: Esti
     assert_squares(squares)
     assert np.median(sigmas) < 2.5e-4  # noise alone leaves 1e-4: what is not known of the law costs a factor of two
     assert suspect <= 2
+
+
+@pytest.mark.parametrize("told_px", [0.7 * PSF_PX, 1.3 * PSF_PX])
+def test_a_point_spread_function_of_another_width_is_noticed_on_the_limb(told_px: float) -> None:
+    squares = []
+    estimators: tuple[Estimator, ...] = (EllipsoidCRA(), SigmoidLimb(), EllipsoidCRA())
+    for number, estimator in enumerate(estimators):
+        case = seen("mcewen", (20.0, 65.0, 110.0)[number], 160.0, 50 + number)
+        fix = case.fix(estimator, McEwen(), number, psf_px=told_px)
+        assert isinstance(fix, PositionFix), fix
+        assert not fix.flags.suspect
+        squares.append(case.square(fix))
+    assert_squares(squares)
+
+
+def test_wings_of_the_point_spread_function_are_noticed_on_the_limb() -> None:
+    squares = []
+    estimators: tuple[Estimator, ...] = (EllipsoidCRA(), SigmoidLimb(), EllipsoidCRA())
+    for number, estimator in enumerate(estimators):
+        wings = Psf(sigma_px=PSF_PX, wing_share=0.1, wing_sigma_px=2.5)
+        case = seen("mcewen", (20.0, 65.0, 110.0)[number], 160.0, 60 + number, wings)
+        fix = case.fix(estimator, McEwen(), number)
+        assert isinstance(fix, PositionFix), fix
+        assert not fix.flags.suspect
+        squares.append(case.square(fix))
+    assert_squares(squares)
+
+
+@ESTIMATORS
+def test_dead_columns_that_no_mask_tells_leave_small_disks_right(estimator: Estimator) -> None:
+    """A disk of 30 px, one of its columns dead: before, the range was wrong by up to 4 %."""
+    squares, suspect = [], 0
+    for number in range(6):
+        case = seen("mcewen", (20.0, 65.0, 110.0)[number % 3], 30.0, 70 + number)
+        middle = case.light_dn.shape[1] // 2
+        fix = case.fix(estimator, McEwen(), number, dead_columns=(middle + 3 * number - 7,))
+        if not isinstance(fix, PositionFix) or fix.flags.suspect:
+            suspect += 1
+            continue
+        assert abs(fix.range_km / float(np.linalg.norm(case.position_km)) - 1.0) < 0.01
+        squares.append(case.square(fix))
+    assert suspect <= 1
+    assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
+
+
+def test_a_step_instead_of_a_law_states_its_errors() -> None:
+    squares = []
+    for number, law in enumerate(("lambert", "lommel_seeliger", "mcewen", "minnaert")):
+        step = HorizonScan(edges=EdgeModel.STEP)
+        estimator = EllipsoidCRA(EllipsoidCRAOptions(horizon=step))
+        case = seen(law, (20.0, 50.0, 80.0, 110.0)[number], 160.0, 80 + number)
+        fix = case.fix(estimator, McEwen(), number)
+        assert isinstance(fix, PositionFix), fix
+        squares.append(case.square(fix))
+        assert fix.sigma_range_km / fix.range_km < 1e-3
+    assert_squares(squares)

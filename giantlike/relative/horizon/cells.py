@@ -7,8 +7,9 @@ used cell by cell (the Christian-Robinson algorithm) or added up over all of the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,8 +25,12 @@ _FOOT_STEPS = 3
 """Newton steps to the nearest point of the horizon, from within the window."""
 _RIDGE = 1e-12
 """Added to normal matrices of unit diagonal: beyond rounding, below all information."""
+_NOTHING = 1e-100
+"""Least diagonal of a normal matrix: cells without pixels have none, and its square must not underflow."""
 _REFITS = 2
 """Fits with the noise of the brightness fitted before; one or four change ellipsoid_cra by up to 0.06 sigma."""
+_CLIPS, _CLIP_SIGMAS = 3, 5.0
+"""Most fits without the pixels that lie far from the one before; and noise that is allowed for, in sigmas."""
 _MIN_FREEDOM = 5
 """Pixels in a cell beyond the number of its parameters; with fewer, its chi-square says nothing."""
 
@@ -66,8 +71,8 @@ class CellFits(Value):
     """Information of each cell on the horizon's place and on what all cells share, its brightness left free.
 
     The parameters are the outward shift of the horizon, px; the variance that the blur has besides, px^2; the
-    coefficient of the next power of the cosine of emission, over the gain; and the share of each of the other laws,
-    where it is as bright as the law of the body.
+    coefficient of the next power of the cosine of emission, over the gain; and the share of each of the profiles that
+    may be mixed in, where it is as bright as the law of the body.
 
     Parameters
     ----------
@@ -82,6 +87,8 @@ class CellFits(Value):
         Brightness inside over the noise of the dark.
     unexplained : (c,) float64
         Root mean square of what is left with all free, over the brightness inside.
+    used : (c,) float64
+        Share of the usable pixels that were not left out for being too far from the fit.
     """
 
     information: Float
@@ -90,6 +97,7 @@ class CellFits(Value):
     gain_dn: Float
     contrast: Float
     unexplained: Float
+    used: Float
 
     @property
     def sigma_px(self) -> Float:
@@ -174,7 +182,12 @@ def limb_pixels(
 
 
 def fit_cells(
-    pixels: LimbPixels, data_dn: Float, table: ProfileTable, variance_dn2: Callable[[Float], Float]
+    pixels: LimbPixels,
+    data_dn: Float,
+    table: ProfileTable,
+    variance_dn2: Callable[[Float], Float],
+    *,
+    largest_left: float = math.inf,
 ) -> CellFits:
     """Fit the profiles of a table to the pixels of each cell.
 
@@ -183,9 +196,12 @@ def fit_cells(
     pixels : LimbPixels
     data_dn : (rows, columns) float64, DN
     table : ProfileTable
-        Its last power and the other laws are shared errors; the powers before are free in each cell.
+        Its last power and the profiles after it are shared errors; the powers before are free in each cell.
     variance_dn2 : callable
         Noise variance of pixels of a brightness, DN^2.
+    largest_left : float
+        Pixels that are farther from the fit, with all free, than this share of the brightness inside and than noise,
+        are left out: dead columns, cosmic rays.
 
     Returns
     -------
@@ -197,50 +213,81 @@ def fit_cells(
     profile is linearized; blur enters through half the second derivative of the profile.
     """
     good = pixels.good
-    value, slope, curve = (part.reshape(*good.shape, -1) for part in table.at(pixels.places, pixels.outward_px.ravel()))
+    profiles = tuple(part.reshape(*good.shape, -1) for part in table.at(pixels.places, pixels.outward_px.ravel()))
     data = np.where(good, data_dn[pixels.rows, pixels.columns], 0.0)
-    free = table.powers - 1
-    columns = np.concatenate(
-        [value[..., :free], pixels.along[..., None] * value[..., :1], np.ones((*good.shape, 1))], axis=-1
-    )
-    weights = good / variance_dn2(np.maximum(data, 0.0))
-    for _ in range(_REFITS):
-        solution, _ = _solved(columns, weights, data)
-        fitted = (columns @ solution[..., None])[..., 0]
-        weights = good / variance_dn2(np.maximum(fitted, 0.0))
-    solution, solver = _solved(columns, weights, data)
-    powers = solution[:, :free]
-    inside = np.where(good, (value[..., :free] @ powers[..., None])[..., 0], 0.0).max(axis=1)
-    largest = np.where(good[..., None], value, 0.0).max(axis=1)
-    gains = inside[:, None] / np.maximum(largest, _RIDGE)
-    gains[:, free] = gains[:, 0]
-    gain = gains[:, 0]
-    extra = np.concatenate(
-        [
-            -slope[..., :free] @ powers[..., None],
-            0.5 * curve[..., :free] @ powers[..., None],
-            value[..., free:] * gains[:, None, free:],
-        ],
-        axis=-1,
-    )
-    weighted = extra * weights[..., None]
-    crossed = np.swapaxes(columns, 1, 2) @ weighted  # (c, n, 1 + s)
-    information = np.swapaxes(extra, 1, 2) @ weighted - np.swapaxes(crossed, 1, 2) @ (solver @ crossed)
-    left = data - (columns @ solution[..., None])[..., 0]
-    pull = (np.swapaxes(weighted, 1, 2) @ left[..., None])[..., 0]
-    freedom = good.sum(axis=1) - columns.shape[2] - extra.shape[2]
-    information = _floored(information, freedom)
-    explained = np.einsum("ci,ci->c", pull, np.linalg.solve(information, pull[..., None])[..., 0])
-    remains = np.maximum((weights * left**2).sum(axis=1) - explained, 0.0)
-    rms = np.sqrt(remains / weights.sum(axis=1))
-    return CellFits(
-        information=information,
-        pull=pull,
-        chi2=np.where(freedom < _MIN_FREEDOM, np.inf, remains / np.maximum(freedom, 1)),
-        gain_dn=gain,
-        contrast=inside * np.sqrt(weights.max(axis=1)),
-        unexplained=np.where(inside > 0.0, rms / np.where(inside > 0.0, inside, 1.0), np.inf),
-    )
+    problem = _CellProblem(along=pixels.along, data=data, profiles=profiles, free=table.powers - 1, noise=variance_dn2)
+    kept = good
+    for _ in range(_CLIPS):
+        fits, far = problem.fit(kept, largest_left)
+        if not far.any():
+            break
+        kept = kept & ~far
+    return replace(fits, used=kept.sum(axis=1) / good.sum(axis=1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _CellProblem:
+    """Pixels (c, p) of cells and the profiles (c, p, q) that are fitted to them, with two derivatives."""
+
+    along: Float
+    data: Float
+    profiles: tuple[Float, ...]
+    free: int
+    noise: Callable[[Float], Float]
+
+    def brightness(self, good: Mask) -> tuple[Float, Float, Float, Float]:
+        """Columns (c, p, n) free in each cell, weights (c, p), solution (c, n) and its covariance (c, n, n)."""
+        value = self.profiles[0]
+        columns = np.concatenate(
+            [value[..., : self.free], self.along[..., None] * value[..., :1], np.ones((*good.shape, 1))], axis=-1
+        )
+        weights = good / self.noise(np.maximum(self.data, 0.0))
+        for _ in range(_REFITS):
+            solution, _ = _solved(columns, weights, self.data)
+            fitted = (columns @ solution[..., None])[..., 0]
+            weights = good / self.noise(np.maximum(fitted, 0.0))
+        return columns, weights, *_solved(columns, weights, self.data)
+
+    def fit(self, good: Mask, largest_left: float) -> tuple[CellFits, Mask]:
+        """Fit the good pixels; return also those that lie too far from the fit."""
+        value, slope, curve = self.profiles
+        columns, weights, solution, solver = self.brightness(good)
+        powers = solution[:, : self.free, None]
+        inside = np.where(good, (value[..., : self.free] @ powers)[..., 0], 0.0).max(axis=1)
+        largest = np.where(good[..., None], value, 0.0).max(axis=1)
+        gains = inside[:, None] / np.maximum(largest, _RIDGE)
+        gains[:, self.free] = gains[:, 0]
+        extra = np.concatenate(
+            [
+                -slope[..., : self.free] @ powers,
+                0.5 * curve[..., : self.free] @ powers,
+                value[..., self.free :] * gains[:, None, self.free :],
+            ],
+            axis=-1,
+        )
+        weighted = extra * weights[..., None]
+        crossed = np.swapaxes(columns, 1, 2) @ weighted  # (c, n, 1 + s)
+        information = np.swapaxes(extra, 1, 2) @ weighted - np.swapaxes(crossed, 1, 2) @ (solver @ crossed)
+        left = self.data - (columns @ solution[..., None])[..., 0]
+        pull = (np.swapaxes(weighted, 1, 2) @ left[..., None])[..., 0]
+        freedom = good.sum(axis=1) - columns.shape[2] - extra.shape[2]
+        information = _floored(information, freedom)
+        estimate = np.linalg.solve(information, pull[..., None])
+        left = left - ((extra - columns @ (solver @ crossed)) @ estimate)[..., 0]
+        remains = (weights * left**2).sum(axis=1)
+        rms = np.sqrt(remains / np.maximum(weights.sum(axis=1), _RIDGE))
+        noise = np.sqrt(self.noise(np.maximum(self.data - left, 0.0)))
+        far = good & (np.abs(left) > _CLIP_SIGMAS * noise + largest_left * np.maximum(inside, 0.0)[:, None])
+        fits = CellFits(
+            information=information,
+            pull=pull,
+            chi2=np.where(freedom < _MIN_FREEDOM, np.inf, remains / np.maximum(freedom, 1)),
+            gain_dn=gains[:, 0],
+            contrast=inside * np.sqrt(weights.max(axis=1)),
+            unexplained=np.where(inside > 0.0, rms / np.where(inside > 0.0, inside, 1.0), np.inf),
+            used=np.ones(len(good)),
+        )
+        return fits, far
 
 
 def _floored(information: Float, freedom: Indices) -> Float:
@@ -256,7 +303,7 @@ def _solved(columns: Float, weights: Float, data: Float) -> tuple[Float, Float]:
     """Weighted least squares of every cell: solution (c, n) and the inverse (c, n, n) of its normal matrix."""
     weighted = np.swapaxes(columns * weights[..., None], 1, 2)
     normal = weighted @ columns
-    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), _NOTHING))
     scaled = normal / (scale[:, :, None] * scale[:, None, :]) + _RIDGE * np.eye(normal.shape[1])
     inverse = np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :])
     return (inverse @ (weighted @ data[..., None]))[..., 0], inverse

@@ -219,8 +219,8 @@ class ProfileTable(Value):
     first_px, step_px : float, px
         The distances are ``first + i step``, positive outward.
     values : (d, k, m, p + q) float64
-        The d-th derivative by distance, 1/px^d, at k points of the horizon and m distances, for p powers and q other
-        laws.
+        The d-th derivative by distance, 1/px^d, at k points of the horizon and m distances, for p powers and q
+        profiles that may be mixed in: other laws, and the wings of the point spread function.
     powers : int
         The number p.
     """
@@ -267,6 +267,7 @@ def profile_table(
     window_px: float,
     powers: int,
     others: tuple[Reflectance, ...] = (),
+    wings_px: tuple[float, ...] = (),
 ) -> ProfileTable:
     r"""Tabulate the brightness that a blurred image of an ellipsoid has across its horizon.
 
@@ -285,6 +286,8 @@ def profile_table(
         ``law mu^j`` is tabulated for j from 0 up to this, not included.
     others : tuple of Reflectance
         Other laws, tabulated after the powers.
+    wings_px : tuple of float, px
+        Standard deviations of all that blurs in wings of the point spread function, tabulated last.
 
     Returns
     -------
@@ -299,36 +302,12 @@ def profile_table(
     horizon: that adds ``w^2 / 2`` times slope times curvature, ``c / (1 - c t)`` at the depth t under a horizon of
     curvature c; this is the first term of a series, whose next one counts only for disks of few widths.
     """
-    _, conic = arc.body.figure.cone(arc.body.position_camera_km)
-    deepest = window_px + _REACH_WIDTHS * width_px
-    roots = 0.5 * math.sqrt(deepest) * (_DEPTHS + 1.0)
-    depths, weights = roots**2, math.sqrt(deepest) * _DEPTH_WEIGHTS * roots
-    inward = arc.inward
-    surface = _surface(arc, depths, sun_direction_camera)
-    light = surface.brightness(law)
-    basis = np.stack(
-        [
-            *(light * surface.emission**power for power in range(powers)),
-            *(surface.brightness(other) for other in others),
-        ]
-    )  # (p + q, k, depths)
     step = _TABLE_STEP * width_px
     count = math.ceil((window_px + 1.0) / step)
-    offsets = np.arange(-count, count + 1) * step
-    sideways = (arc.by_pixel @ arc.tangents_px[..., None])[..., 0]
-    slope = 2.0 * np.einsum("ki,ij,kj->k", arc.directions, conic, inward)
-    bend = -2.0 * np.einsum("ki,ij,kj->k", sideways, conic, sideways) / slope  # curvature, 1/px
-    kernels = _kernels(offsets[None] + depths[:, None], width_px) * weights[:, None]
-    bends = bend[:, None] / np.maximum(1.0 - bend[:, None] * depths, _LEAST_RADIUS)  # of the lines of equal depth
-    turned, sharper = (0.5 * width_px**2 * basis * part for part in (bends, bends**2))
-    flatter = basis * (_PIXEL_FOURTH_CUMULANT / 24.0 * np.sum(arc.normals_px**4, axis=1))[:, None]
-    values = np.stack(
-        [
-            np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1] + flatter @ kernels[d + 4], 0, -1)
-            for d in range(3)
-        ]
-    )  # (3, k, m, p + q)
-    return ProfileTable(first_px=float(offsets[0]), step_px=step, values=values, powers=powers)
+    offsets = np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)
+    parts = [_blurred(arc, sun_direction_camera, (law, *others), powers, offsets, width_px)]
+    parts += [_blurred(arc, sun_direction_camera, (law,), 1, offsets, wing_px) for wing_px in wings_px]
+    return ProfileTable(first_px=float(offsets[0]), step_px=step, values=np.concatenate(parts, axis=-1), powers=powers)
 
 
 def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflectance) -> Float:
@@ -357,6 +336,37 @@ def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflect
 def blur_width_px(psf_variance_px2: float) -> float:
     """Standard deviation, px, of a point spread function of some variance, px^2, and the pixel together."""
     return math.sqrt(psf_variance_px2 + PIXEL_VARIANCE_PX2)
+
+
+def _blurred(
+    arc: HorizonArc, sun: Float, laws: tuple[Reflectance | None, ...], powers: int, offsets: Float, width: float
+) -> Float:
+    """Blurred brightness and two derivatives (3, k, m, p + q): powers of the first law, then the other laws."""
+    _, conic = arc.body.figure.cone(arc.body.position_camera_km)
+    deepest = float(-offsets[0]) + _REACH_WIDTHS * width
+    roots = 0.5 * math.sqrt(deepest) * (_DEPTHS + 1.0)
+    depths, weights = roots**2, math.sqrt(deepest) * _DEPTH_WEIGHTS * roots
+    surface = _surface(arc, depths, sun)
+    light = surface.brightness(laws[0])
+    basis = np.stack(
+        [
+            *(light * surface.emission**power for power in range(powers)),
+            *(surface.brightness(other) for other in laws[1:]),
+        ]
+    )  # (p + q, k, depths)
+    sideways = (arc.by_pixel @ arc.tangents_px[..., None])[..., 0]
+    slope = 2.0 * np.einsum("ki,ij,kj->k", arc.directions, conic, arc.inward)
+    bend = -2.0 * np.einsum("ki,ij,kj->k", sideways, conic, sideways) / slope  # curvature, 1/px
+    kernels = _kernels(offsets[None] + depths[:, None], width) * weights[:, None]
+    bends = bend[:, None] / np.maximum(1.0 - bend[:, None] * depths, _LEAST_RADIUS)  # of the lines of equal depth
+    turned, sharper = (0.5 * width**2 * basis * part for part in (bends, bends**2))
+    flatter = basis * (_PIXEL_FOURTH_CUMULANT / 24.0 * np.sum(arc.normals_px**4, axis=1))[:, None]
+    return np.stack(
+        [
+            np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1] + flatter @ kernels[d + 4], 0, -1)
+            for d in range(3)
+        ]
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
