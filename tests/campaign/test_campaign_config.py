@@ -102,6 +102,17 @@ def test_radii_of_a_planetary_constants_kernel_are_taken_by_name(tmp_path: Path)
     assert shape.radii_km.tolist() == [1.0, 2.0, 3.0]
 
 
+def test_a_camera_may_be_a_preset_which_knows_the_order_of_its_rows(tmp_path: Path) -> None:
+    table = campaign_table()
+    table["camera"] = {"preset": "new_horizons_lorri"}
+    campaign = Campaign.load(write(tmp_path, table))
+    assert campaign.camera.name == "New Horizons LORRI"
+    assert campaign.bottom_up
+    table["camera"]["columns"] = 12
+    with pytest.raises(DataError, match="give either preset, or file"):
+        Campaign.load(write(tmp_path, table))
+
+
 def test_uncertainties_of_targets_and_a_priori_attitudes_are_turned_into_radians(tmp_path: Path) -> None:
     table = campaign_table()
     table["images"]["attitude_sigma_deg"] = 0.5

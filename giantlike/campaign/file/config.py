@@ -21,6 +21,7 @@ from giantlike.campaign.file.inputs import (
     catalog_of,
     existing_file,
     geometry_of,
+    preset_of,
     spice_of,
     targets_of,
 )
@@ -213,6 +214,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     folder = path.parent
     images = _images(path, content.images.files)
     camera, camera_file = camera_of(path, content.camera)
+    preset = preset_of(content.camera)
     geometry_file = None
     geometry: dict[str, ImageGeometry] = {}
     unmatched: list[str] = []
@@ -237,7 +239,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         output=folder / content.campaign.output,
         images=images,
         hdu=content.images.hdu,
-        bottom_up=content.images.bottom_up,
+        bottom_up=content.images.bottom_up or (preset is not None and preset.bottom_up),
         geometry_file=geometry_file,
         geometry=geometry,
         camera=camera,

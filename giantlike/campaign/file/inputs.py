@@ -23,6 +23,7 @@ from giantlike.ephemeris import BARYCENTER
 from giantlike.image import ObserverState
 from giantlike.io.geometry_table import GeometryTable, read_geometry
 from giantlike.io.spice import attitude, ellipsoid_from_pck, find_kernels, orientation, spk_state
+from giantlike.presets import CameraPreset, camera_preset
 from giantlike.ray_tracing import McEwen, Reflectance, reflectance_from_mapping
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.scene import TargetUncertainty
@@ -266,7 +267,7 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
     path : Path
         The campaign or scene file.
     table : mapping
-        ``file``, or the keys of a camera file.
+        ``file``, ``preset``, or the keys of a camera file.
 
     Returns
     -------
@@ -278,6 +279,9 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
     InputError
         The file is missing or a key is wrong.
     """
+    preset = preset_of(table)
+    if preset is not None:
+        return preset.camera, None
     if "file" not in table:
         with named("[camera]: "):
             return Camera.from_mapping(table), None
@@ -288,6 +292,29 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
     require(isinstance(name, str), f"camera.file: expected the name of a camera file, got {name!r}")
     file = existing_file(path, "camera.file", name)
     return Camera.load(file), file
+
+
+def preset_of(table: Mapping[str, Any]) -> CameraPreset | None:
+    """Preset that a ``[camera]`` table names.
+
+    Parameters
+    ----------
+    table : mapping
+
+    Returns
+    -------
+    CameraPreset or None
+
+    Raises
+    ------
+    InputError
+        There is no such preset, or the table has other keys beside it.
+    """
+    if "preset" not in table:
+        return None
+    require(len(table) == 1, "[camera]: give either preset, or file, or the keys of a camera")
+    with named("camera.preset: "):
+        return camera_preset(str(table["preset"]))
 
 
 def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:

@@ -63,7 +63,7 @@ class ImagesSection(Section):
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
-    """The first stored row is the bottom of the picture: reverse the rows."""
+    """The first stored row is the bottom of the picture: reverse the rows. A camera preset may say so too."""
     attitude_sigma_deg: float | None = Field(default=None, gt=0, le=30)
     """One sigma of a priori attitudes about each camera axis, deg, for the covariances of fixes made with them; without
     it they hold no uncertainty of the attitude."""
@@ -193,7 +193,8 @@ class CampaignFile(Section):
     campaign: CampaignSection
     images: ImagesSection
     camera: dict[str, Any]
-    """`file`, the name of a camera file, or the keys of one."""
+    """`file`, the name of a camera file; `preset`, the name of a real camera that comes with the package
+    ([list](camera_presets.md)); or the keys of a camera file."""
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None
