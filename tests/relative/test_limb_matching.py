@@ -336,9 +336,12 @@ def test_a_body_behind_the_light_is_not_lit() -> None:
     assert failure.reason is Reason.NOT_LIT
 
 
-def test_an_overexposed_body_is_called_saturated() -> None:
+def test_an_overexposed_body_is_called_saturated_and_found() -> None:
+    """Fifteen times too bright: the limb lies half a pixel or more inside the edge of what is clipped."""
     case = body_image(body(), 42, phase_deg=30.0, peak_dn=60_000.0)
-    assert refused(case).reason is Reason.SATURATED
+    fix = fixed(case)
+    assert Quality.SATURATED in fix.flags
+    assert_sound(case, fix, sigma_px=1.0, sigma_range=1e-2)
 
 
 def test_a_surface_that_fills_the_frame_is_refused_as_such() -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +26,8 @@ GAIN_RANGE = (0.2, 5.0)
 
 The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn they differ by 0.2-0.6 sigma.
 """
+_PATCH_PX = 3
+"""Side of the smallest square of saturated pixels that is taken for a part of a body."""
 _SATURATED_SHARE = 0.2
 """Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
 
@@ -67,6 +70,19 @@ class LimbView(Value):
     def psf_sigma_px(self) -> float | None:
         """Standard deviation of the point spread function, px; None when unknown."""
         return None if self.plane.psf is None else self.plane.psf.sigma_px
+
+    @property
+    def clipped(self) -> Mask:
+        """Saturated pixels (rows, columns) where some lie in a patch, of a bright body; single ones are defects."""
+        patch = np.ones((_PATCH_PX, _PATCH_PX), np.uint8)
+        in_patches = cv2.erode(self.saturated.astype(np.uint8), patch, borderValue=0).any()
+        return self.saturated if in_patches else np.zeros_like(self.saturated)
+
+    @property
+    def with_clipped(self) -> Mask:
+        """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever it holds."""
+        result: Mask = self.usable | self.clipped
+        return result
 
     @property
     def dark_noise_dn(self) -> float:

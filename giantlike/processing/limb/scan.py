@@ -45,6 +45,7 @@ One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivi
 """
 _MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
+_DARK = 1e-100  # scale of a column below which the expected profile is dark: lines whose limb is not rendered
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
@@ -456,10 +457,13 @@ def _stiffness(columns: Float, weights: Float, free: Float) -> Float:
     ``free`` (n, 4) are solutions with free slopes. What these scatter by more than noise is how far slopes are from
     nothing: where the expected brightness holds that is little, and a slope that is free only adds noise to the shift.
     """
-    slope = np.abs(np.nan_to_num(free[:, 3] / np.where(free[:, 0] > 0.0, free[:, 0], np.nan)))
     normal, scale = _normal(columns, weights)
-    variance = np.linalg.inv(normal)[:, 3, 3] / scale[:, 3, 0] ** 2
-    noise = np.median(variance / np.where(free[:, 0] == 0.0, np.inf, free[:, 0]) ** 2)
+    told = (free[:, 0] > 0.0) & (scale[:, 3, 0] > _DARK)
+    if not told.any():
+        return np.full(len(free), _LEAST_SLOPE**-2)
+    slope = np.abs(free[told, 3] / free[told, 0])
+    variance = np.linalg.inv(normal[told])[:, 3, 3] / scale[told, 3, 0] ** 2
+    noise = np.median(variance / free[told, 0] ** 2)
     excess = (MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
     spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
     result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))

@@ -152,7 +152,7 @@ def _around_outline(view: LimbView, outline_px: Float, search_px: float) -> tupl
     last = np.array(view.usable.shape[::-1]) - 1
     x0, y0 = np.clip(low, 0, last).astype(int)
     x1, y1 = np.clip(high, 0, last).astype(int) + 1
-    return np.array([x0, y0], dtype=np.float64), view.pixels_dn[y0:y1, x0:x1], view.usable[y0:y1, x0:x1]
+    return np.array([x0, y0], dtype=np.float64), view.pixels_dn[y0:y1, x0:x1], view.with_clipped[y0:y1, x0:x1]
 
 
 def _around(middle: float, reach: float, steps: int) -> Float:

@@ -33,6 +33,7 @@ from giantlike.processing.limb.scan import (
 )
 from giantlike.processing.limb.search import find_limb
 from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
+from giantlike.relative.limb.clipped import EXTRAPOLATION_ERROR
 from giantlike.relative.limb.fix import (
     PATIENCE,
     EdgeModel,
@@ -43,7 +44,7 @@ from giantlike.relative.limb.fix import (
     next_motion_px,
     settle_limb,
 )
-from giantlike.relative.limb.profiles import LimbScanOptions, expected_profiles, match_lines
+from giantlike.relative.limb.profiles import LimbScanOptions, expected_profiles, match_lines, step_shortfall
 
 _OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)  # of an outline all around: a degree is 2 px at a radius of 100
 _COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
@@ -56,6 +57,8 @@ _FIRST_LINES = 100
 """Lines of the first measurement, which only needs to be good to the width of a profile."""
 _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
 """Share of the relief by which a limb may still move, and reliefs by which lines are searched farther."""
+_STEP_SHADOW_PX = 0.1
+"""Width of the shadow along a limb, px, up to which the edge of the light is taken for that of the body by a step."""
 _PSF_STEP = 0.25
 """Change of the variance of the point spread function, over it, after which the limb is measured again."""
 _MIN_WIDTH_PX = 0.3
@@ -324,11 +327,12 @@ class LineScan(Value):
         """
         view, options, body = self.view, self.options, self.body.at(position_camera_km)
         search_px = options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
-        limb = _traced(self.view, body, self.lines, options.margin_px)
+        limb = _traced(self.view, body, self.lines, options)
         if isinstance(limb, Failure):
             return limb
         offsets = line_offsets(options.window_px + search_px, options.step_px)
-        scans = scan_lines(view.pixels_dn, view.usable, limb.points_px, limb.normals_px, offsets)
+        usable = view.with_clipped if options.edges is EdgeModel.TEMPLATE else view.usable
+        scans = scan_lines(view.pixels_dn, usable, limb.points_px, limb.normals_px, offsets)
         width = _psf_sigma(view, scans, options) if psf_px2 is None else math.sqrt(psf_px2)
         if isinstance(width, Failure):
             return width
@@ -342,6 +346,12 @@ class LineScan(Value):
         if good.sum() < options.min_lines:
             return too_few(view, area, good, rejected, needed=options.min_lines)
         brightness_px = match.brightness_error_px(good)
+        if options.edges is EdgeModel.STEP:
+            brightness_px *= step_shortfall(scans, width**2, view, options)
+        errors = [SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=view.radius_px)]
+        if found.extrapolated_px > 0.0:
+            sigma_px = EXTRAPOLATION_ERROR * found.extrapolated_px
+            errors.append(SmoothError(cause=Cause.EDGE, sigma_px=sigma_px, length_px=view.radius_px))
         jacobian = view.model.project_jacobian(limb.points_camera_km[good])
         return LineMeasurement(
             predicted_px=limb.points_px[good],
@@ -351,9 +361,7 @@ class LineScan(Value):
             sigma_px=match.sigma_px[good],
             keep=np.ones(int(good.sum()), dtype=bool),
             common_px={cause: shared[good] for cause, shared in found.common_px.items()},
-            smooth_errors=(
-                SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=self.view.radius_px),
-            ),
+            smooth_errors=tuple(errors),
             position_camera_km=body.position_camera_km,
             spacing_px=self.lines.spacing_px,
             perimeter_px=self.lines.perimeter_px,
@@ -365,11 +373,15 @@ class LineScan(Value):
         )
 
 
-def _traced(view: LimbView, body: Body, lines: LimbLines, margin_px: float) -> PredictedLimb | Failure:
-    """The limb of a body where lines meet it in the frame."""
+def _traced(view: LimbView, body: Body, lines: LimbLines, options: LimbScanOptions) -> PredictedLimb | Failure:
+    """The limb of a body where lines meet it in the frame; for steps only where no shadow lies along it."""
+    margin_px = options.margin_px
     outline = trace_silhouette(body, view.model, lines.angles_rad, sun_direction_camera=view.sun_direction_camera)
     seen = outline.valid & view.contains(outline.points_px, margin_px=margin_px)
     seen &= np.isfinite(outline.normals_px).all(axis=1)
+    if options.edges is EdgeModel.STEP:
+        shadow_px = 0.5 * view.radius_px * np.minimum(np.nan_to_num(outline.cos_incidence), 0.0) ** 2
+        seen &= shadow_px < _STEP_SHADOW_PX
     if not seen.any():
         return _not_seen(view, outline, body, margin_px)
     return PredictedLimb(

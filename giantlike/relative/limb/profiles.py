@@ -26,6 +26,7 @@ from giantlike.processing.limb.scan import (
 from giantlike.processing.limb.shared import SharedEstimate, estimate_shared, smooth_places
 from giantlike.ray_tracing import Body, render_near
 from giantlike.ray_tracing.reflectance import Lambert, LommelSeeliger, Minnaert, Reflectance
+from giantlike.relative.limb.clipped import LOG_GAIN_SIGMA, clipped_profiles, clipping_level_dn
 from giantlike.relative.limb.fix import EdgeModel, ScanOptions
 
 OTHER_LAWS: tuple[Reflectance, ...] = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
@@ -36,12 +37,10 @@ surfaces is close to one; the third is none.
 """
 LAW_SIGMA = 1.0
 """Standard deviation of the share of each of the other laws before the measurement: as likely as the law given."""
-_STEP_LAW_SIGMA = 2.0
-"""The same of the powers of the cosine of emission, over a constant, where no law is used; as for horizons."""
-_STEP_POWERS = (1.0, 2.0)
-"""Powers of the cosine of emission that the brightness inside a limb may have where no law is used."""
 _DEPTH_STEP_PX = 0.05
-"""Step of the integral over depth that blurs these."""
+"""Step of the integral over depth that blurs the disk of a sphere."""
+_DISK_DN = 3000.0
+"""Brightness of that disk: that of a usual exposure, where noise does not matter."""
 _UNKNOWN_PSF_SIGMA_PX2 = 2.0
 """Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
 _LEAST_VARIANCE_PX2 = 0.1
@@ -128,6 +127,8 @@ class ExpectedProfiles(Value):
         Parameters before the measurement, from those that the profiles are made with.
     causes : tuple of Cause
         One for each parameter; the last is the variance of the point spread function, px^2.
+    beyond : (n,) float64
+        Logarithm of the brightness of each line over the level at which it is clipped; 0 where it is not.
     """
 
     values: Float
@@ -135,6 +136,7 @@ class ExpectedProfiles(Value):
     prior: Float
     expected: Float
     causes: tuple[Cause, ...]
+    beyond: Float
 
     def moved(self, step: Float) -> ExpectedProfiles:
         """Return the profiles with parameters (c,) changed by a step."""
@@ -156,6 +158,8 @@ class MatchedLines(Value):
         Shift of the lines by one standard deviation of each of the shared parameters.
     psf_px2 : float, px^2
         Change of the variance of the point spread function that was found.
+    extrapolated_px : float, px
+        How far the limb is extrapolated from what is not clipped.
     """
 
     match: ProfileMatch
@@ -163,6 +167,7 @@ class MatchedLines(Value):
     rejected: dict[str, int]
     common_px: dict[Cause, Float]
     psf_px2: float
+    extrapolated_px: float
 
 
 def expected_profiles(
@@ -188,34 +193,89 @@ def expected_profiles(
         As of :func:`giantlike.ray_tracing.render_near`.
     """
     if options.edges is EdgeModel.STEP:
-        values, changes = _step_profiles(scans, psf_px2, view.radius_px)
-        sigma = _STEP_LAW_SIGMA
-    else:
-        others = () if first else tuple(law for law in OTHER_LAWS if law != body.reflectance)
-        rendered = _rendered(
-            view, body, scans, psf_px2, options, others, rays=_FIRST_RAYS if first else options.rays_per_pixel_side
-        )
-        if isinstance(rendered, Failure):
-            return rendered
-        values, sigma = rendered[0], LAW_SIGMA
-        height = np.ptp(values, axis=1)
-        scaled = [law * float(np.median(height / np.maximum(np.ptp(law, axis=1), 1e-300))) for law in rendered[1:]]
-        changes = np.stack([law - values for law in scaled], axis=-1) if scaled else np.zeros((*values.shape, 0))
-    count = changes.shape[-1]
-    if first:
-        return ExpectedProfiles(
-            values=values, changes=changes[..., :0], prior=np.zeros(0), expected=np.zeros(0), causes=()
-        )
-    second = np.zeros_like(values)
-    second[:, 1:-1] = (values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) / scans.step_px**2
+        return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
+    others = () if first else tuple(law for law in OTHER_LAWS if law != body.reflectance)
+    rays = _FIRST_RAYS if first else options.rays_per_pixel_side
+    images = _rendered(view, body, scans, psf_px2, options, others, rays=rays)
+    if isinstance(images, Failure):
+        return images
+    everywhere = np.ones(images[0].shape, dtype=bool)
+    beyond = np.zeros(len(scans.points_px))
+    values, *laws = (
+        scan_lines(image, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn for image in images
+    )
+    height = np.ptp(values, axis=1)
+    scales = [float(np.median(height / np.maximum(np.ptp(law, axis=1), 1e-300))) for law in laws]
     nominal, psf_sigma = _nominal_psf(view, psf_px2, options.psf_error)
+    level_dn = clipping_level_dn(view, scans)
+    count, prior, causes = len(laws), [LAW_SIGMA**-2] * len(laws), [Cause.REFLECTANCE] * len(laws)
+    if level_dn is None:
+        second = np.zeros_like(values)
+        second[:, 1:-1] = (values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) / scans.step_px**2
+        changes = [*(scale * law - values for scale, law in zip(scales, laws, strict=True)), 0.5 * second]
+    else:
+        scaled = [images[0], *(scale * image for scale, image in zip(scales, images[1:], strict=True))]
+        reach_px = scans.offsets_px[-1] - options.window_px
+        clipped = clipped_profiles(scaled, scans, level_dn, view, window_px=options.window_px, search_px=reach_px)
+        values, beyond = clipped.values, clipped.beyond
+        changes = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness, clipped.blur]
+        count, prior, causes = count + 1, [*prior, LOG_GAIN_SIGMA**-2], [*causes, Cause.EDGE]
+    if first:
+        return _alone(values)
     return ExpectedProfiles(
         values=values,
-        changes=np.concatenate([changes, 0.5 * second[..., None]], axis=-1),
-        prior=np.append(np.full(count, sigma**-2), psf_sigma**-2),
+        changes=np.stack(changes, axis=-1),
+        prior=np.append(prior, psf_sigma**-2),
         expected=np.append(np.zeros(count), nominal - psf_px2),
-        causes=(*(Cause.REFLECTANCE,) * count, Cause.PSF),
+        causes=(*causes, Cause.PSF),
+        beyond=beyond,
     )
+
+
+def _alone(values: Float) -> ExpectedProfiles:
+    """Profiles (n, m) without shared parameters."""
+    none = np.zeros(0)
+    return ExpectedProfiles(
+        values=values,
+        changes=np.zeros((*values.shape, 0)),
+        prior=none,
+        expected=none,
+        causes=(),
+        beyond=np.zeros(len(values)),
+    )
+
+
+def step_shortfall(scans: Scans, psf_px2: float, view: LimbView, options: LimbScanOptions) -> float:
+    """How far a step with a slope misses the limb of a disk that darkens towards it, over what the slope changes.
+
+    Parameters
+    ----------
+    scans : Scans
+    psf_px2 : float, px^2
+    view : LimbView
+    options : LimbScanOptions
+
+    Returns
+    -------
+    float
+        Root of the sum of the squares of both, over the second: by so much the shift that freeing the slope makes is to
+        be multiplied to cover what no slope can describe. That of a sphere as bright as the cosine of emission.
+    """
+    width = math.sqrt(psf_px2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
+    depth = np.arange(0.5 * _DEPTH_STEP_PX, scans.offsets_px[-1] + 6.0 * width, _DEPTH_STEP_PX)
+    cosine = np.sqrt(np.maximum(1.0 - np.maximum(1.0 - depth / view.radius_px, 0.0) ** 2, 0.0))
+    spread = np.exp(-0.5 * ((scans.offsets_px[:, None] + depth) / width) ** 2)
+    disk = _DISK_DN * (spread @ cosine) / float((spread @ np.ones_like(cosine)).max())
+    one = Scans(scans.points_px[:1], scans.normals_px[:1], scans.offsets_px, disk[None], scans.usable[:1])
+    match = match_profiles(
+        one,
+        _step_profile(scans, psf_px2)[None],
+        variance_dn2=view.detector.variance_dn2,
+        window_px=options.window_px,
+        search_px=options.local_search_px,
+    )
+    missed, changed = float(match.shift_px[0]), float(match.without_slope_px[0])
+    return math.hypot(missed, changed) / max(abs(changed), 1e-9)
 
 
 def match_lines(
@@ -269,8 +329,17 @@ def match_lines(
         good=good,
         rejected=rejected,
         common_px={cause: by_sigma[:, causes == cause] for cause in dict.fromkeys(profiles.causes)},
+        extrapolated_px=_extrapolated_px(match, good, profiles),
         psf_px2=float((found + estimate.values)[-1]) if found.size else 0.0,
     )
+
+
+def _extrapolated_px(match: ProfileMatch, good: Mask, profiles: ExpectedProfiles) -> float:
+    """Mean shift of good lines by all of the brightness that is clipped; 0 where none is."""
+    if Cause.EDGE not in profiles.causes or not good.any():
+        return 0.0
+    by_brightness = match.shared_px[good, profiles.causes.index(Cause.EDGE)]
+    return float(np.mean(np.abs(by_brightness * profiles.beyond[good])))
 
 
 def _root(covariance: Float) -> Float:
@@ -288,18 +357,9 @@ def _nominal_psf(view: LimbView, psf_px2: float, psf_error: float) -> tuple[floa
     return nominal, 2.0 * psf_error * max(nominal, _LEAST_VARIANCE_PX2)
 
 
-def _step_profiles(scans: Scans, psf_px2: float, radius_px: float) -> tuple[Float, Float]:
-    """Profile (n, m) of a step, and what powers of the cosine of emission on a sphere add to it, (n, m, powers)."""
-    width = math.sqrt(psf_px2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
-    offsets, lines = scans.offsets_px, len(scans.points_px)
-    step = step_profile(offsets, width)
-    depth = np.arange(0.5 * _DEPTH_STEP_PX, offsets[-1] + 6.0 * width, _DEPTH_STEP_PX)
-    cosine = np.sqrt(np.maximum(1.0 - np.maximum(1.0 - depth / radius_px, 0.0) ** 2, 0.0))
-    spread = np.exp(-0.5 * ((offsets[:, None] + depth) / width) ** 2) * (
-        _DEPTH_STEP_PX / (width * math.sqrt(2.0 * math.pi))
-    )
-    powers = np.stack([spread @ cosine**power for power in _STEP_POWERS], axis=-1)
-    return np.tile(step, (lines, 1)), np.tile(powers, (lines, 1, 1))
+def _step_profile(scans: Scans, psf_px2: float) -> Float:
+    """Profile (m,) of a step."""
+    return step_profile(scans.offsets_px, math.sqrt(psf_px2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2))
 
 
 def _rendered(
@@ -311,11 +371,11 @@ def _rendered(
     others: Sequence[Reflectance],
     *,
     rays: int,
-) -> list[Float] | Failure:
-    """Profiles (n, m) of the body under its law and under others."""
+) -> Float | Failure:
+    """Images (laws, rows, columns) of the body under its law and under others."""
     compared = np.abs(scans.offsets_px) <= options.window_px + 4.0 * scans.step_px
     per_side = _rays_for(view.radius_px, rays)
-    images = render_near(
+    return render_near(
         scans.points_px[:, None] + scans.offsets_px[compared, None] * scans.normals_px[:, None],
         body,
         replace(view.plane, psf=GaussianPsf(sigma_px=math.sqrt(psf_px2))),
@@ -323,12 +383,6 @@ def _rendered(
         rays_per_pixel_side=per_side,
         other_laws=others,
     )
-    if isinstance(images, Failure):
-        return images
-    everywhere = np.ones(images.shape[1:], dtype=bool)
-    return [
-        scan_lines(image, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn for image in images
-    ]
 
 
 def _rays_for(radius_px: float, rays: int) -> int:
