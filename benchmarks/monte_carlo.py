@@ -1,7 +1,8 @@
 """Monte Carlo trials of estimators that give a position: truth, draws, what the noise allows, and a summary.
 
-A truth is a body rendered once with far more rays than any template has, at random places of their cells. Draws of it
-have their own noise and their own error of the prediction. Beside the errors stands the Cramer-Rao bound of the noise.
+A truth is a body rendered once: an ellipsoid by ``giantlike.independent``, which shares no code with the estimators, a
+mesh with far more rays than any template has, at random places of their cells. Draws of it have their own noise and
+their own error of the prediction. Beside the errors stands the Cramer-Rao bound of the noise.
 """
 
 from __future__ import annotations
@@ -27,16 +28,28 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.ray_tracing import Body, Reflectance, RenderOptions, Template, render, trace_silhouette
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
+from giantlike.ray_tracing import (
+    Body,
+    Lambert,
+    LommelSeeliger,
+    McEwen,
+    Reflectance,
+    RenderOptions,
+    Template,
+    render,
+    trace_silhouette,
+)
 from giantlike.relative import Estimator
 from giantlike.scene import Scene, Target
-from giantlike.shapes import Shape
+from giantlike.shapes import Ellipsoid, Shape
 
 PSF_PX, PEAK_DN, READ_NOISE_DN = 0.7, 3000.0, 5.0
 ERROR_PX, RANGE_ERROR = 10.0, 0.015
 PHASES_DEG = (20.0, 40.0, 60.0, 80.0, 100.0, 120.0)
 ATTITUDE = Rotation.from_rotvec([0.3, -1.0, 0.4])
 _TRUTH_RAYS, _TRUTH_RAYS_ACROSS, _MAX_TRUTH_RAYS = 8, 1000, 24
+_INDEPENDENT_LAWS = {Lambert: "lambert", LommelSeeliger: "lommel_seeliger", McEwen: "mcewen"}
 _LIMB_PX = 3.0  # from the outline: what an estimator on limbs sees
 _DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])
 _ONE = np.array([1.0])
@@ -52,7 +65,7 @@ def camera(size_px: int = 1024) -> Camera:
         columns=size_px,
         rows=size_px,
         model=BrownModel(
-            fx_px=3473.3, fy_px=3473.4, cx_px=middle + 1.5, cy_px=middle - 2.5, k1=-0.54, k2=0.39, p1=-2.5e-4
+            fx_px=3473.3, fy_px=3473.3, cx_px=middle + 1.5, cy_px=middle - 2.5, k1=-0.54, k2=0.39, p1=-2.5e-4
         ),
         psf=GaussianPsf(sigma_px=PSF_PX),
         detector=Detector(gain_e_per_dn=1.0, read_noise_e=READ_NOISE_DN, saturation_dn=16000.0),
@@ -115,19 +128,48 @@ def truth_of(
         position_camera_km=range_km * sight,
         reflectance=law,
     )
+    return Truth(
+        body=body,
+        sun=sun,
+        camera=instrument,
+        light_dn=_light(body, sun, instrument, seed, peak_dn),
+        phase_deg=phase_deg,
+        seed=seed,
+    )
+
+
+def _light(body: Body, sun: Float, camera: Camera, seed: int, peak_dn: float) -> Float:
+    """Light of a body, DN: of an ellipsoid by the independent renderer, of a mesh by templates with far more rays."""
+    law = _INDEPENDENT_LAWS.get(type(body.reflectance))
+    if isinstance(body.shape, Ellipsoid) and law is not None:
+        lens = camera.model
+        assert isinstance(lens, BrownModel)
+        view = PinholeView(
+            lens.fx_px,
+            (lens.cx_px, lens.cy_px),
+            camera.columns,
+            camera.rows,
+            k1=lens.k1,
+            k2=lens.k2,
+            p1=lens.p1,
+            p2=lens.p2,
+        )
+        pose = Pose(body.position_camera_km, body.camera_from_body, sun)
+        return render_body(EllipsoidBody(body.shape.radii_km), view, pose, law=law, peak_dn=peak_dn, psf=Psf(PSF_PX))
+    diameter_px = 2.0 * body.shape.mean_radius_km / float(np.linalg.norm(body.position_camera_km))
+    diameter_px *= camera.model.focal_length_px
     rays = int(np.clip(math.ceil(_TRUTH_RAYS_ACROSS / diameter_px), _TRUTH_RAYS, _MAX_TRUTH_RAYS))
     template = render(
         body,
-        instrument.model,
+        camera.model,
         sun_direction_camera=sun,
-        psf=instrument.psf,
-        columns=size_px,
-        rows=size_px,
+        psf=camera.psf,
+        columns=camera.columns,
+        rows=camera.rows,
         options=RenderOptions(rays_per_pixel_side=rays, jitter_seed=seed),
     )
     assert isinstance(template, Template), template
-    light = template.placed(size_px, size_px) * (peak_dn / float(template.brightness.max()))
-    return Truth(body=body, sun=sun, camera=instrument, light_dn=light, phase_deg=phase_deg, seed=seed)
+    return template.placed(camera.rows, camera.columns) * (peak_dn / float(template.brightness.max()))
 
 
 def draws_of(truth: Truth, count: int, *, told: Reflectance | None = None) -> Iterator[Draw]:

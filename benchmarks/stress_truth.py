@@ -225,7 +225,7 @@ def draw_of(seen: Seen, seed: int) -> Draw:
 ELLIPSOID = ("cross_correlation", "limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit", "moment", "auto")
 """Estimators for ellipsoids."""
 LIMBS = ("limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit")
-ROCK = ("cross_correlation", "limb_matching", "surface_features", "moment", "auto")
+ROCK = ("cross_correlation", "limb_matching", "moment", "auto")
 """Estimators for meshes."""
 _BASE = Case(name="exact", estimators=ELLIPSOID)
 
