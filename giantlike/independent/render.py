@@ -21,6 +21,13 @@ RAYS_ACROSS_LIGHT, MOST_EDGE_RAYS = 24, 40
 With 12 rays along a pixel the center of light of a crescent 4 px long and 0.3 px thick is off by 0.02 px.
 """
 
+CELLS_ACROSS_LIGHT, MOST_CELLS = 16, 40
+"""Least number of cells across the lit part of the disk, and most of them along the side of a pixel.
+
+Light is placed at the middle of its cell: with 3 cells a pixel the center of light of a sphere of 2 px is off by 0.004
+px at a phase angle of 60 degrees and by 0.03 px at 150, with these by less than 0.002 px.
+"""
+
 SMALL_PX = 1.5
 """Distance from the center within which pixels count as edges: smaller bodies may miss the centers of all pixels."""
 
@@ -161,14 +168,15 @@ def render_body(
 
 
 def _fine_enough(body: Body, view: PinholeView, pose: Pose) -> Sampling:
-    """Sampling with enough rays across the lit part of the disk."""
+    """Sampling with enough cells and rays across the lit part of the disk."""
     usual = Sampling()
     position = np.asarray(pose.position_camera_km, dtype=float)
     distance = float(np.linalg.norm(position))
     lit = 0.5 * (1.0 - float(position @ np.asarray(pose.sun_direction_camera, dtype=float)) / distance)
     across_px = 2.0 * body.bounding_radius_km / distance * view.focal_px * max(lit, 1e-3)
-    wanted = int(np.ceil(RAYS_ACROSS_LIGHT / (across_px * usual.cells)))
-    return Sampling(cells=usual.cells, edge_rays=min(max(wanted, usual.edge_rays), MOST_EDGE_RAYS))
+    cells = min(max(int(np.ceil(CELLS_ACROSS_LIGHT / across_px)), usual.cells), MOST_CELLS)
+    wanted = int(np.ceil(RAYS_ACROSS_LIGHT / (across_px * cells)))
+    return Sampling(cells=cells, edge_rays=min(max(wanted, usual.edge_rays), MOST_EDGE_RAYS))
 
 
 def _box(stage: _Stage, margin: int) -> tuple[int, int, int, int] | None:

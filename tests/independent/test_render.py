@@ -155,3 +155,15 @@ def test_bumps_neither_scale_nor_move_a_sphere() -> None:
     assert abs(heights.std() / 0.05 - 1.0) < 0.1
     np.testing.assert_allclose((heights[:, None] * directions).mean(axis=0), 0.0, rtol=0, atol=2e-3)
     assert abs(heights.mean()) < 2e-3
+
+
+@pytest.mark.parametrize("phase_deg", [60.0, 120.0, 150.0])
+def test_the_center_of_light_of_a_tiny_sphere_is_that_of_its_closed_form(phase_deg: float) -> None:
+    view = PinholeView(1e6, (20.0, 20.0), 41, 41)
+    phase = np.radians(phase_deg)
+    pose = Pose(at((20.3, 20.1), view, 1e6), TURN, [np.sin(phase), 0.0, -np.cos(phase)])
+    image = render_body(EllipsoidBody(1.0), view, pose, law="lambert")
+    offset = (
+        3.0 * np.pi / 16.0 * np.sin(phase) * (1.0 + np.cos(phase)) / (np.sin(phase) + (np.pi - phase) * np.cos(phase))
+    )
+    np.testing.assert_allclose(centroid(image), [20.3 + offset, 20.1], rtol=0, atol=2e-3)
