@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +16,24 @@ from giantlike.camera_models import BrownModel
 from giantlike.catalogs import MemoryCatalog, StarTable
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
+from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix, CenterFix, Quality
 from giantlike.core.time import time_from_utc
 from giantlike.image import AttitudeSource, Image
-from giantlike.independent import PinholeView, StarField, aberrated, random_stars
+from giantlike.independent import (
+    Defects,
+    PinholeView,
+    Psf,
+    Recorder,
+    StarField,
+    aberrated,
+    background,
+    random_stars,
+    record,
+    star_image,
+)
 from giantlike.processing.detection.detections import Detections
 from giantlike.relative.budget import with_budget
 from giantlike.scene import Scene, Target, TargetGeometry
@@ -37,6 +50,7 @@ ESTIMATED = ("fx_px", "cx_px", "cy_px", "k1")
 PARAMETER_SIGMAS = np.array([1.0, 3.0, 3.0, 0.02])
 """Such as some 100 stars of 0.1 px leave them: the center of the image is hardly known, and the attitude follows it."""
 NEES = (0.5, 2.0)
+STRESS_DRAWS = 6  # enough to see a NEES of 6; 25 draws of 512 px give 0.9-1.1 in each case
 
 
 def _catalog(field: StarField, motion_mas_yr: Float) -> MemoryCatalog:
@@ -251,6 +265,46 @@ def test_flags_and_causes_of_an_attitude_follow_it_to_other_images() -> None:
     )
     assert image.attitude_errors.flags is Quality.OBSERVER_UNKNOWN
     assert image.with_attitude(Rotation.identity()).attitude_errors.flags is Quality.NONE
+
+
+SMALL = 400
+SMALL_VIEW = PinholeView(2400.0, (199.5, 199.5), SMALL, SMALL)
+STRESS: dict[str, dict[str, Any]] = {
+    "a background that rises": {"slope_dn": (800.0, 400.0)},
+    "wings": {"psf": Psf(0.8, 0.1, 2.5)},
+    "hot pixels": {"hot_pixels": 150},
+    "motion of a pixel": {"psf": Psf(0.8, motion_px=(0.8, 0.6))},
+}
+
+
+@pytest.mark.parametrize("case", STRESS)
+def test_attitudes_from_pixels_hold_their_covariance_where_models_are_wrong(case: str) -> None:
+    options: dict[str, Any] = {"psf": Psf(0.8), "slope_dn": (0.0, 0.0), "hot_pixels": 0} | STRESS[case]
+    camera = replace(
+        _camera(SMALL_VIEW),
+        columns=SMALL,
+        rows=SMALL,
+        psf=GaussianPsf(sigma_px=0.8),
+        detector=Detector(gain_e_per_dn=2.0, read_noise_e=5.0),
+    )
+    errors, covariances = [], []
+    for seed in range(STRESS_DRAWS):
+        rng = np.random.default_rng(seed)
+        attitude = Rotation.random(rng=rng)
+        field = random_stars(rng, 100, axis=attitude.inv().apply([0.0, 0.0, 1.0]), radius_rad=0.13)
+        light, _ = star_image(field, SMALL_VIEW, attitude, psf=options["psf"])
+        light = light + background(light.shape, constant_dn=500.0, slope_dn=options["slope_dn"])
+        defects = Defects(hot_pixels=options["hot_pixels"])
+        exposed = record(light, rng, Recorder(gain_e_per_dn=2.0, read_noise_e=5.0), defects)
+        apriori = Rotation.from_rotvec(1e-4 * rng.normal(size=3)) * attitude
+        image = Image(pixels=exposed.pixels, camera_from_inertial=apriori, epoch=EPOCH, observer=STILL)
+        fix = StarNavigation(camera, _catalog(field, np.zeros((100, 2)))).solve(image).unwrap()
+        assert not fix.flags.suspect
+        errors.append((attitude * fix.camera_from_inertial.inv()).as_rotvec())
+        covariances.append(fix.covariance_rad2)
+    freedom = 3 * STRESS_DRAWS
+    low, high = (float(chi2.ppf(p, freedom)) / freedom for p in (FALSE_ALARM / 2, 1 - FALSE_ALARM / 2))
+    assert NEES[0] * low < _nees(errors, covariances) < NEES[1] * high
 
 
 def test_an_unknown_speed_is_no_negative_number() -> None:

@@ -33,6 +33,7 @@ from giantlike.processing.detection.patches import (
     MIN_PSF_SIGMA_PX,
     Patches,
     chi2_inflation,
+    inverses,
     normal_equations,
     pixel_shares,
 )
@@ -165,7 +166,7 @@ class _Problem:
                 break
             now = parameters[active]
             normal, right, chi2, count = problem.linearize(now)
-            covariance = np.linalg.inv(normal)
+            covariance = inverses(normal)
             step = problem.limited(now, (covariance @ right[:, :, None])[:, :, 0])
             # A step back is a step too far: undersampled stars overshoot for ever at full length.
             back = np.sum((step * last[active])[:, _NONLINEAR], axis=1) < 0.0
@@ -222,7 +223,7 @@ class _Problem:
     def finish(self, parameters: Float, good: Mask) -> StarFits:
         """Covariances and quality of the solution."""
         normal, _, chi2, count = self.linearize(parameters)
-        covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        covariance = inverses(normal)
         freedom = np.maximum(count - _N_UNKNOWNS, 1)
         inflation = chi2_inflation(chi2, freedom)
         inflation *= 1.0 + _SECOND_ORDER * covariance[:, 2, 2] / parameters[:, 2] ** 2

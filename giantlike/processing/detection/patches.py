@@ -269,6 +269,25 @@ def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[F
     return weighted @ jacobian.swapaxes(1, 2), (weighted @ residual[:, :, None])[:, :, 0]
 
 
+def inverses(normal: Float) -> Float:
+    """Inverses (n, p, p) of normal matrices: with unknowns scaled to unit information, and symmetric to the last digit.
+
+    Parameters
+    ----------
+    normal : (n, p, p) float64
+        Positive definite.
+
+    Returns
+    -------
+    (n, p, p) float64
+    """
+    units = 1.0 / np.sqrt(np.einsum("nii->ni", normal))
+    both = units[:, :, None] * units[:, None, :]
+    inverse = np.linalg.inv(normal * both) * both
+    symmetric: Float = (inverse + inverse.swapaxes(1, 2)) / 2.0
+    return symmetric
+
+
 def chi2_inflation(chi2: Float, freedom: NDArray[np.integer]) -> Float:
     """Factor (n,) on a covariance: the reduced chi-square where it exceeds what noise explains, else 1.
 

@@ -232,7 +232,8 @@ class _Problem:
         residual, weight = self.patches.residuals(parameters[:, 4, None, None] * shares, parameters[:, 5:])
         chi2, count = np.sum(weight * residual**2, axis=1), np.count_nonzero(weight, axis=1)
         inflation = chi2_inflation(chi2, np.maximum(count - _N_UNKNOWNS, 1))
-        covariance = np.linalg.pinv(normal, hermitian=True)[:, :4, :4] * inflation[:, None, None]
+        inverse = np.linalg.pinv(normal, hermitian=True)[:, :4, :4]
+        covariance = (inverse + inverse.swapaxes(1, 2)) / 2.0 * inflation[:, None, None]
         half = parameters[:, 2:4]
         turned = (half[:, 0] < 0) | ((half[:, 0] == 0) & (half[:, 1] < 0))
         sign = np.where(turned, -1.0, 1.0)

@@ -262,6 +262,7 @@ def remeasure(
     rows, _ = problem.jacobians(local, psf.coefficients)
     covariance = np.linalg.pinv((rows * weight[:, None, :]) @ rows.swapaxes(1, 2), hermitian=True)
     freedom = np.maximum(np.count_nonzero(weight, axis=1) - _N_LOCAL, 1)
+    covariance = (covariance + covariance.swapaxes(1, 2)) / 2.0
     covariance *= chi2_inflation(np.sum(weight * left**2, axis=1), freedom)[:, None, None]
     under = patches.level_dn(local[:, 3:], local[:, :2])
     good = (np.hypot(*(local[:, :2] - stars.points_px).T) < 1.0) & (local[:, 2] > 0)
