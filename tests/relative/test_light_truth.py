@@ -69,7 +69,7 @@ class Shot:
 
 
 @cache
-def light(seed: int, law: str, phase_deg: float, diameter_px: float, marked: bool) -> tuple[Float, Pose]:
+def light(seed: int, law: str, phase_deg: float, diameter_px: float, marked: bool, wings: float) -> tuple[Float, Pose]:
     """Noise-free image of peak 1, and the pose."""
     rng = np.random.default_rng([seed, 1])
     range_km = 2.0 * float(np.cbrt(RADII_KM.prod())) * FOCAL_PX / diameter_px
@@ -81,7 +81,9 @@ def light(seed: int, law: str, phase_deg: float, diameter_px: float, marked: boo
     view = PinholeView(focal_px=FOCAL_PX, center_px=(middle, middle), columns=SIZE, rows=SIZE)
     body = EllipsoidBody(RADII_KM, albedo=MARKED if marked else None)
     sampling = Sampling(cells=3, edge_rays=3) if diameter_px > 20.0 else Sampling(cells=3, edge_rays=80)
-    return independent.render_body(body, view, pose, law=law, psf=Psf(0.8), peak_dn=1.0, sampling=sampling), pose
+    return independent.render_body(
+        body, view, pose, law=law, psf=Psf(0.8, wings, 3.5), peak_dn=1.0, sampling=sampling
+    ), pose
 
 
 def shot(
@@ -92,11 +94,12 @@ def shot(
     diameter_px: float = 60.0,
     slope_dn: tuple[float, float] = (0.0, 0.0),
     marked: bool = False,
+    wings: float = 0.0,
     detector: Detector | None = KNOWN,
     peak_dn: float = 3000.0,
 ) -> Shot:
     """A body that is believed to be McEwen's; prediction and range are off."""
-    clean, pose = light(seed, law, phase_deg, diameter_px, marked)
+    clean, pose = light(seed, law, phase_deg, diameter_px, marked, wings)
     rng = np.random.default_rng([seed, 2])
     sky = independent.background(clean.shape, constant_dn=200.0, slope_dn=slope_dn)
     pixels = independent.record(peak_dn * clean + sky, rng, Recorder(gain_e_per_dn=1.0, read_noise_e=5.0)).pixels
@@ -149,6 +152,13 @@ def test_a_slope_of_the_sky_does_not_move_the_moment() -> None:
     fixes = [(each := shot(seed, phase_deg=15.0, slope_dn=(200.0, 100.0)), each.fix(Moment())) for seed in range(6)]
     values = [each.nees(fix) for each, fix in fixes]
     assert np.sum(values) < float(chi2.ppf(1.0 - RARE, 2 * len(values)))
+
+
+def test_wings_of_the_point_spread_function_are_found_by_the_moment() -> None:
+    fixes = [(each := shot(seed, phase_deg=20.0 + 12.0 * seed, wings=0.1), each.fix(Moment())) for seed in range(6)]
+    values = [each.nees(fix) for each, fix in fixes]
+    assert np.sum(values) < float(chi2.ppf(1.0 - RARE, 2 * len(values)))
+    assert not any(fix.flags.suspect for _, fix in fixes)
 
 
 def test_markings_that_the_shape_lacks_are_in_the_covariance_of_the_moment() -> None:

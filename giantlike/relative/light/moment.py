@@ -11,6 +11,7 @@ import numpy as np
 from giantlike.camera import Camera
 from giantlike.core.arrays import require
 from giantlike.core.causes import Cause, summed
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.processing.limb.segmentation import ExpectedBlob
 from giantlike.ray_tracing import (
@@ -26,6 +27,7 @@ from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, apparen
 from giantlike.relative.light.law_mixture import LawFit, LawMixture, fit_law
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.light.separation import LIGHT_SIGMAS, MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
+from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
 from giantlike.relative.quality import QualityChecks
 from giantlike.scene import TargetGeometry
 
@@ -87,7 +89,8 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
 
     The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
     ``reflectance``, what the blocks leave open of the law; ``albedo``, markings and rings, by the residuals of the
-    blocks; ``psf``, the error of the size and, as one sigma, the effect of a threshold half as high. For
+    blocks; ``psf``, the error of the size, half of the effect of the wings that the light beside the body shows and, as
+    one sigma, the effect of a threshold half as high. For
     ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from the rendered correction is an error of the
     reflectance.
 
@@ -127,22 +130,29 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
 
 def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: MomentOptions) -> CenterFix:
     """Center of light and the correction, with all that is known of their errors."""
+    psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
+    share = wing_share(light, laws.own, psf_sigma_px=psf_sigma_px, radius_px=inputs.radius_px)
+    threshold_dn, without = light.threshold_dn, laws.own
+    laws = with_wings(laws, share, psf_sigma_px) if share > 0.0 else laws
+    by_wings = light.offset_px(laws.own, threshold_dn) - light.offset_px(without, threshold_dn)
     law = fit_law(light, laws, radius_px=inputs.radius_px)
-    template, threshold_dn = law.template, light.threshold_dn
+    template = law.template
     center_px, noise_px2, background_px2 = light.centroid(threshold_dn)
     rendered = light.offset_px(template, threshold_dn)
     low_dn = _LOWER_THRESHOLD * threshold_dn
     by_threshold = light.centroid(low_dn)[0] - center_px + light.offset_px(template, low_dn) - rendered
     kind, model = Correction(options.correction), inputs.camera.model
     offset = phase_correction_px(kind, rendered, inputs.geometry, model, radius_px=inputs.radius_px)
-    size = _measured_size(light, laws, law, options.range_sigma)
+    size = _measured_size(light, laws, law, options.range_sigma, max(TRACE, share))
     by_law = law.sigma * law.slope_px if kind is Correction.RENDERED else offset - rendered
     parts = {
         Cause.NOISE: noise_px2 + _SAMPLING_PX**2 * np.eye(2),
         Cause.BACKGROUND: background_px2,
         Cause.REFLECTANCE: np.outer(by_law, by_law),
         Cause.ALBEDO: law.unexplained_px2,
-        Cause.PSF: np.outer(by_threshold, by_threshold) + size.sigma**2 * np.outer(offset, offset),
+        Cause.PSF: np.outer(by_threshold, by_threshold)
+        + size.sigma**2 * np.outer(offset, offset)
+        + WING_UNKNOWN**2 * np.outer(by_wings, by_wings),
     }
     bright = light.bright
     n_used, stray = int(np.count_nonzero(bright)), int(np.count_nonzero(bright & ~light.expected))
@@ -178,9 +188,9 @@ class _Size:
     excess: float
 
 
-def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma: float) -> _Size:
-    """Size by the lit area, which depends little on the law: predicted and measured size, weighted."""
-    level = max(LIGHT_SIGMAS * light.sky.sigma_dn, TRACE * float(light.signal_dn[light.region].max()))
+def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma: float, trace: float) -> _Size:
+    """Size by the area above a share ``trace`` of the peak, which depends little on the law, and size predicted."""
+    level = max(LIGHT_SIGMAS * light.sky.sigma_dn, trace * float(light.signal_dn[light.region].max()))
     measured = float(np.count_nonzero(light.region & (light.signal_dn > level)))
 
     def area(template: Template) -> float:
