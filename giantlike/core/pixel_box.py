@@ -113,6 +113,8 @@ class BoxPixels(Value):
         Bias subtracted.
     usable : (h, w) bool
         Neither bad nor saturated.
+    censored : (h, w) bool, optional
+        Saturated and not bad: the pixel is at least as bright as its value. None where no pixel is.
     corner_px : (int, int), px
         Column and row of the first element in the image.
     noise_variance_dn2 : callable
@@ -121,6 +123,7 @@ class BoxPixels(Value):
 
     values_dn: Float
     usable: Mask
+    censored: Mask | None = None
     corner_px: tuple[int, int] = (0, 0)
     noise_variance_dn2: Callable[[Float], Float]
 
@@ -139,5 +142,6 @@ class BoxPixels(Value):
             self,
             values_dn=box.cut(self.values_dn, self.corner_px),
             usable=box.cut(self.usable, self.corner_px),
+            censored=None if self.censored is None else box.cut(self.censored, self.corner_px),
             corner_px=box.corner_px,
         )

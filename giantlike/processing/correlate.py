@@ -207,7 +207,7 @@ def locate_template(
     if peak is None:
         return Failure(Reason.NO_SIGNAL, f"no contrast within {options.search_px} px of the predicted place")
     if peak.score < options.min_score:
-        detail = f"best correlation {peak.score:.2f} within {options.search_px} px, needed {options.min_score:g}"
+        detail = f"best correlation {peak.score:.3g} within {options.search_px} px, needed {options.min_score:g}"
         return Failure(Reason.LOW_CORRELATION, detail)
     shift = peak.offset_px - options.search_px
     if peak.at_edge:

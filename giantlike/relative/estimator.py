@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, Detector, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
@@ -25,6 +25,13 @@ from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import place_jacobian, with_budget
 from giantlike.relative.light_side import with_light_checked
 from giantlike.scene import Scene, TargetGeometry
+
+_PLATEAU_PIXELS = 20
+"""Pixels of exactly the largest value from which on they may be a plateau: hot pixels are fewer, a saturated star has
+more."""
+_PLATEAU_SIGMAS, _PLATEAU_STEPS = 3.0, 3.0
+"""Width of the band below the largest value, in standard deviations of the noise and at least in DN: without clipping
+the noise spreads the pixels of the brightest ground over it."""
 
 Options = TypeVar("Options")
 Fix = TypeVar("Fix", bound=CenterFix, covariant=True)
@@ -175,7 +182,8 @@ class EstimatorInputs(Value):
     usable : (rows, columns) bool
         Neither bad nor saturated.
     saturated : (rows, columns) bool
-        At or above the saturation level of the detector, or the largest value that the pixel type holds.
+        At or above the saturation level of the detector, the largest value that the pixel type holds, or the value at
+        which the image itself shows that it was clipped.
     masked : (rows, columns) bool
         Bad pixels of the image.
     flags : Quality
@@ -220,7 +228,8 @@ class EstimatorInputs(Value):
     def pixels(self) -> BoxPixels:
         """The pixels of the image and their noise."""
         noise = self.camera.detector.variance_dn2
-        return BoxPixels(values_dn=self.pixels_dn, usable=self.usable, noise_variance_dn2=noise)
+        censored = self.saturated if self.saturated.any() else None
+        return BoxPixels(values_dn=self.pixels_dn, usable=self.usable, censored=censored, noise_variance_dn2=noise)
 
     @property
     def radius_px(self) -> float:
@@ -323,7 +332,8 @@ def gather(
     if isinstance(geometry, Failure):
         return geometry
     camera = replace(camera, detector=camera.detector.of_image(image.pixels, image.mask))
-    saturated = image.pixels >= min(camera.detector.saturation_dn, _type_limit(image.pixels))
+    limit_dn = min(camera.detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, camera.detector))
+    saturated = image.pixels >= limit_dn
     predicted_px = camera.model.project(geometry.position_camera_km)
     inputs = EstimatorInputs(
         estimator=estimator,
@@ -446,6 +456,23 @@ def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
 def _type_limit(pixels: NDArray[Any]) -> float:
     """Largest value that integer pixels can hold: what reaches it was clipped."""
     return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "iu" else math.inf
+
+
+def _plateau_dn(image: Image, detector: Detector) -> float:
+    """Value, DN, at which an image was clipped without its camera saying so; infinite where none shows.
+
+    A clipped image piles up at its largest value what lay above. Noise keeps an image that is not clipped from holding
+    more pixels of exactly that value than within the band of noise below it.
+    """
+    values = image.pixels[~image.mask]
+    if values.size == 0 or values.min() == values.max():
+        return math.inf
+    top = float(values.max())
+    sigma = math.sqrt(float(detector.variance_dn2(np.array([top - detector.bias_dn]))[0]))
+    below = values > top - max(_PLATEAU_SIGMAS * sigma, _PLATEAU_STEPS)
+    at_top = int(np.count_nonzero(values == top))
+    clipped = at_top >= _PLATEAU_PIXELS and 2 * at_top > int(np.count_nonzero(below))
+    return top if clipped else math.inf
 
 
 def _provenance(image: Image, camera: Camera, geometry: TargetGeometry, options: object) -> Mapping[str, str]:

@@ -468,7 +468,6 @@ def test_what_cannot_be_found_is_refused_with_a_reason() -> None:
     dark = np.zeros_like(noise)
     assert failure(replace(image, pixels=noise, mask=NO_MASK), scene).reason is Reason.LOW_CORRELATION
     assert failure(replace(image, pixels=dark, mask=NO_MASK), scene).reason is Reason.NO_SIGNAL
-    assert failure(image, case.scene(off_px=(45.0, 0.0))).reason in {Reason.PEAK_AT_EDGE, Reason.LOW_CORRELATION}
     assert failure(image, case.scene(off_px=(400.0, 0.0))).reason is Reason.OUT_OF_FRAME
     behind = case.camera.model.unproject(case.pixel)
     assert failure(image, Case(diameter_px=40.0, phase_deg=40.0, shape=sphere(1.0)).scene(sun=behind)).reason in {
@@ -478,9 +477,21 @@ def test_what_cannot_be_found_is_refused_with_a_reason() -> None:
     assert "ROCK" in failure(image, case.scene(off_px=(400.0, 0.0))).detail
 
 
-def test_an_overexposed_body_is_refused() -> None:
+@pytest.mark.parametrize(("peak_dn", "suspect"), [(7000.0, False), (60_000.0, True)])
+def test_an_overexposed_body_is_found_by_what_its_saturated_pixels_leave(peak_dn: float, suspect: bool) -> None:
     case = Case(diameter_px=40.0, phase_deg=30.0)
-    assert failure(case.image(peak_dn=60_000.0), case.scene()).reason is Reason.SATURATED
+    fix = positioned(case, case.image(peak_dn=peak_dn), case.scene())
+    assert Quality.SATURATED in fix.flags
+    assert fix.flags.suspect is suspect
+    assert_allclose(fix.center_px, case.pixel, rtol=0, atol=CENTER_PX)
+
+
+def test_a_body_beyond_the_declared_search_is_found_and_suspect() -> None:
+    case = Case(diameter_px=40.0, phase_deg=40.0)
+    for scene in (case.scene(off_px=(60.0, 0.0)), case.scene(range_factor=1.08)):
+        fix = positioned(case, case.image(), scene)
+        assert Quality.FAR_FROM_PREDICTION in fix.flags
+        assert_allclose(fix.center_px, case.pixel, rtol=0, atol=CENTER_PX)
 
 
 def test_a_weak_match_is_kept_with_a_flag() -> None:

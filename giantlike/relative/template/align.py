@@ -45,11 +45,14 @@ def align_template(
         last = min(factor, _WARPED_OVER)  # part of the reduction comes before the light is moved, part hides that
         first = round(factor / last)
         factor = first * last
-        share = _mean_over(pixels.usable.astype(np.float64), factor)
-        known = _mean_over(np.where(pixels.usable, pixels.values_dn, 0.0), factor)
+        known = pixels.usable if pixels.censored is None else pixels.usable | pixels.censored
+        share = _mean_over(known.astype(np.float64), factor)
+        summed = _mean_over(np.where(known, pixels.values_dn, 0.0), factor)
+        limits = None if pixels.censored is None else _mean_over(pixels.censored.astype(np.float64), factor) > 0.0
         small = BoxPixels(
-            values_dn=_softened(known) / np.maximum(_softened(share), 1e-6),
-            usable=share > 0.5,
+            values_dn=_softened(summed) / np.maximum(_softened(share), 1e-6),
+            usable=(share > 0.5) if limits is None else (share > 0.5) & ~limits,
+            censored=limits,
             corner_px=(0, 0),
             noise_variance_dn2=pixels.noise_variance_dn2,
         )

@@ -7,12 +7,14 @@ vary with edges and with light, and are correlated over the width of the point s
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.causes import Cause
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 
@@ -88,33 +90,85 @@ class RobustFit(Value):
     noise, error : (n,) float64
         Variances: of the part that is independent from pixel to pixel, and of model errors that the point spread
         function spreads.
-    kept : (n,) bool
-        False where a residual was clipped.
+    values, weights : (n,) float64
+        What the last step explained, with its weights: of a limit, the value that stands for it, see
+        :meth:`Measured.explained`; no weight where a residual was clipped.
     """
 
     parameters: Float
     errors: Float
     noise: Float
     error: Float
-    kept: Mask
+    values: Float
+    weights: Float
+
+    @property
+    def kept(self) -> Mask:
+        """Values (n,) that were not clipped; limits far below the model count for nothing, and are kept."""
+        return self.weights > 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured(Value):
+    """Values to explain, some of which are only a lower limit.
+
+    Parameters
+    ----------
+    values : (n,) float64
+    censored : (n,) bool
+        True where the true value is at least that.
+    variances : VarianceModel
+    """
+
+    values: Float
+    censored: Mask
+    variances: VarianceModel
+
+    def certain(self) -> VarianceModel:
+        """Variances of the values that are no limits."""
+        known = ~self.censored
+        return (
+            self.variances
+            if known.all()
+            else VarianceModel(self.variances.noise[known], self.variances.shapes[:, known])
+        )
+
+    def explained(self, model: Float, variance: Float, clip_sigma: float) -> tuple[Float, Float]:
+        """Values and weights (n,) of the next least-squares step, from a model (n,) nearby.
+
+        A value is itself, with the weight of its variance, and none where it is clipped. A limit ``c`` below a model
+        ``m`` has the logarithmic likelihood ``log Phi(z)``, ``z = (m - c) / sigma``; the step of Newton's method on it
+        is that of a value ``m + sigma / (h + z)`` with weight ``h (h + z) / sigma^2``, with ``h = phi(z) / Phi(z)``.
+        It is the limit itself where the model lies far below, and has no weight where it lies far above.
+        """
+        weights = (np.abs(self.values - model) <= clip_sigma * np.sqrt(variance)) / variance
+        if not self.censored.any():
+            return self.values, weights
+        values, limits = self.values.copy(), self.censored
+        sigma = np.sqrt(variance[limits])
+        z = (model[limits] - values[limits]) / sigma
+        hazard = _hazard(z)
+        values[limits] = model[limits] + sigma / (hazard + z)
+        weights[limits] = np.where(z >= -clip_sigma, hazard * (hazard + z) / variance[limits], 0.0)
+        return values, weights
+
+
+def _hazard(z: Float) -> Float:
+    """Density of the standard normal distribution over its distribution function (n,)."""
+    from scipy.special import log_ndtr
+
+    return np.asarray(np.exp(-0.5 * z**2 - 0.5 * math.log(2.0 * math.pi) - log_ndtr(z)))
 
 
 def robust_fit(
-    design: Float,
-    values: Float,
-    variances: VarianceModel,
-    prior: Prior,
-    *,
-    clip_sigma: float,
-    start: Float | None = None,
+    design: Float, measured: Measured, prior: Prior, *, clip_sigma: float, start: Float | None = None
 ) -> RobustFit | None:
     """Weighted least squares, with weights that allow for errors of the model.
 
     Parameters
     ----------
     design : (n, k) float64
-    values : (n,) float64
-    variances : VarianceModel
+    measured : Measured
     prior : Prior
     clip_sigma : float
         Values with larger residuals, in standard deviations, are rejected.
@@ -126,21 +180,22 @@ def robust_fit(
     RobustFit or None
         None when the values do not determine the parameters.
     """
+    variances, known = measured.variances, ~measured.censored
     noise, shapes = variances.noise, variances.shapes
-    known = np.zeros(len(shapes)) if start is None else start
-    parameters = _weighted(design, values, 1.0 / variances.total(known), prior)
+    first = np.zeros(len(shapes)) if start is None else start
+    parameters = _weighted(design, measured.values, known / variances.total(first), prior)
     if parameters is None:
         return None
-    errors = _first_errors(values - design @ parameters, variances) if start is None else start
+    certain = measured.certain()
+    errors = _first_errors((measured.values - design @ parameters)[known], certain) if start is None else start
     for _ in range(_REWEIGHTINGS if start is None else 1):
-        residuals = values - design @ parameters
-        errors = model_errors(residuals, variances, errors, clip_sigma=clip_sigma)
-        variance = variances.total(errors)
-        kept = np.abs(residuals) <= clip_sigma * np.sqrt(variance)
-        parameters = _weighted(design, values, kept / variance, prior)
+        model = design @ parameters
+        errors = model_errors((measured.values - model)[known], certain, errors, clip_sigma=clip_sigma)
+        values, weights = measured.explained(model, variances.total(errors), clip_sigma)
+        parameters = _weighted(design, values, weights, prior)
         if parameters is None:
             return None
-    return RobustFit(parameters, errors, noise + errors[0] * shapes[0], errors[1:] @ shapes[1:], kept)
+    return RobustFit(parameters, errors, noise + errors[0] * shapes[0], errors[1:] @ shapes[1:], values, weights)
 
 
 def model_errors(residuals: Float, variances: VarianceModel, start: Float, *, clip_sigma: float) -> Float:
@@ -242,6 +297,28 @@ class LinearFit(Value):
         (k, k) float64
         """
         return self._sandwich(_correlated(self.columns * (self.weights * error), length_px / math.sqrt(2.0)))
+
+    def noise_parts(self, noise: Float, groups: Mapping[Cause, slice]) -> dict[Cause, Float]:
+        """Covariance from noise, apart by the parameters without which it would not be there.
+
+        Parameters
+        ----------
+        noise : (h, w) float64
+            Variance of independent noise.
+        groups : mapping of Cause to slice
+            Parameters of each cause.
+
+        Returns
+        -------
+        dict of Cause to (k, k) float64
+            Of each cause in turn, what knowledge of its parameters would take away; ``NOISE`` holds the rest.
+        """
+        rest, parts = self.noise_covariance(noise), dict[Cause, Float]()
+        for cause, group in groups.items():
+            if rest[group, group].size:
+                parts[cause] = rest[:, group] @ np.linalg.pinv(rest[group, group], hermitian=True) @ rest[group]
+                rest = rest - parts[cause]
+        return parts | {Cause.NOISE: rest}
 
     def omission_covariance(self, residuals: Float, column: Float, sigma: float) -> Float:
         """Covariance of the parameters from a column that was left out of the model.

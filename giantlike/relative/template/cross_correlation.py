@@ -12,7 +12,7 @@ from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
-from giantlike.processing.correlate import CorrelationOptions, locate_template
+from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
 from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, position_of_center
 from giantlike.relative.quality import QualityChecks
@@ -24,6 +24,7 @@ from giantlike.relative.template.rendering import (
     TemplateRenderer,
     placed,
 )
+from giantlike.relative.template.state import TemplateState
 
 _ALIGN_RADIUS_PX = 12.0  # px, below which the peak of the correlation is close enough to start the fit from
 _BOX_MARGIN = 0.08  # of the radius of the body: room for an error of the range ...
@@ -39,6 +40,13 @@ _LARGE_CHI, _LARGE_RESIDUAL = 5.0, 0.3
 """Residuals over noise, and over the light, that are large where both are exceeded: bright bodies exceed their noise
 by far wherever the model is not exact, and faint ones differ by much from noise alone. Half and double:
 benchmarks/sensitivity.md."""
+_SEARCHED_WIDER = (Reason.LOW_CORRELATION, Reason.PEAK_AT_EDGE)  # failures that a body outside the search explains
+_WIDER, _WIDEST_PX = 2.5, 400  # times the declared search, and px: memory and time grow with the square
+_WIDER_LOG_RANGES = (0.0, -0.08, 0.08)
+"""Ranges tried in the wider search, as logarithms over the predicted one: the alignment reaches 5 % from each."""
+_MOST_OVEREXPOSED = 2.0
+"""Signal over saturation above which a match is weak: half of the light of a sharp limb falls beyond it, so that all of
+the limb is saturated and only the wings of the point spread function are left, which no Gaussian describes."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 
 
@@ -51,8 +59,9 @@ class CrossCorrelationOptions:
     search_px : int, px
         Largest error of the predicted center, along each axis.
     search_range : float
-        Largest relative error of the predicted range; what is found beyond it is suspect. As wide as that of
-        ``ellipse_fit``: the range of a small body is uncertain by some percent itself.
+        Largest relative error of the predicted range. As wide as that of ``ellipse_fit``: the range of a small body is
+        uncertain by some percent itself. Where nothing is found within both, a wider region is searched; what is found
+        beyond them is ``FAR_FROM_PREDICTION``, and so suspect.
     min_score : float
         Least correlation of a body that counts as found.
     estimate_scale : bool, optional
@@ -201,19 +210,11 @@ def match_template(
     TemplateMatch or Failure
         Failures are those of :class:`CrossCorrelation`.
     """
-    start, radius_px = renderer.start, renderer.radius_px
-    template = renderer.render(start, renderer.sampling(options.search_px, rough=True))
-    if isinstance(template, Failure):
-        return template
-    peak = locate_template(
-        image.values_dn,
-        good,
-        template.brightness,
-        (int(template.corner_px[0]), int(template.corner_px[1])),
-        options=CorrelationOptions(search_px=options.search_px, min_score=options.min_score),
-    )
-    if isinstance(peak, Failure):
-        return peak
+    radius_px = renderer.radius_px
+    located = _located(image, good, renderer, options)
+    if isinstance(located, Failure):
+        return located
+    start, template, peak = located.state, located.template, located.peak
     shift = np.rint(peak.offset_px).astype(np.int64)
     low, high = _lit_part(template)
     box = renderer.box(low + shift, high + shift, _BOX_MARGIN_PX + math.ceil(_BOX_MARGIN * radius_px))
@@ -221,13 +222,14 @@ def match_template(
     within = box.cut(np.ones_like(good))
     if not float(light[within].sum()) > 0.0:
         return Failure(Reason.OUT_OF_FRAME, "the best correlation lies outside the frame")
-    if float(light[pixels.usable].sum()) < (1.0 - _MAX_UNUSABLE_LIGHT) * float(light[within].sum()):
-        return Failure(Reason.SATURATED, "most of the body's light falls on saturated or bad pixels")
+    known = pixels.usable if pixels.censored is None else pixels.usable | pixels.censored
+    if float(light[known].sum()) < (1.0 - _MAX_UNUSABLE_LIGHT) * float(light[within].sum()):
+        return Failure(Reason.NO_SIGNAL, "most of the body's light falls on bad pixels")
     state = replace(start, center_px=start.center_px + peak.offset_px)
     if radius_px >= _ALIGN_RADIUS_PX:
         rendered = replace(state, center_px=template.center_px + shift)
         state = align_template(pixels, light, rendered, state, radius_px=radius_px)
-        scale = math.exp(-state.log_range)
+        scale = math.exp(rendered.log_range - state.log_range)
         low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))
         pixels = image.cut(box)
@@ -240,12 +242,52 @@ def match_template(
     if isinstance(fit, Failure):
         return fit
     if fit.gain_dn <= 0.0 or not fit.score >= options.min_score:
-        detail = f"the fitted template has a correlation of {fit.score:.2f}, needed {options.min_score:g}"
+        detail = f"the fitted template has a correlation of {fit.score:.3g}, needed {options.min_score:g}"
         return Failure(Reason.LOW_CORRELATION, detail)
-    if float(np.abs(fit.state.center_px - start.center_px).max()) > options.search_px:
-        detail = f"the fit left the search region of {options.search_px} px; increase search_px"
-        return Failure(Reason.PEAK_AT_EDGE, detail)
     return TemplateMatch(fit=fit, box=box)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Located(Value):
+    """A template rendered for a state, and its place in the image."""
+
+    state: TemplateState
+    template: Template
+    peak: CorrelationPeak
+
+
+def _located(
+    image: BoxPixels, good: Mask, renderer: TemplateRenderer, options: CrossCorrelationOptions
+) -> _Located | Failure:
+    """Find the template within the declared search, or, where it is not there, the best one in a wider region."""
+    found = _correlated(image, good, renderer, renderer.start, options.search_px, options.min_score)
+    if not isinstance(found, Failure) or found.reason not in _SEARCHED_WIDER:
+        return found
+    wider_px = min(round(_WIDER * options.search_px), _WIDEST_PX)
+    tried = [
+        _correlated(image, good, renderer, replace(renderer.start, log_range=log_range), wider_px, options.min_score)
+        for log_range in _WIDER_LOG_RANGES
+    ]
+    wide = [one for one in tried if not isinstance(one, Failure)]
+    return max(wide, key=lambda one: one.peak.score) if wide else found
+
+
+def _correlated(
+    image: BoxPixels, good: Mask, renderer: TemplateRenderer, state: TemplateState, search_px: int, min_score: float
+) -> _Located | Failure:
+    """Find the template of a state by correlation, clipped like the image."""
+    template = renderer.render(state, renderer.sampling(search_px, rough=True))
+    if isinstance(template, Failure):
+        return template
+    light = template.brightness
+    clipped = 0 if image.censored is None else int(np.count_nonzero(image.censored))
+    if 0 < clipped < light.size:
+        light = np.minimum(light, np.partition(light, -clipped, axis=None)[-clipped])
+    corner = (int(template.corner_px[0]), int(template.corner_px[1]))
+    peak = locate_template(
+        image.values_dn, good, light, corner, options=CorrelationOptions(search_px=search_px, min_score=min_score)
+    )
+    return peak if isinstance(peak, Failure) else _Located(state=state, template=template, peak=peak)
 
 
 def _fit_options(options: CrossCorrelationOptions, radius_px: float, *, psf_known: bool) -> TemplateFitOptions:
@@ -281,6 +323,7 @@ def _fix(
         n_rejected=fit.n_rejected,
         score=fit.score,
         flags=_flags(inputs, match, lit, options),
+        parts={cause: part[:2, :2] for cause, part in fit.parts.items()},
     )
     if not _scaled(options, inputs.radius_px):
         return center
@@ -290,7 +333,7 @@ def _fix(
         renderer.body(fit.state), model, _OUTLINE_RAD, sun_direction_camera=renderer.sun_direction_camera
     )
     return PositionFix(
-        **{field.name: getattr(center, field.name) for field in fields(center)},
+        **{field.name: getattr(center, field.name) for field in fields(center)} | {"parts": fit.parts},
         position_camera_km=position,
         covariance_camera_km2=covariance,
         limb_px=outline.points_px[inputs.camera.contains(outline.points_px)],
@@ -317,10 +360,19 @@ def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, options: Cr
         n_used=n_used,
         n_offered=n_used + fit.n_rejected,
         residuals=min(fit.chi / _LARGE_CHI, unexplained / _LARGE_RESIDUAL),
-        weakness=_LOW_SCORE / fit.score,
+        weakness=max(_LOW_SCORE / fit.score, _overexposure(inputs, match, lit & within) / _MOST_OVEREXPOSED),
         cut_by_frame=bool((lit & ~within).any()),
     )
     return inputs.flags_at(area) | checks.flags
+
+
+def _overexposure(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask) -> float:
+    """Largest signal of the model over the level at which its pixels saturate; 0 where none does."""
+    clipped = lit & match.box.cut(inputs.saturated)
+    if not clipped.any():
+        return 0.0
+    limit_dn = float(match.box.cut(inputs.pixels_dn)[clipped].min()) - match.fit.offset_dn
+    return float(match.fit.signal_dn.max()) / max(limit_dn, 1e-12)
 
 
 def _lit_part(template: Template) -> tuple[Float, Float]:

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.causes import Cause, summed
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
@@ -37,6 +39,7 @@ _FLICKER_PX = 0.3
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
+_OF_NOISE = (Cause.NOISE, Cause.BACKGROUND, Cause.REFLECTANCE, Cause.PSF)
 _MAX_BLOCK_PX = 32  # px: enough blocks remain on large bodies
 
 
@@ -92,10 +95,8 @@ class TemplateFit(Value):
     Parameters
     ----------
     state : TemplateState
-    covariance : (3, 3) float64
-        Of x and y in px and of the logarithm of the range: noise and model error.
-    noise_covariance : (3, 3) float64
-        The part of it from the noise of the detector alone.
+    parts : mapping of Cause to (3, 3) float64
+        Covariance of x and y in px and of the logarithm of the range, by cause.
     gain_dn : float, DN
         Signal of a surface of relative brightness 1.
     offset_dn : float, DN
@@ -116,8 +117,7 @@ class TemplateFit(Value):
     """
 
     state: TemplateState
-    covariance: Float
-    noise_covariance: Float
+    parts: Mapping[Cause, Float]
     gain_dn: float
     offset_dn: float
     signal_dn: Float
@@ -128,6 +128,16 @@ class TemplateFit(Value):
     n_rejected: int
     chi: float
     iterations: int
+
+    @property
+    def covariance(self) -> Float:
+        """Covariance (3, 3) of x and y in px and of the logarithm of the range, from all causes."""
+        return summed(self.parts)
+
+    @property
+    def noise_covariance(self) -> Float:
+        """The part of it from the noise of the detector, what is estimated along with the geometry included."""
+        return summed(self.parts, _OF_NOISE)
 
 
 def fit_template(
@@ -250,36 +260,25 @@ class _Solved:
     def result(self, last_step: Float, iterations: int, options: TemplateFitOptions) -> TemplateFit:
         """The fit after its last step (3,)."""
         problem, solution, state = self.problem, self.solution, self.stepped()
-        use, columns, parameters = problem.pixels.usable, problem.columns, solution.parameters
+        use, columns, parameters = problem.offered, problem.columns, solution.parameters
         used = np.zeros(use.shape, bool)
         used[use] = solution.kept
-        noise, error = np.ones(use.shape), np.zeros(use.shape)
-        noise[use], error[use] = solution.noise, solution.error
+        noise, error, weights = np.ones(use.shape), np.zeros(use.shape), np.zeros(use.shape)
+        noise[use], error[use], weights[use] = solution.noise, solution.error, solution.weights
         model = np.tensordot(parameters, columns, 1)
-        residuals = problem.pixels.values_dn - model
-        fit = LinearFit(columns, np.where(used, 1.0 / (noise + error), 0.0), self.prior)
-        covariance = fit.full_covariance(
-            residuals,
-            noise,
-            error,
-            blur_px=math.sqrt(state.psf_variance_px2 + PIXEL_VARIANCE_PX2),
-            block_px=int(np.clip(round(_BLOCK * problem.reach_px), 3, _MAX_BLOCK_PX)),
-        )
-        of_noise = fit.noise_covariance(noise)
-        if options.relief_sigma > 0.0:
-            relief = options.relief_sigma * columns[RANGE]
-            of_relief = fit.error_covariance(relief, length_px=options.relief_length_px)
-            covariance = larger(of_noise + of_relief, covariance)
-        if problem.untried is not None:
-            covariance += fit.omission_covariance(residuals, problem.untried, problem.mixing_sigma_dn)
+        values = problem.pixels.values_dn.copy()
+        values[use] = solution.values
+        residuals = values - model
+        fit = LinearFit(columns, weights, self.prior)
+        parts = self._parts(fit, residuals, (noise, error), options)
+        parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
         return TemplateFit(
             state=state,
-            covariance=covariance[:3, :3] + np.outer(last_step, last_step),
-            noise_covariance=of_noise[:3, :3],
+            parts=parts,
             gain_dn=float(parameters[GAIN]),
             offset_dn=float(parameters[OFFSET]),
             signal_dn=model - np.tensordot(parameters[OFFSET:LAWS], columns[OFFSET:LAWS], 1),
-            score=float(np.corrcoef(problem.light[used], problem.pixels.values_dn[used])[0, 1]),
+            score=float(np.corrcoef(problem.light[used], values[used])[0, 1]),
             residuals_dn=residuals,
             model_dn=model,
             used=used,
@@ -287,3 +286,32 @@ class _Solved:
             chi=float(np.sqrt(np.mean(residuals[used] ** 2 / noise[used]))),
             iterations=iterations,
         )
+
+    def _parts(
+        self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
+    ) -> dict[Cause, Float]:
+        """Covariance (3, 3) of center and range by cause: of noise, and what residuals show beyond it, as markings."""
+        noise, error = variances
+        whole = fit.full_covariance(
+            residuals,
+            noise,
+            error,
+            blur_px=math.sqrt(self.state.psf_variance_px2 + PIXEL_VARIANCE_PX2),
+            block_px=int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX)),
+        )
+        groups = {
+            Cause.REFLECTANCE: slice(LAWS, None),
+            Cause.BACKGROUND: slice(OFFSET, LAWS),
+            Cause.PSF: slice(BLUR, BLUR + 1),
+        }
+        parts = fit.noise_parts(noise, groups)
+        known = sum(parts.values(), np.zeros_like(whole))
+        if options.relief_sigma > 0.0:
+            relief = options.relief_sigma * self.problem.columns[RANGE]
+            parts[Cause.RELIEF] = fit.error_covariance(relief, length_px=options.relief_length_px)
+            known = known + parts[Cause.RELIEF]
+        parts[Cause.ALBEDO] = larger(known, whole) - known
+        if self.problem.untried is not None:
+            omitted = fit.omission_covariance(residuals, self.problem.untried, self.problem.mixing_sigma_dn)
+            parts[Cause.REFLECTANCE] = parts.get(Cause.REFLECTANCE, 0.0) + omitted
+        return {cause: 0.5 * (part + part.T)[: RANGE + 1, : RANGE + 1] for cause, part in parts.items()}

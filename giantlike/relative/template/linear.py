@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
-from giantlike.relative.template.covariance import Prior, RobustFit, VarianceModel, robust_fit
+from giantlike.relative.template.covariance import Measured, Prior, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
 
 X, Y, RANGE, BLUR, GAIN, OFFSET, RAMP_X, RAMP_Y = range(8)
@@ -80,21 +81,35 @@ class Problem:
         return _MIXING_SIGMA * max(abs(self.gain_dn), 1e-12)
 
     @property
+    def offered(self) -> Mask:
+        """Pixels (h, w) that say something: those that are usable, and those that are at least so bright."""
+        pixels = self.pixels
+        return pixels.usable if pixels.censored is None else pixels.usable | pixels.censored
+
+    @property
+    def _short(self) -> Mask:
+        """Usable pixels (h, w), and those of which the model falls short."""
+        pixels = self.pixels
+        if pixels.censored is None:
+            return pixels.usable
+        return np.asarray(pixels.usable | (pixels.censored & (self.model < pixels.values_dn)))
+
+    @property
     def n_parameters(self) -> int:
         """Number of parameters."""
         return len(self.columns)
 
     def misfit_dn2(self) -> float:
         """Mean square of image minus model, with the brightness that fits best."""
-        use = self.pixels.usable
+        use = self._short
         basis, values = self.columns[GAIN:, use], self.pixels.values_dn[use]
         found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
-        return float(np.mean((values - found @ basis) ** 2))
+        return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.offered)), 1)
 
     def plain_step(self, longest_px: float) -> Float:
         """Unweighted step (3,) in x, y and logarithm of the range, brightness free, not longer than ``longest_px``."""
         names = [X, Y, RANGE, *range(GAIN, LAWS)]
-        step = unweighted(self.columns[names], self.pixels)[: RANGE + 1]
+        step = unweighted(self.columns[names], replace(self.pixels, usable=self._short))[: RANGE + 1]
         length_px = max(float(np.hypot(step[X], step[Y])), abs(float(step[RANGE])) * self.reach_px, 1e-12)
         return np.asarray(step * min(1.0, longest_px / length_px))
 
@@ -107,12 +122,13 @@ class Problem:
 
     def solve(self, prior: Prior, clip_sigma: float, errors: Float | None) -> RobustFit | Failure:
         """Weighted least squares with the model-error variances that the residuals ask for."""
-        use = self.pixels.usable
+        use = self.offered
         signal = self.signal[use]
         shapes = np.stack([np.ones(signal.size), self._slope2[use], signal**2])
         variances = VarianceModel(self.pixels.noise_variance_dn2(signal), shapes)
-        design, values = self.columns[:, use].T, self.pixels.values_dn[use]
-        fit = robust_fit(design, values, variances, prior, clip_sigma=clip_sigma, start=errors)
+        censored = np.zeros(signal.size, bool) if self.pixels.censored is None else self.pixels.censored[use]
+        measured = Measured(self.pixels.values_dn[use], censored, variances)
+        fit = robust_fit(self.columns[:, use].T, measured, prior, clip_sigma=clip_sigma, start=errors)
         if fit is None:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"
