@@ -27,7 +27,7 @@ LIGHT_LOG_ODDS = math.log(1000.0)
 """Logarithm of the odds for a Sun on another side beyond which light lies on the wrong one: a thousand to one.
 
 On eleven real images, each as it is and in eight variants, the odds against a right Sun were never above 3 to 1, those
-against a Sun on the wrong side were over 10^8 to 1 at phase angles of 20 deg and more, and some 10 to 1 at 7-13 deg.
+against a Sun on the wrong side were over 10^4 to 1 at phase angles of 20 deg and more, and some 10 to 1 at 7-13 deg.
 """
 
 

@@ -91,6 +91,12 @@ def test_a_wrong_place_and_markings_do_not_look_like_a_wrong_side() -> None:
         assert odds(picture(30.0, spots=0.2), sun_at(30.0), center_px) < 0.0
 
 
+def test_a_center_that_light_of_the_wrong_side_pulled_away_is_seen_too() -> None:
+    away = (CENTER_PX[0] - 28.0, CENTER_PX[1] - 10.0)  # 0.74 radii
+    assert odds(picture(60.0), sun_at(60.0, 200.0), away) > LIGHT_LOG_ODDS
+    assert odds(picture(60.0), sun_at(60.0), away) < 0.0
+
+
 def test_at_full_phase_there_is_no_side() -> None:
     assert abs(odds(picture(20.0), sun_at(0.0))) < LIGHT_LOG_ODDS
 
