@@ -51,14 +51,14 @@ COLUMNS = (
 
 
 INTRODUCTION = """# Estimators under wrong models
-Written by `python benchmarks/stress.py`; truth: `giantlike.independent`, which shares no code with what is measured (see
-[README](README.md)). Bodies of 120 px unless the case says another size, phase angles of 15, 60, 90 and 125 degrees in
-turn, 3,000 DN, read noise 5 DN, the prediction up to 4 px and 1 % of range off. Columns: share of fixes that are `ok`;
-medians over these of the error of the center per axis and of its stated sigma, of the error of range and its sigma; NEES
-per degree of freedom (1 is honest, wanted 0.5 to 2) with the 95 % range of its mean over views; silent wrong answers
-(`ok`, beyond 5 sigma and beyond 0.5 px or 0.5 % of range); what the others came to. Errors of pole and attitude are
-declared; with an attitude error, with stars and with a calibrated camera the error is that of observed less computed,
-beside the sum of all parts.
+Written by `python benchmarks/stress.py`; truth: `giantlike.independent`, which shares no code with what is measured
+(see [README](README.md)). Bodies of 120 px unless the case says another size, phase angles of 15, 60, 90 and 125
+degrees in turn, 3,000 DN, read noise 5 DN, the prediction up to 4 px and 1 % of range off. Columns: share of fixes that
+are `ok`; medians over these of the error of the center per axis and of its stated sigma, of the error of range and its
+sigma; NEES per degree of freedom (1 is honest, wanted 0.5 to 2) with the 95 % range of its mean over views; silent
+wrong answers (`ok`, beyond 5 sigma and beyond 0.5 px or 0.5 % of range); what the others came to. Errors of pole and
+attitude are declared; with an attitude error, with stars and with a calibrated camera the error is that of observed
+less computed, beside the sum of all parts.
 
 """
 
