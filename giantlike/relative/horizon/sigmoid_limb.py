@@ -12,9 +12,6 @@ from giantlike.relative.horizon.geometry import Figure, fit_horizon
 from giantlike.relative.limb.fix import limb_fix, limb_view
 from giantlike.shapes import Ellipsoid
 
-_CELL_PX = 14.0
-"""Brightness changes smoothly along a limb: long cells, each with its growth along it."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SigmoidLimbOptions(HorizonSearch):
@@ -48,7 +45,7 @@ class SigmoidLimbOptions(HorizonSearch):
     outlier_mad: float = 5.0
     max_rms_px: float = 3.0
     large_rms_px: float = 0.5
-    scan: HorizonScan = field(default_factory=lambda: HorizonScan(cell_px=_CELL_PX))
+    scan: HorizonScan = field(default_factory=HorizonScan)
 
 
 class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
