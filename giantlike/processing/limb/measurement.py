@@ -81,8 +81,7 @@ class LimbView(Value):
     @property
     def with_clipped(self) -> Mask:
         """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever it holds."""
-        result: Mask = self.usable | self.clipped
-        return result
+        return np.asarray(self.usable | self.clipped)
 
     @property
     def dark_noise_dn(self) -> float:
@@ -266,6 +265,11 @@ class LimbMeasurement(Value):
         """Matrix (3, m), km/px, that takes the shifts of the points that are kept to a position, all weighted alike."""
         design = self.design[self.keep]
         return solution_gain(design, np.zeros((0, 0)), weights=np.ones(len(design)))
+
+    @property
+    def common_sigma_px(self) -> float:
+        """Standard deviation, root mean square over the limb, of the shift that the points have in common, px."""
+        return math.sqrt(sum(float(np.mean(np.sum(px[self.keep] ** 2, axis=1))) for px in self.common_px.values()))
 
     def motion_sigma_px(self, step_km: Float) -> float:
         """Standard deviation of the limb where it is least certain, by the scatter of the points about a step.

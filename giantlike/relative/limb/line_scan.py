@@ -59,6 +59,8 @@ _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
 """Share of the relief by which a limb may still move, and reliefs by which lines are searched farther."""
 _STEP_SHADOW_PX = 0.1
 """Width of the shadow along a limb, px, up to which the edge of the light is taken for that of the body by a step."""
+_UNSURE = 0.5
+"""Share of what the shared parameters leave uncertain by which a limb may still move in the end."""
 _PSF_STEP = 0.25
 """Change of the variance of the point spread function, over it, after which the limb is measured again."""
 _MIN_WIDTH_PX = 0.3
@@ -297,9 +299,9 @@ class LineScan(Value):
         if state.iteration == 0 or abs(step.psf_px2) > _PSF_STEP * state.psf_px2:
             return False
         tolerance_px = self.search.tolerance_px + _RELIEF_TOLERANCE * self.relief_px
-        by_noise = state.iteration >= PATIENCE and moved_px < self.finish(measured, step).motion_sigma_px(
-            step.position_km
-        )
+        kept = self.finish(measured, step)
+        unsure_px = max(kept.motion_sigma_px(step.position_km), _UNSURE * kept.common_sigma_px)
+        by_noise = state.iteration >= PATIENCE and moved_px < unsure_px
         return next_motion_px(state.moved_px, moved_px) < tolerance_px or by_noise
 
     def finish(self, measured: LineMeasurement, step: LimbStep) -> LimbMeasurement:

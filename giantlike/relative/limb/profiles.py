@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.causes import Cause
@@ -45,7 +46,10 @@ _UNKNOWN_PSF_SIGMA_PX2 = 2.0
 """Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
 _LEAST_VARIANCE_PX2 = 0.1
 """Least variance of the point spread function, px^2, to which ``psf_error`` is applied: that of a pixel."""
-_ROUNDS, _SETTLED_PX = 4, 0.002
+_WING_SIGMA, _WING_WIDTH = 0.1, 5.0
+"""Standard deviation of the share of light in the wings of the point spread function before the measurement, and their
+width over that of its core: real cameras scatter some percent over some pixels."""
+_ROUNDS, _SETTLED_PX = 6, 0.002
 """Most fits, each about the shared parameters found before; and the shift by their change that needs no other one.
 
 The shares of laws multiply the gain of each line, so that one linear step from one law to another leaves a few percent.
@@ -212,7 +216,12 @@ def expected_profiles(
     if level_dn is None:
         second = np.zeros_like(values)
         second[:, 1:-1] = (values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) / scans.step_px**2
-        changes = [*(scale * law - values for scale, law in zip(scales, laws, strict=True)), 0.5 * second]
+        changes = [
+            *(scale * law - values for scale, law in zip(scales, laws, strict=True)),
+            _wings(values, scans, psf_px2, options.window_px),
+            0.5 * second,
+        ]
+        count, prior, causes = count + 1, [*prior, _WING_SIGMA**-2], [*causes, Cause.PSF]
     else:
         scaled = [images[0], *(scale * image for scale, image in zip(scales, images[1:], strict=True))]
         reach_px = scans.offsets_px[-1] - options.window_px
@@ -230,6 +239,16 @@ def expected_profiles(
         causes=(*causes, Cause.PSF),
         beyond=beyond,
     )
+
+
+def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Float:
+    """Change of profiles (n, m) where all light goes into the wings of the point spread function, which are wide."""
+    far = np.abs(scans.offsets_px) > window_px
+    inner = values[:, np.flatnonzero(~far)[0], None]
+    whole = np.where(far, np.where(scans.offsets_px < 0.0, inner, 0.0), values)
+    width = _WING_WIDTH * math.sqrt(max(psf_px2, _LEAST_VARIANCE_PX2)) / scans.step_px
+    result: Float = gaussian_filter1d(whole, width, axis=1, mode="nearest") - whole
+    return result
 
 
 def _alone(values: Float) -> ExpectedProfiles:
