@@ -27,7 +27,8 @@ from giantlike.core.light import boosted
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.io.spice import body_radii_km, load_kernels, orientation, spk_state
+from giantlike.io.label_geometry import geometry_of_label
+from giantlike.io.spice import body_radii_km, ellipsoid_from_pck, load_kernels, orientation, spk_state
 from giantlike.processing.limb.segmentation import connected_blobs, otsu_threshold
 from giantlike.ray_tracing import Body, Lambert, RenderOptions, Template, render
 from giantlike.scene import Scene, Target
@@ -144,19 +145,6 @@ def vesta(data: Path) -> Iterator[Case]:
 def europa(data: Path) -> Iterator[Case]:
     """Galileo SSI: center and range of the label; azimuths in the label run clockwise from +x."""
     image = Image.open(data / "bodies" / "galileo_ssi" / "4600R.IMG")
-    label = {
-        key: float(image.metadata[key])
-        for key in (
-            "TARGET_CENTER_DISTANCE",
-            "SUB_SPACECRAFT_LINE",
-            "SUB_SPACECRAFT_SAMPLE",
-            "NORAZ",
-            "SUB_SPACECRAFT_LATITUDE",
-            "SUB_SPACECRAFT_LONGITUDE",
-            "SUB_SOLAR_LATITUDE",
-            "SUB_SOLAR_LONGITUDE",
-        )
-    }
     focal_px = 1500.467 / 0.03048
     camera = Camera(
         name="Galileo SSI, summed",
@@ -166,22 +154,15 @@ def europa(data: Path) -> Iterator[Case]:
         psf=GaussianPsf(sigma_px=0.8),
         detector=Detector(gain_e_per_dn=50.0, read_noise_e=50.0, saturation_dn=255.0),
     )
-    center = np.array([label["SUB_SPACECRAFT_SAMPLE"], label["SUB_SPACECRAFT_LINE"]]) - 1.0
-    position = label["TARGET_CENTER_DISTANCE"] * camera.model.unproject(center)
-    viewer, sun = (
-        direction_from_radec(-label[f"{name}_LONGITUDE"], label[f"{name}_LATITUDE"])
-        for name in ("SUB_SPACECRAFT", "SUB_SOLAR")
-    )
-    azimuth = math.radians(label["NORAZ"])
-    turn, _ = Rotation.align_vectors(
-        np.stack([-unit(position), [math.cos(azimuth), math.sin(azimuth), 0.0]]),
-        np.stack([viewer, [0.0, 0.0, 1.0]]),
-        weights=[1e6, 1.0],
-    )
-    with load_kernels([str(data / "kernels" / "pck00011.tpc")], base=Path()):
-        shape = Ellipsoid(radii_km=body_radii_km("EUROPA"), name="Europa")
+    label = geometry_of_label(image.metadata, camera.model)
+    assert label is not None
+    position, turn = label.position_camera_km, label.camera_from_body
+    assert turn is not None
+    shape = ellipsoid_from_pck("EUROPA", [data / "kernels" / "pck00011.tpc"])
     apparent = ApparentGeometry(
-        position_inertial_km=off(camera, position), inertial_from_body=turn, sun_direction_inertial=rotate(turn, sun)
+        position_inertial_km=off(camera, position),
+        inertial_from_body=turn,
+        sun_direction_inertial=label.sun_direction_camera,
     )
     image = image.with_attitude(Rotation.identity())
     yield Case(
@@ -190,9 +171,9 @@ def europa(data: Path) -> Iterator[Case]:
         image=image,
         camera=camera,
         scene=placed("EUROPA", shape, apparent),
-        center_px=center,
+        center_px=camera.model.project(position),
         sigma_px=10.0,
-        range_km=label["TARGET_CENTER_DISTANCE"],
+        range_km=float(np.linalg.norm(position)),
         sigma_range=1e-3,
     )
 

@@ -1,0 +1,134 @@
+"""Geometry that stands in the labels of images: where the target is, how it is turned and where the Sun is.
+
+Galileo SSI and NEAR MSI labels hold it. Voyager labels hold none: their frame count leads to it by SPICE kernels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, unit
+from giantlike.core.errors import InputError
+from giantlike.core.frames import direction_from_radec, rotate, rotation_from_xyzw
+from giantlike.core.values import Value
+from giantlike.io.decoded import HeaderValue
+
+_POLE_WEIGHT = 1e-6
+"""Weight of the azimuth of the pole beside the direction to the viewer, which is met exactly."""
+MSI_FROM_NEAR = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Axes of NEAR MSI from those of the spacecraft: boresight along +X, samples along +Z, lines along -Y."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LabelGeometry(Value):
+    """Geometry of one image as its label states it.
+
+    Parameters
+    ----------
+    target : str
+        Name of the target in the label.
+    position_camera_km : (3,) float64, km, camera axes
+        From the camera to the center of the target.
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        From the target to the Sun.
+    camera_from_body : Rotation, optional
+        Orientation of the target; None where the label does not tell it.
+    camera_from_inertial : Rotation, optional
+        Attitude of the camera; None where the label does not tell it.
+    """
+
+    target: str
+    position_camera_km: Float
+    sun_direction_camera: Float
+    camera_from_body: Rotation | None = None
+    camera_from_inertial: Rotation | None = None
+
+
+def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> LabelGeometry | None:
+    """Read the geometry that a label states.
+
+    Parameters
+    ----------
+    header : mapping of str to header value
+        ``metadata`` of an image.
+    model : CameraModel
+        Of the camera, for the rotation that shows the target at the pixel that the label states.
+
+    Returns
+    -------
+    LabelGeometry or None
+        None where the label is of another mission or holds no geometry.
+
+    Raises
+    ------
+    InputError
+        An item of the label is no number.
+
+    Notes
+    -----
+    Galileo SSI: ``SUB_SPACECRAFT_SAMPLE`` and ``SUB_SPACECRAFT_LINE`` (the pixel of the point below the spacecraft, the
+    first being 1), ``TARGET_CENTER_DISTANCE``, planetocentric latitude and west longitude below the spacecraft and the
+    Sun, and ``NORAZ``, the azimuth of the north pole clockwise from the right of the image. The pixel is as good as the
+    pointing was, some 10 px. NEAR MSI: positions of spacecraft and target from the Sun and the spacecraft quaternion,
+    J2000 (``NEAR-019`` to ``NEAR-029``).
+    """
+    if "SUB_SPACECRAFT_SAMPLE" in header:
+        return _galileo(header, model)
+    if "NEAR-019" in header:
+        return _near(header)
+    return None
+
+
+def _galileo(header: Mapping[str, HeaderValue], model: CameraModel) -> LabelGeometry:
+    def number(key: str) -> float:
+        return _number(header, key)
+
+    pixel = np.array([number("SUB_SPACECRAFT_SAMPLE"), number("SUB_SPACECRAFT_LINE")]) - 1.0
+    position = number("TARGET_CENTER_DISTANCE") * model.unproject(pixel)
+    viewer, sun = (
+        direction_from_radec(-number(f"{name}_LONGITUDE"), number(f"{name}_LATITUDE"))
+        for name in ("SUB_SPACECRAFT", "SUB_SOLAR")
+    )
+    azimuth = math.radians(number("NORAZ"))
+    # The pole seen from the camera: across the line of sight, so that it projects along the azimuth.
+    across = model.unproject_jacobian(pixel) @ [math.cos(azimuth), math.sin(azimuth)]
+    camera_from_body, _ = Rotation.align_vectors(
+        np.stack([-unit(position), unit(across)]),
+        np.stack([viewer, unit(np.array([0.0, 0.0, 1.0]) - viewer[2] * viewer)]),
+        weights=[1.0, _POLE_WEIGHT],
+    )
+    return LabelGeometry(
+        target=str(header["TARGET"]),
+        position_camera_km=position,
+        sun_direction_camera=rotate(camera_from_body, sun),
+        camera_from_body=camera_from_body,
+    )
+
+
+def _near(header: Mapping[str, HeaderValue]) -> LabelGeometry:
+    def vector(*items: int) -> Float:
+        return np.array([_number(header, f"NEAR-{item:03d}") for item in items])
+
+    scalar_last = vector(20, 21, 22, 19)
+    near_from_inertial = rotation_from_xyzw(unit(scalar_last), "NEAR-019 to NEAR-022")
+    camera_from_inertial = MSI_FROM_NEAR * near_from_inertial
+    spacecraft_km, target_km = vector(23, 24, 25), vector(27, 28, 29)
+    return LabelGeometry(
+        target=str(header["NEAR-047"]).strip(),
+        position_camera_km=rotate(camera_from_inertial, target_km - spacecraft_km),
+        sun_direction_camera=rotate(camera_from_inertial, -unit(target_km)),
+        camera_from_inertial=camera_from_inertial,
+    )
+
+
+def _number(header: Mapping[str, HeaderValue], key: str) -> float:
+    try:
+        return float(str(header[key]))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"label: {key} must be a number, got {header.get(key)!r}") from error
