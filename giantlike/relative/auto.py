@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, require
+from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import FocalPlane, Silhouette, trace_silhouette
 from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
@@ -303,7 +304,8 @@ def agreement_of(first: CenterFix, second: CenterFix) -> float:
     Parameters
     ----------
     first, second : CenterFix
-        Compared by position where both are :class:`~giantlike.core.outcomes.PositionFix`, else by center.
+        Compared by center and, where both are :class:`~giantlike.core.outcomes.PositionFix`, range. Errors that both
+        have alike, of the camera and of the scale of the shape, excuse no difference.
 
     Returns
     -------
@@ -311,15 +313,25 @@ def agreement_of(first: CenterFix, second: CenterFix) -> float:
     """
     from scipy.stats import chi2
 
+    difference = first.center_px - second.center_px
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):
-        difference = first.position_camera_km - second.position_camera_km
-        covariance = first.covariance_camera_km2 + second.covariance_camera_km2
-    else:
-        difference = first.center_px - second.center_px
-        covariance = first.covariance_px2 + second.covariance_px2
+        difference = np.append(difference, math.log(first.range_km / second.range_km))
+    size = len(difference)
+    covariance = _own_covariance(first)[:size, :size] + _own_covariance(second)[:size, :size]
     scale = np.sqrt(np.diag(covariance))
     whitened = np.linalg.solve(covariance / np.outer(scale, scale), difference / scale)
-    return float(chi2.sf(float(whitened @ (difference / scale)), len(difference)))
+    return float(chi2.sf(float(whitened @ (difference / scale)), size))
+
+
+def _own_covariance(fix: CenterFix) -> Float:
+    """Covariance of a fix without what all fixes of an image have in common: the camera and the scale of the shape."""
+    if fix.parts:
+        return summed(fix.parts, [cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE])
+    if not isinstance(fix, PositionFix):
+        return fix.covariance_px2
+    covariance = np.diag([0.0, 0.0, (fix.sigma_range_km / fix.range_km) ** 2])
+    covariance[:2, :2] = fix.covariance_px2
+    return covariance
 
 
 def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:

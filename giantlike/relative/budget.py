@@ -246,7 +246,7 @@ def _body_parts(
     """Parts of the scale of the shape and of the orientation of the body, of those that are missing."""
     known, size = geometry.target.uncertainty, 3 if isinstance(fix, PositionFix) else 2
     parts = dict[Cause, Float]()
-    if size == 3 and known.scale > 0.0:
+    if size == 3 and known.scale > 0.0 and Cause.SHAPE_SCALE in missing:
         # A body that is larger and as much farther away, along all axes, gives the same image.
         parts[Cause.SHAPE_SCALE] = np.diag([0.0, 0.0, known.scale**2])
     for cause, moved in _moved_bodies(geometry):

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from giantlike.camera import Camera
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
@@ -189,6 +190,16 @@ def test_a_fix_to_which_its_own_checks_object_gives_way_to_the_next(rock: Triang
 def test_agreement_is_the_chance_of_a_larger_difference() -> None:
     # Two axes of sigma sqrt(0.02): a difference of 3 of them on one axis is as likely as exp(-9 / 2).
     assert agreement_of(_fix((0, 0)), _fix((3 * 0.02**0.5, 0))) == pytest.approx(np.exp(-4.5), rel=FLOAT64_SUM)
+
+
+def test_what_two_fixes_have_in_common_excuses_no_difference() -> None:
+    """The camera and the scale of the shape shift both alike: 3 sigma of their own errors stay 3 sigma."""
+    noise = 0.01 * np.eye(2)
+    parts = {Cause.NOISE: noise, Cause.SHAPE_SCALE: np.eye(2), Cause.CAMERA: np.eye(2)}
+    first, second = (
+        replace(_fix(center), parts=parts, covariance_px2=noise + np.eye(2)) for center in ((0, 0), (3 * 0.02**0.5, 0))
+    )
+    assert agreement_of(first, second) == pytest.approx(np.exp(-4.5), rel=FLOAT64_SUM)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from giantlike import ApparentGeometry, Camera, Detector, GaussianPsf, Image, LimbMatching, Moment, Scene, Target
+from giantlike import ApparentGeometry, Auto, Camera, Detector, GaussianPsf, Image, LimbMatching, Moment, Scene, Target
 from giantlike.camera import ModelUncertainty
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float
@@ -186,8 +186,8 @@ def test_the_attitude_and_the_ephemeris_shift_the_direction_as_a_turned_camera_a
         camera_from_inertial=Rotation.identity(),
         attitude_covariance_rad2=np.diag(sigma_rad**2),
     )
-    here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty(ephemeris_km=0.2))
-    estimators: tuple[Estimator, ...] = (LimbMatching(), Moment())
+    here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty(ephemeris_km=0.2, scale=1e-3))
+    estimators: tuple[Estimator, ...] = (LimbMatching(), Moment(), Auto())
     for estimator in estimators:
         fix = estimator.estimate(image, camera(), here).unwrap()
         size = len(fix.parts[Cause.ATTITUDE])
