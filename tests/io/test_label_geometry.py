@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from giantlike.presets import camera_preset
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -15,6 +14,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.independent import PinholeView
 from giantlike.io.label_geometry import geometry_of_label
+from giantlike.presets import camera_preset
 
 SSI = camera_preset("galileo_ssi").camera
 VIEW = PinholeView(SSI.model.focal_length_px, (399.0, 399.0), 800, 800)
