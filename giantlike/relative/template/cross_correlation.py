@@ -233,12 +233,13 @@ def match_template(
         low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))
         pixels = image.cut(box)
-    fit = fit_template(
-        pixels,
-        renderer.synthesis(box, other_law=options.free_reflectance),
-        state,
-        options=_fit_options(options, radius_px, psf_known=psf_known),
-    )
+    fit_options = _fit_options(options, radius_px, psf_known=psf_known)
+    fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
+    for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
+        if isinstance(fit, Failure) and fit.reason is Reason.NOT_CONVERGED:
+            # Real images may not hold all laws apart; what those left out would change is in the covariance.
+            synthesis = renderer.synthesis(box, other_law=options.free_reflectance, most_laws=most_laws)
+            fit = fit_template(pixels, synthesis, state, options=fit_options)
     if isinstance(fit, Failure):
         return fit
     if fit.gain_dn <= 0.0 or not fit.score >= options.min_score:

@@ -34,7 +34,8 @@ _BLUR_MOVES = 0.1
 """Motion of the center, px, that counts for a change of the blur by 1 px^2: blur is even where shifts are odd, and
 hardly moves a body."""
 _RETREAT = 0.3  # of a step that made the misfit larger: so much of it is tried next
-_FLICKER_PX = 0.3
+_DAMPED_AFTER = 5  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
+_FLICKER_PX = 0.6
 """Last step, px, up to which a fit at the end of its renders counts as converged; the step enters the covariance."""
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
 _BLOCK = 0.35
@@ -198,7 +199,7 @@ def fit_template(
         if settled or (iteration == options.max_iterations and moved_px < _FLICKER_PX):
             flicker = solution.parameters[: RANGE + 1] * (0.0 if settled else 1.0)
             return solved.result(flicker, iteration, options)
-        if last is not None and solved.returns(last):
+        if iteration > _DAMPED_AFTER or (last is not None and solved.returns(last)):
             solved = solved.shortened(0.5)
         trial, fine, last = solved.stepped(), fine or moved_px < _ROUGH_STEP_PX, solved
     return Failure(Reason.NOT_CONVERGED, f"still moving by {moved_px:.2f} px after {options.max_iterations} renders")

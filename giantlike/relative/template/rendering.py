@@ -134,7 +134,7 @@ class TemplateRenderer(Value):
         box = PixelBox.spanning(low_px, high_px, margin_px)
         return box.limited(self.plane.columns, self.plane.rows, FIT_BORDER_PX)
 
-    def synthesis(self, box: PixelBox, *, other_law: bool) -> Synthesis:
+    def synthesis(self, box: PixelBox, *, other_law: bool, most_laws: int | None = None) -> Synthesis:
         """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
         All laws are shaded on the same rays: what differs between two of their images is the law and nothing else. The
@@ -145,12 +145,14 @@ class TemplateRenderer(Value):
         ----------
         box : PixelBox
         other_law : bool
+        most_laws : int, optional
+            Other laws at most; by default as many as a body of that size can show.
 
         Returns
         -------
         callable
         """
-        most = None if self.radius_px >= _SMALL_RADIUS_PX else 1
+        most = most_laws if self.radius_px >= _SMALL_RADIUS_PX else 1
         others = contrasting_laws(self.target.reflectance)[:most] if other_law else ()
         laws = (self.target.reflectance, *others)
         untried = other_law and self.radius_px >= _SMALL_RADIUS_PX
