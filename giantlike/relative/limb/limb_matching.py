@@ -59,8 +59,10 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
 
     The outline is found as a whole, then the body is rendered where it seems to be, the image compared with it line
     by line across the limb, and the position improved by least squares, until the limb stands still. The covariance
-    comes from the residuals: their scatter, and how far along the limb they err together. What moves the whole limb
-    in or out alike leaves no residuals and is not in it: a wrong reflectance law costs up to 0.2 px.
+    comes from the residuals: their scatter, and how far along the limb they err together. A wrong reflectance law, and
+    width and wings of the point spread function, leave no residuals along the limb but show in the profile across it:
+    they are estimated with it and are in the covariance, as ``reflectance`` and ``psf`` of the fix's ``parts``. Of
+    saturated disks the template is clipped where the detector was.
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside that of the body.
