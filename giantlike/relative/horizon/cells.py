@@ -277,7 +277,8 @@ class _CellProblem:
         remains = (weights * left**2).sum(axis=1)
         rms = np.sqrt(remains / np.maximum(weights.sum(axis=1), _RIDGE))
         noise = np.sqrt(self.noise(np.maximum(self.data - left, 0.0)))
-        far = good & (np.abs(left) > _CLIP_SIGMAS * noise + largest_left * np.maximum(inside, 0.0)[:, None])
+        step = np.maximum(inside, np.finfo(np.float64).tiny)  # not 0, for the largest may be infinite
+        far = good & (np.abs(left) > _CLIP_SIGMAS * noise + largest_left * step[:, None])
         fits = CellFits(
             information=information,
             pull=pull,
