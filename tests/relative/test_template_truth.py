@@ -28,7 +28,7 @@ def errors(seed: int, law: str, phase_deg: float, slope_dn: tuple[float, float] 
     fix = one.fix(CrossCorrelation())
     assert isinstance(fix, PositionFix)
     assert not fix.flags.suspect, fix.flags
-    _, pose = light(seed, law, phase_deg, DIAMETER_PX, False)
+    _, pose = light(seed, law, phase_deg, DIAMETER_PX, False, 0.0)
     log_range = math.log(fix.range_km / float(np.linalg.norm(pose.position_camera_km)))
     covariance = place_covariance(one.camera.model, fix.position_camera_km, fix.covariance_camera_km2)
     return np.array([*(fix.center_px - one.center_px), log_range]), covariance
