@@ -82,7 +82,7 @@ class DetectRequest:
     @property
     def detector(self) -> Detector:
         """Detector of the camera, or one with default properties."""
-        return Detector(estimated=True) if self.camera is None else self.camera.detector
+        return Detector() if self.camera is None else self.camera.detector
 
     def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> Found | Failure:
         """Sources of one image, after the pattern of its sequence is removed, and its point spread function.

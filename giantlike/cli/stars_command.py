@@ -103,7 +103,7 @@ def stars(
     loaded = load_catalog(catalog)
     if review is not None:
         make_folder(review)
-    detector = Detector(estimated=True) if known is None else known.detector
+    detector = Detector() if known is None else known.detector
     wanted = StarsRequest(
         catalog=loaded,
         camera=known,
@@ -138,7 +138,8 @@ def _solve(path: Path, wanted: StarsRequest) -> dict[str, Any]:
         camera, options = wanted.camera, wanted.options
         if camera is None:
             assert wanted.fov_deg is not None
-            camera = Camera.from_fov(wanted.fov_deg, image.columns, image.rows)
+            counts = Detector()  # a number counts an electron; what cannot be counts is noticed (Detector.of_image)
+            camera = replace(Camera.from_fov(wanted.fov_deg, image.columns, image.rows), detector=counts)
         image, detector = without_pattern(image, camera.detector, wanted.pattern)
         camera = replace(camera, detector=detector)
         if image.camera_from_inertial is None:

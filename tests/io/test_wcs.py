@@ -166,6 +166,9 @@ def test_a_sky_stored_from_the_bottom_is_solved_and_drawn_by_the_command(tmp_pat
     assert {file.name for file in review.iterdir()} == {"sky.fits.stars.png", "sky.fits.residuals.png"}
 
 
+UNKNOWN_ABERRATION_ARCSEC = np.degrees(30.0 / 299_792.458 / np.sqrt(3.0)) * 3600.0  # a command line knows no observer
+
+
 @pytest.mark.real_data
 def test_stars_behind_a_fixed_pattern_are_solved_with_the_sequence(data_dir: Path) -> None:
     truth = {  # right ascension and declination, deg, published to three digits; img1 was not solved
@@ -181,4 +184,5 @@ def test_stars_behind_a_fixed_pattern_are_solved_with_the_sequence(data_dir: Pat
     for name, place in truth.items():
         found = direction_from_radec(solved[name]["ra_deg"], solved[name]["dec_deg"])
         assert np.degrees(np.arccos(min(float(found @ direction_from_radec(*place)), 1.0))) < 0.01
-        assert max(solved[name][f"sigma_{axis}_arcsec"] for axis in "xy") < 10.0
+        sigma = max(solved[name][f"sigma_{axis}_arcsec"] for axis in "xy")
+        assert UNKNOWN_ABERRATION_ARCSEC < sigma < np.hypot(UNKNOWN_ABERRATION_ARCSEC, 10.0)

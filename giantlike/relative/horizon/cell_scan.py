@@ -268,7 +268,11 @@ def measure_by_cells(
         return found
     start = LimbState(position_camera_km=found[0], psf_px2=scan.nominal_psf_px2)
     closest_km = float(figure.radii_km.max())
-    return settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
+    settled = settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
+    if isinstance(settled, Failure) and settled.reason is Reason.NOT_CONVERGED:
+        scan = replace(scan, held=True)
+        settled = settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
+    return settled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -282,6 +286,9 @@ class CellScan(Value):
     law : Reflectance
     search : IteratedSearch
     options : HorizonScan
+    held : bool
+        Hold blur, law and wings while the limb settles: a short arc does not tell them from the position well enough
+        to come to rest with them free. They are estimated once from where it rests, and are in the covariance.
     """
 
     view: LimbView
@@ -289,6 +296,7 @@ class CellScan(Value):
     law: Reflectance
     search: IteratedSearch
     options: HorizonScan
+    held: bool = False
 
     @property
     def nominal_psf_px2(self) -> float:
@@ -406,7 +414,7 @@ class CellScan(Value):
         keep = agreeing_step(measured, self.search.outlier_mad).keep
         measured = replace(measured, keep=keep)
         known = self.view.psf_sigma_px is not None
-        stiff = _STIFF if known and state.iteration < _STIFF_STEPS else 0.0
+        stiff = _STIFF if self.held or (known and state.iteration < _STIFF_STEPS) else 0.0
         sigma = measured.sigma_px[keep] * math.sqrt(measured.noise_scale2)
         design = np.concatenate([measured.design, measured.fits.shared], axis=1)[keep] / sigma[:, None]
         information, pull = measured.about_shared()
@@ -424,7 +432,8 @@ class CellScan(Value):
         kept = replace(measured, keep=step.keep)
         blurred_px2 = step.psf_px2 or float(kept.blur_and_law()[0][0])
         linear = _BLUR_REST if state.iteration <= PATIENCE else _BLUR_REST_LATER
-        if state.iteration == 0 or abs(blurred_px2) > linear * (state.psf_px2 + PIXEL_VARIANCE_PX2):
+        blurred = not self.held and abs(blurred_px2) > linear * (state.psf_px2 + PIXEL_VARIANCE_PX2)
+        if state.iteration == 0 or blurred:
             return False
         full_px = float(np.max(np.abs(kept.design[step.keep] @ step.position_km)))
         return full_px**2 < self.search.tolerance_px or full_px < kept.motion_sigma_px(step.position_km)
