@@ -158,7 +158,7 @@ def clipped_mean(mean: Float, level: float, sigma: Float) -> tuple[Float, Float]
     Examples
     --------
     >>> clipped, below = clipped_mean(np.array([0.0, 5.0, 10.0]), 5.0, np.ones(3))
-    >>> clipped.round(3).tolist(), below.round(3).tolist()
+    >>> abs(clipped).round(3).tolist(), below.round(3).tolist()
     ([0.0, 4.601, 5.0], [1.0, 0.5, 0.0])
     """
     over = (mean - level) / sigma
