@@ -27,6 +27,7 @@ _BASE_CPU_S, _CPU_S_PER_MB = 5, 1
 _BASE_BYTES, _BYTES_PER_BYTE = 500_000_000, 20
 """Limit of memory: bytes, and bytes more for each byte of the files; a DSK takes 6 bytes for each of its own."""
 _REFUSED = "refused"  # name of the array that holds the text of an error
+_TRACEBACK = b"Traceback (most recent call last)"
 _PROGRAM = "from giantlike.core.child import main; main()"
 
 
@@ -53,7 +54,7 @@ def in_child(function: Callable[[Sequence[Path]], Arrays], paths: Sequence[Path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-c", _PROGRAM, function.__module__, function.__name__, *map(str, paths)]
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
-    if done.returncode == 1:
+    if done.returncode != 0 and _TRACEBACK in done.stderr:  # a library that breaks down may exit with any code
         raise RuntimeError(done.stderr.decode(errors="replace"))
     if done.returncode != 0:
         raise ValueError("the library that reads it broke down; the file is damaged")
