@@ -90,7 +90,11 @@ def _limit(size: int) -> None:
         import resource
     except ImportError:  # Windows has no such limits
         return
-    seconds = _BASE_CPU_S + _CPU_S_PER_MB * size // 1_000_000
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    most = _BASE_BYTES + _BYTES_PER_BYTE * size
-    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+    wanted = {
+        resource.RLIMIT_CPU: _BASE_CPU_S + _CPU_S_PER_MB * size // 1_000_000,
+        resource.RLIMIT_DATA: _BASE_BYTES + _BYTES_PER_BYTE * size,
+    }
+    for kind, most in wanted.items():
+        _, hard = resource.getrlimit(kind)
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)  # a limit of the system cannot be raised
+        resource.setrlimit(kind, (most, most))
