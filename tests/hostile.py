@@ -1,6 +1,7 @@
 """Hostile files: damaged in many ways, read in a process of its own whose end, hang or memory is noticed.
 
-``python -m tests.hostile KIND FIRST COUNT SEED`` reads files and writes one JSON line before and after each;
+``python -m tests.hostile JOBS COUNT SEED`` imports the readers once and forks a worker, which reads file after file and
+writes one JSON line before and after each; where it ends or hangs, the next fork goes on at the next file.
 :func:`attack` runs it and counts.
 """
 
@@ -11,125 +12,67 @@ import os
 import re
 import resource
 import selectors
+import signal
 import subprocess
 import sys
 import tempfile
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
+from tests.hostile_damage import mutated
+
 MOST_BYTES = 500_000_000  # of memory that reading a small file may take
 HANGS_AFTER_S = 60.0
-_NUMBERS = (
-    "1e999",
-    "-1",
-    "0",
-    "nan",
-    "99999999999999999999",
-    "1" * 5000,
-    "inf",
-    "-0.0",
-    "1e-320",
-    "0x7f",
-    "2147483648",
-)
-_NESTS = ("[" * 3000, "{" * 3000, "(" * 3000, "a." * 3000, "<a>" * 3000, "'" * 101, "- " * 3000)
-_NUMBER = re.compile(rb"-?\d+(?:\.\d*)?(?:[eEdD][+-]?\d+)?")
+_HARD_LIMIT_BYTES = 8_000_000_000  # of a worker: the machine stays usable whatever a reader takes
+_Outcome = tuple[str, int, str, str]  # kind, number, outcome, text
 
 
 @dataclass
 class Tally:
-    """Outcomes of hostile files: numbers by outcome, and the problems with the kind and number of the file."""
+    """Outcomes of hostile files: numbers by kind and outcome, and the problems with the kind and number of the file."""
 
-    outcomes: Counter[str] = field(default_factory=Counter)
+    by_kind: dict[str, Counter[str]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+
+    @property
+    def outcomes(self) -> Counter[str]:
+        """Numbers by outcome, of all kinds."""
+        return sum(self.by_kind.values(), Counter())
 
     @property
     def files(self) -> int:
         """Number of files that were tried."""
         return self.outcomes.total()
 
-
-def mutated(content: bytes, random: np.random.Generator) -> bytes:
-    """Content damaged in one to three ways."""
-    for _ in range(int(random.integers(1, 4))):
-        content = _damages[int(random.integers(len(_damages)))](bytearray(content), random)
-    return content
-
-
-def _flipped(content: bytearray, random: np.random.Generator) -> bytes:
-    for place in random.integers(max(len(content), 1), size=int(random.integers(1, 9)) if content else 0):
-        content[place] ^= 1 << int(random.integers(8))
-    return bytes(content)
+    def add(self, kind: str, number: int, outcome: str, text: str) -> None:
+        """Count a file."""
+        self.by_kind.setdefault(kind, Counter())[outcome] += 1
+        if outcome not in ("read", "refused"):
+            self.problems.append(f"{kind} {number}: {outcome} {text}".rstrip())
 
 
-def _overwritten(content: bytearray, random: np.random.Generator) -> bytes:
-    start = int(random.integers(max(len(content), 1)))
-    value = (b"\x00", b"\xff", b"\x7f", b"\x80", random.bytes(1))[int(random.integers(5))]
-    length = int(random.integers(1, 9))
-    content[start : start + length] = value * min(length, len(content) - start)
-    return bytes(content)
+def damaged(kind: str, content: bytes, number: int, seed: int) -> bytes:
+    """File number ``number`` of a kind, made from a valid one; number 0 is that itself."""
+    return mutated(content, np.random.default_rng([seed, number, *kind.encode()])) if number else content
 
 
-def _cut(content: bytearray, random: np.random.Generator) -> bytes:
-    return bytes(content[: int(random.integers(len(content) + 1))])
-
-
-def _removed(content: bytearray, random: np.random.Generator) -> bytes:
-    start = int(random.integers(max(len(content), 1)))
-    del content[start : start + int(random.integers(1, 200))]
-    return bytes(content)
-
-
-def _repeated(content: bytearray, random: np.random.Generator) -> bytes:
-    start, length = int(random.integers(max(len(content), 1))), int(random.integers(1, 200))
-    content[start:start] = content[start : start + length] * int(random.integers(1, 50))
-    return bytes(content)
-
-
-def _other_number(content: bytearray, random: np.random.Generator) -> bytes:
-    found = list(_NUMBER.finditer(content))
-    if not found:
-        return _flipped(content, random)
-    match = found[int(random.integers(len(found)))]
-    content[match.start() : match.end()] = _NUMBERS[int(random.integers(len(_NUMBERS)))].encode()
-    return bytes(content)
-
-
-def _nested(content: bytearray, random: np.random.Generator) -> bytes:
-    place = int(random.integers(len(content) + 1))
-    content[place:place] = _NESTS[int(random.integers(len(_NESTS)))].encode()
-    return bytes(content)
-
-
-def _swapped(content: bytearray, random: np.random.Generator) -> bytes:
-    lines = bytes(content).split(b"\n")
-    first, second = random.integers(len(lines), size=2)
-    lines[first], lines[second] = lines[second], lines[first]
-    return b"\n".join(lines)
-
-
-_damages = (_flipped, _overwritten, _cut, _removed, _repeated, _other_number, _nested, _swapped)
-
-
-def _random(kind: str, number: int, seed: int) -> np.random.Generator:
-    return np.random.default_rng([seed, number, *kind.encode()])
-
-
-def attack(kinds: Sequence[str], count: int, *, seed: int) -> Tally:
+def attack(kinds: Sequence[str], count: int, *, seed: int, first: int = 0) -> Tally:
     """Read ``count`` hostile files of each kind.
 
     Parameters
     ----------
     kinds : sequence of str
         Keys of :data:`tests.hostile_seeds.KINDS`.
-    count : int
-    seed : int
+    count, seed : int
+    first : int
+        Number of the first file of each kind.
 
     Returns
     -------
@@ -137,61 +80,110 @@ def attack(kinds: Sequence[str], count: int, *, seed: int) -> Tally:
         Outcomes are ``read``, ``refused``, ``foreign`` (another exception than those of this package, or a text of
         several lines), ``ended`` (the process), ``hung`` and ``memory``.
     """
-    tally, jobs = Tally(), [(kind, 0) for kind in kinds]
-    while jobs:
-        done = list(_outcomes(jobs, count, seed))
-        for kind, number, outcome, text in done:
-            tally.outcomes[outcome] += 1
-            if outcome not in ("read", "refused"):
-                tally.problems.append(f"{kind} {number}: {outcome} {text}".rstrip())
-        last_kind, last_number = (done[-1][0], done[-1][1]) if done else (jobs[0][0], count)
-        place = [kind for kind, _ in jobs].index(last_kind)
-        jobs = jobs[place:] if last_number + 1 < count else jobs[place + 1 :]
-        if jobs and jobs[0][0] == last_kind:
-            jobs[0] = (last_kind, last_number + 1)
+    tally = Tally()
+    jobs = json.dumps([[kind, first, first + count] for kind in kinds])
+    command = [sys.executable, "-m", "tests.hostile", jobs, str(seed)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            tally.add(*json.loads(line))
+        assert process.stderr is not None
+        told = process.stderr.read()
+    if process.returncode:
+        raise RuntimeError(f"the process that reads hostile files broke down: {told.decode(errors='replace')}")
     return tally
 
 
-def _outcomes(jobs: list[tuple[str, int]], count: int, seed: int) -> Iterator[tuple[str, int, str, str]]:
-    """Outcomes of the files of one process: up to the one that ended, hung or filled it."""
-    command = [sys.executable, "-m", "tests.hostile", json.dumps(jobs), str(count), str(seed)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
-        current = yield from _told(process, jobs[0])
-        code = process.wait()
-    if current is not None:
-        yield (*current, "ended", f"with code {code}")
-    elif code > 0:
-        raise RuntimeError(f"the process that reads hostile files did not start: code {code}")
+def main(jobs: str, seed: str) -> None:
+    """Read the files of all jobs in forks of this process; outcomes go to standard output."""
+    from tests.hostile_seeds import KINDS
+
+    warnings.simplefilter("error")
+    with tempfile.TemporaryDirectory() as name:
+        for kind, first, end in json.loads(jobs):
+            folder = Path(name) / kind.replace(" ", "_")
+            folder.mkdir()
+            KINDS[kind].write(folder / KINDS[kind].file)
+            content = (folder / KINDS[kind].file).read_bytes()
+            number = first
+            while number < end:
+                for outcome in _outcomes_of_fork(kind, content, range(number, end), folder, int(seed)):
+                    print(json.dumps(outcome), flush=True)
+                    number = outcome[1] + 1
 
 
-def _told(
-    process: subprocess.Popen[bytes], first: tuple[str, int]
-) -> Generator[tuple[str, int, str, str], None, tuple[str, int] | None]:
-    """Outcomes that a process tells; returns the file that it was at when it ended."""
-    assert process.stdout is not None
-    os.set_blocking(process.stdout.fileno(), False)
-    current: tuple[str, int] | None = None
+def _outcomes_of_fork(kind: str, content: bytes, numbers: range, folder: Path, seed: int) -> Iterator[_Outcome]:
+    """Outcomes of the files that one worker reads: all, or up to the one that ended it, hung it or filled it."""
+    reading, writing = os.pipe()
+    worker = os.fork()
+    if worker == 0:
+        os.close(reading)
+        _work(kind, content, numbers, folder, seed, writing)
+    os.close(writing)
+    started, hung = None, False
+    with os.fdopen(reading, "rb", buffering=0) as pipe:
+        for line in _lines(pipe):
+            if line is None:
+                os.kill(worker, signal.SIGKILL)
+                hung = True
+                continue
+            number, outcome, text = json.loads(line)
+            started = number if outcome == "started" else None
+            if outcome != "started":
+                yield kind, number, outcome, text
+    _, status = os.waitpid(worker, 0)
+    if started is not None:
+        yield kind, started, "hung" if hung else "ended", "" if hung else f"with status {status}"
+    elif status:
+        raise RuntimeError(f"the worker ended between files of kind {kind}: status {status}")
+
+
+def _lines(pipe: IO[bytes]) -> Iterator[bytes | None]:
+    """Lines from a worker; None where none came for as long as a hang."""
     buffer = b""
     with selectors.DefaultSelector() as selector:
-        selector.register(process.stdout, selectors.EVENT_READ)
+        selector.register(pipe, selectors.EVENT_READ)
         while True:
-            if not selector.select(HANGS_AFTER_S if current else 6 * HANGS_AFTER_S):
-                process.kill()
-                yield (*(current or first), "hung", "")
-                return None
-            chunk = process.stdout.read()
+            if not selector.select(HANGS_AFTER_S):
+                yield None
+            chunk = pipe.read(65536)
             if not chunk:
-                return current
+                return
             *lines, buffer = (buffer + chunk).split(b"\n")
-            for line in lines:
-                kind, number, outcome, text = json.loads(line)
-                current = (kind, number) if outcome == "started" else None
-                if outcome != "started":
-                    yield kind, number, outcome, text
+            yield from lines
 
 
-def _tell(kind: str, number: int, outcome: str, text: str = "") -> None:
-    os.write(3, (json.dumps([kind, number, outcome, text]) + "\n").encode())
+def _work(kind: str, content: bytes, numbers: range, folder: Path, seed: int, output: int) -> None:
+    """Read files, tell of each, end this process."""
+    code = 1
+    try:
+        resource.setrlimit(resource.RLIMIT_AS, (_HARD_LIMIT_BYTES, _HARD_LIMIT_BYTES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+        path = folder / _file_of(kind)
+        for number in numbers:
+            path.write_bytes(damaged(kind, content, number, seed))
+            os.write(output, (json.dumps([number, "started", ""]) + "\n").encode())
+            os.write(output, (json.dumps([number, *_try(kind, path)]) + "\n").encode())
+        code = 0
+    finally:
+        _end_children()
+        os._exit(code)
+
+
+def _file_of(kind: str) -> str:
+    from tests.hostile_seeds import KINDS
+
+    return KINDS[kind].file
+
+
+def _end_children() -> None:
+    """End the process that reads kernels, which nothing else does where Python's own end is left out."""
+    from giantlike.core.child import end_template
+
+    end_template()
 
 
 def _peak_bytes() -> int:
@@ -216,32 +208,19 @@ def _try(kind: str, path: Path) -> tuple[str, str]:
         several = "\n" in str(error)
         outcome, text = ("foreign", f"several lines: {str(error)[:200]!r}") if several else ("refused", "")
     except Exception as error:  # noqa: BLE001  every other exception is what is looked for
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "giantlike" in frame.filename]
-        place = f"{Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else f"{last.filename}:{last.lineno}"
-        outcome, text = "foreign", f"{type(error).__name__} at {place}: {str(error)[:100]}"
+        outcome, text = "foreign", _described(error)
     taken = _peak_bytes() - before
     return ("memory", f"{taken / 1e6:.0f} MB") if taken > MOST_BYTES else (outcome, text)
 
 
-def main(jobs: str, count: str, seed: str) -> None:
-    """Read the files of all jobs; outcomes go to standard output, which nothing else can write to."""
-    os.dup2(1, 3)
-    os.dup2(2, 1)
-    warnings.simplefilter("error")
-    with tempfile.TemporaryDirectory() as name:
-        from tests.hostile_seeds import KINDS
-
-        for kind, first in json.loads(jobs):
-            folder = Path(name) / kind.replace(" ", "_")
-            folder.mkdir()
-            path = folder / KINDS[kind].file
-            KINDS[kind].write(path)
-            content = path.read_bytes()
-            for number in range(first, int(count)):
-                path.write_bytes(content if number == 0 else mutated(content, _random(kind, number, int(seed))))
-                _tell(kind, number, "started")
-                _tell(kind, number, *_try(kind, path))
+def _described(error: Exception) -> str:
+    """Class, place in the package and begin of the text of an exception."""
+    frames: list[Any] = list(traceback.extract_tb(error.__traceback__))
+    ours = [frame for frame in frames if "giantlike" in frame.filename]
+    place = (
+        f"{Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else f"{frames[-1].filename}:{frames[-1].lineno}"
+    )
+    return f"{type(error).__name__} at {place}: {str(error)[:100]!r}"
 
 
 if __name__ == "__main__":

@@ -17,9 +17,13 @@ import trimesh
 import giantlike as gl
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.render.plan import RenderPlan
+from giantlike.campaign.store.records import ObservationRecord, ObservationsRecord, TargetView
+from giantlike.campaign.store.results import camera_of_run, load_result
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import load_catalog
 from giantlike.catalogs.readers import build_catalog
 from giantlike.catalogs.stored import save_catalog
+from giantlike.core.causes import Cause
 from giantlike.io import load_kernels, read_ephemeris_table, read_geometry
 from giantlike.io.attitude_series import read_attitude_csv
 from giantlike.io.camera_import import read_foreign_camera
@@ -30,6 +34,7 @@ from giantlike.shapes.files.dsk import DskIdentity
 from giantlike.shapes.landmarks import LandmarkCatalog, landmark_of, load_landmarks, save_landmarks
 from giantlike.stars.rates import read_rates
 from tests.camera_models.test_camera_models import NAVCAM
+from tests.campaign import test_export as run_files
 from tests.campaign_files import campaign_table
 from tests.catalogs import test_catalog_readers as catalog_files
 from tests.cli.test_render_command import scene_table
@@ -127,6 +132,29 @@ def _campaign(path: Path) -> None:
     path.write_text(tomli_w.dumps(campaign_table()))
 
 
+def _run(path: Path) -> None:
+    """A run folder with one attitude and one observation, around the file."""
+    folder = path.parent if path.name == "provenance.json" else path.parents[1]
+    run_files._run(folder, [run_files._record(0)])
+    seen = ObservationRecord(
+        index=0, file="image_0.fits", target="ROCK", estimator="limb_matching", status="ok",
+        predicted_px=[10.0, 20.0], predicted_camera_km=[1.0, 2.0, 300.0], center_px=[10.5, 20.5],
+        covariance_px2=[[0.1, 0.0], [0.0, 0.1]], range_km=301.0, sigma_range_km=0.5, limb_px=[[9.0, 9.0], [8.0, 9.0]],
+        parts={Cause.NOISE: [[0.1, 0.0], [0.0, 0.1]]}, flags=["saturated"], provenance={"a": "b"},
+    )  # fmt: skip
+    view = TargetView(
+        target="ROCK", predicted_px=[10.0, 20.0], radius_px=3.0, outline_px=[[9.0, 9.0]], outline_lit=[True]
+    )
+    record = ObservationsRecord(index=0, file="image_0.fits", observations=[seen], views=[view])
+    RunFolder(folder).save(record, "stamp")
+
+
+def _read_run(path: Path) -> None:
+    folder = path.parent if path.name == "provenance.json" else path.parents[1]
+    load_result(folder)
+    camera_of_run(folder)
+
+
 PIXELS = (np.arange(24 * 20).reshape(20, 24) * 37 % 251).astype(np.uint8)
 GYRO = _table("rate_x_rad_s,rate_y_rad_s,rate_z_rad_s", "1e-3,0,0")
 ORBIT = _table("x_km,y_km,z_km,vx_km_s,vy_km_s,vz_km_s,body_qx,body_qy,body_qz,body_qw", "1,2,3,0,0,1,0,0,0,1")
@@ -220,6 +248,9 @@ KINDS: dict[str, Kind] = {
     "attitudes": Kind("attitudes.csv", _with(_table("qx,qy,qz,qw", "0,0,0,1")), read_attitude_csv),
     "campaign": Kind("campaign.toml", _campaign, Campaign.load),
     "scene": Kind("scene.toml", lambda path: path.write_text(tomli_w.dumps(scene_table())), RenderPlan.load),
+    "run attitude": Kind("parts/000000.attitude.json", _run, _read_run),
+    "run observations": Kind("parts/000000.observations.json", _run, _read_run),
+    "run provenance": Kind("provenance.json", _run, _read_run),
     "kernel pck": Kind("k.tpc", lambda path: kernel_files.write_pck(path), _read_kernel),
     "kernel lsk": Kind("k.tls", _with(LEAPSECONDS), _read_kernel),
     "kernel fk": Kind("k.tf", _with(FRAME), _read_kernel),

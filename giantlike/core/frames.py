@@ -7,6 +7,7 @@ time (SPICE frames, mission frames, two cameras), a :class:`FrameRotation` holds
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -281,7 +282,7 @@ def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotat
         The shape is wrong, a value is not finite, or the norm is far from one, a sign of mixed-up columns.
     """
     q = as_finite(quaternion, (4,), name)
-    norm = float(np.linalg.norm(q))
+    norm = math.hypot(*q)  # without overflow
     require(abs(norm - 1.0) < 1e-3, f"{name} must have norm 1, got {norm:.6g}; give it scalar last: x, y, z, w")
     return Rotation.from_quat(q)
 

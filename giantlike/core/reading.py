@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import gzip
 import hashlib
+import io
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +28,11 @@ _OF_CONTENT = (
 )  # fmt: skip
 """Built-in exceptions that content causes; ``ElementTree.ParseError`` is a ``SyntaxError``."""
 _LONGEST_TEXT = 200  # characters of a library's message that are passed on: some quote the whole file
+
+
+_SMALL_BYTES = 200_000_000  # unpacked, read in any case: an image of 7000 x 7000 in single precision
+_MOST_COMPRESSION = 20  # unpacked over packed size of what is larger: tables of stars pack to a third to a sixth
+_CHUNK_BYTES = 1_000_000  # unpacked at a time
 
 
 class _Decorator(Protocol):
@@ -62,7 +68,7 @@ def reads(what: str) -> _Decorator:
                 if not is_of_content(error):
                     raise
                 path = cast(Path, args[0] if args else kwargs["path"])
-                raise DataError(path, _problem(error, what)) from error
+                raise DataError(path, problem_text(error, what)) from error
 
         return guarded
 
@@ -103,10 +109,19 @@ def unzipped(content: bytes) -> bytes:
 
     Raises
     ------
-    OSError, EOFError, zlib.error
-        The compressed content is damaged.
+    OSError, EOFError, zlib.error, ValueError
+        The compressed content is damaged, or much larger than an image is.
     """
-    return gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content
+    if not content.startswith(b"\x1f\x8b"):
+        return content
+    chunks, left = [], max(_SMALL_BYTES, _MOST_COMPRESSION * len(content))
+    with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            left -= len(chunk)
+            if left < 0:
+                raise ValueError("it unpacks to far more than its size allows")
+            chunks.append(chunk)
+    return b"".join(chunks)
 
 
 def file_sha256(path: Path) -> str:
@@ -144,8 +159,20 @@ def _raised_here(error: Exception) -> bool:
     return trace is None or str(trace.tb_frame.f_globals.get("__name__")).startswith("giantlike.")
 
 
-def _problem(error: Exception, what: str) -> str:
-    """Sentence for a user on what was needed, what came and, where the reader itself does not say it, what to do."""
+def problem_text(error: Exception, what: str) -> str:
+    """Sentence for a user on what was needed, what came and, where the reader itself does not say it, what to do.
+
+    Parameters
+    ----------
+    error : Exception
+        One that content or the file system caused: :func:`is_of_content`.
+    what : str
+        What the file should be, with its article.
+
+    Returns
+    -------
+    str
+    """
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, OSError) and error.strerror:

@@ -266,7 +266,8 @@ def _choose(units: Any, hdu: int | str | None) -> int:
 
 
 def _is_plane(shape: tuple[int, ...]) -> bool:
-    return len(shape) >= 2 and all(n == 1 for n in shape[:-2]) and min(shape[-2:]) > 0
+    whole = all(isinstance(n, int) and n > 0 for n in shape)  # a damaged header gives texts too
+    return whole and len(shape) >= 2 and all(n == 1 for n in shape[:-2])
 
 
 def _cards(header: Any) -> dict[str, Card]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import math
 import re
-import struct
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from giantlike.core.child import in_child
 from giantlike.core.errors import DataError
 from giantlike.core.reading import file_sha256, library_message, reads
 from giantlike.core.time import time_from_et, utc_text
+from giantlike.io.daf import require_whole_daf, try_segments
 from giantlike.shapes import Ellipsoid
 
 _LOG = logging.getLogger("giantlike.io")
@@ -202,13 +202,18 @@ def try_kernels(paths: Sequence[Path]) -> dict[str, Float]:
 
     for path in paths:
         spiceypy.furnsh(str(path))
+    for path in paths:
+        try_segments(path)
     return {}
 
 
 def _require_loadable(paths: Sequence[Path]) -> None:
     """Raise :class:`DataError` for the first kernel that SPICE does not load or breaks down at."""
+    if len(paths) == 1:
+        reads("a SPICE kernel")(_require_alone)(paths[0])
+        return
     try:
-        in_child(try_kernels, paths)
+        in_child(try_kernels, paths, libraries=["spiceypy"])
     except ValueError as error:
         for path in paths:
             reads("a SPICE kernel")(_require_alone)(path)
@@ -216,7 +221,7 @@ def _require_loadable(paths: Sequence[Path]) -> None:
 
 
 def _require_alone(path: Path) -> None:
-    in_child(try_kernels, [path])
+    in_child(try_kernels, [path], libraries=["spiceypy"])
 
 
 def spk_state(target: str | int, et: float, *, observer: str | int, frame: str = "J2000") -> tuple[Float, Float]:
@@ -421,11 +426,10 @@ def _kernel_text(path: Path) -> str | None:
     """Content of a text kernel, None for a binary one; refuses files that are no whole kernel."""
     with path.open("rb") as file:
         head = file.read(_FILE_RECORD)
-        size = file.seek(0, 2)
     if head.startswith(_TRANSFER):
         raise DataError(path, "is a SPICE transfer file: convert it to a binary kernel with NAIF's tobin")
     if head.startswith((b"DAF/", b"NAIF/DAF")):
-        _require_whole_daf(path, head, size)
+        require_whole_daf(path)
         return None
     if head.startswith((b"DAS/", b"NAIF/DAS")):
         return None
@@ -433,18 +437,6 @@ def _kernel_text(path: Path) -> str | None:
     if _DATA_SECTION.search(text) is None:
         raise DataError(path, "is not a SPICE kernel: neither a DAF or DAS file nor text with a \\begindata section")
     return text
-
-
-def _require_whole_daf(path: Path, head: bytes, size: int) -> None:
-    """Refuse a DAF file that ends before its first free address (file record, NAIF's DAF Required Reading)."""
-    if len(head) < _FILE_RECORD:
-        raise DataError(path, f"the SPICE kernel is truncated: {_FILE_RECORD} bytes are needed, got {len(head)}")
-    order = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}.get(head[88:96])
-    if order is None:
-        return
-    (free,) = struct.unpack_from(order + "i", head, 84)
-    if size < 8 * (free - 1):
-        raise DataError(path, f"the SPICE kernel is truncated: {8 * (free - 1)} bytes are needed, got {size}")
 
 
 def _meta_kernel_paths(path: Path, text: str) -> list[str]:

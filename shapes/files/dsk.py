@@ -73,7 +73,7 @@ def read_dsk(path: Path) -> Surface:
         CSPICE finds the file damaged, a segment is not of type 2, or its counts cannot be true.
     """
     require_whole_das(path)
-    arrays = in_child(read_segments, [path])
+    arrays = in_child(read_segments, [path], libraries=["spiceypy"])
     return Surface(vertices=arrays["vertices"], faces=arrays["faces"], in_km=True)
 
 

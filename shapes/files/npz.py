@@ -14,6 +14,8 @@ from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
 _FORMAT, _VERSION = "giantlike shape", 1
+_SMALL_BYTES = 100_000_000  # arrays of this size are read whatever the file's
+_MOST_COMPRESSION = 100  # arrays over file: meshes and heights are compressed to a half to a tenth
 _ALBEDO = {"albedo_by_vertex": VertexAlbedo, "albedo_by_facet": FacetAlbedo}
 
 
@@ -42,7 +44,13 @@ def archive_arrays(path: Path, form: str, version: int) -> Mapping[str, NDArray[
             raise ValueError(f"the archive holds no {form.removeprefix('giantlike ')}")
         if (found := int(archive["version"])) != version:
             raise ValueError(f"needed version {version} of the format, got {found}: update giantlike")
-        return {name: archive[name] for name in archive.files}
+        needed = sum(member.file_size for member in archive.zip.infolist())
+        if needed > max(_SMALL_BYTES, _MOST_COMPRESSION * path.stat().st_size):
+            raise ValueError(f"its arrays would take {needed / 1e6:.0f} MB, too much for a file of its size")
+        arrays = {name: archive[name] for name in archive.files}
+    if damaged := [name for name, array in arrays.items() if not isinstance(array, np.ndarray)]:
+        raise ValueError(f"the archive holds {damaged[0]!r}, which is no array")
+    return arrays
 
 
 def read_npz(path: Path) -> Surface:

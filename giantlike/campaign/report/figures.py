@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -267,7 +268,7 @@ def _measured(record: ObservationRecord) -> tuple[Float, Float]:
     if record.covariance_px2 is not None:
         sigma[:2] = np.sqrt(np.diag(record.covariance_px2))
     if record.range_km is not None and record.predicted_camera_km is not None:
-        predicted = float(np.linalg.norm(record.predicted_camera_km))
+        predicted = math.hypot(*record.predicted_camera_km) or np.nan
         offset[2] = 100 * (record.range_km / predicted - 1)
         sigma[2] = 100 * (record.sigma_range_km or np.nan) / predicted
     return offset, sigma

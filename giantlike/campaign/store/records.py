@@ -20,6 +20,10 @@ from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
 
 Vector: TypeAlias = list[float]
 Matrix: TypeAlias = list[list[float]]
+Pair: TypeAlias = Annotated[Vector, Field(min_length=2, max_length=2)]
+Triple: TypeAlias = Annotated[Vector, Field(min_length=3, max_length=3)]
+TwoByTwo: TypeAlias = Annotated[list[Pair], Field(min_length=2, max_length=2)]
+TwoByThree: TypeAlias = Annotated[list[Triple], Field(min_length=2, max_length=2)]
 _UNIT = 1e-6  # departure of the length of a quaternion from 1 that is rounding
 
 
@@ -29,9 +33,9 @@ def _unit_quaternion(values: Vector) -> Vector:
     return values
 
 
-def _three_by_three(values: Matrix) -> Matrix:
-    if [len(row) for row in values] != [3, 3, 3]:
-        raise ValueError("a matrix of three rows and three columns is needed")
+def _of_equal_rows(values: Matrix) -> Matrix:
+    if len({len(row) for row in values}) != 1:
+        raise ValueError("a matrix with rows of equal length is needed")
     return values
 
 
@@ -42,7 +46,8 @@ def _flag_name(name: str) -> str:
 
 
 UnitQuaternion: TypeAlias = Annotated[Vector, AfterValidator(_unit_quaternion)]
-Covariance: TypeAlias = Annotated[Matrix, AfterValidator(_three_by_three)]
+Covariance: TypeAlias = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+Rows: TypeAlias = Annotated[Matrix, AfterValidator(_of_equal_rows)]
 FlagName: TypeAlias = Annotated[str, AfterValidator(_flag_name)]
 Status: TypeAlias = Literal["ok", "suspect", "failed"]
 
@@ -145,7 +150,7 @@ class Attitude(_Record):
     quaternion_xyzw: UnitQuaternion
     covariance_rad2: Covariance | None = None
     parts: dict[Cause, Covariance] = Field(default_factory=dict)
-    by_camera: Matrix | None = None
+    by_camera: Rows | None = None
     flags: list[FlagName] = Field(default_factory=list)
 
     @property
@@ -186,11 +191,11 @@ class StarMatches(_Record):
     """
 
     star_ids: list[int]
-    observed_px: Matrix
-    predicted_px: Matrix
+    observed_px: list[Pair]
+    predicted_px: list[Pair]
     sigma_px: Vector
     magnitudes: Vector
-    rejected_px: Matrix = []
+    rejected_px: list[Pair] = []
 
 
 class ImageRecord(_Record):
@@ -275,7 +280,7 @@ class AttitudeRecord(ImageRecord):
     transferred: bool = False
     status: Status
     problem: Problem | None = None
-    apriori_xyzw: Vector | None = None
+    apriori_xyzw: UnitQuaternion | None = None
     attitude: Attitude | None = None
     n_detected: int | None = None
     n_matched: int | None = None
@@ -290,7 +295,7 @@ class AttitudeRecord(ImageRecord):
     provenance: dict[str, str] = {}
     time_s: float = 0.0
     stars: StarMatches | None = None
-    detected_px: Matrix = []
+    detected_px: list[Pair] = []
     notes: list[str] = []
 
     @property
@@ -342,14 +347,14 @@ class CalibrationRecord(ImageRecord):
 
     problem: Problem | None = None
     et: float | None = None
-    observer_position_km: Vector | None = None
-    observer_velocity_km_s: Vector | None = None
+    observer_position_km: Triple | None = None
+    observer_velocity_km_s: Triple | None = None
     temperature_c: float = 0.0
-    apriori_xyzw: Vector | None = None
+    apriori_xyzw: UnitQuaternion | None = None
     quaternion_xyzw: Vector = []
     focal_length_px: float = 0.0
-    points_px: Matrix = []
-    covariance_px2: list[Matrix] = []
+    points_px: list[Pair] = []
+    covariance_px2: list[TwoByTwo] = []
     snr: Vector = []
     star_ids: list[int] = []
     source_indices: list[int] = []
@@ -391,17 +396,17 @@ class ObservationRecord(_Record):
     status: Status
     problem: Problem | None = None
     attitude: Attitude | None = None
-    predicted_px: Vector | None = None
-    predicted_camera_km: Vector | None = None
-    center_px: Vector | None = None
-    covariance_px2: Matrix | None = None
-    covariance_with_attitude_px2: Matrix | None = None
-    partial_position_inertial_px_km: Matrix | None = None
-    partial_attitude_px_rad: Matrix | None = None
-    position_camera_km: Vector | None = None
-    covariance_camera_km2: Matrix | None = None
-    position_inertial_km: Vector | None = None
-    covariance_inertial_km2: Matrix | None = None
+    predicted_px: Pair | None = None
+    predicted_camera_km: Triple | None = None
+    center_px: Pair | None = None
+    covariance_px2: TwoByTwo | None = None
+    covariance_with_attitude_px2: TwoByTwo | None = None
+    partial_position_inertial_px_km: TwoByThree | None = None
+    partial_attitude_px_rad: TwoByThree | None = None
+    position_camera_km: Triple | None = None
+    covariance_camera_km2: Covariance | None = None
+    position_inertial_km: Triple | None = None
+    covariance_inertial_km2: Covariance | None = None
     range_km: float | None = None
     sigma_range_km: float | None = None
     score: float | None = None
@@ -409,8 +414,8 @@ class ObservationRecord(_Record):
     n_rejected: int | None = None
     flags: list[str] = []
     provenance: dict[str, str] = {}
-    parts: dict[Cause, Matrix] = Field(default_factory=dict)
-    limb_px: Matrix = []
+    parts: dict[Cause, Rows] = Field(default_factory=dict)
+    limb_px: list[Pair] = []
     time_s: float = 0.0
 
 
@@ -429,9 +434,9 @@ class TargetView(_Record):
     """
 
     target: str
-    predicted_px: Vector
+    predicted_px: Pair
     radius_px: float
-    outline_px: Matrix
+    outline_px: list[Pair]
     outline_lit: list[bool]
 
 

@@ -216,7 +216,8 @@ def camera_of_run(path: Path) -> Camera:
     calibrated = path / CAMERA_FILE
     if calibrated.exists():
         return Camera.load(calibrated)
-    table = RunFolder.open(path).provenance().get("inputs", {}).get("camera")
+    inputs = RunFolder.open(path).provenance().get("inputs")
+    table = inputs.get("camera") if isinstance(inputs, dict) else None
     if not isinstance(table, dict):
         raise DataError(path, "provenance.json does not hold the camera: run the campaign again")
     return Camera.from_mapping(table)
@@ -259,7 +260,6 @@ def _calibration(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise DataError(path, "is damaged: continue the run with giantlike run --resume") from error
-    return dict(content)
