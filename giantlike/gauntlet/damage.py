@@ -1,0 +1,231 @@
+"""Kinds in which optics, detector or transmission spoil the image; a body or stars alike."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from giantlike.gauntlet import lights, readouts
+from giantlike.gauntlet.plan import BIAS_DN, FULL_DN, PSF_PX, Light, Plan, Readout, World, log_uniform
+from giantlike.independent import Defects, Psf
+
+_DECLARED_SHARE = 0.6
+"""Share of saturated images whose saturation is declared."""
+_MASKED_SHARE = 0.3
+"""Share of images with missing parts that come with a mask of them."""
+
+
+def _lit(plan: Plan, light: Light, *, hard: bool) -> Plan:
+    return plan.but(world={"lights": (*plan.world.lights, light)}, hard=hard)
+
+
+def _read(plan: Plan, readout: Readout, *, hard: bool) -> Plan:
+    return plan.but(world={"readouts": (*plan.world.readouts, readout)}, hard=hard)
+
+
+def _level_dn(world: World) -> float:
+    """Brightness that damage is measured by: the peak of the body, or a bright star, DN."""
+    return world.peak_dn if world.sky is None else 1000.0
+
+
+def _middle_px(world: World) -> np.ndarray:
+    """Place of the body, or of the middle of the frame."""
+    if world.body is None:
+        return np.array([0.5 * world.view.columns, 0.5 * world.view.rows])
+    return world.center_px
+
+
+def stray_light(plan: Plan, rng: np.random.Generator) -> Plan:
+    """A plane of light, and a glow from outside."""
+    level = _level_dn(plan.world)
+    amount = log_uniform(rng, 0.02, 0.8)
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    size = plan.world.view.columns
+    light = lights.background_light(
+        slope_dn=(amount * level * math.cos(angle), amount * level * math.sin(angle)),
+        glow_dn=amount * level,
+        glow_px=tuple(0.5 * size + 0.9 * size * np.array([math.cos(angle), math.sin(angle)])),
+        width_px=rng.uniform(0.3, 1.0) * size,
+    )
+    return _lit(plan, light, hard=amount > 0.2)
+
+
+def glare(plan: Plan, rng: np.random.Generator) -> Plan:
+    """A glow of a source close to the body."""
+    world = plan.world
+    width = log_uniform(rng, 8.0, 80.0)
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    away = rng.uniform(0.2, 1.5) * 0.4 * world.view.columns
+    light = lights.background_light(
+        slope_dn=(0.0, 0.0),
+        glow_dn=log_uniform(rng, 0.2, 4.0) * _level_dn(world),
+        glow_px=tuple(_middle_px(world) + away * np.array([math.cos(angle), math.sin(angle)])),
+        width_px=width,
+    )
+    return _lit(plan, light, hard=True)
+
+
+def _shift(rng: np.random.Generator, least: float, most: float) -> tuple[int, int]:
+    angle, length = rng.uniform(0.0, 2.0 * math.pi), log_uniform(rng, least, most)
+    return round(length * math.cos(angle)), round(length * math.sin(angle))
+
+
+def ghost(plan: Plan, rng: np.random.Generator) -> Plan:
+    """A faint second image."""
+    share = log_uniform(rng, 0.01, 0.3)
+    light = lights.copied(
+        shift_px=_shift(rng, 10.0, 150.0), share=share, blur_px=log_uniform(rng, 0.5, 8.0), turned=rng.uniform() < 0.5
+    )
+    return _lit(plan, light, hard=share > 0.03)
+
+
+def double_exposure(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Two exposures between which the camera moved."""
+    light = lights.copied(shift_px=_shift(rng, 2.0, 80.0), share=log_uniform(rng, 0.3, 1.0))
+    return _lit(plan, light, hard=True)
+
+
+def radiation(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Tracks of particles and hot pixels."""
+    world = plan.world
+    share = log_uniform(rng, 1e-3, 0.1)
+    pixels = share * world.view.columns * world.view.rows
+    defects = Defects(
+        cosmic_rays=int(pixels / 5.0), cosmic_dn=log_uniform(rng, 100.0, 3000.0), hot_pixels=int(0.1 * pixels)
+    )
+    return plan.but(world={"defects": defects}, hard=share > 0.02)
+
+
+def _columns_across(plan: Plan, rng: np.random.Generator, count: int) -> tuple[int, ...]:
+    """Columns over the middle of the image, where the body is."""
+    world = plan.world
+    reach = 0.3 * world.view.columns
+    places = np.round(_middle_px(world)[0] + rng.uniform(-reach, reach, count))
+    return tuple(int(place) for place in np.clip(places, 0, world.view.columns - 1))
+
+
+def hot_columns(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Columns with charge that they always have."""
+    count = int(log_uniform(rng, 1.0, 15.0))
+    extra = log_uniform(rng, 0.05, 1.0) * _level_dn(plan.world)
+    return _read(plan, readouts.hot_columns(_columns_across(plan, rng, count), extra), hard=count > 3)
+
+
+def dead_rows(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Rows and columns without signal."""
+    rows, columns = int(log_uniform(rng, 1.0, 12.0)), int(rng.integers(0, 3))
+    world = plan.world
+    reach = 0.3 * world.view.rows
+    places = np.round(_middle_px(world)[1] + rng.uniform(-reach, reach, rows))
+    defects = Defects(
+        dead_rows=tuple(int(place) for place in np.clip(places, 0, world.view.rows - 1)),
+        dead_columns=_columns_across(plan, rng, columns),
+    )
+    return plan.but(world={"defects": defects}, hard=rows + columns > 2)
+
+
+def _saturated(plan: Plan, rng: np.random.Generator, share: float, *, blooms: bool) -> Plan:
+    limit = BIAS_DN + share * _level_dn(plan.world)
+    declared = rng.uniform() < _DECLARED_SHARE
+    recorder = replace(plan.world.recorder, saturation_dn=float(np.round(limit)), blooms=blooms)
+    told = {"saturation_dn": recorder.saturation_dn} if declared else {}
+    return plan.but(world={"recorder": recorder}, told=told, hard=blooms or share < 0.5 or not declared)
+
+
+def saturation(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Values end below the brightest light."""
+    return _saturated(plan, rng, rng.uniform(0.2, 0.9), blooms=False)
+
+
+def blooming(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Values end below the brightest light, and charge flows along columns."""
+    return _saturated(plan, rng, rng.uniform(0.3, 0.9), blooms=True)
+
+
+def smear(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Every column has a little light of all of its pixels."""
+    share = log_uniform(rng, 0.003, 0.2)
+    return _lit(plan, lights.smeared(share), hard=share > 0.02)
+
+
+def _optics(plan: Plan, psf: Psf, *, hard: bool) -> Plan:
+    return plan.but(world={"psf": psf}, hard=hard)
+
+
+def motion(plan: Plan, rng: np.random.Generator) -> Plan:
+    """The camera turned during the exposure."""
+    angle, length = rng.uniform(0.0, math.pi), log_uniform(rng, 1.0, 30.0)
+    path = (length * math.cos(angle), length * math.sin(angle))
+    return _optics(plan, Psf(PSF_PX, motion_px=path), hard=length > 1.5)
+
+
+def defocus(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Optics 1.5 to 8 times as wide as told."""
+    return _optics(plan, Psf(PSF_PX * log_uniform(rng, 1.5, 8.0)), hard=True)
+
+
+def missing_lines(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Bands of lines that were not received."""
+    rows = plan.world.view.rows
+    bands = tuple(
+        (int(rng.integers(0, rows)), int(log_uniform(rng, 2.0, 0.25 * rows))) for _ in range(int(rng.integers(1, 5)))
+    )
+    return _maybe_masked(_read(plan, readouts.missing_lines(bands), hard=True), rng)
+
+
+def missing_blocks(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Blocks that were not received."""
+    return _maybe_masked(_read(plan, readouts.missing_blocks(log_uniform(rng, 0.03, 0.4)), hard=True), rng)
+
+
+def _maybe_masked(plan: Plan, rng: np.random.Generator) -> Plan:
+    return plan.but(told={"mask": readouts.zero_mask} if rng.uniform() < _MASKED_SHARE else {}, hard=True)
+
+
+def bit_flips(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Bits turned over in memory."""
+    share = log_uniform(rng, 1e-4, 0.05)
+    return _read(plan, readouts.bit_flips(share), hard=share > 1e-3)
+
+
+def satellites(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Bright trails across the frame."""
+    count = int(rng.integers(1, 8))
+    light = lights.trails(count, log_uniform(rng, 0.05, 2.0) * _level_dn(plan.world))
+    return _lit(plan, light, hard=True)
+
+
+def mirrored(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Columns in the wrong order."""
+    return _read(plan, readouts.mirrored, hard=True)
+
+
+def inverted(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Rows in the wrong order."""
+    return _read(plan, readouts.inverted, hard=True)
+
+
+def rows_shifted(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Rows moved from one on, or each by its own."""
+    if rng.uniform() < 0.5:
+        return _read(plan, readouts.jittered_rows(log_uniform(rng, 0.7, 6.0)), hard=True)
+    reach = 0.1 * plan.world.view.rows
+    first = int(_middle_px(plan.world)[1] + rng.uniform(-reach, reach))
+    shift = int(np.ceil(log_uniform(rng, 1.0, 40.0)) * rng.choice([-1, 1]))
+    return _read(plan, readouts.shifted_rows(first, shift), hard=True)
+
+
+def eight_bit(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Values on 255 steps, and a detector told in the new unit."""
+    full = min(FULL_DN, BIAS_DN + _level_dn(plan.world) * log_uniform(rng, 1.2, 3.0))
+    told = {"dn_scale": 255.0 / full}
+    return _read(plan, readouts.eight_bits(full), hard=False).but(told=told, hard=False)
+
+
+def eight_bit_root(plan: Plan, rng: np.random.Generator) -> Plan:
+    """Values on 255 steps by a table of square roots that nobody told of."""
+    full = min(FULL_DN, BIAS_DN + _level_dn(plan.world) * log_uniform(rng, 1.2, 3.0))
+    told = {"dn_scale": 255.0 / full}
+    return _read(plan, readouts.eight_bits(full, square_root=True), hard=False).but(told=told, hard=True)

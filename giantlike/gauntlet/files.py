@@ -1,0 +1,114 @@
+"""The folder of a gauntlet: a line by image as they are done, ``gauntlet.json``, the table of verdicts and the page."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from giantlike.core.atomic import write_text_atomic
+from giantlike.core.errors import DataError
+from giantlike.core.version import VERSION
+from giantlike.gauntlet.run import Gauntlet, ImageResult, row_values, summary_of
+from giantlike.gauntlet.trial import TrialRow
+from giantlike.io.tables import write_rows
+
+SUMMARY, TABLE, PAGE, _PARTS = "gauntlet.json", "verdicts", "report.html", "images.jsonl"
+"""Names of the files."""
+
+
+def has_results(folder: Path) -> bool:
+    """Tell whether a folder holds a gauntlet, finished or not.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    bool
+    """
+    return (folder / _PARTS).exists() or (folder / SUMMARY).exists()
+
+
+def _stamp(wanted: Gauntlet) -> dict[str, Any]:
+    """What results of one image depend on."""
+    return {"seed": wanted.seed, "estimators": list(wanted.estimators), "version": VERSION}
+
+
+def save_results(folder: Path, wanted: Gauntlet, results: Sequence[ImageResult], *, append: bool) -> None:
+    """Write results into the folder.
+
+    Parameters
+    ----------
+    folder : Path
+    wanted : Gauntlet
+    results : sequence of ImageResult
+    append : bool
+        True for images that were just done; False for all of them, with summary, table and page.
+
+    Raises
+    ------
+    DataError
+        A file cannot be written.
+    """
+    path = folder / _PARTS
+    if append:
+        try:
+            with path.open("a", encoding="utf-8") as stream:
+                stream.writelines(_line(wanted, result) for result in results)
+        except OSError as error:
+            raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+        return
+    rows = [row for result in results for row in result.rows]
+    everything = summary_of(wanted, results) | {"rows": [row_values(row) for row in rows]}
+    write_text_atomic(path, "".join(_line(wanted, result) for result in results))
+    write_rows(folder / TABLE, TrialRow, rows)
+    write_text_atomic(folder / SUMMARY, json.dumps(everything, indent=1, allow_nan=False) + "\n")
+
+
+def _line(wanted: Gauntlet, result: ImageResult) -> str:
+    values = {
+        "stamp": _stamp(wanted),
+        "index": result.index,
+        "kind": result.kind,
+        "cpu_s": result.cpu_s,
+        "thumbnail": base64.b64encode(result.thumbnail).decode("ascii"),
+        "rows": [row_values(row) for row in result.rows],
+    }
+    return json.dumps(values, allow_nan=False) + "\n"
+
+
+def load_results(folder: Path, wanted: Gauntlet) -> list[ImageResult]:
+    """Read the images that a killed run had finished; those of another seed, choice or version are left out.
+
+    Parameters
+    ----------
+    folder : Path
+    wanted : Gauntlet
+
+    Returns
+    -------
+    list of ImageResult
+    """
+    path = folder / _PARTS
+    if not path.exists():
+        return []
+    numbers = set(wanted.numbers())
+    results: dict[int, ImageResult] = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            values = json.loads(line)
+        except ValueError:
+            continue  # the last line of a run that was killed while it wrote
+        if values["stamp"] == _stamp(wanted) and values["index"] in numbers:
+            results[values["index"]] = ImageResult(
+                index=values["index"],
+                kind=values["kind"],
+                rows=tuple(TrialRow(**row) for row in values["rows"]),
+                cpu_s=values["cpu_s"],
+                thumbnail=base64.b64decode(values["thumbnail"]),
+            )
+    return list(results.values())

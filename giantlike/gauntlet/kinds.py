@@ -1,0 +1,257 @@
+"""Kinds of images: what is wrong with each, drawn from random numbers, and when an answer can still be demanded.
+
+A kind takes an undisturbed plan and returns a disturbed one. It says ``hard`` where, by what it drew and before any
+estimator has seen the image, an honest tool may refuse. What follows from size, phase, light and limb in view is not
+decided here but in :mod:`giantlike.gauntlet.rule`, the same for all kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from giantlike.gauntlet import damage, mistakes, scenery
+from giantlike.gauntlet.plan import Base, Plan
+
+Disturb = Callable[[Plan, np.random.Generator], Plan]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of image.
+
+    Parameters
+    ----------
+    name : str
+    summary : str
+        What is wrong, in a line.
+    disturb : callable
+        (plan, random numbers) to plan.
+    base : Base
+        Limits of the undisturbed image of a body.
+    body, stars : bool
+        Whether there is a body for the estimators, and whether there are stars for the star chain.
+    weight : int
+        How often it comes, in a deck of all kinds.
+    undisturbed : bool
+        True where nothing is wrong with the image: its sigmas are the nominal ones.
+    """
+
+    name: str
+    summary: str
+    disturb: Disturb
+    base: Base = field(default_factory=Base)
+    body: bool = True
+    stars: bool = False
+    weight: int = 2
+    undisturbed: bool = False
+
+
+def _as_it_is(plan: Plan, rng: np.random.Generator) -> Plan:
+    return plan
+
+
+_WIDE = Base(diameter_px=(60.0, 220.0))
+_WITH_POINTS = Base(points=0.15)
+_ROCK = Base(rocks=1.0, diameter_px=(40.0, 130.0))
+_CRISP = Base(rocks=0.0, diameter_px=(40.0, 140.0))
+_STATED = Base(declared=1.0)
+
+_BODY_KINDS = (
+    Kind(name="nominal", summary="nothing is wrong", disturb=_as_it_is, weight=12, undisturbed=True),
+    Kind(
+        name="point",
+        summary="nothing is wrong; the body is 1 to 3 px wide",
+        disturb=_as_it_is,
+        base=Base(points=1.0),
+        undisturbed=True,
+    ),
+    Kind(
+        name="large_rock",
+        summary="nothing is wrong; a rock large enough for landmarks",
+        disturb=_as_it_is,
+        base=Base(rocks=1.0, diameter_px=(200.0, 240.0), phase_deg=(20.0, 80.0)),
+        weight=1,
+        undisturbed=True,
+    ),
+    Kind(
+        name="large_rock_turned",
+        summary="rotation of a large rock told 3 to 30 degrees off",
+        disturb=mistakes.slight_rotation,
+        base=Base(rocks=1.0, diameter_px=(200.0, 240.0), phase_deg=(20.0, 80.0)),
+        weight=1,
+    ),
+    Kind(
+        name="crescent",
+        summary="phase angles of 125 to 179 degrees",
+        disturb=scenery.thin_crescent,
+        base=Base(diameter_px=(40.0, 160.0), rocks=0.2),
+        undisturbed=True,
+    ),
+    Kind(
+        name="fills_frame",
+        summary="the body is 1 to 2.5 times as wide as the frame, its limb in view or not",
+        disturb=scenery.filling,
+        base=Base(diameter_px=(260.0, 640.0), rocks=0.0, phase_deg=(5.0, 90.0), largest_frame_px=256),
+        undisturbed=True,
+    ),
+    Kind(
+        name="partly_outside",
+        summary="the frame cuts the body",
+        disturb=scenery.partly_outside,
+        base=_WIDE,
+        undisturbed=True,
+    ),
+    Kind(name="outside", summary="the body is outside the frame, predicted so or not", disturb=scenery.outside),
+    Kind(name="wrong_target", summary="another body where the target should be", disturb=scenery.wrong_target),
+    Kind(name="two_bodies", summary="a second body that nobody told of", disturb=scenery.two_bodies),
+    Kind(
+        name="twin",
+        summary="the same body a second time, beside the target",
+        disturb=scenery.twin,
+        base=Base(points=0.15, declared=1.0, diameter_px=(20.0, 120.0)),
+    ),
+    Kind(
+        name="moon_in_front",
+        summary="a moon that nobody told of, in front of the target",
+        disturb=scenery.moon,
+        base=_WIDE,
+    ),
+    Kind(
+        name="rings",
+        summary="rings that nobody told of",
+        disturb=scenery.ringed,
+        base=Base(rocks=0.0, diameter_px=(40.0, 180.0)),
+    ),
+    Kind(
+        name="eclipse",
+        summary="the shadow of another body on part of the disk",
+        disturb=scenery.eclipse,
+        base=Base(rocks=0.1, diameter_px=(60.0, 220.0), phase_deg=(5.0, 90.0)),
+    ),
+    Kind(name="comet", summary="a coma around the nucleus", disturb=scenery.comet, base=_WITH_POINTS),
+    Kind(name="markings", summary="albedo that the shape does not hold", disturb=scenery.marked, base=_CRISP),
+    Kind(name="dense_stars", summary="a dense field of stars", disturb=scenery.dense_stars, base=_WITH_POINTS),
+    Kind(name="noise", summary="nothing but noise", disturb=scenery.noise, base=_WITH_POINTS),
+    Kind(name="wrong_time", summary="geometry of another time", disturb=mistakes.wrong_time, base=_STATED),
+    Kind(name="attitude", summary="attitude 0.1 to 3 degrees off", disturb=mistakes.wrong_attitude, base=_STATED),
+    Kind(name="roll", summary="attitude rolled by 3 to 8 degrees", disturb=mistakes.wrong_roll, base=_STATED),
+    Kind(name="scale_5", summary="size told 5 % off", disturb=mistakes.scale_5, base=_STATED),
+    Kind(name="scale_20", summary="size told 20 % off", disturb=mistakes.scale_20, base=_STATED),
+    Kind(name="focal", summary="focal length told 2 % off", disturb=mistakes.focal, base=_STATED),
+    Kind(name="pole", summary="pole told 10 to 180 degrees off", disturb=mistakes.pole, base=Base(rocks=0.5)),
+    Kind(name="rotation", summary="rotation told 20 to 180 degrees off", disturb=mistakes.rotation, base=_ROCK),
+    Kind(name="stale_shape", summary="a shape model with coarse errors", disturb=mistakes.stale_shape, base=_ROCK),
+    Kind(name="foreign_shape", summary="the shape of another body", disturb=mistakes.foreign_shape, base=_ROCK),
+    Kind(name="sphere_for_rock", summary="a sphere told for a rock", disturb=mistakes.sphere_for_rock, base=_ROCK),
+    Kind(name="wrong_axes", summary="half axes told 5 to 20 % off", disturb=mistakes.wrong_axes, base=_CRISP),
+    Kind(name="wrong_sun", summary="Sun told 20 to 180 degrees off", disturb=mistakes.wrong_sun),
+    Kind(name="wrong_psf", summary="optics told 0.4 to 2 times as wide", disturb=mistakes.wrong_psf),
+    Kind(name="wrong_law", summary="another reflectance law", disturb=mistakes.wrong_law),
+)
+
+_BODY_OR_STARS: tuple[tuple[str, str, Disturb, Base], ...] = (
+    ("stray_light", "slopes and glows of light from outside", damage.stray_light, _WITH_POINTS),
+    ("glare", "a bright glow close by", damage.glare, _WITH_POINTS),
+    ("ghost", "a faint second image of everything", damage.ghost, _WITH_POINTS),
+    ("double_exposure", "two exposures on one frame", damage.double_exposure, _WITH_POINTS),
+    ("radiation", "a radiation storm", damage.radiation, _WITH_POINTS),
+    ("hot_columns", "hot columns", damage.hot_columns, _WITH_POINTS),
+    ("dead_rows", "dead rows and columns", damage.dead_rows, _WITH_POINTS),
+    ("saturation", "saturated, declared or not", damage.saturation, Base()),
+    ("blooming", "saturated, and charge flows along columns", damage.blooming, Base()),
+    ("smear", "light from the transfer of the frame", damage.smear, _WITH_POINTS),
+    ("motion", "motion during the exposure", damage.motion, _WITH_POINTS),
+    ("defocus", "out of focus", damage.defocus, _WITH_POINTS),
+    ("missing_lines", "lines missing", damage.missing_lines, Base()),
+    ("missing_blocks", "blocks missing", damage.missing_blocks, Base()),
+    ("bit_flips", "bits turned over", damage.bit_flips, _WITH_POINTS),
+    ("trails", "trails of satellites", damage.satellites, _WITH_POINTS),
+    ("mirrored", "columns in the wrong order", damage.mirrored, _STATED),
+    ("inverted", "rows in the wrong order", damage.inverted, _STATED),
+    ("rows_shifted", "rows shifted against each other", damage.rows_shifted, Base()),
+    ("eight_bit", "requantized to 8 bits", damage.eight_bit, _WITH_POINTS),
+    ("eight_bit_root", "8 bits by a table of square roots", damage.eight_bit_root, _WITH_POINTS),
+)
+"""Kinds that spoil any image: each comes with a body, and with stars under the name ``stars_...``."""
+
+_STAR_KINDS = (
+    Kind(
+        name="stars_nominal",
+        summary="nothing is wrong",
+        disturb=_as_it_is,
+        body=False,
+        stars=True,
+        weight=3,
+        undisturbed=True,
+    ),
+    Kind(
+        name="stars_dense",
+        summary="stars far beyond the catalog",
+        disturb=scenery.crowded,
+        body=False,
+        stars=True,
+        weight=1,
+    ),
+    Kind(
+        name="stars_gaps",
+        summary="stars missing in the catalog",
+        disturb=mistakes.gaps,
+        body=False,
+        stars=True,
+        weight=1,
+    ),
+    Kind(
+        name="stars_foreign",
+        summary="catalog of another sky",
+        disturb=mistakes.other_sky,
+        body=False,
+        stars=True,
+        weight=1,
+    ),
+    Kind(
+        name="stars_observer",
+        summary="velocity of the observer unknown or in m/s",
+        disturb=mistakes.observer,
+        body=False,
+        stars=True,
+        weight=1,
+    ),
+    Kind(
+        name="stars_attitude",
+        summary="attitude 0.1 to 3 degrees off",
+        disturb=mistakes.wrong_attitude,
+        body=False,
+        stars=True,
+        weight=1,
+    ),
+    Kind(name="stars_roll", summary="attitude rolled", disturb=mistakes.wrong_roll, body=False, stars=True, weight=1),
+    Kind(name="stars_focal", summary="focal length 2 % off", disturb=mistakes.focal, body=False, stars=True, weight=1),
+    Kind(name="stars_noise", summary="nothing but noise", disturb=scenery.noise, body=False, stars=True, weight=1),
+    Kind(
+        name="stars_and_body",
+        summary="a body among stars: attitude by the stars, body by the estimators",
+        disturb=scenery.with_sky,
+        base=Base(rocks=0.0, diameter_px=(40.0, 140.0)),
+        stars=True,
+        undisturbed=True,
+    ),
+)
+
+
+def _all_kinds() -> dict[str, Kind]:
+    spoiled = [
+        Kind(name=name, summary=summary, disturb=disturb, base=base) for name, summary, disturb, base in _BODY_OR_STARS
+    ]
+    stars = [
+        Kind(name=f"stars_{name}", summary=summary, disturb=disturb, body=False, stars=True, weight=1)
+        for name, summary, disturb, _ in _BODY_OR_STARS
+    ]
+    return {kind.name: kind for kind in (*_BODY_KINDS, *spoiled, *_STAR_KINDS, *stars)}
+
+
+KINDS: Mapping[str, Kind] = MappingProxyType(_all_kinds())
+"""Kinds by name."""

@@ -1,0 +1,373 @@
+"""Light that should not be there, or is not where it should be: before the detector, all in numpy.
+
+Each function makes a :data:`~giantlike.gauntlet.plan.Light`: (signal DN, world, random numbers) to signal.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.gauntlet.plan import Light, World, log_uniform
+from giantlike.independent import Body, EllipsoidBody, Pose, Sampling, background, render_body
+
+_FLARE_WIDTH_PX = 1.5
+"""Half width of a satellite trail, px: a little out of focus."""
+_OPENING_RAD = 0.5
+"""Half opening angle of the brighter, sunward fan of a coma, rad."""
+
+
+def background_light(
+    *, slope_dn: tuple[float, float], glow_dn: float, glow_px: tuple[float, float], width_px: float
+) -> Light:
+    """Stray light: a plane, and the round glow of a source inside or outside the frame.
+
+    Parameters
+    ----------
+    slope_dn : (2,), DN
+        Rise over the frame along columns and rows.
+    glow_dn : float, DN
+        Height of the glow.
+    glow_px : (2,), px
+        Its place.
+    width_px : float, px
+        Its width, one sigma.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        level = 0.5 * (abs(slope_dn[0]) + abs(slope_dn[1]))  # light is never negative
+        shape = (signal.shape[0], signal.shape[1])
+        return signal + background(
+            shape,
+            constant_dn=level,
+            slope_dn=slope_dn,
+            glare_dn=glow_dn,
+            glare_center_px=glow_px,
+            glare_sigma_px=width_px,
+        )
+
+    return add
+
+
+def copied(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, turned: bool = False) -> Light:
+    """A second image of everything: a ghost, or a second exposure on the same frame.
+
+    Parameters
+    ----------
+    shift_px : (2,) int, px
+        Columns and rows by which it is moved.
+    share : float
+        Its brightness.
+    blur_px : float, px
+        Its blur, one sigma.
+    turned : bool
+        True for an image turned by 180 deg about the middle of the frame, as reflections between lenses are.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        other = signal[::-1, ::-1] if turned else signal
+        other = moved(other, shift_px)
+        return signal + share * (gaussian_filter(other, blur_px) if blur_px else other)
+
+    return add
+
+
+def moved(image: Float, shift_px: tuple[int, int]) -> Float:
+    """Move an image by whole pixels; what comes in from outside is dark.
+
+    Parameters
+    ----------
+    image : (rows, columns) float64
+    shift_px : (2,) int, px
+        Columns and rows.
+
+    Returns
+    -------
+    (rows, columns) float64
+    """
+    x, y = shift_px
+    rows, columns = image.shape
+    result = np.zeros_like(image)
+    if abs(x) < columns and abs(y) < rows:
+        result[max(y, 0) : rows + min(y, 0), max(x, 0) : columns + min(x, 0)] = image[
+            max(-y, 0) : rows - max(y, 0), max(-x, 0) : columns - max(x, 0)
+        ]
+    return result
+
+
+def smeared(share: float) -> Light:
+    """Transfer smear: every pixel of a column gets light of all others while the frame is read.
+
+    Parameters
+    ----------
+    share : float
+        Time in which a column is moved over the exposure time.
+
+    Returns
+    -------
+    Light
+    """
+    return lambda signal, world, rng: signal + share * signal.mean(axis=0, keepdims=True)
+
+
+def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_front: bool = False) -> Light:
+    """A body that nobody told of, beside the target or in front of it.
+
+    Parameters
+    ----------
+    body : Body
+    position_camera_km : (3,), km, camera
+    brightness : float
+        Of its brightest pixel over that of the target.
+    in_front : bool
+        True where it hides what lies behind.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        pose = Pose(position_camera_km, world.camera_from_body, world.sun)
+        light = render_body(
+            body,
+            world.view,
+            pose,
+            law=world.law,
+            peak_dn=brightness * world.peak_dn,
+            psf=world.psf,
+            sampling=world.sampling,
+        )
+        return (signal * (1.0 - coverage(world, body, position_camera_km)) if in_front else signal) + light
+
+    return add
+
+
+def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
+    """Share (rows, columns) of each pixel that a body covers, lit or not.
+
+    Parameters
+    ----------
+    world : World
+        Camera, optics and orientation.
+    body : Body
+    position_camera_km : (3,), km, camera
+
+    Returns
+    -------
+    (rows, columns) float64
+    """
+    toward = -position_camera_km / np.linalg.norm(position_camera_km)
+    pose = Pose(position_camera_km, world.camera_from_body, toward)
+    return render_body(
+        body,
+        world.view,
+        pose,
+        law=lambda incidence, emission, phase: np.ones_like(incidence),
+        peak_dn=None,
+        psf=world.psf,
+        sampling=Sampling(cells=2, edge_rays=2),
+    )
+
+
+def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> Light:
+    """Rings in the plane of the equator, in front of the body and behind it.
+
+    Parameters
+    ----------
+    inner, outer : float
+        Radii over that of the body.
+    brightness : float
+        Over that of the brightest pixel of the body.
+    opacity : float
+        Share of the light behind that they take away.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        assert world.body is not None
+        rows, columns = signal.shape
+        rays = world.view.directions(np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1))
+        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        normal = world.camera_from_body.as_matrix()[:, 2]
+        position, radius = world.position_camera_km, world.body.bounding_radius_km
+        slant = rays @ normal
+        slant = np.where(np.abs(slant) < 1e-6, 1e-6, slant)
+        along = (normal @ position) / slant
+        distance = np.linalg.norm(along[..., None] * rays - position, axis=-1) / radius
+        on_ring = ((distance > inner) & (distance < outer) & (along > 0.0)).astype(float)
+        near = along < np.linalg.norm(position)
+        front = gaussian_filter(on_ring * near, world.psf.sigma_px)
+        behind = gaussian_filter(on_ring * ~near, world.psf.sigma_px)
+        hidden = coverage(world, world.body, position)
+        light = brightness * world.peak_dn
+        return signal * (1.0 - opacity * front) + light * (front + behind * (1.0 - hidden))
+
+    return add
+
+
+def coma(*, brightness: float, core_px: float, fan: float) -> Light:
+    """Dust around a nucleus: brightness in inverse proportion to the distance, more on the side of the Sun.
+
+    Parameters
+    ----------
+    brightness : float
+        At ``core_px`` from the center, over that of the brightest pixel of the nucleus.
+    core_px : float, px
+        Distance below which brightness stays the same.
+    fan : float
+        Excess on the side of the Sun.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        rows, columns = signal.shape
+        x, y = np.arange(columns)[None, :] - world.center_px[0], np.arange(rows)[:, None] - world.center_px[1]
+        distance = np.maximum(np.hypot(x, y), core_px)
+        angle = np.arctan2(y, x) - math.atan2(world.sun[1], world.sun[0])
+        turned = np.abs(np.angle(np.exp(1j * angle)))
+        side = 1.0 + fan * np.exp(-0.5 * (turned / _OPENING_RAD) ** 2)
+        return np.asarray(signal + brightness * world.peak_dn * core_px / distance * side, dtype=float)
+
+    return add
+
+
+def trails(count: int, brightness_dn: float) -> Light:
+    """Straight trails of satellites across the whole frame.
+
+    Parameters
+    ----------
+    count : int
+    brightness_dn : float, DN
+        Of the middle of a trail.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        rows, columns = signal.shape
+        y, x = np.mgrid[:rows, :columns].astype(float)
+        for _ in range(count):
+            angle = rng.uniform(0.0, math.pi)
+            through = rng.uniform([0.0, 0.0], [columns, rows])
+            away = (x - through[0]) * math.sin(angle) - (y - through[1]) * math.cos(angle)
+            height = brightness_dn * rng.uniform(0.3, 1.0)
+            signal = signal + height * np.exp(-0.5 * (away / _FLARE_WIDTH_PX) ** 2)
+        return signal
+
+    return add
+
+
+def field_stars(count: int, faintest_dn: float, brightest_dn: float) -> Light:
+    """Stars that no catalog lists, behind the body.
+
+    Parameters
+    ----------
+    count : int
+    faintest_dn, brightest_dn : float, DN
+        Signal of a star over all of its pixels; numbers fall with the signal as in the Galaxy.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        rows, columns = signal.shape
+        points = np.zeros_like(signal)
+        share = rng.uniform(size=count)
+        flux = faintest_dn / (1.0 - share * (1.0 - faintest_dn / brightest_dn))
+        x, y = rng.uniform(0, columns - 2, count), rng.uniform(0, rows - 2, count)
+        left, top = x.astype(int), y.astype(int)
+        right, down = x - left, y - top
+        for dx, dy, part in (
+            (0, 0, (1 - right) * (1 - down)),
+            (1, 0, right * (1 - down)),
+            (0, 1, (1 - right) * down),
+            (1, 1, right * down),
+        ):
+            np.add.at(points, (top + dy, left + dx), flux * part)
+        light = gaussian_filter(points, world.psf.sigma_px)
+        if world.body is not None:
+            light = light * (1.0 - coverage(world, world.body, world.position_camera_km))
+        return signal + light
+
+    return add
+
+
+def point_source(place_px: Float, flux_dn: float) -> Light:
+    """One star, of which nobody told.
+
+    Parameters
+    ----------
+    place_px : (2,), px
+    flux_dn : float, DN
+        Over all pixels.
+
+    Returns
+    -------
+    Light
+    """
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        rows, columns = signal.shape
+        share = world.psf.star(place_px, np.arange(columns, dtype=float), np.arange(rows, dtype=float))
+        return signal + flux_dn * share
+
+    return add
+
+
+def dark(signal: Float, world: World, rng: np.random.Generator) -> Float:
+    """Nothing but a level: the shutter stayed closed, or the camera looked elsewhere.
+
+    Parameters
+    ----------
+    signal : (rows, columns) float64, DN
+    world : World
+    rng : Generator
+
+    Returns
+    -------
+    (rows, columns) float64, DN
+    """
+    return np.full_like(signal, float(signal.min()))
+
+
+def moon_of(rng: np.random.Generator, world: World) -> tuple[EllipsoidBody, Float]:
+    """A round moon between camera and target: its figure, and its place in camera axes, km.
+
+    Parameters
+    ----------
+    rng : Generator
+    world : World
+
+    Returns
+    -------
+    EllipsoidBody, (3,) float64
+    """
+    assert world.body is not None
+    radius = world.body.bounding_radius_km
+    share = log_uniform(rng, 0.15, 0.5)
+    side = Rotation.from_rotvec(rng.uniform(0.0, 2.0 * math.pi) * np.array([0.0, 0.0, 1.0])).apply([1.0, 0.0, 0.0])
+    place = world.position_camera_km + radius * rng.uniform(0.2, 1.0) * side
+    return EllipsoidBody((0.9 * share * radius,) * 3), 0.9 * place

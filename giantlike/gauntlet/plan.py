@@ -1,0 +1,408 @@
+"""What an image of the gauntlet is made from: the world as it is, and what an estimator is told of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.gauntlet.bodies import ROCKS, ellipsoid, rock
+from giantlike.independent import Body, Defects, PinholeView, Psf, Recorder, Sampling, StarField, random_stars
+from giantlike.shapes import Shape
+
+FOCAL_PX, STAR_FOCAL_PX = 5000.0, 2500.0
+"""Focal lengths of the cameras for bodies and for stars, px: fields of 3 to 6 and of 12 degrees."""
+READ_NOISE_DN = 5.0
+"""Read noise, DN (1 electron each), as in the other truths of the project."""
+BIAS_DN, FULL_DN = 100.0, 16383.0
+"""Value without light and largest value, DN: those of a converter of 14 bits."""
+PSF_PX = 0.7
+"""Width of the optics, px: that of most cameras in use."""
+ATTITUDE_SIGMA_DEG = 0.02
+"""A priori attitude, deg about each axis: 1.7 px for bodies, that of a star tracker and its alignment."""
+FOCAL_SIGMA, CENTER_SIGMA_PX = 5e-5, 0.02
+"""Calibration of the camera: relative error of the focal length and error of its center, px, of a good calibration."""
+EPHEMERIS_SIGMA = (5e-4, 2e-3)
+"""Ephemeris of the target, share of the range along each axis, smallest and largest: 2.5 to 10 px across."""
+LARGEST_SIGMAS = 3.0
+"""Priors are normal and cut off here: the prediction stays within 30 px and 0.6 % of range, inside every search."""
+DECLARED_SHARE = 0.75
+"""Share of the images for which the uncertainty of the ephemeris is stated."""
+SPEED_KM_S = 30.0
+"""Speed of the observer, km/s: that of the Earth."""
+FAINTEST_MAG, BRIGHTEST_MAG, STARS = 8.5, 2.0, 110
+"""Star fields: some 70 stars in the frame, of signal to noise ratios from 40 up."""
+
+RECORDER = Recorder(read_noise_e=READ_NOISE_DN, bias_dn=BIAS_DN, saturation_dn=FULL_DN)
+"""The detector: one electron per DN."""
+
+Light = Callable[[Float, "World", np.random.Generator], Float]
+"""Light added or taken away before the detector: (signal DN, world, random numbers) to signal."""
+Readout = Callable[[Float, np.random.Generator], Float]
+"""What happens to the values that a detector gives: (pixels DN, random numbers) to pixels."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class World(Value):
+    """An image as it comes about.
+
+    Parameters
+    ----------
+    view : PinholeView
+        The camera.
+    attitude : Rotation
+        ``camera_from_inertial``.
+    body : Body, optional
+        The target; None where it is not in the image at all.
+    position_camera_km : (3,), km, camera
+        Of the target, whether it is in the image or not.
+    camera_from_body : Rotation
+    sun : (3,), camera
+        Unit vector from the body to the Sun.
+    law : str
+    psf : Psf
+    sampling : Sampling, optional
+    peak_dn : float, DN
+        Brightest pixel of the body.
+    sky : StarField, optional
+    velocity_km_s : (3,), km/s, inertial
+        Of the observer.
+    lights : tuple of Light
+        In their order, before the detector.
+    recorder : Recorder
+    defects : Defects
+    readouts : tuple of Readout
+        In their order, after the detector.
+    """
+
+    view: PinholeView
+    attitude: Rotation
+    body: Body | None = None
+    position_camera_km: Float = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    camera_from_body: Rotation = field(default_factory=Rotation.identity)
+    sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    law: str = "mcewen"
+    psf: Psf = field(default_factory=lambda: Psf(PSF_PX))
+    sampling: Sampling | None = None
+    peak_dn: float = 3000.0
+    sky: StarField | None = None
+    velocity_km_s: Float = field(default_factory=lambda: np.zeros(3))
+    lights: tuple[Light, ...] = ()
+    recorder: Recorder = RECORDER
+    defects: Defects = field(default_factory=Defects)
+    readouts: tuple[Readout, ...] = ()
+
+    @property
+    def range_km(self) -> float:
+        """Distance of the target, km."""
+        return float(np.linalg.norm(self.position_camera_km))
+
+    @property
+    def center_px(self) -> Float:
+        """Place of the target, (2,), px."""
+        return self.view.project(self.position_camera_km)
+
+    @property
+    def phase_rad(self) -> float:
+        """Phase angle of the target, rad."""
+        return math.acos(float(np.clip(-(self.sun @ self.position_camera_km) / self.range_km, -1.0, 1.0)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Told(Value):
+    """What the estimators are told, and how sure of it the one who tells is.
+
+    Parameters
+    ----------
+    shape : Shape, optional
+        None without a target.
+    law : str
+    psf_px : float, px
+    position_camera_km : (3,), km, true camera axes
+        Prediction, before the error of the attitude.
+    camera_from_body : Rotation
+        Before the error of the attitude.
+    sun : (3,), true camera axes
+    ephemeris_sigma_km : float, km
+        0 where it is not stated.
+    scale_sigma : float
+        Relative.
+    attitude_error : Rotation
+        ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
+    attitude_sigma_deg : float, deg
+        Stated.
+    focal_factor : float
+        Focal length told over the true one.
+    center_shift_px : (2,), px
+        Center told less the true one.
+    focal_sigma : float
+        Stated, relative.
+    saturation_dn : float, DN
+        Stated.
+    dn_scale : float
+        DN of the image for each DN of the detector: less than 1 after requantization.
+    mask : callable, optional
+        Bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
+    observer_known : bool
+        False where the velocity of the observer is not stated.
+    observer_factor : float
+        Velocity told over the true one.
+    catalog : StarField, optional
+        Stars told.
+    """
+
+    shape: Shape | None = None
+    law: str = "mcewen"
+    psf_px: float = PSF_PX
+    position_camera_km: Float = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    camera_from_body: Rotation = field(default_factory=Rotation.identity)
+    sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    ephemeris_sigma_km: float = 0.0
+    scale_sigma: float = 0.0
+    attitude_error: Rotation = field(default_factory=Rotation.identity)
+    attitude_sigma_deg: float = ATTITUDE_SIGMA_DEG
+    focal_factor: float = 1.0
+    center_shift_px: Float = field(default_factory=lambda: np.zeros(2))
+    focal_sigma: float = FOCAL_SIGMA
+    saturation_dn: float = FULL_DN
+    dn_scale: float = 1.0
+    mask: Callable[[Float], Any] | None = None
+    observer_known: bool = True
+    observer_factor: float = 1.0
+    catalog: StarField | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan(Value):
+    """An image to be made.
+
+    Parameters
+    ----------
+    world : World
+    told : Told
+    hard : bool
+        True where the generator, when it drew the disturbance, gave up the right to an answer.
+    """
+
+    world: World
+    told: Told
+    hard: bool = False
+
+    def but(self, *, world: dict[str, Any] | None = None, told: dict[str, Any] | None = None, hard: bool) -> Plan:
+        """Return a plan with some fields of the world and of what is told changed.
+
+        Parameters
+        ----------
+        world, told : dict, optional
+            New values by name.
+        hard : bool
+            Whether no answer can be demanded now; a plan that was hard stays it.
+
+        Returns
+        -------
+        Plan
+        """
+        return Plan(
+            world=replace(self.world, **(world or {})),
+            told=replace(self.told, **(told or {})),
+            hard=self.hard or hard,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """Limits from which the undisturbed image is drawn.
+
+    Parameters
+    ----------
+    diameter_px : (2,), px
+        Smallest and largest, drawn evenly in the logarithm; rocks only up to :data:`LARGEST_ROCK_PX`.
+    phase_deg : (2,), deg
+        Smallest and largest.
+    rocks : float
+        Share of bodies of irregular shape.
+    points : float
+        Share of bodies of 1 to 3 px.
+    declared : float
+        Share of images for which the uncertainty of the ephemeris is stated.
+    largest_frame_px : int, px
+        Side of the largest frame; smaller bodies have smaller ones.
+    """
+
+    diameter_px: tuple[float, float] = (20.0, 250.0)
+    phase_deg: tuple[float, float] = (5.0, 125.0)
+    rocks: float = 0.3
+    points: float = 0.0
+    declared: float = DECLARED_SHARE
+    largest_frame_px: int = 512
+
+
+LARGEST_ROCK_PX = 130.0
+"""Diameter of the largest rocks, px: their rays march, at 1 s for 150 px."""
+POINT_PX = (1.0, 3.0)
+"""Diameters of bodies that are points of light, px."""
+_MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512
+"""Frame over the diameter of the body; the smallest frame; the frame of the star camera, px."""
+
+
+def normal(rng: np.random.Generator, size: int) -> Float:
+    """Standard normal numbers (size,), cut off at :data:`LARGEST_SIGMAS`.
+
+    Parameters
+    ----------
+    rng : Generator
+    size : int
+
+    Returns
+    -------
+    (size,) float64
+    """
+    return np.clip(rng.normal(size=size), -LARGEST_SIGMAS, LARGEST_SIGMAS)
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number evenly in its logarithm.
+
+    Parameters
+    ----------
+    rng : Generator
+    low, high : float
+
+    Returns
+    -------
+    float
+    """
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def body_plan(rng: np.random.Generator, base: Base) -> Plan:
+    """Draw an undisturbed image of a body, and errors of what is told within the uncertainty that is stated.
+
+    Parameters
+    ----------
+    rng : Generator
+    base : Base
+
+    Returns
+    -------
+    Plan
+    """
+    rocky = rng.uniform() < base.rocks
+    diameter = log_uniform(rng, *base.diameter_px)
+    if rocky:
+        diameter = min(diameter, max(LARGEST_ROCK_PX, base.diameter_px[0]))
+    point = rng.uniform() < base.points
+    if point:
+        rocky, diameter = False, log_uniform(rng, *POINT_PX)
+    size = int(np.clip(_MARGIN * diameter + 76.0, _LEAST_FRAME_PX, base.largest_frame_px))
+    view = PinholeView(FOCAL_PX, tuple(0.5 * (size - 1) + rng.uniform(-3.0, 3.0, 2)), size, size)
+    body, shape = _figure(rng, rocky=rocky)
+    # Any place at which the whole body is in the frame, with some pixels of sky around it.
+    free = max(0.5 * size - 0.65 * diameter - 12.0, 2.0)
+    sight = view.directions(0.5 * (size - 1) + rng.uniform(-free, free, 2))
+    sight /= np.linalg.norm(sight)
+    position = 2.0 * shape.mean_radius_km * FOCAL_PX / diameter * sight
+    world = World(
+        view=view,
+        attitude=Rotation.random(rng=rng),
+        body=body,
+        position_camera_km=position,
+        camera_from_body=Rotation.random(rng=rng),
+        sun=sun_at(rng, sight, math.radians(rng.uniform(*base.phase_deg))),
+        law=str(rng.choice(["mcewen", "mcewen", "lambert", "lommel_seeliger"])),
+        sampling=Sampling(cells=2, edge_rays=3) if rocky else None,
+        peak_dn=log_uniform(rng, 400.0, 8000.0),
+        lights=(_level(rng.uniform(0.0, 60.0)),),
+    )
+    return _told(rng, world, shape, declared=rng.uniform() < base.declared)
+
+
+def _figure(rng: np.random.Generator, *, rocky: bool) -> tuple[Body, Shape]:
+    if rocky:
+        return rock(int(rng.integers(ROCKS)))
+    return ellipsoid(10.0 * np.array([1.0, rng.uniform(0.85, 1.0), rng.uniform(0.8, 1.0)]))
+
+
+def sun_at(rng: np.random.Generator, sight: Float, phase_rad: float) -> Float:
+    """Unit vector to the Sun at a phase angle, on any side.
+
+    Parameters
+    ----------
+    rng : Generator
+    sight : (3,), camera
+        Unit vector to the body.
+    phase_rad : float, rad
+
+    Returns
+    -------
+    (3,) float64
+    """
+    side = np.cross(sight, [*rng.normal(size=2), 0.0])
+    result: Float = -math.cos(phase_rad) * sight + math.sin(phase_rad) * side / np.linalg.norm(side)
+    return result
+
+
+def _level(level_dn: float) -> Light:
+    return lambda signal, world, rng: signal + level_dn
+
+
+def _told(rng: np.random.Generator, world: World, shape: Shape, *, declared: bool) -> Plan:
+    """What is told of a world by someone who makes no mistake."""
+    sigma_km = log_uniform(rng, *EPHEMERIS_SIGMA) * world.range_km
+    told = Told(
+        shape=shape,
+        law=world.law,
+        psf_px=world.psf.sigma_px * float(1.0 + 0.03 * normal(rng, 1)[0]),
+        position_camera_km=world.position_camera_km + sigma_km * normal(rng, 3),
+        camera_from_body=world.camera_from_body,
+        sun=world.sun,
+        ephemeris_sigma_km=sigma_km if declared else 0.0,
+        **_camera_and_attitude(rng),
+    )
+    return Plan(world=world, told=told)
+
+
+def _camera_and_attitude(rng: np.random.Generator) -> dict[str, Any]:
+    return {
+        "attitude_error": Rotation.from_rotvec(np.radians(ATTITUDE_SIGMA_DEG) * normal(rng, 3)),
+        "focal_factor": float(1.0 + FOCAL_SIGMA * normal(rng, 1)[0]),
+        "center_shift_px": CENTER_SIGMA_PX * normal(rng, 2),
+    }
+
+
+def star_plan(rng: np.random.Generator) -> Plan:
+    """Draw an undisturbed image of stars, and errors of what is told within the uncertainty that is stated.
+
+    Parameters
+    ----------
+    rng : Generator
+
+    Returns
+    -------
+    Plan
+    """
+    size = _STAR_FRAME_PX
+    view = PinholeView(STAR_FOCAL_PX, tuple(0.5 * (size - 1) + rng.uniform(-3.0, 3.0, 2)), size, size)
+    attitude = Rotation.random(rng=rng)
+    velocity = rng.normal(size=3)
+    sky = random_stars(
+        rng,
+        STARS,
+        axis=attitude.inv().as_matrix()[:, 2],
+        radius_rad=1.15 * math.atan(size / STAR_FOCAL_PX / math.sqrt(2.0)),
+        magnitudes=(BRIGHTEST_MAG, FAINTEST_MAG),
+    )
+    world = World(
+        view=view,
+        attitude=attitude,
+        sky=sky,
+        velocity_km_s=SPEED_KM_S * velocity / np.linalg.norm(velocity),
+        lights=(_level(rng.uniform(10.0, 60.0)),),
+    )
+    return Plan(world=world, told=Told(catalog=sky, **_camera_and_attitude(rng)))

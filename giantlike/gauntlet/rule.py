@@ -1,0 +1,278 @@
+"""Verdicts, and the rule by which the generator says, before any estimator runs, that an image can be solved.
+
+The rule looks at the plan and at the light without noise, never at a result. Its limits are round numbers on the safe
+side of what the page of each estimator promises, written down before the first image was solved; they are the same
+for all kinds. What a kind adds is one word, ``hard``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.frames import rotate
+from giantlike.core.outcomes import Reason
+from giantlike.gauntlet.plan import READ_NOISE_DN, Plan
+from giantlike.shapes import Ellipsoid
+
+STARS = "stars"
+"""Name of the star chain among the estimators."""
+
+
+class Verdict(StrEnum):
+    """Verdict on one estimator and one image; the values are those of JSON and tables."""
+
+    RIGHT = "right"
+    """``ok``, within 4 sigma, and that sigma is at most 3 times the nominal one."""
+    VAGUE = "vague"
+    """``ok``, within 4 sigma, but of a larger sigma."""
+    HONEST = "honest"
+    """Suspect or failed, where no answer can be demanded, and the reason fits."""
+    DOUBTFUL = "doubtful"
+    """``ok`` and beyond 4 sigma, but not silently wrong."""
+    SILENT_WRONG = "silent_wrong"
+    """``ok``, beyond 5 sigma, and beyond 0.5 px or 0.5 % of range."""
+    NEEDLESS_REFUSAL = "needless_refusal"
+    """Suspect or failed, although the rule said beforehand that the image can be solved."""
+    MISLEADING = "misleading"
+    """Suspect or failed, where no answer can be demanded, for a reason that is not true."""
+
+
+LEAST_SNR, LARGEST_PHASE_DEG = 15.0, 110.0
+"""Signal to noise ratio of the brightest pixel, and phase angle, within which an answer is demanded."""
+LARGEST_OFFSET_PX, LARGEST_RANGE_ERROR = 30.0, 0.02
+"""Error of the prediction within which an answer is demanded: inside the 40 px and 3 % of the narrowest search."""
+POINT_PX, TEMPLATE_PX, LIMB_PX, ELLIPSE_PX = 3.0, 15.0, 40.0, 60.0
+"""Largest point of light; least diameters for templates and moments, for limbs, and for limbs without a prediction."""
+LEAST_LIMB_PX, LEAST_STARS = 60.0, 15
+"""Length of lit limb in the frame, px, and stars of the catalog in the frame, from which on an answer is demanded."""
+MARGIN_PX = 10.0
+"""Sky around a body that is wholly in the frame, px."""
+_OUTLINE_POINTS = 360
+_DIM_STAR_DN = 400.0
+"""Signal of stars that count, DN over all pixels: signal to noise ratios from 15 up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """What the generator knows of an image before it is solved.
+
+    Parameters
+    ----------
+    hard : bool
+        The kind says that an honest tool may refuse.
+    undisturbed : bool
+        Nothing is wrong with the image.
+    absent : bool
+        The target is not in the image.
+    damaged : bool
+        Values were damaged after the detector.
+    diameter_px, told_diameter_px : float, px
+        Of a sphere of the same volume: as it is, as it is told.
+    phase_deg, told_phase_deg : float, deg
+    snr : float
+        Of the brightest pixel of the body.
+    whole : bool
+        All of the body is in the frame, with :data:`MARGIN_PX` around it.
+    limb_px : float, px
+        Lit limb in the frame.
+    told_ellipsoid : bool
+    offset_px : float, px
+        Error of the predicted center, with that of the attitude.
+    range_error : float
+        Relative error of the predicted range.
+    saturated : bool
+        Some light is above the largest value.
+    stars : int
+        Stars of the catalog in the frame.
+    """
+
+    hard: bool
+    undisturbed: bool = False
+    absent: bool = False
+    damaged: bool = False
+    diameter_px: float = 0.0
+    told_diameter_px: float = 0.0
+    phase_deg: float = 0.0
+    told_phase_deg: float = 0.0
+    snr: float = 0.0
+    whole: bool = False
+    limb_px: float = 0.0
+    told_ellipsoid: bool = False
+    offset_px: float = 0.0
+    range_error: float = 0.0
+    saturated: bool = False
+    stars: int = 0
+
+
+def facts_of(plan: Plan, signal_dn: Float, *, undisturbed: bool) -> Facts:
+    """Collect what is known of an image before it is solved.
+
+    Parameters
+    ----------
+    plan : Plan
+    signal_dn : (rows, columns) float64, DN
+        Without noise.
+    undisturbed : bool
+        Nothing is wrong with the image.
+
+    Returns
+    -------
+    Facts
+    """
+    world, told = plan.world, plan.told
+    room = world.recorder.saturation_dn - world.recorder.bias_dn
+    common = Facts(
+        hard=plan.hard,
+        undisturbed=undisturbed,
+        damaged=bool(world.readouts),
+        saturated=bool((signal_dn > 0.95 * room).any()),
+        stars=_stars_in_frame(plan),
+    )
+    if told.shape is None:
+        return common
+    diameter = 2.0 * told.shape.mean_radius_km / world.range_km * world.view.focal_px
+    if world.body is not None:  # as it is, not as it is told
+        diameter = 2.0 * _mean_radius_km(world.body, told.shape.mean_radius_km) / world.range_km * world.view.focal_px
+    predicted = rotate(told.attitude_error, told.position_camera_km)
+    told_range = float(np.linalg.norm(predicted))
+    background = float(np.median(signal_dn))
+    peak = float(signal_dn.max()) - background
+    return Facts(
+        **{
+            **{name: getattr(common, name) for name in ("hard", "undisturbed", "damaged", "saturated", "stars")},
+            "absent": world.body is None,
+            "diameter_px": diameter,
+            "told_diameter_px": 2.0 * told.shape.mean_radius_km / told_range * world.view.focal_px,
+            "phase_deg": math.degrees(world.phase_rad),
+            "told_phase_deg": math.degrees(
+                math.acos(np.clip(-(told.sun @ told.position_camera_km) / told_range, -1, 1))
+            ),
+            "snr": peak / math.sqrt(max(peak + background, 0.0) + READ_NOISE_DN**2),
+            "whole": _whole(plan, diameter),
+            "limb_px": _lit_limb_px(plan, diameter),
+            "told_ellipsoid": isinstance(told.shape, Ellipsoid),
+            "offset_px": float(np.linalg.norm(world.view.project(predicted) - world.center_px)),
+            "range_error": abs(told_range / world.range_km - 1.0),
+        }
+    )
+
+
+def _mean_radius_km(body: object, otherwise: float) -> float:
+    """Mean radius of a body by its half axes."""
+    radii = getattr(getattr(body, "body", body), "radii_km", None)
+    return otherwise if radii is None else float(np.cbrt(np.prod(np.broadcast_to(np.asarray(radii, dtype=float), 3))))
+
+
+def _stars_in_frame(plan: Plan) -> int:
+    """Stars in the frame that are in the sky and in the catalog told, bright enough."""
+    world, told = plan.world, plan.told
+    if world.sky is None or told.catalog is None:
+        return 0
+    limit = -2.5 * math.log10(_DIM_STAR_DN / 1e6)
+    bright = told.catalog.magnitudes < limit
+    places = world.view.project(rotate(world.attitude, told.catalog.directions[bright]))
+    inside = (places > 0.0) & (places < [world.view.columns - 1, world.view.rows - 1])
+    return int(inside.all(axis=1).sum())
+
+
+def _whole(plan: Plan, diameter_px: float) -> bool:
+    view, center = plan.world.view, plan.world.center_px
+    assert plan.world.body is None or plan.told.shape is not None
+    # The longest half axis of the bodies of the gauntlet is at most 1.3 times the mean radius.
+    reach = 0.65 * diameter_px + MARGIN_PX
+    size = np.array([view.columns - 1, view.rows - 1])
+    return bool((center - reach >= 0.0).all() and (center + reach <= size).all())
+
+
+def _lit_limb_px(plan: Plan, diameter_px: float) -> float:
+    """Length of the half of the outline that faces the Sun, where it is in the frame, of a sphere."""
+    world = plan.world
+    angles = np.arange(_OUTLINE_POINTS) * (2.0 * math.pi / _OUTLINE_POINTS)
+    outward = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points = world.center_px + 0.5 * diameter_px * outward
+    inside = ((points >= 0.0) & (points <= [world.view.columns - 1, world.view.rows - 1])).all(axis=1)
+    lit = outward @ world.sun[:2] > 0.0
+    return float((inside & lit).sum() * math.pi * diameter_px / _OUTLINE_POINTS)
+
+
+def solvable(estimator: str, facts: Facts) -> bool:
+    """Tell whether an answer can be demanded of an estimator.
+
+    Parameters
+    ----------
+    estimator : str
+        Name, or ``stars``.
+    facts : Facts
+
+    Returns
+    -------
+    bool
+    """
+    if facts.hard:
+        return False
+    if estimator == STARS:
+        return facts.stars >= LEAST_STARS
+    seen = (
+        not facts.absent
+        and facts.snr >= LEAST_SNR
+        and facts.phase_deg <= LARGEST_PHASE_DEG
+        and facts.offset_px <= LARGEST_OFFSET_PX
+        and facts.range_error <= LARGEST_RANGE_ERROR
+    )
+    diameter = min(facts.diameter_px, facts.told_diameter_px)
+    point = facts.whole and max(facts.diameter_px, facts.told_diameter_px) <= POINT_PX
+    disk = facts.whole and diameter >= TEMPLATE_PX
+    limb = diameter >= LIMB_PX and facts.limb_px >= LEAST_LIMB_PX
+    demanded = {
+        "unresolved": point,
+        "moment": disk,
+        "cross_correlation": disk,
+        "limb_matching": limb,
+        "ellipsoid_cra": limb and facts.told_ellipsoid,
+        "sigmoid_limb": limb and facts.told_ellipsoid,
+        "ellipse_fit": facts.whole and diameter >= ELLIPSE_PX and facts.told_ellipsoid,
+        "auto": point or disk or (limb and facts.whole),
+    }
+    return seen and demanded.get(estimator, False)
+
+
+_NEVER = (
+    Reason.INTERNAL_ERROR,
+    Reason.UNREADABLE_IMAGE,
+    Reason.NO_ATTITUDE,
+    Reason.NO_EPOCH,
+    Reason.NO_GEOMETRY,
+)
+"""Reasons that are true of no image of the gauntlet."""
+
+
+def fits(reason: str, facts: Facts) -> bool:
+    """Tell whether a reason of a failure can be true; all those that judge a fit can be, of any image.
+
+    Parameters
+    ----------
+    reason : str
+        A value of :class:`~giantlike.core.outcomes.Reason`.
+    facts : Facts
+
+    Returns
+    -------
+    bool
+    """
+    near_edge = facts.absent or not facts.whole or facts.offset_px > LARGEST_OFFSET_PX
+    true_of = {
+        Reason.SATURATED: facts.saturated or facts.damaged,
+        Reason.OUT_OF_FRAME: near_edge,
+        Reason.NOT_LIT: facts.told_phase_deg > 90.0,
+        Reason.NO_SIGNAL: not facts.undisturbed or near_edge or facts.snr < LEAST_SNR or facts.phase_deg > 90.0,
+        Reason.NOT_UNRESOLVED: facts.told_diameter_px > 2.0,
+        Reason.WRONG_SHAPE: not facts.told_ellipsoid,
+        Reason.MIRRORED_IMAGE: facts.damaged,
+        Reason.NO_CATALOG_STARS: facts.stars < LEAST_STARS,
+    }
+    return reason not in _NEVER and true_of.get(Reason(reason), True)

@@ -1,0 +1,293 @@
+"""Many images of the gauntlet in several processes, their verdicts, and the sums of them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from itertools import count, islice
+from typing import Any
+
+import cv2
+import numpy as np
+
+from giantlike.core.arrays import require
+from giantlike.core.errors import InputError
+from giantlike.core.values import Value
+from giantlike.gauntlet.kinds import KINDS
+from giantlike.gauntlet.rule import Verdict
+from giantlike.gauntlet.stage import Stage, kind_of, stage_of
+from giantlike.gauntlet.trial import NAMES, TrialRow, trial
+
+THUMBNAIL_PX = 96
+"""Side of a thumbnail, px: a thousand of them fill 3 MB of a page."""
+_FAINT, _BRIGHT, _GAMMA = 1.0, 99.8, 0.5
+"""Percentiles of the values shown as black and white, and the power between: faint light is to be seen."""
+_QUALITY = 60
+"""Quality of the JPEG of a thumbnail, percent."""
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Gauntlet(Value):
+    """What to run.
+
+    Parameters
+    ----------
+    images : int
+        Number of images.
+    seed : int
+        Of everything.
+    kinds : tuple of str
+        Kinds to run: the first so many images of these; all if empty.
+    estimators : tuple of str
+        Estimators to run; all if empty.
+    indices : tuple of int
+        Images to run, by their number; the first ones if empty.
+    workers : int
+        Processes.
+
+    Raises
+    ------
+    InputError
+        A kind or an estimator is unknown, or a number is out of range.
+    """
+
+    images: int
+    seed: int
+    kinds: tuple[str, ...] = ()
+    estimators: tuple[str, ...] = ()
+    indices: tuple[int, ...] = ()
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        require(self.images >= 1, f"images must be >= 1, got {self.images}")
+        require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
+        require(self.workers >= 1, f"workers must be >= 1, got {self.workers}")
+        require(all(index >= 0 for index in self.indices), f"numbers of images must be >= 0, got {self.indices}")
+        for name, known in ((self.kinds, KINDS), (self.estimators, NAMES)):
+            for one in name:
+                require(one in known, f"no {one!r} in the gauntlet; there is {', '.join(known)}")
+        Value.__post_init__(self)
+
+    def numbers(self) -> list[int]:
+        """Numbers of the images to run.
+
+        Returns
+        -------
+        list of int
+        """
+        if self.indices:
+            return list(self.indices)
+        chosen = (index for index in count() if not self.kinds or kind_of(self.seed, index).name in self.kinds)
+        return list(islice(chosen, self.images))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageResult:
+    """What came of one image.
+
+    Parameters
+    ----------
+    index : int
+    kind : str
+    rows : tuple of TrialRow
+        One per estimator.
+    cpu_s : float, s
+        Of estimators, renderer and comparison.
+    thumbnail : bytes
+        JPEG.
+    """
+
+    index: int
+    kind: str
+    rows: tuple[TrialRow, ...]
+    cpu_s: float
+    thumbnail: bytes
+
+
+def run_image(seed: int, index: int, estimators: Sequence[str] = ()) -> ImageResult:
+    """Make an image, run the estimators on it, and judge.
+
+    Parameters
+    ----------
+    seed, index : int
+    estimators : sequence of str
+        Those to run; all if empty.
+
+    Returns
+    -------
+    ImageResult
+    """
+    began = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of damaged images there are many, and the rows tell what came of them
+        stage = stage_of(seed, index)
+        rows = tuple(trial(stage, estimators))
+    return ImageResult(
+        index=index,
+        kind=stage.kind.name,
+        rows=rows,
+        cpu_s=time.process_time() - began,
+        thumbnail=thumbnail(stage),
+    )
+
+
+def thumbnail(stage: Stage) -> bytes:
+    """Return a small JPEG of an image.
+
+    Parameters
+    ----------
+    stage : Stage
+
+    Returns
+    -------
+    bytes
+    """
+    pixels = stage.image.pixels.astype(float)
+    low, high = np.percentile(pixels, [_FAINT, _BRIGHT])
+    share = np.clip((pixels - low) / max(high - low, 1.0), 0.0, 1.0) ** _GAMMA
+    small = cv2.resize((255.0 * share).astype(np.uint8), (THUMBNAIL_PX, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return bytes(data)
+
+
+def run_gauntlet(
+    wanted: Gauntlet,
+    *,
+    finished: Sequence[ImageResult] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[ImageResult]:
+    """Run images, and yield what came of each in the order in which they are done.
+
+    Parameters
+    ----------
+    wanted : Gauntlet
+    finished : sequence of ImageResult
+        Images that were run before; they are not run again, nor yielded.
+    progress : callable, optional
+        Takes the number of images done, and of all.
+
+    Yields
+    ------
+    ImageResult
+
+    Raises
+    ------
+    InputError
+        A worker process was ended, by the system or by a library.
+    """
+    known = {result.index for result in finished}
+    numbers = wanted.numbers()
+    left = [index for index in numbers if index not in known]
+    for done, result in enumerate(_results(wanted, left), len(numbers) - len(left) + 1):
+        if progress is not None:
+            progress(done, len(numbers))
+        yield result
+
+
+def _results(wanted: Gauntlet, numbers: Sequence[int]) -> Iterator[ImageResult]:
+    if wanted.workers == 1:
+        for index in numbers:
+            yield run_image(wanted.seed, index, wanted.estimators)
+        return
+    missing = {name: "1" for name in _THREAD_VARIABLES if name not in os.environ}
+    os.environ.update(missing)  # read when numpy is imported: a thread for each process
+    try:
+        with ProcessPoolExecutor(wanted.workers, multiprocessing.get_context("spawn")) as pool:
+            futures = [pool.submit(run_image, wanted.seed, index, wanted.estimators) for index in numbers]
+            for future in as_completed(futures):
+                yield future.result()
+    except BrokenProcessPool as error:
+        raise InputError("a worker process was ended; run with one worker to see the image that does it") from error
+    finally:
+        for name in missing:
+            del os.environ[name]
+
+
+COUNTED = (*(str(verdict) for verdict in Verdict),)
+"""Names of the counts of a breakdown."""
+
+
+def counts_of(rows: Iterable[TrialRow]) -> dict[str, int]:
+    """Count the verdicts of some rows.
+
+    Parameters
+    ----------
+    rows : iterable of TrialRow
+
+    Returns
+    -------
+    dict of str to int
+        All of them under ``verdicts``, and each under its name.
+    """
+    found = Counter(row.verdict for row in rows)
+    return {"verdicts": sum(found.values())} | {name: found[name] for name in COUNTED}
+
+
+def summary_of(wanted: Gauntlet, results: Sequence[ImageResult]) -> dict[str, Any]:
+    """Sum up the verdicts of a gauntlet.
+
+    Parameters
+    ----------
+    wanted : Gauntlet
+    results : sequence of ImageResult
+
+    Returns
+    -------
+    dict
+        ``images``, ``verdicts``, ``silent_wrong``, ``needless_refusals`` and the other counts, and breakdowns
+        ``by_kind`` and ``by_estimator``.
+    """
+    rows = [row for result in results for row in result.rows]
+    all_of_them = counts_of(rows)
+    cpu = [result.cpu_s for result in results]
+    return {
+        "images": len(results),
+        "verdicts": all_of_them.pop("verdicts"),
+        "silent_wrong": all_of_them.pop("silent_wrong"),
+        "needless_refusals": all_of_them.pop("needless_refusal"),
+        **all_of_them,
+        "seed": wanted.seed,
+        "false_alarms_nominal": _alarms([row for row in rows if row.kind in ("nominal", "stars_nominal")]),
+        "cpu_s_mean": float(np.mean(cpu)) if cpu else 0.0,
+        "cpu_s_max": float(np.max(cpu)) if cpu else 0.0,
+        "by_kind": {
+            name: counts_of(row for row in rows if row.kind == name) for name in _in_order(rows, "kind", KINDS)
+        },
+        "by_estimator": {
+            name: counts_of(row for row in rows if row.estimator == name)
+            for name in _in_order(rows, "estimator", NAMES)
+        },
+    }
+
+
+def _in_order(rows: Sequence[TrialRow], field: str, names: Iterable[str]) -> list[str]:
+    there = {getattr(row, field) for row in rows}
+    return [name for name in names if name in there]
+
+
+def _alarms(rows: Sequence[TrialRow]) -> dict[str, int]:
+    """Fixes of nominal images, and those of them that a check calls suspect."""
+    fixes = [row for row in rows if row.status in ("ok", "suspect")]
+    return {"fixes": len(fixes), "suspect": sum(row.status == "suspect" for row in fixes)}
+
+
+def row_values(row: TrialRow) -> dict[str, Any]:
+    """Return a row as JSON takes it.
+
+    Parameters
+    ----------
+    row : TrialRow
+
+    Returns
+    -------
+    dict
+    """
+    return asdict(row)

@@ -1,0 +1,298 @@
+"""One image of the gauntlet, made from (seed, index) alone: pixels, what is told, and the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from giantlike.camera import Camera, ModelUncertainty
+from giantlike.camera_models import PinholeModel
+from giantlike.catalogs import MemoryCatalog, StarTable
+from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.frames import rotate
+from giantlike.core.time import time_from_et
+from giantlike.core.values import Value
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.gauntlet.bodies import TOLD_LAWS
+from giantlike.gauntlet.kinds import KINDS, Kind
+from giantlike.gauntlet.plan import BIAS_DN, CENTER_SIGMA_PX, READ_NOISE_DN, Plan, World, body_plan, star_plan
+from giantlike.image import Image, ObserverState
+from giantlike.independent import Pose, StarField, record, render_body, star_image
+from giantlike.scene import Scene, Target, TargetUncertainty
+
+TARGET = "TARGET"
+"""Name of the body."""
+ZERO_POINT_DN = 1e6
+"""Signal of a star of magnitude 0, DN over all pixels: 400 DN at the limit of the catalog."""
+_AU_KM = 1.495978707e8
+_EPOCH_ET = 5.05e8  # s past J2000: 2016.0, the epoch of the catalog
+_DECK, _BASE, _DISTURB, _EXPOSE = range(4)
+"""Streams of random numbers of a seed, and of an image of it."""
+
+
+@lru_cache(maxsize=8)
+def deck(seed: int) -> tuple[str, ...]:
+    """Return the kinds in the order in which they come, again and again, for one seed.
+
+    Parameters
+    ----------
+    seed : int
+
+    Returns
+    -------
+    tuple of str
+    """
+    names = [kind.name for kind in KINDS.values() for _ in range(kind.weight)]
+    return tuple(str(name) for name in np.random.default_rng([seed, _DECK]).permutation(names))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage(Value):
+    """An image, what is told of it, and the truth.
+
+    Parameters
+    ----------
+    seed, index : int
+    kind : Kind
+    plan : Plan
+        World, and what is told.
+    signal_dn : (rows, columns) float64, DN
+        Without noise.
+    image : Image
+    camera : Camera
+        As told.
+    scene : Scene, optional
+        As told; None for images of stars.
+    catalog : MemoryCatalog, optional
+        As told; None for images of bodies.
+    """
+
+    seed: int
+    index: int
+    kind: Kind
+    plan: Plan
+    signal_dn: Float
+    image: Image
+    camera: Camera
+    scene: Scene | None
+    catalog: MemoryCatalog | None
+
+    @property
+    def world(self) -> World:
+        """The truth."""
+        return self.plan.world
+
+    @cached_property
+    def undisturbed(self) -> Stage:
+        """The same scene without what is wrong, with the same errors of what is told."""
+        return self if self.kind.undisturbed else stage_of(self.seed, self.index, disturbed=False)
+
+
+def kind_of(seed: int, index: int) -> Kind:
+    """Return the kind of an image.
+
+    Parameters
+    ----------
+    seed, index : int
+
+    Returns
+    -------
+    Kind
+    """
+    names = deck(seed)
+    return KINDS[names[index % len(names)]]
+
+
+def plan_of(seed: int, index: int, *, disturbed: bool = True) -> Plan:
+    """Draw the plan of an image.
+
+    Parameters
+    ----------
+    seed, index : int
+    disturbed : bool
+        False for the same scene with nothing wrong.
+
+    Returns
+    -------
+    Plan
+    """
+    kind = kind_of(seed, index)
+    rng = np.random.default_rng([seed, index, _BASE])
+    plan = body_plan(rng, kind.base) if kind.body else star_plan(rng)
+    return kind.disturb(plan, np.random.default_rng([seed, index, _DISTURB])) if disturbed else plan
+
+
+def stage_of(seed: int, index: int, *, disturbed: bool = True) -> Stage:
+    """Make an image of the gauntlet.
+
+    Parameters
+    ----------
+    seed : int
+        Of the whole gauntlet.
+    index : int
+        Of the image, from 0.
+    disturbed : bool
+        False for the same scene with nothing wrong.
+
+    Returns
+    -------
+    Stage
+    """
+    plan = plan_of(seed, index, disturbed=disturbed)
+    rng = np.random.default_rng([seed, index, _EXPOSE])
+    signal = signal_of(plan.world, rng)
+    shot = record(signal, rng, plan.world.recorder, plan.world.defects)
+    pixels = shot.pixels
+    for readout in plan.world.readouts:
+        pixels = readout(pixels, rng)
+    return Stage(
+        seed=seed,
+        index=index,
+        kind=kind_of(seed, index),
+        plan=plan,
+        signal_dn=signal,
+        image=_image(plan, pixels, f"gauntlet {seed} {index}"),
+        camera=_camera(plan),
+        scene=None if plan.told.shape is None else _scene(plan),
+        catalog=None if plan.told.catalog is None else catalog_of(plan.told.catalog),
+    )
+
+
+def signal_of(world: World, rng: np.random.Generator) -> Float:
+    """Render a world without noise.
+
+    Parameters
+    ----------
+    world : World
+    rng : Generator
+        Random numbers of lights that are drawn.
+
+    Returns
+    -------
+    (rows, columns) float64, DN
+    """
+    view = world.view
+    signal = np.zeros((view.rows, view.columns))
+    if world.body is not None:
+        pose = Pose(world.position_camera_km, world.camera_from_body, world.sun)
+        signal = render_body(
+            world.body, view, pose, law=world.law, peak_dn=world.peak_dn, psf=world.psf, sampling=world.sampling
+        )
+    if world.sky is not None:
+        signal = (
+            signal
+            + star_image(
+                world.sky,
+                view,
+                world.attitude,
+                observer_velocity_km_s=world.velocity_km_s,
+                psf=world.psf,
+                zero_point_dn=ZERO_POINT_DN,
+            )[0]
+        )
+    for light in world.lights:
+        signal = light(signal, world, rng)
+    return np.asarray(signal, dtype=float)
+
+
+def catalog_of(field: StarField) -> MemoryCatalog:
+    """Return stars of the independent sky as a catalog.
+
+    Parameters
+    ----------
+    field : StarField
+
+    Returns
+    -------
+    MemoryCatalog
+    """
+    x, y, z = field.directions.T
+    zero = np.zeros(field.magnitudes.size)
+    stars = StarTable(
+        ids=np.arange(zero.size) + 1,
+        ra_deg=np.degrees(np.arctan2(y, x)) % 360.0,
+        dec_deg=np.degrees(np.arcsin(np.clip(z, -1.0, 1.0))),
+        pm_ra_mas_yr=zero,
+        pm_dec_mas_yr=zero,
+        parallax_mas=zero,
+        radial_velocity_km_s=zero,
+        epoch_jyear=zero + 2016.0,
+        magnitude=field.magnitudes,
+        color_bv=zero + 0.6,
+        sigma_mas=zero,
+        sigma_pm_mas_yr=zero,
+    )
+    return MemoryCatalog(stars, name="made up", band="G", version="1")
+
+
+def _camera(plan: Plan) -> Camera:
+    """The camera as it is told."""
+    view, told = plan.world.view, plan.told
+    focal = view.focal_px * told.focal_factor
+    center = np.asarray(view.center_px) + told.center_shift_px
+    # One relative error of both focal lengths, and errors of the center of their own.
+    spread = np.zeros((4, 4))
+    spread[:2, :2] = (told.focal_sigma * focal) ** 2
+    spread[2, 2] = spread[3, 3] = CENTER_SIGMA_PX**2
+    return Camera(
+        name="gauntlet",
+        columns=view.columns,
+        rows=view.rows,
+        model=PinholeModel(fx_px=focal, fy_px=focal, cx_px=float(center[0]), cy_px=float(center[1])),
+        psf=GaussianPsf(sigma_px=told.psf_px),
+        detector=Detector(
+            gain_e_per_dn=1.0 / told.dn_scale,
+            read_noise_e=READ_NOISE_DN,
+            bias_dn=BIAS_DN * told.dn_scale,
+            saturation_dn=told.saturation_dn * told.dn_scale,
+        ),
+        uncertainty=ModelUncertainty(
+            estimated=("fx_px", "fy_px", "cx_px", "cy_px"),
+            covariance=spread,
+            residual_sigma_px=CENTER_SIGMA_PX,
+            n_observations=100,
+            n_images=10,
+        ),
+    )
+
+
+def _image(plan: Plan, pixels: Float, name: str) -> Image:
+    world, told = plan.world, plan.told
+    sigma = math.radians(told.attitude_sigma_deg)
+    state = ObserverState(
+        position_km=_AU_KM * world.attitude.inv().as_matrix()[:, 0],
+        velocity_km_s=told.observer_factor * world.velocity_km_s,
+    )
+    stars = world.sky is not None or told.catalog is not None
+    bad = None if told.mask is None else told.mask(pixels)
+    image = Image(
+        pixels=pixels.astype(np.float32),
+        epoch=time_from_et(_EPOCH_ET),
+        camera_from_inertial=told.attitude_error * world.attitude,
+        attitude_covariance_rad2=sigma**2 * np.eye(3),
+        observer=state if stars and told.observer_known else None,
+        name=name,
+    )
+    return image if bad is None else replace(image, mask=bad)
+
+
+def _scene(plan: Plan) -> Scene:
+    told, back = plan.told, plan.world.attitude.inv()
+    assert told.shape is not None
+    geometry = ApparentGeometry(
+        position_inertial_km=rotate(back, told.position_camera_km),
+        inertial_from_body=back * told.camera_from_body,
+        sun_direction_inertial=rotate(back, told.sun),
+    )
+    target = Target(
+        name=TARGET,
+        shape=told.shape,
+        ephemeris=geometry,
+        reflectance=TOLD_LAWS[told.law],
+        uncertainty=TargetUncertainty(scale=told.scale_sigma, ephemeris_km=told.ephemeris_sigma_km),
+    )
+    return Scene(targets=(target,))

@@ -1,0 +1,358 @@
+"""Estimators on one image of the gauntlet, and the verdict on each answer."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.causes import IN_POSITION, Cause, summed
+from giantlike.core.errors import OpNavError
+from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
+from giantlike.gauntlet.rule import STARS, Facts, Verdict, facts_of, fits, solvable
+from giantlike.gauntlet.stage import Stage
+from giantlike.io.tables import column
+from giantlike.relative import ESTIMATORS
+from giantlike.relative.budget import place_jacobian
+from giantlike.stars import StarNavigation
+
+RIGHT_SIGMAS, WRONG_SIGMAS = 4.0, 5.0
+"""An ok answer within the first is right, beyond the second silently wrong if it also matters."""
+WRONG_PX, WRONG_RANGE = 0.5, 0.005
+"""Errors of the center, px, and of the range, relative, from which on they matter."""
+VAGUE_FACTOR = 3.0
+"""Sigma over the nominal one from which on an answer is vague."""
+NAMES = (*ESTIMATORS, STARS)
+"""Names of all estimators of the gauntlet, the star chain last."""
+_PRIOR = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN)
+"""Parts of a covariance that are stated with the image, not measured in it."""
+_SURFACE_PX = 180.0
+"""Least diameter, px, of bodies on which surface_features is tried: landmarks need some hundred facets each."""
+_SMALL_PX = 12.0
+"""Largest diameter, px, of bodies on which unresolved is tried."""
+_OK, _SUSPECT, _FAILED, _RAISED = "ok", "suspect", "failed", "raised"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialRow:
+    """One row per image and estimator of the gauntlet."""
+
+    image: int = column("Number of the image, from 0.")
+    kind: str = column("Kind of the image.")
+    estimator: str = column("Estimator, or `stars`.")
+    verdict: str = column("Verdict.")
+    status: str = column("`ok`, `suspect`, `failed`, or `raised` for an exception.")
+    reason: str | None = column("Reason of a failure; flags that make a fix suspect, joined by `|`.")
+    solvable: int = column("1 where the rule demanded an answer beforehand.")
+    sigmas: float | None = column("Largest error over its sigma: center (two axes together), range, roll.")
+    error_px: float | None = column("Error of the center; of stars, of the boresight.", "px")
+    sigma_px: float | None = column("One sigma of it by axis.", "px")
+    nominal_sigma_px: float | None = column("The same without what is wrong with the image.", "px")
+    range_error: float | None = column("Relative error of the range; of stars, of the roll at the edge in px.")
+    range_sigma: float | None = column("One sigma of it.")
+    nominal_range_sigma: float | None = column("The same without what is wrong with the image.")
+    cpu_s: float = column("Computing time of the estimator.", "s")
+    detail: str | None = column("Reason of a failure in words.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What came of an estimator, in numbers.
+
+    Parameters
+    ----------
+    status : str
+        ok, suspect, failed or raised.
+    reason, detail : str
+    sigmas : float
+        Largest error over its sigma.
+    error_px, sigma_px : float, px
+        Of the center: length of the error, and sigma by axis.
+    range_error, range_sigma : float
+        Relative; NaN where the range is not estimated. Of stars, of the roll in px at the edge of the frame.
+    center_sigmas, range_sigmas : float
+        Errors over their sigmas.
+    prior_px, prior_range : float
+        Sigmas of what is stated with the image.
+    cpu_s : float, s
+    """
+
+    status: str
+    reason: str = ""
+    detail: str = ""
+    error_px: float = math.nan
+    sigma_px: float = math.nan
+    range_error: float = math.nan
+    range_sigma: float = math.nan
+    center_sigmas: float = math.nan
+    range_sigmas: float = math.nan
+    prior_px: float = 0.0
+    prior_range: float = 0.0
+    cpu_s: float = 0.0
+
+    @property
+    def sigmas(self) -> float:
+        """Largest error over its sigma."""
+        return float(np.nanmax([self.center_sigmas, self.range_sigmas])) if self.status in (_OK, _SUSPECT) else math.nan
+
+    @property
+    def own_px(self) -> float:
+        """Sigma of the center without what is stated with the image, px."""
+        return math.sqrt(max(self.sigma_px**2 - self.prior_px**2, 0.0))
+
+    @property
+    def own_range(self) -> float:
+        """Sigma of the range without what is stated with the image; 0 where the range is not estimated."""
+        return 0.0 if math.isnan(self.range_sigma) else math.sqrt(max(self.range_sigma**2 - self.prior_range**2, 0.0))
+
+
+def names_for(stage: Stage, facts: Facts) -> tuple[str, ...]:
+    """Return the estimators that apply to an image.
+
+    Parameters
+    ----------
+    stage : Stage
+    facts : Facts
+
+    Returns
+    -------
+    tuple of str
+    """
+    names: list[str] = [STARS] if stage.kind.stars else []
+    if stage.scene is None:
+        return tuple(names)
+    skipped = set()
+    if facts.told_diameter_px > _SMALL_PX:
+        skipped.add("unresolved")
+    if facts.told_ellipsoid or facts.told_diameter_px < _SURFACE_PX:
+        skipped.add("surface_features")
+    return (*names, *(name for name in ESTIMATORS if name not in skipped))
+
+
+def answer_of(stage: Stage, name: str) -> Answer:
+    """Run an estimator on an image and compare with the truth.
+
+    Parameters
+    ----------
+    stage : Stage
+    name : str
+        Estimator, or ``stars``.
+
+    Returns
+    -------
+    Answer
+    """
+    began = time.process_time()
+    try:
+        if name == STARS:
+            assert stage.catalog is not None
+            fix: AttitudeFix | CenterFix | Failure = StarNavigation(stage.camera, stage.catalog).solve(stage.image)
+        else:
+            assert stage.scene is not None
+            fix = ESTIMATORS[name]().estimate(stage.image, stage.camera, stage.scene)
+    except OpNavError as error:
+        spent = time.process_time() - began
+        return Answer(status=_RAISED, reason=type(error).__name__, detail=str(error), cpu_s=spent)
+    except Exception as error:  # noqa: BLE001 - the border of a worker: one image must never end a run
+        spent = time.process_time() - began
+        return Answer(status=_RAISED, reason=type(error).__name__, detail=" ".join(str(error).split()), cpu_s=spent)
+    spent = time.process_time() - began
+    if isinstance(fix, Failure):
+        return Answer(status=_FAILED, reason=str(fix.reason), detail=fix.detail, cpu_s=spent)
+    compared = attitude_error(stage, fix) if isinstance(fix, AttitudeFix) else place_error(stage, fix)
+    suspect = "|".join(flag for flag in fix.flags.names() if type(fix.flags)[flag.upper()].suspect)
+    return replace(compared, status=_SUSPECT if suspect else _OK, reason=suspect, cpu_s=spent)
+
+
+def place_error(stage: Stage, fix: CenterFix) -> Answer:
+    """Compare the place of a body with the truth, in camera axes.
+
+    Computed is the true position in camera axes, through the camera that was told; the covariance is the sum of all
+    parts that stand between the pixels and a position in camera axes, the camera among them. Attitude and ephemeris
+    do not: they are no part of what was measured.
+
+    Parameters
+    ----------
+    stage : Stage
+    fix : CenterFix or PositionFix
+
+    Returns
+    -------
+    Answer
+        With the status ``ok`` whatever the flags.
+    """
+    position = stage.world.position_camera_km
+    error = fix.center_px - stage.camera.model.project(position)
+    own = {Cause.NOISE: _own_covariance(stage, fix)}
+    parts = fix.parts or own
+    covariance = summed(parts, IN_POSITION)
+    prior = summed({**{cause: part for cause, part in parts.items() if cause in _PRIOR}, **_zero(parts)}, Cause)
+    answer = _of_center(error, covariance[:2, :2], prior[:2, :2])
+    if not isinstance(fix, PositionFix):
+        return answer
+    ratio, sigma = math.log(fix.range_km / stage.world.range_km), math.sqrt(covariance[2, 2])
+    return replace(
+        answer,
+        range_error=ratio,
+        range_sigma=sigma,
+        range_sigmas=abs(ratio) / max(sigma, 1e-12),
+        prior_range=math.sqrt(float(prior[2, 2])),
+    )
+
+
+def _zero(parts: Mapping[Cause, Float]) -> dict[Cause, Float]:
+    """A part of nothing, so that a sum of none has the right size."""
+    return {Cause.EPOCH: np.zeros_like(next(iter(parts.values())))}
+
+
+def _own_covariance(stage: Stage, fix: CenterFix) -> Float:
+    """Covariance of x, y and, where it is estimated, the logarithm of the range, of a fix without parts."""
+    if not isinstance(fix, PositionFix):
+        return fix.covariance_px2
+    jacobian = place_jacobian(stage.camera.model, fix.position_camera_km)
+    return np.asarray(jacobian @ fix.covariance_camera_km2 @ jacobian.T, dtype=float)
+
+
+def _of_center(error: Float, covariance: Float, prior: Float) -> Answer:
+    """Length of an error, sigma by axis, and the error over its sigma (Mahalanobis distance)."""
+    floor = covariance + 1e-12 * np.eye(2)
+    return Answer(
+        status=_OK,
+        error_px=float(np.hypot(*error)),
+        sigma_px=math.sqrt(0.5 * float(np.trace(covariance))),
+        center_sigmas=math.sqrt(float(error @ np.linalg.solve(floor, error))),
+        prior_px=math.sqrt(0.5 * float(np.trace(prior))),
+    )
+
+
+def attitude_error(stage: Stage, fix: AttitudeFix) -> Answer:
+    """Compare an attitude with the truth: the boresight in px, and the roll in px at the edge of the frame.
+
+    Parameters
+    ----------
+    stage : Stage
+    fix : AttitudeFix
+
+    Returns
+    -------
+    Answer
+        With the status ``ok`` whatever the flags.
+    """
+    error = (stage.world.attitude * fix.camera_from_inertial.inv()).as_rotvec()
+    focal, edge = stage.world.view.focal_px, 0.5 * stage.world.view.columns
+    roll, sigma = abs(float(error[2])), math.sqrt(float(fix.covariance_rad2[2, 2]))
+    prior = fix.parts.get(Cause.CAMERA, np.zeros((3, 3)))
+    return replace(
+        _of_center(focal * error[:2], focal**2 * fix.covariance_rad2[:2, :2], focal**2 * prior[:2, :2]),
+        range_error=edge * roll,
+        range_sigma=edge * sigma,
+        range_sigmas=roll / max(sigma, 1e-15),
+        prior_range=edge * math.sqrt(float(prior[2, 2])),
+    )
+
+
+def verdict_of(answer: Answer, facts: Facts, *, demanded: bool, stars: bool = False) -> Verdict:
+    """Judge an answer, but for its vagueness.
+
+    Parameters
+    ----------
+    answer : Answer
+    facts : Facts
+    demanded : bool
+        The rule demanded an answer.
+    stars : bool
+        True for the star chain, whose second error is in px.
+
+    Returns
+    -------
+    Verdict
+    """
+    if answer.status != _OK:
+        if demanded:
+            return Verdict.NEEDLESS_REFUSAL
+        raised = answer.status == _RAISED
+        true = answer.status == _SUSPECT or (not raised and fits(answer.reason, facts))
+        return Verdict.HONEST if true else Verdict.MISLEADING
+    if facts.absent and not stars:
+        return Verdict.SILENT_WRONG
+    center = answer.center_sigmas > WRONG_SIGMAS and answer.error_px > WRONG_PX
+    limit = WRONG_PX if stars else WRONG_RANGE
+    distance = answer.range_sigmas > WRONG_SIGMAS and abs(answer.range_error) > limit
+    if center or distance or not math.isfinite(answer.center_sigmas):
+        return Verdict.SILENT_WRONG
+    return Verdict.RIGHT if answer.sigmas <= RIGHT_SIGMAS else Verdict.DOUBTFUL
+
+
+def is_vague(answer: Answer, nominal: Answer) -> bool:
+    """Tell whether sigmas are more than 3 times the nominal ones, both without what is stated with the image.
+
+    Parameters
+    ----------
+    answer, nominal : Answer
+        With what is wrong, and without.
+
+    Returns
+    -------
+    bool
+        False where the undisturbed image has no fix.
+    """
+    if nominal.status not in (_OK, _SUSPECT):
+        return False
+    center = answer.own_px > VAGUE_FACTOR * nominal.own_px
+    distance = answer.own_range > VAGUE_FACTOR * nominal.own_range
+    return bool(center or distance)
+
+
+def trial(stage: Stage, estimators: Sequence[str] = ()) -> list[TrialRow]:
+    """Run all estimators that apply to an image.
+
+    Parameters
+    ----------
+    stage : Stage
+    estimators : sequence of str
+        Those to run; all if empty.
+
+    Returns
+    -------
+    list of TrialRow
+    """
+    facts = facts_of(stage.plan, stage.signal_dn, undisturbed=stage.kind.undisturbed)
+    return [_row(stage, facts, name) for name in names_for(stage, facts) if not estimators or name in estimators]
+
+
+def _row(stage: Stage, facts: Facts, name: str) -> TrialRow:
+    answer = answer_of(stage, name)
+    demanded = solvable(name, facts)
+    verdict = verdict_of(answer, facts, demanded=demanded, stars=name == STARS)
+    nominal = None
+    if verdict is Verdict.RIGHT:
+        nominal = answer if stage.kind.undisturbed else answer_of(stage.undisturbed, name)
+        if is_vague(answer, nominal):
+            verdict = Verdict.VAGUE
+    return TrialRow(
+        image=stage.index,
+        kind=stage.kind.name,
+        estimator=name,
+        verdict=str(verdict),
+        status=answer.status,
+        reason=answer.reason or None,
+        solvable=int(demanded),
+        sigmas=_number(answer.sigmas),
+        error_px=_number(answer.error_px),
+        sigma_px=_number(answer.sigma_px),
+        nominal_sigma_px=None if nominal is None else _number(nominal.sigma_px),
+        range_error=_number(answer.range_error),
+        range_sigma=_number(answer.range_sigma),
+        nominal_range_sigma=None if nominal is None else _number(nominal.range_sigma),
+        cpu_s=answer.cpu_s,
+        detail=answer.detail or None,
+    )
+
+
+def _number(value: float) -> float | None:
+    """A number of a table: None where there is none."""
+    return float(value) if math.isfinite(value) else None
