@@ -21,7 +21,7 @@ def write_review(
     DataError
         A file cannot be written.
     """
-    from giantlike.plotting import StarMarks, overlay_figure, star_residual_figure
+    from giantlike.plotting import StarMarks, overlay_figure, overlay_panels, star_residual_figure
 
     solved = outcome if isinstance(outcome, AttitudeFix) else None
     marks, said = StarMarks.of_detections(detections.points_px), "not solved"
@@ -30,7 +30,8 @@ def write_review(
         marks = replace(
             marks, matched_px=solved.observed_px, predicted_px=solved.predicted_px, rejected_px=solved.rejected_px
         )
-    figures = {"stars": overlay_figure(image.pixels, f"{len(detections)} detected, {said}", stars=marks)}
+    panels = overlay_panels(image.pixels, f"{len(detections)} detected, {said}", stars=marks)
+    figures = {"stars": overlay_figure(panels)}
     if solved is not None:
         figures["residuals"] = star_residual_figure(
             solved.observed_px, solved.residuals_px, solved.magnitudes, solved.sigma_px, image.columns, image.rows

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
 
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -35,12 +34,14 @@ CENTERS = ("#ff5c7a", "#37c8ff", "#8dff6a", "#ff9de2", "#ffffff", "#ffa042")
 """Colors for the centers that estimators found."""
 
 _OUTLINE, _LIMB = MARKS["a priori outline and center"], MARKS["limb points used"]
-_PANEL_IN = 4.6
+PANEL_IN = 4.6
 """Width of a panel, inches: 506 px at the 110 dpi of the report, whose narrowest card is 480 px wide."""
 _MAX_ELONGATION = 2.0
 """Largest ratio of the sides of a panel; narrower images are stretched."""
 _MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25
 """Half width of a close-up at the least, px, and its margin around the body."""
+_ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
+"""Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
 _SOFTENING = 8.0
 """Level, in units of the noise, up to which the gray scale is linear; above it is logarithmic."""
 
@@ -151,9 +152,66 @@ def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[
     return result
 
 
-def overlay_figure(
+class Shape(StrEnum):
+    """How the points of a layer are drawn."""
+
+    RING = "ring"
+    CROSS = "cross"
+    PLUS = "plus"
+    DOT = "dot"
+    LINE = "line"
+    DASHES = "dashes"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Layer(Value):
+    """Points of one meaning over an image.
+
+    Parameters
+    ----------
+    points_px : (n, 2), px
+        In the image.
+    shape : Shape
+    color : str
+    size : float, points
+        Diameter of a marker; of lines unused.
+    width : float, points
+        Of strokes.
+    """
+
+    points_px: Float
+    shape: Shape
+    color: str
+    size: float = 0.0
+    width: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OverlayPanel(Value):
+    """An image or a part of it, and what is drawn over it.
+
+    Parameters
+    ----------
+    title : str
+    gray : (rows, columns) uint8
+        Picture, stretched for viewing; empty where the panel shows no pixel.
+    picture_px : (4,) float64, px
+        Left, right, top and bottom edges of the picture in the image.
+    limits_px : (4,) float64, px
+        Left, right, top and bottom of the panel.
+    layers : sequence of Layer
+    """
+
+    title: str
+    gray: NDArray[np.uint8]
+    picture_px: Float
+    limits_px: Float
+    layers: Sequence[Layer] = ()
+
+
+def overlay_panels(
     pixels: NDArray[np.generic], title: str, *, stars: StarMarks | None = None, bodies: Sequence[BodyMarks] = ()
-) -> Figure:
+) -> list[OverlayPanel]:
     """An image with its stars and bodies, and a close-up of every body that the image shows.
 
     Parameters
@@ -165,29 +223,71 @@ def overlay_figure(
 
     Returns
     -------
-    Figure
+    list of OverlayPanel
     """
     rows, columns = pixels.shape
-    close = [(body, view) for body in bodies if (view := _zoom(body, columns, rows)) is not None]
-    aspect = float(np.clip(rows / columns, 1 / _MAX_ELONGATION, _MAX_ELONGATION))
+    frame = np.array([-0.5, columns - 0.5, -0.5, rows - 0.5])
+    layers = [] if stars is None else _star_layers(stars)
+    layers += [layer for body in bodies for layer in _outline_layers(body)]
+    panels = [OverlayPanel(title=title, gray=stretched(pixels), picture_px=frame, limits_px=frame, layers=layers)]
+    for body in bodies:
+        view = _zoom(body, columns, rows)
+        if view is not None:
+            panels.append(_close_up(pixels, body, *view))
+    return panels
+
+
+def overlay_figure(panels: Sequence[OverlayPanel]) -> Figure:
+    """Draw panels side by side with matplotlib; :func:`giantlike.plotting.overlay_svg` is faster, for pages.
+
+    Parameters
+    ----------
+    panels : sequence of OverlayPanel
+        Of :func:`overlay_panels`.
+
+    Returns
+    -------
+    Figure
+    """
+    height_in = PANEL_IN * shown_aspect(panels[0])
     with drawing():
-        figure, panels = _panels(1 + len(close), _PANEL_IN, _PANEL_IN * aspect)
-        frame = panels[0]
-        frame.imshow(
-            stretched(pixels), cmap="gray", vmin=0, vmax=255, extent=(-0.5, columns - 0.5, rows - 0.5, -0.5),
-            aspect="auto",
-        )  # fmt: skip
-        frame.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), title=title)
-        if stars is not None:
-            _draw_stars(frame, stars)
-        for body in bodies:
-            _draw_outline(frame, body)
-        for axis, (body, view) in zip(panels[1:], close, strict=True):
-            _draw_close_up(axis, pixels, body, view)
+        figure, axes = _axes(len(panels), PANEL_IN, height_in)
+        for axis, panel in zip(axes, panels, strict=True):
+            left, right, top, bottom = panel.picture_px
+            if panel.gray.size:
+                axis.imshow(panel.gray, cmap="gray", vmin=0, vmax=255, extent=(left, right, bottom, top), aspect="auto")
+            left, right, top, bottom = panel.limits_px
+            axis.set(xlim=(left, right), ylim=(bottom, top), title=panel.title, facecolor="#101418")
+            for layer in panel.layers:
+                _draw(axis, layer)
     return figure
 
 
-def _panels(count: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
+def shown_aspect(panel: OverlayPanel) -> float:
+    """Height of a panel over its width; very long images are stretched.
+
+    Parameters
+    ----------
+    panel : OverlayPanel
+
+    Returns
+    -------
+    float
+    """
+    left, right, top, bottom = panel.limits_px
+    return float(np.clip((bottom - top) / (right - left), 1 / _MAX_ELONGATION, _MAX_ELONGATION))
+
+
+def _draw(axis: Axes, layer: Layer) -> None:
+    marker = {Shape.RING: "o", Shape.CROSS: "x", Shape.PLUS: "+", Shape.DOT: "."}.get(layer.shape)
+    line = {Shape.LINE: "-", Shape.DASHES: "--"}.get(layer.shape, "none")
+    axis.plot(
+        *layer.points_px.T, marker=marker, linestyle=line, color=layer.color, markersize=layer.size,
+        markeredgewidth=layer.width, linewidth=layer.width, markerfacecolor="none",
+    )  # fmt: skip
+
+
+def _axes(count: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
     """Panels of equal size side by side; placed here, which is many times faster than matplotlib's own layout."""
     left, bottom, top = 0.42, 0.25, 0.28
     total_width, total_height = count * (left + width_in) + 0.08, bottom + height_in + top
@@ -205,22 +305,50 @@ def _panels(count: int, width_in: float, height_in: float) -> tuple[Figure, list
     return figure, panels
 
 
-def _draw_stars(axis: Axes, stars: StarMarks) -> None:
+def _star_layers(stars: StarMarks) -> list[Layer]:
     matched_color, other_color, predicted_color, rejected_color = list(MARKS.values())[:4]
     used = set(map(tuple, stars.matched_px.tolist()))
     other = stars.detected_px[[tuple(point) not in used for point in stars.detected_px.tolist()]]
     size = float(np.clip(80.0 / np.sqrt(max(len(used), 1)), 3.5, 9.0))
-    ring: Any = {"linestyle": "none", "marker": "o", "markerfacecolor": "none", "markeredgewidth": 0.7}
-    axis.plot(*other.T, **ring, color=other_color, markersize=0.6 * size)
-    axis.plot(*stars.matched_px.T, **ring, color=matched_color, markersize=size)
-    axis.plot(*stars.rejected_px.T, "x", color=rejected_color, markersize=0.8 * size, markeredgewidth=0.9)
-    axis.plot(*stars.predicted_px.T, "+", color=predicted_color, markersize=0.5 * size, markeredgewidth=0.6)
+    layers = [
+        Layer(points_px=other, shape=Shape.RING, color=other_color, size=0.6 * size, width=0.7),
+        Layer(points_px=stars.matched_px, shape=Shape.RING, color=matched_color, size=size, width=0.7),
+        Layer(points_px=stars.rejected_px, shape=Shape.CROSS, color=rejected_color, size=0.8 * size, width=0.9),
+        Layer(points_px=stars.predicted_px, shape=Shape.PLUS, color=predicted_color, size=0.5 * size, width=0.6),
+    ]
+    return [layer for layer in layers if len(layer.points_px)]
 
 
-def _draw_outline(axis: Axes, body: BodyMarks) -> None:
+def _outline_layers(body: BodyMarks) -> list[Layer]:
+    layers = [Layer(points_px=body.predicted_px[None], shape=Shape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
     if len(body.outline_px):
-        axis.plot(*_closed(body.outline_px).T, "--", color=_OUTLINE, linewidth=0.9)
-    axis.plot(*body.predicted_px, "+", color=_OUTLINE, markersize=9, markeredgewidth=1.2)
+        layers.insert(0, Layer(points_px=_closed(body.outline_px), shape=Shape.DASHES, color=_OUTLINE, width=0.9))
+    return layers
+
+
+def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, half_px: float) -> OverlayPanel:
+    rows, columns = pixels.shape
+    (x, y), half = middle_px, half_px
+    left, right = int(max(x - half, 0)), int(min(x + half, columns - 1)) + 1
+    top, bottom = int(max(y - half, 0)), int(min(y + half, rows - 1)) + 1
+    cut = pixels[top:bottom, left:right]
+    layers = _outline_layers(body)
+    for mark in body.centers:
+        if len(mark.limb_px):
+            layers.append(Layer(points_px=mark.limb_px, shape=Shape.DOT, color=_LIMB, size=2.2))
+        elif len(body.outline_px):
+            found = body.outline_px + (mark.center_px - body.predicted_px)
+            layers.append(Layer(points_px=_closed(found), shape=Shape.LINE, color=mark.color, width=0.7))
+        layers.append(Layer(points_px=mark.center_px[None], shape=Shape.CROSS, color=mark.color, size=8.0, width=1.6))
+        if np.isfinite(mark.covariance_px2).all():
+            layers.append(Layer(points_px=_three_sigma(mark), shape=Shape.LINE, color=mark.color))
+    return OverlayPanel(
+        title=body.name,
+        gray=stretched(cut) if cut.size else np.zeros((0, 0), np.uint8),
+        picture_px=np.array([left, right, top, bottom]) - 0.5,
+        limits_px=np.array([x - half, x + half, y - half, y + half]),
+        layers=layers,
+    )
 
 
 def _zoom(body: BodyMarks, columns: int, rows: int) -> tuple[Float, float] | None:
@@ -234,37 +362,14 @@ def _zoom(body: BodyMarks, columns: int, rows: int) -> tuple[Float, float] | Non
     return (low + high) / 2, min(half, max(columns, rows) / 2)
 
 
-def _draw_close_up(axis: Axes, pixels: NDArray[np.generic], body: BodyMarks, view: tuple[Float, float]) -> None:
-    (x, y), half = view
-    rows, columns = pixels.shape
-    left, right = int(max(x - half, 0)), int(min(x + half, columns - 1)) + 1
-    top, bottom = int(max(y - half, 0)), int(min(y + half, rows - 1)) + 1
-    cut = pixels[top:bottom, left:right]
-    if cut.size:
-        axis.imshow(
-            stretched(cut), cmap="gray", vmin=0, vmax=255, extent=(left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
-        )
-    axis.set(xlim=(x - half, x + half), ylim=(y + half, y - half), title=body.name, facecolor="#101418")
-    _draw_outline(axis, body)
-    for mark in body.centers:
-        if len(mark.limb_px):
-            axis.plot(*mark.limb_px.T, ".", color=_LIMB, markersize=2.2)
-        elif len(body.outline_px):
-            found = body.outline_px + (mark.center_px - body.predicted_px)
-            axis.plot(*_closed(found).T, "-", color=mark.color, linewidth=0.7, alpha=0.8)
-        axis.plot(*mark.center_px, "x", color=mark.color, markersize=8, markeredgewidth=1.6)
-        if np.isfinite(mark.covariance_px2).all():
-            axis.add_patch(_three_sigma(mark))
-
-
 def _closed(points: Float) -> Float:
     """Points (n, 2) of an outline, and the first of them once more."""
     return np.concatenate([points, points[:1]])
 
 
-def _three_sigma(mark: CenterMark) -> Ellipse:
+def _three_sigma(mark: CenterMark) -> Float:
+    """Points (n, 2), px, of the ellipse of three standard deviations."""
     values, vectors = np.linalg.eigh(mark.covariance_px2)
-    width, height = 6 * np.sqrt(np.maximum(values, 0.0))
-    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    x, y = mark.center_px.tolist()
-    return Ellipse((x, y), float(width), float(height), angle=angle, fill=False, edgecolor=mark.color, linewidth=1.0)
+    circle = np.stack([np.cos(_ELLIPSE_RAD), np.sin(_ELLIPSE_RAD)])
+    points: Float = mark.center_px + (3.0 * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle).T
+    return points

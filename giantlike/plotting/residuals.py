@@ -62,7 +62,7 @@ def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str
     shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)]
     with drawing():
         rows = max(len(shown), 1)
-        figure, axes = new_panels(8.4, 0.9 + 1.75 * rows, rows, sharex=True)
+        figure, axes = new_panels(8.4, 1.1 + 1.7 * rows, rows, sharex=True)
         for axis, quantity in zip(axes, shown, strict=False):
             axis.axhline(0.0, color=GRAY, linewidth=0.9)
             for number, part in enumerate(series):
@@ -71,7 +71,7 @@ def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str
         axes[0].set_title(title)
         axes[-1].set_xlabel(at_label)
         if len(series) > 1:
-            figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(series), 5))
+            figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=min(len(series), 5))
     return figure
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from contextlib import AbstractContextManager
 from types import MappingProxyType
@@ -55,10 +54,16 @@ def drawing() -> AbstractContextManager[None]:
     return matplotlib.rc_context(dict(_STYLE))
 
 
+_MARGINS_IN = {"left": 0.75, "right": 0.2, "top": 0.35, "bottom": 0.75}
+"""Around the panels, inches: tick labels and a label on the left, a title above, labels and a legend below."""
+_GAPS_IN = {"wspace": 0.75, "hspace": 0.15}
+"""Between panels side by side, with tick labels and a label, and above each other, with one abscissa for all."""
+
+
 def new_panels(
     width_in: float, height_in: float, rows: int = 1, columns: int = 1, **settings: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with empty panels that will not overlap.
+    """Return a figure with empty panels between fixed margins, many times faster than matplotlib's own layout.
 
     Parameters
     ----------
@@ -74,8 +79,18 @@ def new_panels(
     panels : list of Axes
         Row by row.
     """
-    figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
-    return figure, list(figure.subplots(rows, columns, squeeze=False, **settings).flat)
+    figure = Figure(figsize=(width_in, height_in), facecolor="white")
+    panel_in = (width_in - _MARGINS_IN["left"] - _MARGINS_IN["right"] - (columns - 1) * _GAPS_IN["wspace"]) / columns
+    row_in = (height_in - _MARGINS_IN["top"] - _MARGINS_IN["bottom"] - (rows - 1) * _GAPS_IN["hspace"]) / rows
+    places = {
+        "left": _MARGINS_IN["left"] / width_in,
+        "right": 1.0 - _MARGINS_IN["right"] / width_in,
+        "bottom": _MARGINS_IN["bottom"] / height_in,
+        "top": 1.0 - _MARGINS_IN["top"] / height_in,
+        "wspace": _GAPS_IN["wspace"] / panel_in,
+        "hspace": _GAPS_IN["hspace"] / row_in,
+    }
+    return figure, list(figure.subplots(rows, columns, squeeze=False, gridspec_kw=places, **settings).flat)
 
 
 def show_field(axis: Axes, columns: int, rows: int) -> None:
@@ -107,22 +122,3 @@ def svg_text(figure: Figure, name: str) -> str:
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     return text[text.index("<svg") :]
-
-
-def jpeg_data_uri(figure: Figure, *, dpi: int = 110, quality: int = 82) -> str:
-    """Return a figure as a JPEG ``data:`` address; right for figures that show images.
-
-    Parameters
-    ----------
-    figure : Figure
-    dpi, quality : int
-        Resolution, and quality of the JPEG of 100.
-
-    Returns
-    -------
-    str
-    """
-    buffer = io.BytesIO()
-    with drawing():
-        figure.savefig(buffer, format="jpeg", dpi=dpi, pil_kwargs={"quality": quality})
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

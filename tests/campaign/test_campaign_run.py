@@ -50,8 +50,9 @@ from giantlike.plotting import (
     CenterMark,
     Series,
     StarMarks,
-    jpeg_data_uri,
     overlay_figure,
+    overlay_panels,
+    overlay_svg,
     series_figure,
     star_residual_figure,
     stretched,
@@ -546,9 +547,10 @@ def test_figures_are_drawn_of_next_to_nothing() -> None:
     )
     stars = StarMarks(detected_px=none, matched_px=none, predicted_px=none)
     for pixels in (np.zeros((5, 7), np.uint16), np.full((1, 1), 9.0, np.float32)):
-        figure = overlay_figure(pixels, "x", stars=stars, bodies=[body])
-        assert len(figure.axes) == 1
-        assert jpeg_data_uri(figure).startswith("data:image/jpeg;base64,")
+        panels = overlay_panels(pixels, "x", stars=stars, bodies=[body])
+        assert len(panels) == 1
+        assert len(overlay_figure(panels).axes) == 1
+        assert "data:image/jpeg;base64," in overlay_svg(panels, "one")
     assert "<svg" in svg_text(star_residual_figure(one + 3.0, one, np.zeros(1), np.ones(1), 10, 10), "stars")
     empty = Series(label="a", at=np.zeros(1), values=np.full((1, 2), np.nan), sigma=one, suspect=np.ones(1, dtype=bool))
     assert "<svg" in svg_text(series_figure([empty], ["x", "y"], "time", "<none>"), "series")

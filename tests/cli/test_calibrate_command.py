@@ -156,7 +156,7 @@ def result_text(folder: Path) -> str:
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes most of the time; once is enough."""
     monkeypatch.setattr("giantlike.campaign.calibration.page.calibration_figures", lambda fix: [])
-    monkeypatch.setattr("giantlike.campaign.report.run_page.attitude_figures", lambda result: [])
+    monkeypatch.setattr("giantlike.campaign.report.figures.attitude_figures", lambda result: [])
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -21,7 +21,6 @@ from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
-from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_figure
 
 _MAX_REJECTED = 200
 """Rejected observations listed in the page, the worst first; ``calibration.json`` holds all."""
@@ -91,6 +90,8 @@ def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
     -------
     list of PageFigure
     """
+    from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_figure
+
     used, columns, rows = solution.used, solution.columns, solution.rows
     points, shifts = distortion_of(solution.model, columns, rows)
     residuals = star_residual_figure(

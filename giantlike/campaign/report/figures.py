@@ -23,8 +23,8 @@ from giantlike.plotting import (
     CenterMark,
     Series,
     StarMarks,
-    jpeg_data_uri,
-    overlay_figure,
+    overlay_panels,
+    overlay_svg,
     series_figure,
     star_residual_figure,
 )
@@ -45,7 +45,7 @@ class Overlay:
     record : AttitudeRecord
     observations : list of ObservationRecord
     picture : str or None
-        ``data:`` address of the picture; None if the image file is gone.
+        SVG; None if the image file is gone.
     problem : str or None
         The reason why there is no picture.
     """
@@ -165,8 +165,8 @@ def overlay(result: RunResult, record: AttitudeRecord) -> Overlay:
         return Overlay(record=record, observations=observations, problem=str(error))
     colors = center_colors(result)
     marks = [] if body is None else [_body_marks(view, observations, colors) for view in body.views]
-    figure = overlay_figure(pixels, record.file, stars=None if full is None else _star_marks(full), bodies=marks)
-    return Overlay(record=record, observations=observations, picture=jpeg_data_uri(figure))
+    panels = overlay_panels(pixels, record.file, stars=None if full is None else _star_marks(full), bodies=marks)
+    return Overlay(record=record, observations=observations, picture=overlay_svg(panels, f"image-{record.index}"))
 
 
 def _star_marks(record: AttitudeRecord) -> StarMarks | None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
 from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, StatusCounts, grouped
@@ -18,7 +17,6 @@ from giantlike.core.atomic import write_text_atomic
 from giantlike.core.outcomes import Quality
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
-from giantlike.plotting import MARKS
 
 _MAX_FAILURES = 300
 """Failures listed one by one; all are counted by reason, and the tables hold the rest."""
@@ -41,6 +39,10 @@ def write_report(result: RunResult) -> Path:
     DataError
         The file cannot be written.
     """
+    # Imported when a page is made: workers, which draw nothing, start in half the time without matplotlib.
+    from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
+    from giantlike.plotting import MARKS
+
     failures = _failures(result)
     shown = _images_to_show(result)
     page = render_page(
