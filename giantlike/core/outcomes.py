@@ -70,11 +70,11 @@ class Quality(enum.Flag):
     MANY_REJECTED = enum.auto()
     """More than half of the observations were rejected."""
     FAR_FROM_PREDICTION = enum.auto()
-    """The estimate lies at the border of the search region."""
+    """The estimate lies at or beyond the border of the search region, or beyond declared errors of the prediction."""
     LARGE_RESIDUALS = enum.auto()
     """Residuals are several times what noise explains."""
     AMBIGUOUS = enum.auto()
-    """Another source as good lies in the search region."""
+    """Another source as good lies in the search region, or another place where the body explains the image as well."""
     OBSERVER_UNKNOWN = enum.auto()
     """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
 
@@ -84,13 +84,25 @@ class Quality(enum.Flag):
     EPOCH_UNKNOWN = enum.auto()
     """No epoch: stars were taken where the catalog has them, at J2016.0, with the error of that in the covariance."""
     DISAGREEMENT = enum.auto()
-    """Two independent estimators differ by more than their covariances explain."""
+    """Two independent estimators differ by more than their covariances explain.
+
+    One of them may be the coarse render behind every estimate: rendered where it was found, the body would match the
+    image better elsewhere, or at another range.
+    """
     UNCHECKED = enum.auto()
     """No independent estimator found the body, so nothing confirms the fix."""
     UNCONFIRMED = enum.auto()
     """No estimator that is not suspect itself confirms the fix, where one should."""
     WRONG_LIGHT = enum.auto()
     """Light lies on another side of the body than the Sun: its direction, or the order of rows, is wrong."""
+    UNEXPLAINED_LIGHT = enum.auto()
+    """The image around the body holds light that a body there does not explain, or lacks light that it should have.
+
+    A second exposure, another body, rings, an eclipse, stray light or another shape: look at the image, and mask what
+    is not the body.
+    """
+    WRONG_FIGURE = enum.auto()
+    """Parts of the body ask for different places: wrong shape, orientation or roll, or rows that are shifted."""
     SUSPECT = (
         LOW_SCORE
         | MANY_REJECTED
@@ -100,6 +112,8 @@ class Quality(enum.Flag):
         | DISAGREEMENT
         | UNCONFIRMED
         | WRONG_LIGHT
+        | UNEXPLAINED_LIGHT
+        | WRONG_FIGURE
     )
 
     @property

@@ -185,6 +185,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
 
     name: ClassVar[str] = "auto"
     options_type = AutoOptions
+    of_fixes: ClassVar[bool] = True
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
         """Choose, estimate and check."""

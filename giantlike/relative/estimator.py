@@ -23,7 +23,7 @@ from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import place_jacobian, with_budget
-from giantlike.relative.light_side import with_light_checked
+from giantlike.relative.verification import verified
 from giantlike.scene import Scene, TargetGeometry
 
 _PLATEAU_PIXELS = 20
@@ -91,6 +91,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
 
     name: ClassVar[str]
     options_type: ClassVar[type[Any]]
+    of_fixes: ClassVar[bool] = False
+    """True for an estimator of fixes of others, which have been checked already."""
 
     def __init__(self, options: Options | None = None) -> None:
         self._options: Options = options or self.options_type()
@@ -116,9 +118,10 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         Returns
         -------
         CenterFix, PositionFix or Failure
-            The fix of the estimator, with the parts of its covariance by cause. Failures are those of its class, and
-            those of an image without attitude, epoch, signal or good pixels, of a target without geometry, behind the
-            camera or around it.
+            The fix of the estimator, with the parts of its covariance by cause and the flags of the checks that are
+            made of every fix (:mod:`giantlike.relative.verification`). Failures are those of its class, and those of
+            an image without attitude, epoch, signal or good pixels, of a target without geometry, behind the camera
+            or around it.
 
         Raises
         ------
@@ -132,11 +135,12 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             return inputs
         result = self._estimate(inputs)
         if not isinstance(result, Failure):
-            result = with_light_checked(result, inputs.pixels_dn, ~inputs.masked, camera, inputs.geometry)
             result = with_budget(
                 result, image, camera, inputs.geometry, lambda moved: self._estimate(replace(inputs, geometry=moved))
             )
-        return inputs.fail(result.reason, result.detail) if isinstance(result, Failure) else result
+        if isinstance(result, Failure):
+            return inputs.fail(result.reason, result.detail)
+        return result if self.of_fixes else verified(result, inputs, getattr(self.options, "search_px", 0.0))
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:

@@ -1,0 +1,183 @@
+"""The image around a body in cells, and the body rendered into them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, Mask, Scalar
+from giantlike.core.outcomes import Failure
+from giantlike.core.pixel_box import PixelBox
+from giantlike.core.values import Value
+from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
+
+CELLS_PER_RADIUS = 12
+"""Cells to a radius of the body, as far as pixels are not larger: a cell of 8 % of the radius is smaller than what
+markings and errors of a law correlate over (:data:`BLOCK`), and a body has some 450 cells."""
+MARGIN = 1.6
+"""Half width of the region over the largest radius: room for a second body or a halo beside the first."""
+BLOCK = 0.25
+"""Size over the radius of the parts of a disk whose departures from a model are alike: markings, errors of the law,
+as in ``relative/light/moment.py``. They set how much a better match means, which noise of pixels does not."""
+LEAST_RADIUS_PX = 5.0
+"""Radius, px, below which the point spread function takes away what a face looks like."""
+_RAYS_PER_CELL = 2
+"""Rays along the side of a cell: the limb of a body of 24 cells is then right to some 0.01 cells on average."""
+_MOST_CELLS = 160
+"""Most cells along the side of the region: a body much larger than its mean radius says gets larger cells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cells(Value):
+    """The image around a body in cells, with room for shifts of the body.
+
+    Parameters
+    ----------
+    values : (n, n) float64, DN
+        Means over the good pixels of each cell, bias subtracted.
+    variance : (n, n) float64, DN^2
+        Of their noise.
+    good : (n, n) bool
+        At least half of the pixels are good.
+    fresh : (n, n) bool
+        Good, and no pixel is saturated.
+    camera : Camera
+        Of an image whose pixels are the cells.
+    box : PixelBox
+        Of the cells, in the pixels of that image.
+    room : int
+        Cells around :attr:`inner` that are there for shifts.
+    radius : float
+        Mean radius of the body, cells.
+    size : int, px
+        Pixels along the side of a cell.
+    center_px : (2,) float64, px
+        Center of the body in the image.
+    """
+
+    values: Float
+    variance: Float
+    good: Mask
+    fresh: Mask
+    camera: Camera
+    box: PixelBox
+    room: int
+    radius: float
+    size: int
+    center_px: Float
+
+    @property
+    def inner(self) -> PixelBox:
+        """The box without the room for shifts."""
+        side = self.box.width - 2 * self.room
+        return PixelBox(x=self.box.x + self.room, y=self.box.y + self.room, width=side, height=side)
+
+    def cropped(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Return what lies in :attr:`inner` of an array (n, n) of the whole region."""
+        within = slice(self.room, self.box.width - self.room)
+        return values[within, within]
+
+    def trace(self, body: Body, sun_direction_camera: Float) -> Trace | None:
+        """Trace a body for renders into the cells.
+
+        Parameters
+        ----------
+        body : Body
+        sun_direction_camera : (3,) float64, unitless, camera axes
+
+        Returns
+        -------
+        Trace or None
+            None where nothing of it is seen.
+        """
+        camera = self.camera
+        traced = trace_body(
+            body,
+            camera.model,
+            sun_direction_camera=sun_direction_camera,
+            psf=camera.psf,
+            columns=camera.columns,
+            rows=camera.rows,
+            options=RenderOptions(
+                rays_per_pixel_side=_RAYS_PER_CELL,
+                min_rays_across=2 * _RAYS_PER_CELL * CELLS_PER_RADIUS,
+                margin_px=self.box.width,
+            ),
+        )
+        return None if isinstance(traced, Failure) else traced
+
+    def render(self, trace: Trace) -> Template | None:
+        """Shade a trace; None where nothing that is seen is lit."""
+        template = trace.template()
+        return template if isinstance(template, Template) else None
+
+    def place(self, values: Float, template: Template) -> Float:
+        """Cut :attr:`inner` out of an array of a template."""
+        x, y = template.corner_px.tolist()
+        return self.inner.cut(values, (x, y))
+
+
+def cells_around(
+    pixels_dn: Float, good: Mask, saturated: Mask, camera: Camera, body: Body, *, room_px: float = 0.0
+) -> Cells | None:
+    """Average blocks of pixels around a body.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns) float64, DN
+        Bias subtracted.
+    good, saturated : (rows, columns) bool
+        Pixels that are not bad, and those that were clipped.
+    camera : Camera
+    body : Body
+        Where it is taken to be.
+    room_px : float, px
+        Room for shifts of the body; one radius at least.
+
+    Returns
+    -------
+    Cells or None
+        None where the body is too small to have a face.
+    """
+    center_px = body.center_px(camera.model)
+    if not np.isfinite(center_px).all():
+        return None
+    inside = np.clip(center_px, -0.5, [camera.columns - 0.5, camera.rows - 0.5])
+    px_per_km = 1.0 / float(np.linalg.norm(body.position_camera_km)) / float(camera.ifov_rad(inside))
+    radius_px = body.shape.mean_radius_km * px_per_km
+    reach_px, room_px = MARGIN * body.shape.circumscribing_radius_km * px_per_km, max(room_px, radius_px)
+    size = max(1, round(radius_px / CELLS_PER_RADIUS), math.ceil(2.0 * (reach_px + room_px) / _MOST_CELLS))
+    if radius_px < LEAST_RADIUS_PX or min(good.shape) < 2 * size:
+        return None
+    room = math.ceil(room_px / size)
+    half = math.ceil(reach_px / size) + room
+    binned = camera.binned(size, detector=camera.detector)
+    x, y = np.rint(body.center_px(binned.model)).astype(int).tolist()
+    box = PixelBox(x=x - half, y=y - half, width=2 * half + 1, height=2 * half + 1)
+    pixels = PixelBox(x=box.x * size, y=box.y * size, width=box.width * size, height=box.height * size)
+    usable = pixels.cut(good)
+    counts = _summed(usable, size)
+    values = _summed(np.where(usable, pixels.cut(pixels_dn), 0.0), size) / np.maximum(counts, 1.0)
+    enough = np.asarray(counts >= 0.5 * size**2)
+    return Cells(
+        values=values,
+        variance=camera.detector.variance_dn2(values) / np.maximum(counts, 1.0),
+        good=enough,
+        fresh=enough & (_summed(pixels.cut(saturated), size) == 0.0),
+        camera=binned,
+        box=box,
+        room=room,
+        radius=radius_px / size,
+        size=size,
+        center_px=center_px,
+    )
+
+
+def _summed(values: Float | Mask, size: int) -> Float:
+    """Sums (rows // size, columns // size) of blocks."""
+    rows, columns = (length // size for length in values.shape)
+    return np.asarray(values.reshape(rows, size, columns, size).sum(axis=(1, 3), dtype=np.float64))

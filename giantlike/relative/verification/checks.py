@@ -1,0 +1,186 @@
+"""The checks behind every estimate: numbers of a fix that follow from a coarse render at the place found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypedDict, TypeVar
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.causes import IN_IMAGE, Cause, summed
+from giantlike.core.outcomes import CenterFix, PositionFix
+from giantlike.core.values import Value
+from giantlike.ray_tracing import Body, Template, Trace
+from giantlike.relative.quality import QualityChecks
+from giantlike.relative.verification.cells import Cells, cells_around
+from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
+from giantlike.relative.verification.light_side import light_side
+from giantlike.relative.verification.rival import rival_log_odds
+
+if TYPE_CHECKING:
+    from giantlike.relative.estimator import EstimatorInputs
+
+AnyFix = TypeVar("AnyFix", bound=CenterFix)
+
+_CHECKED = "checks"
+"""Key of the provenance of fixes: the numbers of their checks."""
+_LINEAR = 0.03
+"""Motion over the radius, and change of the range, up to which derivatives of the coarse render tell the residuals: a
+third of a cell."""
+_BELIEVED = 0.5
+"""Motion over the radius, and change of the range, beyond which the coarse fit has not found the body."""
+_OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
+"""Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
+
+
+class _Numbers(TypedDict, total=False):
+    """Numbers of a fix that its flags follow from: keywords of :class:`~giantlike.relative.quality.QualityChecks`."""
+
+    light_log_odds: float
+    rival_log_odds: float
+    misfit: float
+    unexplained: float
+    place_chance: float
+    figure_chance: float
+    prediction_chance: float
+
+
+def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float) -> AnyFix:
+    """Return a fix with the flags and numbers of its checks; unchanged where it has them already.
+
+    Parameters
+    ----------
+    fix : CenterFix or PositionFix
+        With its error budget.
+    inputs : EstimatorInputs
+    search_px : float, px
+        Declared search: largest error of the prediction, in both coordinates.
+
+    Returns
+    -------
+    CenterFix or PositionFix
+    """
+    if _CHECKED in fix.provenance:
+        return fix
+    numbers = _image_numbers(fix, inputs, search_px)
+    chance = _prediction_chance(fix, inputs)
+    if chance is not None:
+        numbers["prediction_chance"] = chance
+    if not numbers:
+        return fix
+    checks = QualityChecks(off_px=np.zeros(2), search_px=math.inf, **numbers)
+    text = " ".join(f"{name}={number:.3g}" for name, number in numbers.items())
+    return replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
+
+
+def chance_of(difference: Float, covariance: Float) -> float:
+    """Probability that errors of a covariance come to as much.
+
+    Parameters
+    ----------
+    difference : (k,) float64
+    covariance : (k, k) float64
+
+    Returns
+    -------
+    float
+    """
+    from scipy.stats import chi2
+
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    whitened = np.linalg.lstsq(covariance / np.outer(scale, scale), difference / scale, rcond=None)[0]
+    return float(chi2.sf(float(whitened @ (difference / scale)), len(difference)))
+
+
+def _prediction_chance(fix: CenterFix, inputs: EstimatorInputs) -> float | None:
+    """Chance that fix and prediction differ by as much; None where the errors of the prediction are not declared.
+
+    Without a covariance of the attitude that the center was predicted with, the range alone is compared.
+    """
+    if Cause.EPHEMERIS not in fix.parts:
+        return None
+    difference = fix.center_px - inputs.predicted_px
+    if isinstance(fix, PositionFix):
+        difference = np.append(difference, math.log(fix.range_km / inputs.geometry.range_km))
+    compared = slice(0 if inputs.image.attitude_covariance_rad2 is not None else 2, len(difference))
+    if not difference[compared].size:
+        return None
+    return chance_of(difference[compared], fix.covariance_total[compared, compared])
+
+
+def _image_numbers(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Numbers:
+    """Numbers of the coarse render at the place found; none where the body has no face or is not seen."""
+    coarse = _coarse(fix, inputs, search_px)
+    if coarse is None:
+        return _Numbers()
+    cells, trace, own = coarse.cells, coarse.trace, coarse.own
+    numbers = _Numbers()
+    side = light_side(cells, trace, own, inputs.geometry.sun_direction_camera)
+    if side is not None:
+        numbers["light_log_odds"] = side.log_odds
+        numbers["rival_log_odds"] = rival_log_odds(cells, own, inputs.predicted_px, search_px)
+    if coarse.fit is not None:
+        numbers.update(_fit_numbers(fix, coarse.fit))
+    return numbers
+
+
+def _fit_numbers(fix: CenterFix, fit: CoarseFit) -> _Numbers:
+    """Residuals of a coarse fit, and chances that its changes of the place and of the figure are errors of its own."""
+    own = summed(fix.parts, _OF_ITS_OWN) if fix.parts else fix.covariance_px2
+    size = len(own)
+    return _Numbers(
+        misfit=fit.misfit,
+        unexplained=fit.unexplained,
+        place_chance=chance_of(fit.moved[:size], fit.covariance[:size, :size] + own),
+        figure_chance=chance_of(fit.strain, fit.strain_covariance),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Coarse(Value):
+    """A body rendered where it was found, and fitted to the image; ``fit`` is None where too few cells hold it."""
+
+    cells: Cells
+    trace: Trace
+    own: Template
+    fit: CoarseFit | None
+
+
+def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
+    """Render and fit a body where it was found, and again where the image would have it if that is not near by."""
+    geometry, model = inputs.geometry, inputs.camera.model
+    range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
+    coarse = _at(geometry.body(range_km * model.unproject(fix.center_px)), inputs, search_px)
+    if coarse is None or coarse.fit is None:
+        return coarse
+    moved, cells = coarse.fit.moved, coarse.cells
+    steps = float(np.hypot(*moved[:2])) / cells.size / cells.radius, abs(float(moved[2]))
+    if max(steps) < _LINEAR or max(steps) > _BELIEVED:
+        return coarse
+    body = geometry.body(range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2]))
+    again = _at(body, inputs, search_px)
+    if again is None or again.fit is None or not again.fit.misfit < coarse.fit.misfit:
+        return coarse
+    return replace(again, fit=replace(again.fit, moved=moved + again.fit.moved))
+
+
+def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
+    """Render a body coarsely and fit it; None where it is too small or not seen."""
+    off_px = body.center_px(inputs.camera.model) - inputs.predicted_px
+    room_px = search_px + float(np.max(np.abs(off_px)))
+    good = ~inputs.masked
+    cells = cells_around(inputs.pixels_dn, good, inputs.saturated, inputs.camera, body, room_px=room_px)
+    trace = None if cells is None else cells.trace(body, inputs.geometry.sun_direction_camera)
+    own = None if cells is None or trace is None else cells.render(trace)
+    if cells is None or trace is None or own is None:
+        return None
+    return _Coarse(cells=cells, trace=trace, own=own, fit=fit_cells(cells, trace, own, turn_rad=_turn_rad(inputs)))
+
+
+def _turn_rad(inputs: EstimatorInputs) -> float:
+    """Standard deviation, rad, of the orientation of the body in the image as it was declared, about any axis."""
+    known, attitude = inputs.geometry.target.uncertainty, inputs.image.attitude_covariance_rad2
+    roll = 0.0 if attitude is None else float(attitude[2, 2])
+    return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll)

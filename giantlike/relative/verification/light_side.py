@@ -1,0 +1,102 @@
+"""Does light lie on the side of the Sun? A body at the place found, lit from other sides, against the image."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float, unit
+from giantlike.core.frames import rotate
+from giantlike.ray_tracing import Template, Trace
+from giantlike.relative.verification.cells import BLOCK, Cells
+from giantlike.relative.verification.shifts import ShiftedMatches
+
+_LEAST_SHARE = 0.3
+"""Share of the body that must lie in the frame."""
+_OTHER_SIDES_RAD = (0.5 * math.pi, math.pi, 1.5 * math.pi)
+"""Angles by which the Sun is turned about the line of sight."""
+_EXACT = 1e-9
+"""Share of the variance that rounding leaves of an exact model."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LightSide:
+    """How well an image matches a body lit from the side of the Sun, and from the best of three others.
+
+    Parameters
+    ----------
+    unexplained, unexplained_by_other : float
+        Share of the variance of the pixels that the body lit so leaves, at the shift that leaves least.
+    log_odds : float
+        Logarithm of the likelihood under the other side over that under the side of the Sun.
+    """
+
+    unexplained: float
+    unexplained_by_other: float
+    log_odds: float
+
+
+def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: Float) -> LightSide | None:
+    """Compare an image with a body that is lit from the side of the Sun, and from the others.
+
+    Parameters
+    ----------
+    cells : Cells
+        The image; saturated pixels still say that it is bright there. The body may move by a radius: a center that
+        is found by light taken from the wrong side is off by 0.85 radii at a phase angle of 60 deg.
+    trace : Trace
+        Of the body at the place found.
+    own : Template
+        The same, lit from the side of the Sun.
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
+
+    Returns
+    -------
+    LightSide or None
+        None where too little of the body lies in the frame.
+
+    Notes
+    -----
+    Residuals of a body are errors of its law and of its markings: alike over a quarter of a radius, independent beyond.
+    With n such parts the likelihood goes with the unexplained variance to the power of -n / 2. At small phase angles
+    all sides match alike, and the odds are even.
+    """
+    parts = independent_parts(cells, own)
+    if parts == 0.0:
+        return None
+    sight = unit(trace.body.position_camera_km)
+    room = math.ceil(cells.radius)
+    matches = ShiftedMatches.of(cells, room)
+    turned = [rotate(Rotation.from_rotvec(angle * sight), sun_direction_camera) for angle in _OTHER_SIDES_RAD]
+    others = [one for one in (cells.render(trace.with_sun(sun)) for sun in turned) if one is not None]
+    left = max(_least(matches, cells, own), _EXACT)
+    left_by_other = max(min((_least(matches, cells, one) for one in others), default=1.0), _EXACT)
+    odds = 0.5 * parts * math.log(left / left_by_other)
+    return LightSide(unexplained=left, unexplained_by_other=left_by_other, log_odds=odds)
+
+
+def independent_parts(cells: Cells, template: Template) -> float:
+    """Parts of a body in the frame whose departures from a model are independent; 0 where too little of it shows.
+
+    Parameters
+    ----------
+    cells : Cells
+    template : Template
+        The body in the cells.
+
+    Returns
+    -------
+    float
+    """
+    coverage = cells.place(template.coverage, template)
+    seen = float(coverage[cells.cropped(cells.good)].sum())
+    enough = seen > _LEAST_SHARE * float(template.coverage.sum())
+    return seen / (BLOCK * cells.radius) ** 2 if enough else 0.0
+
+
+def _least(matches: ShiftedMatches, cells: Cells, template: Template) -> float:
+    """Share of the variance of the cells that a template leaves at its best shift."""
+    return float(matches.unexplained(cells.place(template.brightness, template)).min())

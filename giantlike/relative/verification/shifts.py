@@ -1,0 +1,113 @@
+"""A template against an image at all shifts of it: one transform of the image, two of each template."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.relative.verification.cells import Cells
+
+_EXACT = 1e-9
+"""Share of the largest variance below which the sums of a window hold nothing but rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShiftedMatches(Value):
+    """Sums over the window of a template at each shift of it.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Cells of the image in the transforms, padding included.
+    shifts : int
+        Number of shifts along each axis, of -n to n cells.
+    spectra : (2, rows, columns // 2 + 1) complex128
+        Transforms of the good cells and of their values.
+    number, total, variance : (shifts, shifts) float64
+        Good cells in the window, their sum and the sum of squares about their mean.
+    """
+
+    size: tuple[int, int]
+    shifts: int
+    spectra: NDArray[np.complex128]
+    number: Float
+    total: Float
+    variance: Float
+
+    @classmethod
+    def of(cls, cells: Cells, room: int) -> ShiftedMatches:
+        """Transform an image.
+
+        Parameters
+        ----------
+        cells : Cells
+        room : int
+            Cells by which templates are shifted at most; not more than the room of the cells.
+
+        Returns
+        -------
+        ShiftedMatches
+        """
+        from scipy.fft import next_fast_len
+
+        first = cells.room - room
+        within = slice(first, cells.box.width - first)
+        good = cells.good[within, within].astype(np.float64)
+        values = np.where(good > 0.0, cells.values[within, within], 0.0)
+        values = values - values.sum() / max(good.sum(), 1.0) * good
+        length = next_fast_len(len(good), real=True)
+        size, shifts = (length, length), 2 * room + 1
+        spectra = np.fft.rfft2(np.stack([good, values, values**2]), size)
+        window = np.ones((len(good) - 2 * room,) * 2)
+        number, total, squares = _products(spectra, window, size, shifts)
+        number = np.maximum(np.rint(number), 1.0)
+        variance = squares - total**2 / number
+        return cls(size=size, shifts=shifts, spectra=spectra[:2], number=number, total=total, variance=variance)
+
+    def unexplained(self, model: Float) -> Float:
+        """Share of the variance of the image that a template leaves, with its gain and a level fitted.
+
+        Parameters
+        ----------
+        model : (m, m) float64
+            In the middle of the image, without the room for shifts.
+
+        Returns
+        -------
+        (shifts, shifts) float64
+            By shift along rows and columns; 1 where only a negative gain would explain anything.
+        """
+        return 1.0 - self.explained(model)[0]
+
+    def explained(self, model: Float) -> tuple[Float, Float]:
+        """Share of the variance of the image that a template explains, and its gain, at each shift.
+
+        Parameters
+        ----------
+        model : (m, m) float64
+
+        Returns
+        -------
+        share : (shifts, shifts) float64
+        gain : (shifts, shifts) float64, DN
+            Zero where it would be negative or where nothing is to be seen.
+        """
+        light, product = _products(self.spectra, model, self.size, self.shifts)
+        light_squares = _products(self.spectra[:1], model**2, self.size, self.shifts)[0]
+        light_variance = light_squares - light**2 / self.number
+        covariance = np.maximum(product - self.total * light / self.number, 0.0)
+        seen = (self.variance > _EXACT * self.variance.max()) & (light_variance > _EXACT * light_variance.max())
+        share, gain = np.zeros_like(covariance), np.zeros_like(covariance)
+        share[seen] = np.minimum(covariance[seen] ** 2 / (self.variance[seen] * light_variance[seen]), 1.0)
+        gain[seen] = covariance[seen] / light_variance[seen]
+        return share, gain
+
+
+def _products(spectra: NDArray[np.complex128], model: Float, size: tuple[int, int], shifts: int) -> Float:
+    """Sums (k, shifts, shifts) of products of images and a template at all shifts that stay within them."""
+    products = np.fft.irfft2(spectra * np.conj(np.fft.rfft2(model, size)), size)
+    return np.asarray(products[:, :shifts, :shifts], dtype=np.float64)

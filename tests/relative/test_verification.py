@@ -1,0 +1,186 @@
+"""Checks behind every fix: what is beside the body in an image, or is not the body; truth by another renderer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.outcomes import Failure, PositionFix, Quality
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
+from giantlike.relative.estimator import EstimatorInputs, gather, place_covariance
+from giantlike.relative.verification import verified
+from giantlike.scene import Scene, Target, TargetUncertainty
+from giantlike.shapes import Ellipsoid
+
+RADII_KM = np.array([10.0, 8.8, 8.2])
+SIZE, FOCAL_PX, MIDDLE = 160, 4000.0, 79.5
+POSITION_KM = np.array([0.3, -0.5, 1200.0])  # a radius of 30 px
+CAMERA = Camera(
+    name="square",
+    columns=SIZE,
+    rows=SIZE,
+    model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=MIDDLE, cy_px=MIDDLE),
+    psf=GaussianPsf(sigma_px=0.7),
+    detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0),
+)
+TURN = Rotation.from_rotvec([0.4, -0.9, 0.3])
+SIGMA_PX, SIGMA_RANGE = 0.05, 5e-4
+SEARCH_PX = 40.0
+
+
+def sun_at(phase_deg: float) -> Float:
+    phase = math.radians(phase_deg)
+    return np.array([0.8 * math.sin(phase), 0.6 * math.sin(phase), -math.cos(phase)])
+
+
+@cache
+def markings() -> SphereField:
+    return bumps(3, rms=0.15)
+
+
+@cache
+def light(phase_deg: float, law: str = "mcewen", spotted: bool = False, radii_km: tuple[float, ...] = ()) -> Float:
+    body = EllipsoidBody(np.array(radii_km) if radii_km else RADII_KM, markings() if spotted else None)
+    view = PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
+    signal: Float = render_body(body, view, Pose(POSITION_KM, TURN, sun_at(phase_deg)), law=law, psf=Psf(0.7))
+    return signal
+
+
+def inputs_of(
+    signal_dn: Float,
+    phase_deg: float,
+    *,
+    turn: Rotation = TURN,
+    uncertainty: TargetUncertainty | None = None,
+    off_km: tuple[float, float, float] = (0.5, 0.7, 9.0),
+    told_km: Float = RADII_KM,
+) -> EstimatorInputs:
+    """An image, and a scene in which the body is predicted elsewhere."""
+    geometry = ApparentGeometry(
+        position_inertial_km=POSITION_KM + off_km, inertial_from_body=turn, sun_direction_inertial=sun_at(phase_deg)
+    )
+    target = Target(
+        name="BODY",
+        shape=Ellipsoid(radii_km=told_km),
+        ephemeris=geometry,
+        uncertainty=uncertainty or TargetUncertainty(),
+    )
+    image = Image(pixels=record(signal_dn, np.random.default_rng(1)).pixels, camera_from_inertial=Rotation.identity())
+    inputs = gather(image, CAMERA, Scene(targets=(target,)), None, estimator="test", options=None)
+    assert not isinstance(inputs, Failure)
+    return inputs
+
+
+def fix_at(inputs: EstimatorInputs, position_km: Float = POSITION_KM) -> PositionFix:
+    """What an estimator would say that finds the body there, and is as certain as one on exact models."""
+    cross = (SIGMA_PX / FOCAL_PX * position_km[2]) ** 2
+    covariance = np.diag([cross, cross, (SIGMA_RANGE * position_km[2]) ** 2])
+    part = place_covariance(CAMERA.model, position_km, covariance)
+    return PositionFix(
+        **inputs.identity,
+        center_px=CAMERA.model.project(position_km),
+        covariance_px2=part[:2, :2],
+        residuals=np.zeros(1),
+        n_used=1,
+        n_rejected=0,
+        score=1.0,
+        parts={Cause.NOISE: part},
+        position_camera_km=position_km,
+        covariance_camera_km2=covariance,
+        limb_px=np.zeros((0, 2)),
+    )
+
+
+def flags(inputs: EstimatorInputs, position_km: Float = POSITION_KM) -> Quality:
+    return verified(fix_at(inputs, position_km), inputs, SEARCH_PX).flags
+
+
+@pytest.mark.parametrize(
+    ("law", "phase_deg"), [("mcewen", 10.0), ("lambert", 60.0), ("hapke", 60.0), ("lommel_seeliger", 120.0)]
+)
+def test_a_right_fix_raises_no_flag_whatever_law_and_markings_the_body_has(law: str, phase_deg: float) -> None:
+    inputs = inputs_of(light(phase_deg, law, True), phase_deg)
+    fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+    assert fix.flags == Quality.NONE, fix.provenance["checks"]
+    assert verified(fix, inputs, SEARCH_PX) is fix
+
+
+@pytest.mark.parametrize("phase_deg", [20.0, 100.0])
+def test_a_second_exposure_is_light_that_the_body_does_not_explain(phase_deg: float) -> None:
+    twice = 0.5 * light(phase_deg) + 0.5 * np.roll(light(phase_deg), (13, -15), axis=(0, 1))
+    assert Quality.UNEXPLAINED_LIGHT in flags(inputs_of(twice, phase_deg))
+
+
+def test_a_shadow_on_the_body_is_light_that_it_should_have() -> None:
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    shadow = np.hypot(rows - MIDDLE - 18.0, columns - MIDDLE + 12.0) < 22.0
+    assert Quality.UNEXPLAINED_LIGHT in flags(inputs_of(np.where(shadow, 0.0, light(40.0)), 40.0))
+
+
+def test_an_image_of_something_else_is_not_explained() -> None:
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    wall = 2000.0 * (rows > MIDDLE + 10.0) + 0.0 * columns
+    assert Quality.UNEXPLAINED_LIGHT in flags(inputs_of(wall, 40.0))
+
+
+def test_another_shape_is_not_explained_or_has_another_figure() -> None:
+    found = flags(inputs_of(light(60.0), 60.0, told_km=np.array([11.0, 8.1, 8.2])))
+    assert found & (Quality.UNEXPLAINED_LIGHT | Quality.WRONG_FIGURE | Quality.DISAGREEMENT)
+
+
+def test_a_fix_beside_the_body_disagrees_with_its_image() -> None:
+    inputs = inputs_of(light(60.0), 60.0)
+    for off_km in ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 40.0)):  # 3.3 px, and 3 % of range
+        assert Quality.DISAGREEMENT in flags(inputs, POSITION_KM + off_km)
+
+
+def test_rows_that_are_shifted_and_a_roll_are_another_figure_unless_declared() -> None:
+    rows = light(60.0).copy()
+    rows[80:] = np.roll(rows[80:], 4, axis=1)
+    assert flags(inputs_of(rows, 60.0)) & (Quality.WRONG_FIGURE | Quality.DISAGREEMENT)
+    rolled = Rotation.from_rotvec([0.0, 0.0, math.radians(25.0)]) * TURN
+    long_km = (10.0, 7.5, 7.0)
+    signal, shape = light(60.0, radii_km=long_km), np.array(long_km)
+    assert Quality.WRONG_FIGURE in flags(inputs_of(signal, 60.0, turn=rolled, told_km=shape))
+    declared = TargetUncertainty(pole_rad=0.3, spin_rad=0.3)
+    assert not flags(inputs_of(signal, 60.0, turn=rolled, told_km=shape, uncertainty=declared)).suspect
+
+
+def test_a_twin_in_the_search_region_is_as_good_and_one_beyond_it_is_not() -> None:
+    far_km = POSITION_KM * [1.0, 1.0, 3.5]  # a radius of 8.6 px
+    view = PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
+    alone = render_body(EllipsoidBody(RADII_KM), view, Pose(far_km, TURN, sun_at(50.0)), psf=Psf(0.7))
+    both = alone + np.roll(alone, 27, axis=1)
+    inputs = inputs_of(both, 50.0, off_km=tuple(far_km - POSITION_KM))
+    assert Quality.AMBIGUOUS in verified(fix_at(inputs, far_km), inputs, SEARCH_PX).flags
+    assert Quality.AMBIGUOUS not in verified(fix_at(inputs, far_km), inputs, 20.0).flags
+    assert Quality.AMBIGUOUS not in flags(inputs_of(alone, 50.0, off_km=tuple(far_km - POSITION_KM)), far_km)
+
+
+def test_a_fix_beyond_the_declared_errors_of_its_prediction_is_far_from_it() -> None:
+    sigma_km = TargetUncertainty(ephemeris_km=2.0)
+    for off_km, attitude, far in (
+        ((0.0, 0.0, 5.0), False, False),
+        ((0.0, 0.0, 12.0), False, True),
+        ((12.0, 0.0, 0.0), False, False),  # the attitude is not known: the range alone counts
+        ((12.0, 0.0, 0.0), True, True),
+    ):
+        inputs = inputs_of(light(60.0), 60.0, uncertainty=sigma_km, off_km=off_km)
+        image = inputs.image if not attitude else replace(inputs.image, attitude_covariance_rad2=1e-12 * np.eye(3))
+        fix = fix_at(inputs)
+        part = place_covariance(CAMERA.model, POSITION_KM, 4.0 * np.eye(3))
+        fix = replace(fix, parts={**fix.parts, Cause.EPHEMERIS: part})
+        found = verified(fix, replace(inputs, image=image), SEARCH_PX)
+        assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.provenance["checks"]
