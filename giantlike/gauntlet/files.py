@@ -11,6 +11,7 @@ from typing import Any
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.version import VERSION
+from giantlike.gauntlet.page import page_of
 from giantlike.gauntlet.run import Gauntlet, ImageResult, row_values, summary_of
 from giantlike.gauntlet.trial import TrialRow
 from giantlike.io.tables import write_rows
@@ -63,10 +64,12 @@ def save_results(folder: Path, wanted: Gauntlet, results: Sequence[ImageResult],
             raise DataError(path, f"cannot be written: {error.strerror or error}") from error
         return
     rows = [row for result in results for row in result.rows]
-    everything = summary_of(wanted, results) | {"rows": [row_values(row) for row in rows]}
+    report = summary_of(wanted, results)
+    everything = report | {"rows": [row_values(row) for row in rows]}
     write_text_atomic(path, "".join(_line(wanted, result) for result in results))
     write_rows(folder / TABLE, TrialRow, rows)
     write_text_atomic(folder / SUMMARY, json.dumps(everything, indent=1, allow_nan=False) + "\n")
+    write_text_atomic(folder / PAGE, page_of(report, results))
 
 
 def _line(wanted: Gauntlet, result: ImageResult) -> str:

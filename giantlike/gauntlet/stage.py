@@ -143,12 +143,7 @@ def stage_of(seed: int, index: int, *, disturbed: bool = True) -> Stage:
     Stage
     """
     plan = plan_of(seed, index, disturbed=disturbed)
-    rng = np.random.default_rng([seed, index, _EXPOSE])
-    signal = signal_of(plan.world, rng)
-    shot = record(signal, rng, plan.world.recorder, plan.world.defects)
-    pixels = shot.pixels
-    for readout in plan.world.readouts:
-        pixels = readout(pixels, rng)
+    signal, pixels = expose(plan.world, np.random.default_rng([seed, index, _EXPOSE]))
     return Stage(
         seed=seed,
         index=index,
@@ -160,6 +155,26 @@ def stage_of(seed: int, index: int, *, disturbed: bool = True) -> Stage:
         scene=None if plan.told.shape is None else _scene(plan),
         catalog=None if plan.told.catalog is None else catalog_of(plan.told.catalog),
     )
+
+
+def expose(world: World, rng: np.random.Generator) -> tuple[Float, Float]:
+    """Take an image.
+
+    Parameters
+    ----------
+    world : World
+    rng : Generator
+
+    Returns
+    -------
+    (rows, columns) float64, (rows, columns) float64, DN
+        Signal without noise; pixels as they arrive.
+    """
+    signal = signal_of(world, rng)
+    pixels = record(signal, rng, world.recorder, world.defects).pixels
+    for readout in world.readouts:
+        pixels = readout(pixels, rng)
+    return signal, pixels
 
 
 def signal_of(world: World, rng: np.random.Generator) -> Float:

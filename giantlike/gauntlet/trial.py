@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_POSITION, Cause, summed
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
 from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
 from giantlike.gauntlet.rule import STARS, Facts, Verdict, facts_of, fits, solvable
@@ -28,7 +28,7 @@ VAGUE_FACTOR = 3.0
 """Sigma over the nominal one from which on an answer is vague."""
 NAMES = (*ESTIMATORS, STARS)
 """Names of all estimators of the gauntlet, the star chain last."""
-_PRIOR = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN)
+_STATED = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.ABERRATION, Cause.EPOCH)
 """Parts of a covariance that are stated with the image, not measured in it."""
 _SURFACE_PX = 180.0
 """Least diameter, px, of bodies on which surface_features is tried: landmarks need some hundred facets each."""
@@ -169,11 +169,11 @@ def answer_of(stage: Stage, name: str) -> Answer:
 
 
 def place_error(stage: Stage, fix: CenterFix) -> Answer:
-    """Compare the place of a body with the truth, in camera axes.
+    """Compare the place of a body with the truth: its center in the image, and its range.
 
-    Computed is the true position in camera axes, through the camera that was told; the covariance is the sum of all
-    parts that stand between the pixels and a position in camera axes, the camera among them. Attitude and ephemeris
-    do not: they are no part of what was measured.
+    The center is compared where the body is in the image, with ``covariance_px2``; the range with the sum of all parts
+    that stand between the pixels and a position in camera axes, the camera that was told among them. Attitude and
+    ephemeris do not: they are no part of what was measured.
 
     Parameters
     ----------
@@ -185,16 +185,15 @@ def place_error(stage: Stage, fix: CenterFix) -> Answer:
     Answer
         With the status ``ok`` whatever the flags.
     """
-    position = stage.world.position_camera_km
-    error = fix.center_px - stage.camera.model.project(position)
-    own = {Cause.NOISE: _own_covariance(stage, fix)}
-    parts = fix.parts or own
-    covariance = summed(parts, IN_POSITION)
-    prior = summed({**{cause: part for cause, part in parts.items() if cause in _PRIOR}, **_zero(parts)}, Cause)
-    answer = _of_center(error, covariance[:2, :2], prior[:2, :2])
+    error = fix.center_px - stage.world.center_px
+    parts = fix.parts or {Cause.NOISE: _own_covariance(stage, fix)}
+    stated = {cause: part for cause, part in parts.items() if cause in _STATED}
+    prior = summed(stated | _zero(parts), Cause)
+    seen = summed({cause: part for cause, part in stated.items() if cause in IN_IMAGE} | _zero(parts), Cause)
+    answer = _of_center(error, fix.covariance_px2, seen[:2, :2])
     if not isinstance(fix, PositionFix):
         return answer
-    ratio, sigma = math.log(fix.range_km / stage.world.range_km), math.sqrt(covariance[2, 2])
+    ratio, sigma = math.log(fix.range_km / stage.world.range_km), math.sqrt(summed(parts, IN_POSITION)[2, 2])
     return replace(
         answer,
         range_error=ratio,
@@ -245,7 +244,7 @@ def attitude_error(stage: Stage, fix: AttitudeFix) -> Answer:
     error = (stage.world.attitude * fix.camera_from_inertial.inv()).as_rotvec()
     focal, edge = stage.world.view.focal_px, 0.5 * stage.world.view.columns
     roll, sigma = abs(float(error[2])), math.sqrt(float(fix.covariance_rad2[2, 2]))
-    prior = fix.parts.get(Cause.CAMERA, np.zeros((3, 3)))
+    prior = sum((part for cause, part in fix.parts.items() if cause in _STATED), np.zeros((3, 3)))
     return replace(
         _of_center(focal * error[:2], focal**2 * fix.covariance_rad2[:2, :2], focal**2 * prior[:2, :2]),
         range_error=edge * roll,
