@@ -14,7 +14,7 @@ from giantlike.gauntlet import KINDS, Verdict
 CHEAP = ["--seed", "5", "--kinds", "point,noise,stars_nominal", "--estimators", "unresolved,moment,stars"]
 
 
-def gauntlet(*arguments: str | Path) -> Result:
+def gauntlet(*arguments: str | Path | int) -> Result:
     return CliRunner().invoke(app, ["gauntlet", *map(str, arguments)])
 
 

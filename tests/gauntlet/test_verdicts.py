@@ -47,7 +47,7 @@ FIX = Answer(
     ],
 )
 def test_an_ok_fix_is_judged_by_its_error_and_sigma(changes: dict[str, float], verdict: str) -> None:
-    assert verdict_of(replace(FIX, **changes), GOOD, demanded=True) == verdict
+    assert verdict_of(replace(FIX, **changes), GOOD, demanded=True) == verdict  # type: ignore[arg-type]
 
 
 def test_an_ok_fix_of_a_body_that_is_not_there_is_silently_wrong() -> None:
