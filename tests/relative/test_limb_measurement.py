@@ -91,7 +91,8 @@ def test_lines_and_cells_measure_a_limb_of_arrays_into_one_value() -> None:
     assert isinstance(by_cells, LimbMeasurement)
     solution = fit_horizon(by_cells, PLANE.model, figure, by_cells.position_camera_km, Altitude())
     assert sigmas(solution.position_camera_km, solution.covariance_camera_km2, truth.position_camera_km) < SIGMAS
-    assert {Cause.NOISE, Cause.PSF, Cause.ALTITUDE, Cause.REFLECTANCE} == set(solution.covariances_km2)
+    known = {Cause.NOISE, Cause.PSF, Cause.ALTITUDE, Cause.REFLECTANCE}
+    assert known <= set(solution.covariances_km2) <= known | {Cause.RELIEF}
     for measured in (by_lines, by_cells):
         assert measured.n_used <= measured.keep.size <= measured.n_offered
         assert 0.3 < measured.outline_share <= 0.7

@@ -18,7 +18,6 @@ from giantlike.processing.limb.measurement import (
     LimbView,
     PredictedLimb,
     SmoothError,
-    judge_points,
     no_lit_limb,
     pixels_near,
     too_few,
@@ -26,8 +25,9 @@ from giantlike.processing.limb.measurement import (
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.processing.limb.search import find_limb
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Reflectance
-from giantlike.relative.horizon.cells import CellFits, fit_cells, limb_pixels
+from giantlike.relative.horizon.cells import CellFits
 from giantlike.relative.horizon.geometry import Altitude, Figure
+from giantlike.relative.horizon.good_cells import CellRules, NoCells, good_cells
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
 from giantlike.relative.horizon.rings import Rings
 from giantlike.relative.limb.fix import (
@@ -79,12 +79,6 @@ _SMALL_DISK_PX = 4.6
 """Its cube over that of the radius is what the profile leaves of the limb of small disks, px; measured from 20 px."""
 _CELL_RADII, _LEAST_CELL_PX = 0.25, 3.0
 """Longest cell over the apparent radius, as a cell is taken for straight; and the shortest, which needs its pixels."""
-_MIN_FILLED = 0.6
-"""Share of the pixels of a cell that must be usable."""
-_MIN_CONTRAST_SIGMAS = 5.0
-"""Brightness of good cells over the noise of the dark."""
-_MAX_UNEXPLAINED, _MAX_UNEXPLAINED_FIRST = 0.12, 0.4
-"""Residuals of good cells over their brightness; more while the horizon is known to a pixel or two only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -354,8 +348,8 @@ class CellScan(Value):
             return lit
         view, options, (arc, _, cut_by_frame) = self.view, self.options, lit
         if first:
-            cells = len(arc.points_px) * arc.spacing_px / self.cell_px
-            arc = arc.thinned(self.cell_px, math.ceil(cells / _FIRST_CELLS))
+            count = len(arc.points_px) * arc.spacing_px / self.cell_px
+            arc = arc.thinned(self.cell_px, math.ceil(count / _FIRST_CELLS))
         psf_px2 = state.psf_px2 + (_FIRST_BLUR_PX2 if first else 0.0)
         table = profile_table(
             arc,
@@ -367,44 +361,35 @@ class CellScan(Value):
             others=() if first else OTHER_LAWS,
             wings_px=() if first else tuple(blur_width_px(ratio**2 * psf_px2) for ratio in _WING_RATIOS),
         )
-        pixels = limb_pixels(arc, view.model, self._clear(position), window_px=options.window_px, cell_px=self.cell_px)
         across = np.arange(-options.window_px, options.window_px + 0.5, 0.5)
         area = pixels_near(arc.points_px, arc.normals_px, across, view.usable.shape)
-        if pixels is None:
-            return too_few(view, area, np.zeros(0, dtype=bool), {}, needed=options.min_cells)
-        fits = fit_cells(
-            pixels,
-            view.pixels_dn,
-            table,
-            view.detector.variance_dn2,
-            largest_left=math.inf if first else 2.0 * _MAX_UNEXPLAINED,
+        rules = CellRules(
+            window_px=options.window_px,
+            cell_px=self.cell_px,
+            min_cells=options.min_cells,
+            outlier_mad=self.search.outlier_mad,
+            first=first,
         )
-        good, rejected = judge_points(
-            complete=(pixels.filled * fits.used > _MIN_FILLED) & np.isfinite(fits.chi2),
-            strong=fits.contrast > _MIN_CONTRAST_SIGMAS,
-            alike=fits.unexplained < (_MAX_UNEXPLAINED_FIRST if first else _MAX_UNEXPLAINED),
-            gain_dn=fits.gain_dn,
-        )
-        if good.sum() < options.min_cells:
-            return too_few(view, area, good, rejected, needed=options.min_cells)
-        fits, middles = select_rows(fits, good), pixels.middles[good]
+        cells = good_cells(view, arc, table, self._clear(position), rules)
+        if isinstance(cells, NoCells):
+            return too_few(view, area, cells.good, cells.rejected, needed=options.min_cells)
         prior = self._prior(first)
         return CellMeasurement(
-            predicted_px=arc.points_px[middles],
-            normals_px=arc.normals_px[middles],
-            design=arc.design[middles],
-            shift_px=fits.raw_shift_px,
-            sigma_px=fits.sigma_px,
-            keep=np.ones(middles.size, dtype=bool),
+            predicted_px=arc.points_px[cells.middles],
+            normals_px=arc.normals_px[cells.middles],
+            design=arc.design[cells.middles],
+            shift_px=cells.shift_px,
+            sigma_px=cells.fits.sigma_px,
+            keep=np.ones(cells.middles.size, dtype=bool),
             common_px={},
             smooth_errors=(),
             position_camera_km=position,
-            spacing_px=float(np.median(np.diff(arc.along_px[pixels.middles]))) if good.size > 1 else self.cell_px,
+            spacing_px=cells.spacing_px,
             perimeter_px=arc.perimeter_px,
             cut_by_frame=cut_by_frame,
-            rejected=rejected,
+            rejected=cells.rejected,
             area=area,
-            fits=fits,
+            fits=cells.fits,
             prior=prior,
             expected=np.concatenate([[self.nominal_psf_px2 - psf_px2], np.zeros(prior.size - 1)]),
         )

@@ -137,7 +137,7 @@ class CellFits(Value):
 
 
 def limb_pixels(
-    arc: HorizonArc, model: CameraModel, usable: Mask, *, window_px: float, cell_px: float
+    arc: HorizonArc, model: CameraModel, usable: Mask, *, window_px: float, cell_px: float, displaced_px: Float
 ) -> LimbPixels | None:
     """Gather the pixels near a horizon in cells.
 
@@ -151,6 +151,9 @@ def limb_pixels(
         Reach to both sides of the horizon.
     cell_px : float, px
         Length of a cell along the horizon.
+    displaced_px : (k,) float64, px
+        How far outside the horizon of the ellipsoid the one in the image lies at each of its points: distances are from
+        there.
 
     Returns
     -------
@@ -162,7 +165,7 @@ def limb_pixels(
     along = ((np.arange(pieces) + 0.5) / pieces - 0.5) * arc.spacing_px
     places = (
         arc.points_px[:, None, None]
-        + across[:, None, None] * arc.normals_px[:, None, None]
+        + (displaced_px[:, None, None] + across[:, None])[..., None] * arc.normals_px[:, None, None]
         + along[:, None] * arc.tangents_px[:, None, None]
     )
     pixels = np.rint(places).astype(np.int64).reshape(-1, 2)
@@ -173,12 +176,13 @@ def limb_pixels(
     pixels, nodes = pixels[first], nodes[first]
     rays = PixelRays(model.unproject(pixels.astype(np.float64)), arc.by_pixel[nodes])
     outward, _, normals = ray_residuals(rays, arc.body.figure, arc.body.position_camera_km, steps=_FOOT_STEPS)
-    near = (np.abs(outward) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
+    apart = outward - displaced_px[nodes]
+    near = (np.abs(apart) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
     if not near.any():
         return None
     pixels, nodes, outward = pixels[near], nodes[near], outward[near]
     feet = ArcPlaces.of(arc, pixels - outward[:, None] * normals[near], nodes)
-    return _in_cells(arc, pixels, feet, outward, window_px, cell_px)
+    return _in_cells(arc, pixels, feet, apart[near], window_px, cell_px)
 
 
 def fit_cells(

@@ -16,8 +16,9 @@ from giantlike.core.arrays import Float, as_finite, as_floats, require, require_
 from giantlike.core.causes import Cause, added
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.processing.correlated_fit import correlated_solution, solution_gain
+from giantlike.processing.correlated_fit import solution_gain
 from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
+from giantlike.processing.outline_errors import outline_errors
 from giantlike.relative.limb.fix import LimbSolution
 
 MIN_POINTS = 4
@@ -378,18 +379,18 @@ def fit_horizon(
 
     Notes
     -----
-    The points err by pixel noise; by what neighbors share (albedo, relief), found from their scatter where noise does
-    not explain that; by the blur and the law, which all of them share; and by the altitude.
+    The points err by noise; by albedo and relief, found from their scatter where noise does not explain that; by blur
+    and law, which all share; and by the altitude.
     """
     points, keep = measured.observed_px[measured.keep], measured.keep
     residuals, design, _ = horizon_residuals(points, model, figure, start_km)
     lift = altitude_design(points, model, figure, start_km)
-    causes = {
-        **_own_errors(measured, residuals, design),
+    own, weighting = _own_errors(measured, residuals, design)
+    others = {
         **{cause: shared[keep] @ shared[keep].T for cause, shared in measured.common_px.items()},
         Cause.ALTITUDE: altitude.sigma_km**2 * np.outer(lift, lift),
     }
-    covariance = np.sum(list(causes.values()), axis=0)
+    covariance = weighting + np.sum(list(others.values()), axis=0)
     best = method is CraMethod.MAXIMUM_LIKELIHOOD
     gain = solution_gain(design, covariance, weights=None if best else cone_weights(points, model, figure, start_km))
     step = gain @ residuals if best else np.zeros(3)
@@ -398,7 +399,7 @@ def fit_horizon(
     return LimbSolution(
         position_camera_km=start_km + step,
         covariances_km2=added(
-            {cause: gain @ part @ gain.T for cause, part in causes.items()},
+            {cause: gain @ part @ gain.T for cause, part in {**own, **others}.items()},
             smooth_parts(measured.smooth_errors, measured.predicted_px[keep], measured.even_gain),
         ),
         residuals_px=left,
@@ -407,17 +408,14 @@ def fit_horizon(
     )
 
 
-def _own_errors(measured: LimbMeasurement, residuals: Float, design: Float) -> dict[Cause, Float]:
-    """Covariances (n, n) of the points' own errors, px^2: pixel noise, and more where relief or their scatter is more.
-
-    Relief is that of the shape or, where larger, that of the residuals.
-    """
+def _own_errors(measured: LimbMeasurement, residuals: Float, design: Float) -> tuple[dict[Cause, Float], Float]:
+    """Covariances (n, n) of the points' own errors, px^2, and the sum of them that weights are made from."""
     sigma, points = measured.sigma_px[measured.keep], measured.observed_px[measured.keep]
     noise = np.diag(sigma**2)
     if measured.relief is not None:
-        shown = float(np.sqrt(np.mean(residuals**2)))
-        relief = replace(measured.relief, sigma_px=max(measured.relief.sigma_px, shown))
-        return {Cause.NOISE: noise, relief.cause: relief.covariance_px2(points)}
+        shown = max(measured.relief.sigma_px, float(np.sqrt(np.mean(residuals**2))))
+        relief = replace(measured.relief, sigma_px=shown).covariance_px2(points)
+        return {Cause.NOISE: noise, Cause.RELIEF: relief}, noise + relief
     whitened = design / sigma[:, None]
     basis, _ = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0))
     left = residuals / sigma
@@ -426,10 +424,12 @@ def _own_errors(measured: LimbMeasurement, residuals: Float, design: Float) -> d
     scatter = (float(left @ left) / freedom - 1.0) / np.sqrt(2.0 / freedom)
     waves = float(left[1:] @ left[:-1]) / np.sqrt(left.size)
     if max(scatter, waves) < _EXPLAINED_SIGMAS:
-        return {Cause.NOISE: noise}
+        return {Cause.NOISE: noise}, noise
     spacing_px = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    fit = correlated_solution(residuals, design, sigma, points, min_length=spacing_px)
-    return {Cause.NOISE: fit.residual_covariance(sigma, points)}
+    radius_px = measured.perimeter_px / (2.0 * np.pi)
+    errors = outline_errors(residuals, design, sigma, points, radius=radius_px, least_length=spacing_px)
+    own = {Cause.NOISE: errors.noise(sigma, points), Cause.RELIEF: errors.relief(points)}
+    return own, errors.for_weights(sigma, points)
 
 
 def _points(points_px: ArrayLike) -> Float:

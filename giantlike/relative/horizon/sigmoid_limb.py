@@ -44,7 +44,7 @@ class SigmoidLimbOptions(HorizonSearch):
     tolerance_px: float = 0.005
     outlier_mad: float = 5.0
     max_rms_px: float = 3.0
-    large_rms_px: float = 0.5
+    large_rms_px: float = 1.0
     scan: HorizonScan = field(default_factory=HorizonScan)
 
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import numpy as np
+
 from giantlike.core.arrays import require_number
 from giantlike.core.causes import Cause, added
 from giantlike.core.outcomes import Failure, PositionFix, Reason
-from giantlike.processing.correlated_fit import correlated_solution
+from giantlike.processing.correlated_fit import solution_gain
 from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.processing.outline_errors import averages, outline_errors
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix, limb_view
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions
-
-_LONGEST_WAVES, _LEAST_WAVES_PX = 1.0 / 3.0, 15.0
-"""Correlation length of errors along the limb that residuals show, over the radius and at least; more is brightness."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,18 +116,19 @@ def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: fl
     LimbSolution
     """
     keep, points = measured.keep, measured.predicted_px[measured.keep]
-    shift_px, design = measured.shift_px[keep], measured.design[keep]
-    fit = correlated_solution(
-        shift_px,
-        design,
-        measured.sigma_px[keep],
-        points,
-        min_length=min_length_px,
-        max_length=max(_LONGEST_WAVES * radius_px, _LEAST_WAVES_PX),
-    )
+    shift_px, design, sigma_px = measured.shift_px[keep], measured.design[keep], measured.sigma_px[keep]
+    errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=min_length_px)
+    means = averages(points, sigma_px)
+    sigma_px, points = np.sqrt(means**2 @ sigma_px**2), means @ points
+    gain = solution_gain(means @ design, errors.for_weights(sigma_px, points))
+    step_km = gain @ (means @ shift_px)
+    own = {
+        Cause.NOISE: gain @ errors.noise(sigma_px, points) @ gain.T,
+        Cause.RELIEF: gain @ errors.relief(points) @ gain.T,
+    }
     return LimbSolution(
-        position_camera_km=measured.position_camera_km + fit.solution,
-        covariances_km2=added({Cause.NOISE: fit.covariance}, measured.smooth_covariances(measured.even_gain)),
-        residuals_px=shift_px - design @ fit.solution,
+        position_camera_km=measured.position_camera_km + step_km,
+        covariances_km2=added(own, measured.smooth_covariances(measured.even_gain)),
+        residuals_px=shift_px - design @ step_km,
         limb_px=measured.observed_px[keep],
     )

@@ -1,0 +1,170 @@
+"""Cells along a horizon that are measured well, each about its own place where relief moves the limb."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value, select_rows
+from giantlike.processing.correlated_fit import robust_solution
+from giantlike.processing.limb.measurement import LimbView, judge_points
+from giantlike.relative.horizon.cells import CellFits, fit_cells, limb_pixels
+from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
+
+_ROUNDS = 2
+"""Fits of cells about their own places, where they lie off one horizon."""
+_RELIEF_PX, _RELIEF_NOISE = 0.1, 3.0
+"""Root mean square by which they do so, px, and over the noise of a cell.
+
+Half of its square over the width of a profile, 0.005 px, is what profiles that are linear in the shift then leave.
+"""
+_MIN_FILLED = 0.6
+"""Share of the pixels of a cell that must be usable."""
+_MIN_CONTRAST_SIGMAS = 5.0
+"""Brightness of good cells over the noise of the dark."""
+_MAX_UNEXPLAINED, _MAX_UNEXPLAINED_FIRST = 0.12, 0.4
+"""Residuals of good cells over their brightness; more while the horizon is known to a pixel or two only."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellRules:
+    """How cells are measured, and which are good.
+
+    Parameters
+    ----------
+    window_px : float, px
+        Reach to both sides of the horizon.
+    cell_px : float, px
+        Length of a cell along it.
+    min_cells : int
+        Fewer good cells are no limb.
+    outlier_mad : float
+        Cells beyond so many robust sigmas do not tell whether there is relief.
+    first : bool
+        The horizon is known to a pixel or two only.
+    """
+
+    window_px: float
+    cell_px: float
+    min_cells: int
+    outlier_mad: float
+    first: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoCells(Value):
+    """Too few good cells.
+
+    Parameters
+    ----------
+    good : (n,) bool
+        Which of the cells are.
+    rejected : mapping of str to int
+        Number of the others by reason.
+    """
+
+    good: Mask
+    rejected: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GoodCells(Value):
+    """Good cells.
+
+    Parameters
+    ----------
+    fits : CellFits
+        Of n cells.
+    middles : (n,) int64
+        The points of the horizon in their middles.
+    shift_px : (n,) float64, px
+        From there outward to the limb, with all that is shared as assumed.
+    spacing_px : float, px
+        From one cell to the next, good or not.
+    rejected : mapping of str to int
+        Number of the others by reason.
+    """
+
+    fits: CellFits
+    middles: Indices
+    shift_px: Float
+    spacing_px: float
+    rejected: Mapping[str, int]
+
+
+def good_cells(
+    view: LimbView, arc: HorizonArc, table: ProfileTable, clear: Mask, rules: CellRules
+) -> GoodCells | NoCells:
+    """Fit the cells along a horizon; where they lie off it by more than noise, again about the place of each.
+
+    Profiles are linear in the shift to second order only. On a horizon with relief, cells that are fitted about where
+    it was predicted take the squares of their shifts for more blur and another law, which moves the whole horizon: by
+    0.3-0.5 px outward with relief of 0.6 px.
+
+    Parameters
+    ----------
+    view : LimbView
+    arc : HorizonArc
+        Of k points: the part of the horizon that counts.
+    table : ProfileTable
+    clear : (rows, columns) bool
+        Pixels that are used.
+    rules : CellRules
+
+    Returns
+    -------
+    GoodCells or NoCells
+    """
+    displaced_px = np.zeros(len(arc.points_px))
+    cells = _fitted(view, arc, table, clear, displaced_px, rules)
+    for _ in range(0 if rules.first else _ROUNDS):
+        if isinstance(cells, NoCells):
+            break
+        design, sigma_px = arc.design[cells.middles], cells.fits.sigma_px
+        step_km, keep = robust_solution(cells.shift_px, design, sigma_px, outlier_mad=rules.outlier_mad)
+        off_px = float(np.sqrt(np.mean((cells.shift_px - design @ step_km)[keep] ** 2)))
+        if off_px < max(_RELIEF_PX, _RELIEF_NOISE * float(np.median(sigma_px))):
+            break
+        displaced_px = np.interp(arc.along_px, arc.along_px[cells.middles], cells.shift_px)
+        cells = _fitted(view, arc, table, clear, displaced_px, rules)
+    return cells
+
+
+def _fitted(
+    view: LimbView, arc: HorizonArc, table: ProfileTable, clear: Mask, displaced_px: Float, rules: CellRules
+) -> GoodCells | NoCells:
+    """Fit the cells about a horizon that is displaced (k,), px, from that of the ellipsoid."""
+    pixels = limb_pixels(
+        arc, view.model, clear, window_px=rules.window_px, cell_px=rules.cell_px, displaced_px=displaced_px
+    )
+    if pixels is None:
+        return NoCells(good=np.zeros(0, dtype=np.bool_), rejected={})
+    fits = fit_cells(
+        pixels,
+        view.pixels_dn,
+        table,
+        view.detector.variance_dn2,
+        largest_left=math.inf if rules.first else 2.0 * _MAX_UNEXPLAINED,
+    )
+    good, rejected = judge_points(
+        complete=(pixels.filled * fits.used > _MIN_FILLED) & np.isfinite(fits.chi2),
+        strong=fits.contrast > _MIN_CONTRAST_SIGMAS,
+        alike=fits.unexplained < (_MAX_UNEXPLAINED_FIRST if rules.first else _MAX_UNEXPLAINED),
+        gain_dn=fits.gain_dn,
+    )
+    if good.sum() < rules.min_cells:
+        return NoCells(good=good, rejected=rejected)
+    middles = pixels.middles[good]
+    fits = select_rows(fits, good)
+    apart_px = np.diff(arc.along_px[pixels.middles])
+    return GoodCells(
+        fits=fits,
+        middles=middles,
+        shift_px=displaced_px[middles] + fits.raw_shift_px,
+        spacing_px=float(np.median(apart_px)) if good.size > 1 else rules.cell_px,
+        rejected=rejected,
+    )
