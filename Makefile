@@ -1,15 +1,18 @@
-# Two commands matter: `make demo` and `make test`. Each sets up what it needs in .venv.
+# Two commands matter: `make demo` and `make test`; `make test-all` runs the slow tests as well. Each sets up what it needs in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check wheel clean
+.PHONY: demo test test-all check wheel clean
 demo: $(VENV)/installed
 	$(BIN)/giantlike demo --output demo-output
 
 test: check
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -m "not slow" -n 2 --dist worksteal
 	$(BIN)/pytest -q --doctest-modules giantlike
+
+test-all: test
+	$(BIN)/pytest -m slow -n 2 --dist worksteal
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff check .

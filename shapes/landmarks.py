@@ -242,6 +242,8 @@ def landmark_of(local: LocalMap) -> Landmark:
 @reads("a catalog of landmarks")
 def _read_catalog(path: Path) -> LandmarkCatalog:
     archive = archive_arrays(path, _FORMAT, _VERSION)
+    if archive["shapes"].dtype.kind not in "iu":
+        raise ValueError(f"shapes must be whole numbers, got {archive['shapes'].dtype}")
     shapes: NDArray[np.int64] = archive["shapes"].astype(np.int64)
     sizes, painted = np.prod(shapes, axis=1), archive["has_albedo"].astype(bool)
     heights = np.split(archive["heights_km"].astype(np.float64), np.cumsum(sizes)[:-1])

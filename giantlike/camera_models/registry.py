@@ -56,7 +56,7 @@ def lens_class(type_name: object, needed: str = "camera model type must be one o
     InputError
         There is no such type.
     """
-    if type_name not in MODELS:
+    if not isinstance(type_name, str) or type_name not in MODELS:
         raise InputError(f"{needed} {', '.join(sorted(MODELS))}, got {type_name!r}")
     return MODELS[str(type_name)]
 

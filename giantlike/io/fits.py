@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from astropy.time import Time
 
 _BLOCK, _CARD = 2880, 80  # bytes: FITS Standard 4.0, sections 3.1 and 4.1
+_MOST_AXES = 999  # FITS standard 4.0, section 4.4.1.1
 _STRUCTURAL = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|BSCALE|BZERO|BLANK|EXTNAME|EXTVER|EXTLEVEL|INHERIT"
     r"|CHECKSUM|DATASUM|TFIELDS|THEAP|T(TYPE|FORM|UNIT|DIM|SCAL|ZERO|NULL)\d+|Z(IMAGE|CMPTYPE|BITPIX|NAXIS\d*|TILE\d+)"
@@ -209,7 +210,9 @@ def _require_whole(data: bytes) -> None:
                 key = card[:8].rstrip()
                 if not ended and re.fullmatch(r"BITPIX|NAXIS\d*|PCOUNT|GCOUNT", key):
                     sizes[key] = _card_integer(card)
-        axes = [sizes.get(f"NAXIS{k}", 0) for k in range(1, sizes.get("NAXIS", 0) + 1)]
+        if not 0 <= (n_axes := sizes.get("NAXIS", 0)) <= _MOST_AXES:
+            raise ValueError(f"HDU {index} of the FITS file cannot have {n_axes} axes")
+        axes = [sizes.get(f"NAXIS{k}", 0) for k in range(1, n_axes + 1)]
         if axes and axes[0] == 0:
             axes = axes[1:]  # random groups
         elements = int(np.prod(axes, dtype=object)) if axes else 0

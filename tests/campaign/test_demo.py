@@ -338,6 +338,7 @@ def test_the_python_example_of_the_readme_runs(
     assert "limb_matching [" in shown
 
 
+@pytest.mark.slow
 def test_a_second_demonstration_in_the_same_folder_gives_the_same_results(tmp_path: Path) -> None:
     visits = (Visit(day=0.0, diameter_px=1.5, phase_deg=40.0), Visit(day=1.0, diameter_px=40.0, phase_deg=70.0))
     options = ApproachOptions(seed=3, approach=visits, moon=(), facets=5000)

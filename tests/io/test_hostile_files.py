@@ -25,7 +25,7 @@ from tests.child_functions import doubles, ends, fails, fills, leaves, spins
 from tests.hostile import attack
 from tests.hostile_seeds import KINDS
 
-FILES = 12
+FILES, MANY_FILES = 12, 100  # of each kind
 SEED = 20261122
 
 
@@ -34,6 +34,13 @@ def test_damaged_files_of_every_kind_are_read_or_refused() -> None:
     assert tally.problems == []
     assert tally.files == FILES * len(KINDS)
     assert tally.outcomes["refused"] > tally.files / 2  # the damage is real
+
+
+@pytest.mark.slow
+def test_many_damaged_files_of_every_kind_are_read_or_refused() -> None:
+    tally = attack(list(KINDS), MANY_FILES, seed=SEED, first=FILES)
+    assert tally.problems == []
+    assert tally.files == MANY_FILES * len(KINDS)
 
 
 def test_what_ends_hangs_or_fills_a_child_is_an_error_here(tmp_path: Path) -> None:
