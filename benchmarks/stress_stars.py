@@ -17,11 +17,12 @@ from stress_truth import RADII_KM, READ_NOISE_DN, Case, Draw, Seen, draw_of
 from giantlike.calibration import ImageObservations, calibrate
 from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import BrownModel, PinholeModel
-from giantlike.catalogs import MemoryCatalog, StarTable
+from giantlike.catalogs import MemoryCatalog
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.time import time_from_et
+from giantlike.gauntlet.stage import catalog_of
 from giantlike.image import Image, ObserverState
 from giantlike.independent import (
     EllipsoidBody,
@@ -86,23 +87,7 @@ class StarSeen:
 
 def _catalog(field: StarField) -> MemoryCatalog:
     known = field.magnitudes <= CATALOG_MAGNITUDE
-    x, y, z = field.directions[known].T
-    zero = np.zeros(int(known.sum()))
-    stars = StarTable(
-        ids=np.arange(zero.size) + 1,
-        ra_deg=np.degrees(np.arctan2(y, x)) % 360.0,
-        dec_deg=np.degrees(np.arcsin(z)),
-        pm_ra_mas_yr=zero,
-        pm_dec_mas_yr=zero,
-        parallax_mas=zero,
-        radial_velocity_km_s=zero,
-        epoch_jyear=zero + 2016.0,
-        magnitude=field.magnitudes[known],
-        color_bv=zero + 0.6,
-        sigma_mas=zero,
-        sigma_pm_mas_yr=zero,
-    )
-    return MemoryCatalog(stars, name="made up", band="G", version="1")
+    return catalog_of(StarField(directions=field.directions[known], magnitudes=field.magnitudes[known]))
 
 
 def star_view(case: StarCase, number: int) -> StarSeen:

@@ -18,6 +18,7 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.ephemeris import ApparentGeometry
+from giantlike.gauntlet.bodies import TOLD_LAWS
 from giantlike.image import Image
 from giantlike.independent import (
     Defects,
@@ -34,7 +35,6 @@ from giantlike.independent import (
     record,
     render_body,
 )
-from giantlike.ray_tracing import Hapke, Lambert, LommelSeeliger, McEwen, Minnaert, Reflectance
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
 
@@ -44,13 +44,6 @@ READ_NOISE_DN = 5.0
 ATTITUDE = Rotation.from_rotvec([0.3, -1.0, 0.4])
 ERROR_PX, RANGE_ERROR = 4.0, 0.01
 MESH_CELLS = 160
-TOLD_LAWS: dict[str, Reflectance] = {
-    "mcewen": McEwen(),
-    "lambert": Lambert(),
-    "lommel_seeliger": LommelSeeliger(),
-    "minnaert": Minnaert(k=0.7),
-    "hapke": Hapke(w=0.21, b0=1.0, h=0.06, theta_bar_deg=0.0, hg1=-0.3, hg2=0.0),
-}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,6 +27,10 @@ def gauntlet(
     kinds: Annotated[str, typer.Option(help="Run the first images of these kinds only.", metavar="A,B")] = "",
     estimators: Annotated[str, typer.Option(help="Run these estimators only.", metavar="X,Y")] = "",
     only: Annotated[str, typer.Option(help="Run these images only, by number; list all rows.", metavar="I,J")] = "",
+    real: Annotated[
+        Path | None,
+        typer.Option(help="Folder of real images that do not show the target; run them too.", metavar="DATA"),
+    ] = None,
     workers: Workers = 1,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -49,6 +53,7 @@ def gauntlet(
         estimators=_names(estimators),
         indices=_numbers(only),
         workers=workers or 1,
+        real=real,
     )
     results = _run(wanted, output, resume=resume, overwrite=overwrite)
     report = summary_of(wanted, results)
@@ -89,7 +94,7 @@ def _run(wanted: Gauntlet, output: Path | None, *, resume: bool, overwrite: bool
             results[result.index] = result
             if output is not None:
                 save_results(output, wanted, [result], append=True)
-    ordered = [results[index] for index in wanted.numbers()]
+    ordered = [results[index] for index in sorted(results)]
     if output is not None:
         save_results(output, wanted, ordered, append=False)
     return ordered

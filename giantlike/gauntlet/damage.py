@@ -82,8 +82,8 @@ def ghost(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def double_exposure(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Two exposures between which the camera moved."""
-    light = lights.copied(shift_px=_shift(rng, 2.0, 80.0), share=log_uniform(rng, 0.3, 1.0))
+    """Two exposures between which the camera moved by 5 px and more: less is a motion whose middle is the truth."""
+    light = lights.copied(shift_px=_shift(rng, 5.0, 80.0), share=log_uniform(rng, 0.3, 1.0))
     return _lit(plan, light, hard=True)
 
 

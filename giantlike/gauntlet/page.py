@@ -81,7 +81,7 @@ def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:
         report=report,
         verdicts=[str(verdict) for verdict in _WORST_FIRST],
         meanings={str(verdict): verdict.name.replace("_", " ").lower() for verdict in Verdict},
-        summaries={name: KINDS[name].summary for name in report["by_kind"] if name in KINDS},
+        summaries={name: _summary(name) for name in report["by_kind"]},
         listed=sorted(
             (row for row in rows if Verdict(row.verdict) in _LISTED),
             key=lambda row: (_LISTED.index(Verdict(row.verdict)), row.estimator, row.kind, row.image),
@@ -90,12 +90,17 @@ def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:
     )
 
 
+def _summary(kind: str) -> str:
+    """What is wrong with a kind, in a line."""
+    return KINDS[kind].summary if kind in KINDS else "a real image that does not show the target"
+
+
 def _card(result: ImageResult) -> Card:
     verdicts = [Verdict(row.verdict) for row in result.rows]
     return Card(
         index=result.index,
         kind=result.kind,
-        summary=KINDS[result.kind].summary if result.kind in KINDS else "",
+        summary=_summary(result.kind),
         picture=base64.b64encode(result.thumbnail).decode("ascii"),
         worst=str(min(verdicts, key=_WORST_FIRST.index)) if verdicts else "",
         dots=tuple((row.verdict, _line(row)) for row in result.rows),

@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import count, islice
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -21,9 +23,11 @@ from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.gauntlet.kinds import KINDS
+from giantlike.gauntlet.real import REAL_KIND, image_files, real_rows
 from giantlike.gauntlet.rule import Verdict
-from giantlike.gauntlet.stage import Stage, kind_of, stage_of
+from giantlike.gauntlet.stage import kind_of, stage_of
 from giantlike.gauntlet.trial import NAMES, TrialRow, trial
+from giantlike.image import Image
 
 THUMBNAIL_PX = 96
 """Side of a thumbnail, px: a thousand of them fill 3 MB of a page."""
@@ -52,6 +56,8 @@ class Gauntlet(Value):
         Images to run, by their number; the first ones if empty.
     workers : int
         Processes.
+    real : Path, optional
+        Folder of real images that do not show the target; they come after the others.
 
     Raises
     ------
@@ -65,6 +71,7 @@ class Gauntlet(Value):
     estimators: tuple[str, ...] = ()
     indices: tuple[int, ...] = ()
     workers: int = 1
+    real: Path | None = None
 
     def __post_init__(self) -> None:
         require(self.images >= 1, f"images must be >= 1, got {self.images}")
@@ -135,22 +142,48 @@ def run_image(seed: int, index: int, estimators: Sequence[str] = ()) -> ImageRes
         kind=stage.kind.name,
         rows=rows,
         cpu_s=time.process_time() - began,
-        thumbnail=thumbnail(stage),
+        thumbnail=thumbnail(stage.image),
     )
 
 
-def thumbnail(stage: Stage) -> bytes:
+def run_real(seed: int, index: int, estimators: Sequence[str], path: Path) -> ImageResult | None:
+    """Run the estimators on a real image that does not show the target.
+
+    Parameters
+    ----------
+    seed, index : int
+    estimators : sequence of str
+        Those to run; all of bodies if empty.
+    path : Path
+        Image file.
+
+    Returns
+    -------
+    ImageResult, or None where the file holds no image
+    """
+    began = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = real_rows(path, index, seed, estimators)
+    if found is None:
+        return None
+    spent = time.process_time() - began
+    picture = thumbnail(found[0])
+    return ImageResult(index=index, kind=REAL_KIND, rows=tuple(found[1]), cpu_s=spent, thumbnail=picture)
+
+
+def thumbnail(image: Image) -> bytes:
     """Return a small JPEG of an image.
 
     Parameters
     ----------
-    stage : Stage
+    image : Image
 
     Returns
     -------
     bytes
     """
-    pixels = stage.image.pixels.astype(float)
+    pixels = image.pixels.astype(float)
     low, high = np.percentile(pixels, [_FAINT, _BRIGHT])
     share = np.clip((pixels - low) / max(high - low, 1.0), 0.0, 1.0) ** _GAMMA
     small = cv2.resize((255.0 * share).astype(np.uint8), (THUMBNAIL_PX, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
@@ -185,24 +218,37 @@ def run_gauntlet(
     """
     known = {result.index for result in finished}
     numbers = wanted.numbers()
-    left = [index for index in numbers if index not in known]
-    for done, result in enumerate(_results(wanted, left), len(numbers) - len(left) + 1):
+    jobs: list[_Job] = [
+        partial(run_image, wanted.seed, number, wanted.estimators) for number in numbers if number not in known
+    ]
+    after = max(numbers) + 1
+    if wanted.real is not None:
+        files = enumerate(image_files(wanted.real), after)
+        jobs += [
+            partial(run_real, wanted.seed, number, wanted.estimators, path)
+            for number, path in files
+            if number not in known
+        ]
+    for done, result in enumerate(_results(wanted.workers, jobs), 1):
         if progress is not None:
-            progress(done, len(numbers))
-        yield result
+            progress(done, len(jobs))
+        if result is not None:
+            yield result
 
 
-def _results(wanted: Gauntlet, numbers: Sequence[int]) -> Iterator[ImageResult]:
-    if wanted.workers == 1:
-        for index in numbers:
-            yield run_image(wanted.seed, index, wanted.estimators)
+_Job = Callable[[], "ImageResult | None"]
+
+
+def _results(workers: int, jobs: Sequence[_Job]) -> Iterator[ImageResult | None]:
+    if workers == 1:
+        for job in jobs:
+            yield job()
         return
     missing = {name: "1" for name in _THREAD_VARIABLES if name not in os.environ}
     os.environ.update(missing)  # read when numpy is imported: a thread for each process
     try:
-        with ProcessPoolExecutor(wanted.workers, multiprocessing.get_context("spawn")) as pool:
-            futures = [pool.submit(run_image, wanted.seed, index, wanted.estimators) for index in numbers]
-            for future in as_completed(futures):
+        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+            for future in as_completed([pool.submit(job) for job in jobs]):
                 yield future.result()
     except BrokenProcessPool as error:
         raise InputError("a worker process was ended; run with one worker to see the image that does it") from error
@@ -259,7 +305,8 @@ def summary_of(wanted: Gauntlet, results: Sequence[ImageResult]) -> dict[str, An
         "cpu_s_mean": float(np.mean(cpu)) if cpu else 0.0,
         "cpu_s_max": float(np.max(cpu)) if cpu else 0.0,
         "by_kind": {
-            name: counts_of(row for row in rows if row.kind == name) for name in _in_order(rows, "kind", KINDS)
+            name: counts_of(row for row in rows if row.kind == name)
+            for name in _in_order(rows, "kind", (*KINDS, REAL_KIND))
         },
         "by_estimator": {
             name: counts_of(row for row in rows if row.estimator == name)

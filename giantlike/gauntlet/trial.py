@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
-from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
 from giantlike.gauntlet.rule import STARS, Facts, Verdict, facts_of, fits, solvable
 from giantlike.gauntlet.stage import Stage
@@ -34,6 +34,8 @@ _SURFACE_PX = 180.0
 """Least diameter, px, of bodies on which surface_features is tried: landmarks need some hundred facets each."""
 _SMALL_PX = 12.0
 """Largest diameter, px, of bodies on which unresolved is tried."""
+Outcome: TypeAlias = AttitudeFix | CenterFix | Failure
+"""What the star chain or an estimator returns."""
 _OK, _SUSPECT, _FAILED, _RAISED = "ok", "suspect", "failed", "raised"
 
 
@@ -146,26 +148,47 @@ def answer_of(stage: Stage, name: str) -> Answer:
     -------
     Answer
     """
-    began = time.process_time()
-    try:
+
+    def estimate() -> Outcome:
         if name == STARS:
             assert stage.catalog is not None
-            fix: AttitudeFix | CenterFix | Failure = StarNavigation(stage.camera, stage.catalog).solve(stage.image)
-        else:
-            assert stage.scene is not None
-            fix = ESTIMATORS[name]().estimate(stage.image, stage.camera, stage.scene)
-    except OpNavError as error:
-        spent = time.process_time() - began
-        return Answer(status=_RAISED, reason=type(error).__name__, detail=str(error), cpu_s=spent)
+            return StarNavigation(stage.camera, stage.catalog).solve(stage.image)
+        assert stage.scene is not None
+        return ESTIMATORS[name]().estimate(stage.image, stage.camera, stage.scene)
+
+    fix, answer = outcome_of(estimate)
+    if fix is None or isinstance(fix, Failure):
+        return answer
+    compared = attitude_error(stage, fix) if isinstance(fix, AttitudeFix) else place_error(stage, fix)
+    return replace(compared, status=answer.status, reason=answer.reason, cpu_s=answer.cpu_s)
+
+
+def outcome_of(estimate: Callable[[], Outcome]) -> tuple[Outcome | None, Answer]:
+    """Run an estimator, and tell its status, reason and time.
+
+    Parameters
+    ----------
+    estimate : callable
+
+    Returns
+    -------
+    AttitudeFix, CenterFix, Failure or None
+        None where it raised.
+    Answer
+        Without numbers of errors.
+    """
+    began = time.process_time()
+    try:
+        fix = estimate()
     except Exception as error:  # noqa: BLE001 - the border of a worker: one image must never end a run
+        detail = " ".join(str(error).split())
         spent = time.process_time() - began
-        return Answer(status=_RAISED, reason=type(error).__name__, detail=" ".join(str(error).split()), cpu_s=spent)
+        return None, Answer(status=_RAISED, reason=type(error).__name__, detail=detail, cpu_s=spent)
     spent = time.process_time() - began
     if isinstance(fix, Failure):
-        return Answer(status=_FAILED, reason=str(fix.reason), detail=fix.detail, cpu_s=spent)
-    compared = attitude_error(stage, fix) if isinstance(fix, AttitudeFix) else place_error(stage, fix)
+        return fix, Answer(status=_FAILED, reason=str(fix.reason), detail=fix.detail, cpu_s=spent)
     suspect = "|".join(flag for flag in fix.flags.names() if type(fix.flags)[flag.upper()].suspect)
-    return replace(compared, status=_SUSPECT if suspect else _OK, reason=suspect, cpu_s=spent)
+    return fix, Answer(status=_SUSPECT if suspect else _OK, reason=suspect, cpu_s=spent)
 
 
 def place_error(stage: Stage, fix: CenterFix) -> Answer:
