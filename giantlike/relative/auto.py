@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
-from giantlike.core.arrays import Float, require
-from giantlike.core.causes import IN_IMAGE, Cause, summed
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.core.arrays import require
+from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
 from giantlike.ray_tracing import FocalPlane, Silhouette, trace_silhouette
+from giantlike.relative.consensus import fused, verdict
 from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.landmarks.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
@@ -26,8 +26,6 @@ from giantlike.shapes import Ellipsoid
 _LOG = logging.getLogger("giantlike.relative")
 
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions in which the limb in view is measured
-_WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
-"""Standard deviation, px and over that of the fix, above both of which a check is too weak to confirm anything."""
 _LIGHT, _LIMB, _LANDMARKS = "light", "limb", "landmarks"
 _CHOICES: Mapping[str, tuple[Callable[..., Estimator], str]] = {
     Unresolved.name: (Unresolved, _LIGHT),
@@ -174,9 +172,11 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     ``UNCHECKED``; a fix of a later choice, or of an irregular body whose limb is in view, is ``UNCONFIRMED`` then.
 
     The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
-    range, under the name ``auto``; its ``provenance`` says which (``chosen``), why (``because``), what checked it
-    (``checked_by``) and the probability that right estimates differ by as much (``agreement``). ``score`` is that of
-    the estimator taken. A failure is that of the first choice; its text names the others that were tried.
+    range, under the name ``auto``, fused with the one that confirms it (:func:`~giantlike.relative.consensus.fused`);
+    its ``provenance`` says which was taken (``chosen``), why (``because``), what checked it (``checked_by``), the
+    probability that right estimates differ by as much (``agreement``) and the share of the estimator taken in the
+    place (``weight``). ``score``, residuals and counts are those of the estimator taken. A failure is that of the first
+    choice; its text names the others that were tried.
 
     Parameters
     ----------
@@ -213,7 +213,11 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         provenance = {**fix.provenance, "chosen": taken, "because": choice.because}
         if found.checked_by:
             provenance |= {"checked_by": found.checked_by, "agreement": f"{found.agreement:.3g}"}
-        return replace(fix, estimator=self.name, flags=fix.flags | found.flag, provenance=provenance)
+        fix = replace(fix, estimator=self.name, flags=fix.flags | found.flag, provenance=provenance)
+        second = outcomes.get(found.checked_by)
+        if fix.flags.suspect or not isinstance(second, CenterFix) or second.flags.suspect:
+            return fix
+        return fused(fix, second, inputs.camera.model)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
         diameter_px = 2.0 * inputs.radius_px
@@ -234,105 +238,6 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     def _estimator(self, name: str) -> Estimator:
         """Return an estimator with its options, which have its name."""
         return _CHOICES[name][0](getattr(self.options, name))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """What other fixes of the same body say of a fix.
-
-    Parameters
-    ----------
-    flag : Quality
-        ``NONE`` for a fix that is confirmed, ``DISAGREEMENT``, ``UNCONFIRMED`` or ``UNCHECKED``.
-    checked_by : str
-        Name of the estimator that decided; empty where none did.
-    agreement : float
-        Probability that right fixes differ by as much.
-    """
-
-    flag: Quality
-    checked_by: str = ""
-    agreement: float = 1.0
-
-
-def verdict(
-    fix: CenterFix,
-    seconds: Iterable[tuple[str, CenterFix | Failure]],
-    *,
-    alone: Quality = Quality.UNCHECKED,
-    false_alarm: float = 1e-4,
-) -> Verdict:
-    """Compare a fix with second fixes of the same body, in order, until one that is trusted decides.
-
-    Parameters
-    ----------
-    fix : CenterFix
-    seconds : iterable of (str, CenterFix or Failure)
-        Name and outcome of other estimators, the most independent first. No more are taken than are needed.
-    alone : Quality
-        Flag of a fix where no other estimator gives one.
-    false_alarm : float
-        Probability that two right fixes are called a disagreement.
-
-    Returns
-    -------
-    Verdict
-    """
-    found = False
-    for name, second in seconds:
-        if isinstance(second, Failure):
-            continue
-        found = True
-        if not _certain_enough(second, fix):
-            continue
-        agreement = agreement_of(fix, second)
-        if agreement < false_alarm:
-            return Verdict(flag=Quality.DISAGREEMENT, checked_by=name, agreement=agreement)
-        if not second.flags.suspect:
-            return Verdict(flag=Quality.NONE, checked_by=name, agreement=agreement)
-    return Verdict(flag=Quality.UNCONFIRMED if found else alone)
-
-
-def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:
-    """Return True if a second fix is certain enough to check the first."""
-    sigmas = [math.sqrt(float(np.linalg.eigvalsh(one.covariance_px2)[-1])) for one in (second, fix)]
-    return sigmas[0] <= max(_WEAK_PX, _WEAK_SIGMAS * sigmas[1])
-
-
-def agreement_of(first: CenterFix, second: CenterFix) -> float:
-    """Probability that two right and independent fixes of one body differ by as much.
-
-    Parameters
-    ----------
-    first, second : CenterFix
-        Compared by center and, where both are :class:`~giantlike.core.outcomes.PositionFix`, range. Errors that both
-        have alike, of the camera and of the scale of the shape, excuse no difference.
-
-    Returns
-    -------
-    float
-    """
-    from scipy.stats import chi2
-
-    difference = first.center_px - second.center_px
-    if isinstance(first, PositionFix) and isinstance(second, PositionFix):
-        difference = np.append(difference, math.log(first.range_km / second.range_km))
-    size = len(difference)
-    covariance = _own_covariance(first)[:size, :size] + _own_covariance(second)[:size, :size]
-    scale = np.sqrt(np.diag(covariance))
-    whitened = np.linalg.solve(covariance / np.outer(scale, scale), difference / scale)
-    return float(chi2.sf(float(whitened @ (difference / scale)), size))
-
-
-def _own_covariance(fix: CenterFix) -> Float:
-    """Covariance of a fix without what all fixes of an image have in common: the camera and the scale of the shape."""
-    if fix.parts:
-        return summed(fix.parts, [cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE])
-    if not isinstance(fix, PositionFix):
-        return fix.covariance_px2
-    covariance = np.diag([0.0, 0.0, (fix.sigma_range_km / fix.range_km) ** 2])
-    covariance[:2, :2] = fix.covariance_px2
-    return covariance
 
 
 def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:

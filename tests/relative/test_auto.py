@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from giantlike.camera import Camera
@@ -18,7 +20,8 @@ from giantlike.core.errors import InputError
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.image import Image
 from giantlike.relative import ESTIMATORS, Auto, AutoOptions, Estimator
-from giantlike.relative.auto import agreement_of, choose
+from giantlike.relative.auto import choose
+from giantlike.relative.consensus import agreement_of, fused
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.generate import irregular_body
@@ -239,3 +242,46 @@ def test_a_suspect_check_that_is_certain_has_a_say_against_a_fix_but_none_for_it
     assert isinstance(confirmed, CenterFix)
     assert confirmed.flags == Quality.NONE
     assert confirmed.provenance["checked_by"] == "moment"
+
+
+def _with_parts(center_px: tuple[float, float], **variances: float) -> CenterFix:
+    parts = {Cause(name): variance * np.eye(2) for name, variance in variances.items()}
+    return replace(_fix(center_px), parts=parts, covariance_px2=sum(variances.values()) * np.eye(2))
+
+
+def test_what_two_fixes_share_does_not_average_out_and_what_one_has_alone_does() -> None:
+    model = body_image(MOON, 1, phase_deg=50.0).camera.model
+    shared = fused(_with_parts((10.0, 10.0), reflectance=0.01), _with_parts((10.1, 10.0), reflectance=0.01), model)
+    assert_allclose(shared.covariance_px2, 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
+    alone = fused(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.1, 10.0), edge=0.01), model)
+    assert_allclose(alone.covariance_px2, 0.005 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
+    assert_allclose(alone.center_px, [10.05, 10.0], rtol=0, atol=FLOAT64_SUM)
+    assert alone.provenance["weight"] == "0.5"
+
+
+def test_a_fused_covariance_holds_for_errors_that_are_independent_or_the_same() -> None:
+    """10,000 draws; the sigma of a mean square of 20,000 numbers is one percent."""
+    model, rng = body_image(MOON, 1, phase_deg=50.0).camera.model, np.random.default_rng(2)
+    stated = fused(_with_parts((0, 0), noise=0.01, albedo=0.01), _with_parts((0, 0), noise=0.02, edge=0.01), model)
+    weight = float(stated.provenance["weight"])
+    draws = rng.normal(size=(4, 10_000, 2))
+    for noise in (draws[1], draws[0]):
+        first, second = 0.1 * (draws[0] + draws[2]), math.sqrt(0.02) * noise + 0.1 * draws[3]
+        mean = weight * first + (1.0 - weight) * second
+        assert float(np.mean(mean**2)) < 1.03 * stated.covariance_px2[0, 0]
+
+
+def test_fixes_that_differ_by_more_than_their_errors_are_less_certain_together() -> None:
+    model = body_image(MOON, 1, phase_deg=50.0).camera.model
+    apart = fused(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.5, 10.0), edge=0.01), model)
+    ratio = 0.5**2 / 0.02 / 2.0  # squared difference over its covariance and two degrees of freedom
+    assert_allclose(apart.covariance_px2, ratio * 0.005 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
+
+
+def test_an_ellipsoid_is_fused_from_its_horizon_and_its_light_and_its_position_agrees_with_its_center() -> None:
+    case = body_image(MOON, 4, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
+    fix = Auto().estimate(case.image, case.camera, case.scene)
+    assert isinstance(fix, PositionFix)
+    assert 0.0 <= float(fix.provenance["weight"]) <= 1.0
+    assert_allclose(case.camera.model.project(fix.position_camera_km), fix.center_px, rtol=0, atol=1e-9)
+    assert case.nees(fix) < NEES_LIMIT
