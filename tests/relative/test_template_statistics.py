@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
-from giantlike.relative.template.covariance import LinearFit, Prior, larger
+from giantlike.relative.template.covariance import LinearFit, Prior, excess
 from tests.tolerances import FLOAT64
 
 SHAPE = (40, 44)
@@ -42,7 +42,7 @@ def test_the_larger_of_two_covariances_is_below_neither() -> None:
     random = np.random.default_rng(4)
     for _ in range(20):
         first, second = (root @ root.T for root in random.normal(size=(2, 3, 3)))
-        both = larger(first, second)
+        both = first + excess(first, second)
         for one in (first, second):
             assert np.linalg.eigvalsh(both - one).min() > -1e-9 * np.trace(both)
-    assert_allclose(larger(first, 0.5 * first), first, rtol=0, atol=FLOAT64 * np.trace(first))
+    assert_allclose(excess(first, 0.5 * first), 0.0, rtol=0, atol=FLOAT64 * np.trace(first))

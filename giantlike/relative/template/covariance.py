@@ -298,14 +298,14 @@ class LinearFit(Value):
         """
         return self._sandwich(_correlated(self.columns * (self.weights * error), length_px / math.sqrt(2.0)))
 
-    def noise_parts(self, noise: Float, groups: Mapping[Cause, slice]) -> dict[Cause, Float]:
+    def noise_parts(self, noise: Float, groups: Mapping[Cause, list[int]]) -> dict[Cause, Float]:
         """Covariance from noise, apart by the parameters without which it would not be there.
 
         Parameters
         ----------
         noise : (h, w) float64
             Variance of independent noise.
-        groups : mapping of Cause to slice
+        groups : mapping of Cause to list of int
             Parameters of each cause.
 
         Returns
@@ -315,8 +315,9 @@ class LinearFit(Value):
         """
         rest, parts = self.noise_covariance(noise), dict[Cause, Float]()
         for cause, group in groups.items():
-            if rest[group, group].size:
-                parts[cause] = rest[:, group] @ np.linalg.pinv(rest[group, group], hermitian=True) @ rest[group]
+            if group:
+                inverse = np.linalg.pinv(rest[np.ix_(group, group)], hermitian=True)
+                parts[cause] = rest[:, group] @ inverse @ rest[group]
                 rest = rest - parts[cause]
         return parts | {Cause.NOISE: rest}
 
@@ -385,7 +386,7 @@ class LinearFit(Value):
         if not known:
             return sandwich
         of_prior = self._sandwich(np.diag(self.prior.information))
-        return larger(sandwich, np.mean(known, axis=0) + of_prior)
+        return sandwich + excess(sandwich, np.mean(known, axis=0) + of_prior)
 
     def _jackknife(self, residuals: Float, block: int, offset: int) -> Float | None:
         """Covariance (k, k) from the changes of the parameters when one block of pixels at a time is left out.
@@ -465,8 +466,8 @@ def _correlated(scores: Float, length_px: float) -> Float:
     return 0.5 * (covariance + covariance.T)
 
 
-def larger(first: Float, second: Float) -> Float:
-    """Smallest covariance that exceeds two others in every direction of parameter space.
+def excess(first: Float, second: Float) -> Float:
+    """Least covariance to add to one so that the sum exceeds another in every direction of parameter space.
 
     Parameters
     ----------
@@ -476,12 +477,13 @@ def larger(first: Float, second: Float) -> Float:
     Returns
     -------
     (k, k) float64
+        Positive semi-definite.
     """
     root = np.linalg.cholesky(first)
     inverse_root = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
-    wide = root @ vectors
-    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
+    wide = root @ (vectors * np.sqrt(np.maximum(values - 1.0, 0.0)))
+    return np.asarray(wide @ wide.T)
 
 
 def _block_sums(images: Float, block: int) -> Float:

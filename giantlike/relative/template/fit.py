@@ -20,14 +20,14 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
-from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, larger
+from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
 from giantlike.relative.template.state import Synthesis, TemplateState
 
 _LOG = logging.getLogger("giantlike.relative")
 
 _MAX_STEP_PX, _MAX_STEP_LOG_RANGE = 4.0, 0.1
-"""Largest step of center, px, and logarithm of the range: an image is linear in them over a few pixels only."""
+"""Largest motion of the image, px, and step of the logarithm of the range: linear over a few pixels only."""
 _MAX_STEP_BLUR_PX2 = 3.0  # px^2: blur hides errors of the center, as long as these are large
 _MAX_PSF_VARIANCE_PX2 = 25.0  # px^2: a point spread function of 5 px, beyond any camera in focus
 _BLUR_MOVES = 0.1
@@ -184,7 +184,7 @@ def fit_template(
         if isinstance(images, Failure):
             return images
         problem = Problem(pixels, images, trial, None if last is None else last.solution.parameters[GAIN:])
-        if last is not None and last.length_px > _ROUGH_STEP_PX and last.problem.misfit_dn2() < problem.misfit_dn2():
+        if last is not None and last.motion_px > _ROUGH_STEP_PX and last.problem.misfit_dn2() < problem.misfit_dn2():
             last = last.shortened(_RETREAT)
             trial = last.stepped()
             continue
@@ -201,7 +201,7 @@ def fit_template(
             return solved.result(flicker, iteration, options)
         if iteration > _DAMPED_AFTER or (last is not None and solved.returns(last)):
             solved = solved.shortened(0.5)
-        trial, fine, last = solved.stepped(), fine or moved_px < _ROUGH_STEP_PX, solved
+        trial, fine, last = solved.stepped(), fine or solved.motion_px < _ROUGH_STEP_PX, solved
     return Failure(Reason.NOT_CONVERGED, f"still moving by {moved_px:.2f} px after {options.max_iterations} renders")
 
 
@@ -229,6 +229,12 @@ class _Solved:
         turned = abs(float(step[RANGE])) * self.problem.reach_px
         return max(float(np.hypot(step[X], step[Y])), turned, _BLUR_MOVES * self._blurred(step))
 
+    @property
+    def motion_px(self) -> float:
+        """Motion of the image, px, by the step: less than that of the center where the frame cuts the body."""
+        step = self.share * self.solution.parameters
+        return max(self.problem.motion_px(step[: RANGE + 1]), _BLUR_MOVES * self._blurred(step))
+
     def _blurred(self, step: Float) -> float:
         """Change of the variance of the point spread function, px^2."""
         known = self.state.psf_variance_px2
@@ -246,15 +252,15 @@ class _Solved:
         return replace(self, share=share * self.share)
 
     def stepped(self) -> TemplateState:
-        """State after the step, which is limited in every parameter."""
+        """State after the step, limited by how far the image moves: center and range keep their proportion."""
         step, state = self.share * self.solution.parameters, self.state
-        shift_px = step[[X, Y]]
-        shift_px = shift_px * min(1.0, _MAX_STEP_PX / max(float(np.hypot(*shift_px)), 1e-12))
-        longest = min(_MAX_STEP_LOG_RANGE, _MAX_STEP_PX / self.problem.reach_px)
+        motion_px = self.problem.motion_px(step[: RANGE + 1])
+        longest = min(_MAX_STEP_PX / max(motion_px, 1e-12), _MAX_STEP_LOG_RANGE / max(abs(float(step[RANGE])), 1e-12))
+        moved = min(longest, 1.0) * step[: RANGE + 1]
         blur = float(np.clip(step[BLUR], -_MAX_STEP_BLUR_PX2, _MAX_STEP_BLUR_PX2))
         return TemplateState(
-            center_px=state.center_px + shift_px,
-            log_range=state.log_range + float(np.clip(step[RANGE], -longest, longest)),
+            center_px=state.center_px + moved[[X, Y]],
+            log_range=state.log_range + float(moved[RANGE]),
             psf_variance_px2=float(np.clip(state.psf_variance_px2 + blur, 0.0, _MAX_PSF_VARIANCE_PX2)),
         )
 
@@ -301,9 +307,9 @@ class _Solved:
             block_px=int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX)),
         )
         groups = {
-            Cause.REFLECTANCE: slice(LAWS, None),
-            Cause.BACKGROUND: slice(OFFSET, LAWS),
-            Cause.PSF: slice(BLUR, BLUR + 1),
+            Cause.REFLECTANCE: list(range(LAWS, LAWS + self.problem.n_laws)),
+            Cause.BACKGROUND: list(range(OFFSET, LAWS)),
+            Cause.PSF: [BLUR, *range(LAWS + self.problem.n_laws, self.problem.n_parameters)],
         }
         parts = fit.noise_parts(noise, groups)
         known = sum(parts.values(), np.zeros_like(whole))
@@ -311,7 +317,7 @@ class _Solved:
             relief = options.relief_sigma * self.problem.columns[RANGE]
             parts[Cause.RELIEF] = fit.error_covariance(relief, length_px=options.relief_length_px)
             known = known + parts[Cause.RELIEF]
-        parts[Cause.ALBEDO] = larger(known, whole) - known
+        parts[Cause.ALBEDO] = excess(known, whole)
         if self.problem.untried is not None:
             omitted = fit.omission_covariance(residuals, self.problem.untried, self.problem.mixing_sigma_dn)
             parts[Cause.REFLECTANCE] = parts.get(Cause.REFLECTANCE, 0.0) + omitted

@@ -16,7 +16,8 @@ from giantlike.relative.template.state import TemplateImages, TemplateState
 
 X, Y, RANGE, BLUR, GAIN, OFFSET, RAMP_X, RAMP_Y = range(8)
 """Parameters: center in px, logarithm of the range, variance of the point spread function in px^2, then photometry: the
-light, a constant background and its slopes over half the box. After them come the other reflectance laws."""
+light, a constant background and its slopes over half the box. After them come the other reflectance laws, and last the
+wings of the point spread function where they are estimated."""
 LAWS = RAMP_Y + 1
 
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
@@ -27,6 +28,9 @@ _SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20,
 _MIXING_SIGMA = 1.0
 """A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
 about between those that are mixed."""
+_WING_SIGMA, _WING_WIDTH = 0.1, 5.0
+"""A priori standard deviation of the share of light in wings of the point spread function, and their width over that of
+its core: as for limbs. Wings of other widths: half and double are in benchmarks/sensitivity.md."""
 
 
 class Problem:
@@ -52,6 +56,9 @@ class Problem:
         self.pixels, self.light = pixels, images.light
         total = float(images.light.sum())
         differences = [_difference(other, images.light) for other in images.others]
+        self.n_laws, self.n_wings = len(differences), int(images.winged)
+        if images.winged:
+            differences.append(_winged(images.light, state.psf_variance_px2) - images.light)
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         basis = np.stack([images.light, *_background(images.light.shape), *differences])
         if photometry is None:
@@ -72,6 +79,7 @@ class Problem:
         if rendered is not None:
             moved += self.gain_dn * rendered
         self._slope2 = moved[X] ** 2 + moved[Y] ** 2
+        self._places = np.stack(np.broadcast_arrays(x, y))
         self.columns = np.concatenate([moved, basis])
         self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / total))
 
@@ -93,6 +101,16 @@ class Problem:
         if pixels.censored is None:
             return pixels.usable
         return np.asarray(pixels.usable | (pixels.censored & (self.model < pixels.values_dn)))
+
+    def motion_px(self, step: Float) -> float:
+        """Motion of the image, px, by a step (3,) in x, y and logarithm of the range.
+
+        Its root mean square over the pixels, by the squared slope of the light: of the features that fix the geometry.
+        Where a body is cut by the frame, a center far outside moves more than they do.
+        """
+        weights = np.where(self.offered, self._slope2, 0.0)
+        moved = step[[X, Y], None, None] - step[RANGE] * self._places
+        return math.sqrt(float(np.vdot(weights, (moved**2).sum(axis=0))) / max(float(weights.sum()), 1e-300))
 
     @property
     def n_parameters(self) -> int:
@@ -117,7 +135,8 @@ class Problem:
         """Prior of all parameters from that of the first four, ``mean`` and ``sigma`` (4,): laws get their own."""
         means, sigmas = np.zeros(self.n_parameters), np.full(self.n_parameters, np.inf)
         means[:GAIN], sigmas[:GAIN] = mean, sigma
-        sigmas[LAWS:] = self.mixing_sigma_dn
+        sigmas[LAWS : LAWS + self.n_laws] = self.mixing_sigma_dn
+        sigmas[LAWS + self.n_laws :] = _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA
         return Prior(means, sigmas**-2)
 
     def solve(self, prior: Prior, clip_sigma: float, errors: Float | None) -> RobustFit | Failure:
@@ -156,6 +175,12 @@ def unweighted(basis: Float, pixels: BoxPixels) -> Float:
 def _difference(other: Float, light: Float) -> Float:
     """Light (h, w) under another law less that under the law of the target, at the same sum."""
     return np.asarray(other * (float(light.sum()) / max(float(other.sum()), 1e-300)) - light)
+
+
+def _winged(light: Float, psf_variance_px2: float) -> Float:
+    """All light (h, w) in the wings of the point spread function; what lies beyond the box is as bright as its edge."""
+    sigma_px = _WING_WIDTH * math.sqrt(max(psf_variance_px2, PIXEL_VARIANCE_PX2))
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float64)
 
 
 def _background(shape: tuple[int, ...]) -> tuple[Float, Float, Float]:

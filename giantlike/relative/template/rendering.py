@@ -167,7 +167,8 @@ class TemplateRenderer(Value):
                 return lights
             light, *differing = lights[: len(laws)]
             if self.radius_px >= _SMALL_RADIUS_PX:
-                return TemplateImages(light=light, others=differing, untried=lights[-1] if extra else None)
+                untested = lights[-1] if extra else None
+                return TemplateImages(light=light, others=differing, winged=True, untried=untested)
             if not (latest and self._near(latest[0][0], state)):
                 made = self._derivatives(box, state)
                 if isinstance(made, Failure):

@@ -45,6 +45,8 @@ class TemplateImages(Value):
         Brightness under the reflectance law of the target.
     others : (k, h, w) float64
         Brightness under k other laws, which the fit may mix in; none by default.
+    winged : bool
+        Estimate the share of the light that lies in wings of the point spread function.
     untried : (h, w) float64, optional
         Brightness under a law that the fit does not mix in; what it would change enters the covariance.
     derivatives : (4, h, w) float64, optional
@@ -56,6 +58,7 @@ class TemplateImages(Value):
 
     light: Float
     others: Sequence[Float] = ()
+    winged: bool = False
     untried: Float | None = None
     derivatives: Float | None = None
 
