@@ -6,13 +6,23 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from giantlike import independent
+from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
+from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import PositionFix
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
+from giantlike.independent import EllipsoidBody, Pose, Psf
 from giantlike.relative.estimator import place_covariance
 from giantlike.relative.template.cross_correlation import CrossCorrelation
-from tests.relative.test_light_truth import light, shot
+from giantlike.scene import Scene, Target
+from giantlike.shapes import Ellipsoid
+from tests.relative.test_light_truth import KNOWN, light, shot
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)
@@ -20,6 +30,11 @@ DIAMETER_PX = 110.0
 PLANE_DN = (200.0, 100.0)  # DN over the frame
 SPAN_PX, SPAN_RANGE = 0.05, 5e-4  # where a law in the span of the model is told wrong: a few sigma
 PLANE_PX = 0.06  # four sigma of the noise of the sky; the plane pulls ten times as far where it is not modeled
+
+
+LIMB_PX, FRAME_PX = 1000.0, 320
+WINGED_PX = 0.04  # three times the error and its sigma; 0.15 px were stated where wings were residuals
+CRESCENT_PX = 0.025  # 0.02 to 0.05 with two rays along a pixel, whose errors all of a thin crescent shares
 
 
 def errors(seed: int, law: str, phase_deg: float, slope_dn: tuple[float, float] = (0.0, 0.0)) -> tuple[Float, Float]:
@@ -58,3 +73,49 @@ def test_a_law_within_the_mixture_is_found_as_if_it_were_told(law: str, phase_de
 @pytest.mark.parametrize(("law", "phase_deg"), [("hapke", 110.0), ("minnaert", 60.0)])
 def test_the_covariance_counts_a_law_beyond_the_mixture(law: str, phase_deg: float) -> None:
     assert_honest([errors(seed, law, phase_deg) for seed in SEEDS])
+
+
+def test_wings_of_the_point_spread_function_are_estimated() -> None:
+    shots = [shot(seed, phase_deg=20.0 + 35.0 * seed, diameter_px=DIAMETER_PX, wings=0.1) for seed in SEEDS]
+    for one in shots:
+        fix = one.fix(CrossCorrelation())
+        error = fix.center_px - one.center_px
+        assert np.sqrt(np.diag(fix.covariance_px2)).max() < WINGED_PX
+        assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < chi2.ppf(1.0 - RARE, 2)
+
+
+def test_the_sampling_of_renders_does_not_limit_crescents() -> None:
+    results = [errors(seed, "mcewen", 125.0) for seed in SEEDS]
+    assert max(float(np.hypot(*error[:2])) for error, _ in results) < CRESCENT_PX
+    assert_honest(results)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_limb_whose_center_lies_far_outside_is_fitted(side: float) -> None:
+    """Center and range move together by pixels, while the limb in view hardly moves."""
+    radii, focal = np.array([1.0, 0.93, 0.88]), 5000.0
+    middle = (FRAME_PX - 1) / 2
+    distance = 2.0 * float(np.cbrt(radii.prod())) * focal / LIMB_PX
+    true_km = distance * np.array([side * 0.5 * LIMB_PX / focal, 12.0 / focal, 1.0])
+    sun = np.array([-side, 0.1, -0.1]) / math.sqrt(1.02)
+    turn = Rotation.from_rotvec([0.4, -0.7, 1.1])
+    view = independent.PinholeView(focal_px=focal, center_px=(middle, middle), columns=FRAME_PX, rows=FRAME_PX)
+    clean = independent.render_body(EllipsoidBody(radii), view, Pose(true_km, turn, sun), law="mcewen", psf=Psf(0.8))
+    recorder = independent.Recorder(gain_e_per_dn=1.0, read_noise_e=5.0)
+    pixels = independent.record(clean, np.random.default_rng(5), recorder).pixels
+    model = PinholeModel(fx_px=focal, fy_px=focal, cx_px=middle, cy_px=middle)
+    camera = Camera(
+        name="near", columns=FRAME_PX, rows=FRAME_PX, model=model, psf=GaussianPsf(sigma_px=0.8), detector=KNOWN
+    )
+    geometry = ApparentGeometry(
+        position_inertial_km=(true_km + distance / focal * np.array([3.0, -2.0, 0.0])) * 0.992,
+        inertial_from_body=turn,
+        sun_direction_inertial=sun,
+    )
+    target = Target(name="BODY", shape=Ellipsoid(radii_km=radii), ephemeris=geometry)
+    image = Image(pixels=pixels.astype(np.int32), camera_from_inertial=Rotation.identity())
+    fix = CrossCorrelation().estimate(image, camera, Scene(targets=(target,)))
+    assert isinstance(fix, PositionFix), fix
+    assert not fix.flags.suspect, fix.flags
+    error = fix.position_camera_km - true_km
+    assert float(error @ np.linalg.solve(fix.covariance_camera_km2, error)) < chi2.ppf(1.0 - RARE, 3)

@@ -16,6 +16,7 @@ _RADII_PX = (12.0, 40.0)
 """Radii, px, of the body in the reduced images: errors of half of it are still found, then refined."""
 _STEPS = 5  # in each reduced image; the best state on the way is taken
 _STEP_PX = 2.0  # px of the reduced image: the reach of its slopes after _BLUR_PX
+_STILL_PX = 0.02  # px of the reduced image: shorter steps end the alignment, whose result the fit moves by more
 _BLUR_PX = 0.6  # px of the reduced image: block means alias without it
 _WARPED_OVER = 4  # pixels averaged after an image was moved: the errors of the interpolation average with them
 
@@ -69,6 +70,8 @@ def align_template(
             problem = Problem(small, TemplateImages(light=moved), _reduced(state, pixels.corner_px, factor), None)
             tried.append((problem.misfit_dn2(), state))
             step = problem.plain_step(_STEP_PX)
+            if problem.motion_px(step) < _STILL_PX:
+                break
             state = replace(
                 state, center_px=state.center_px + factor * step[[X, Y]], log_range=state.log_range + step[RANGE]
             )

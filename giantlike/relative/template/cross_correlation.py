@@ -20,6 +20,7 @@ from giantlike.relative.template.align import align_template
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
+    ROUGH,
     UNKNOWN_BLUR_SIGMA_PX2,
     TemplateRenderer,
     placed,
@@ -277,7 +278,7 @@ def _correlated(
     image: BoxPixels, good: Mask, renderer: TemplateRenderer, state: TemplateState, search_px: int, min_score: float
 ) -> _Located | Failure:
     """Find the template of a state by correlation, clipped like the image."""
-    template = renderer.render(state, renderer.sampling(search_px, rough=True))
+    template = renderer.render(state, renderer.sampling(search_px, spacing=ROUGH))
     if isinstance(template, Failure):
         return template
     light = template.brightness

@@ -1,7 +1,8 @@
 """Photometric fit of a rendered template to an image: center, range, and a covariance that counts model errors.
 
 The image is modeled as ``gain * light + background + sum(mixing_i * difference_i)``: ``light`` is the template rendered
-at the current geometry, the background a plane, and the differences are those that other reflectance laws make.
+at the current geometry, the background a plane, and the differences are those that other reflectance laws and wings of
+the point spread function make.
 Gauss-Newton steps in center, logarithm of the range and width of the point spread function alternate with new renders,
 so that the solution does not depend on the way derivatives are taken.
 """

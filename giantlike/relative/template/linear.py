@@ -28,16 +28,16 @@ _SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20,
 _MIXING_SIGMA = 1.0
 """A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
 about between those that are mixed."""
-_WING_SIGMA, _WING_WIDTH = 0.1, 5.0
-"""A priori standard deviation of the share of light in wings of the point spread function, and their width over that of
-its core: as for limbs. Wings of other widths: half and double are in benchmarks/sensitivity.md."""
+_WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
+"""A priori standard deviation of the shares of light in wings of the point spread function, and the widths of these over
+that of its core: two, as for horizons, so that those between are spanned."""
 
 
 class Problem:
     """One linear step: derivatives of the model around a state, and the pixels to explain.
 
     The model is linear in its photometry: the light, a constant and a slope of the background, and the differences that
-    other laws make.
+    other laws and wings of the point spread function make.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ class Problem:
         self.pixels, self.light = pixels, images.light
         total = float(images.light.sum())
         differences = [_difference(other, images.light) for other in images.others]
-        self.n_laws, self.n_wings = len(differences), int(images.winged)
+        self.n_laws = len(differences)
         if images.winged:
-            differences.append(_winged(images.light, state.psf_variance_px2) - images.light)
+            differences += [_winged(images.light, state.psf_variance_px2, w) - images.light for w in _WING_WIDTHS]
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         basis = np.stack([images.light, *_background(images.light.shape), *differences])
         if photometry is None:
@@ -177,9 +177,9 @@ def _difference(other: Float, light: Float) -> Float:
     return np.asarray(other * (float(light.sum()) / max(float(other.sum()), 1e-300)) - light)
 
 
-def _winged(light: Float, psf_variance_px2: float) -> Float:
+def _winged(light: Float, psf_variance_px2: float, width: float) -> Float:
     """All light (h, w) in the wings of the point spread function; what lies beyond the box is as bright as its edge."""
-    sigma_px = _WING_WIDTH * math.sqrt(max(psf_variance_px2, PIXEL_VARIANCE_PX2))
+    sigma_px = width * math.sqrt(max(psf_variance_px2, PIXEL_VARIANCE_PX2))
     return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float64)
 
 

@@ -39,7 +39,10 @@ _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_acr
 _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it: bodies are rarely more elongated
 _NEAR_PX, _NEAR_BLUR = 1.0, 0.1
 """Motion of center or limb, px, and share of the blur up to which derivatives are moved along."""
-_ROUGH = 2.0  # times the distance between rays: on the way to the solution, which needs no fine edges
+ROUGH = 2.0
+"""Times the distance between rays: on the way to the solution, which needs no fine edges."""
+_FINE = 0.5
+"""Times the distance between rays in the last renders: crescents of 120 px are then right to 0.007 px, not 0.02."""
 _COARSE_RADIUS_PX = 20.0  # px, from which renders on the way are rough; smaller bodies are all edge
 _FINE_RAYS = 2  # along the side of a pixel, at least: one a pixel leaves 0.02 px of a 300 px body, two 0.003
 _OTHER_LAWS: tuple[Reflectance, ...] = (Hapke(w=0.9), Minnaert(k=0.6))
@@ -106,14 +109,14 @@ class TemplateRenderer(Value):
             options=options,
         )
 
-    def sampling(self, margin_px: int, *, rough: bool = False, min_rays: int = 1) -> RenderOptions:
+    def sampling(self, margin_px: int, *, spacing: float = 1.0, min_rays: int = 1) -> RenderOptions:
         """Return options for renders that reach over the frame.
 
         Parameters
         ----------
         margin_px : int, px
-        rough : bool
-            Half as many rays across the body.
+        spacing : float
+            Distance between rays over that of ``rays_across``.
         min_rays : int
             Rays along the side of a pixel, at least.
 
@@ -121,7 +124,7 @@ class TemplateRenderer(Value):
         -------
         RenderOptions
         """
-        rays_across = self.rays_across / (_ROUGH if rough else 1.0)
+        rays_across = self.rays_across / spacing
         rays = math.ceil(rays_across / max(2.0 * self.radius_px, _POINT_PX))
         return RenderOptions(
             rays_per_pixel_side=max(min(rays, _MAX_RAYS_PER_PIXEL_SIDE), min_rays),
@@ -159,8 +162,7 @@ class TemplateRenderer(Value):
         latest: list[tuple[TemplateState, Float]] = []
 
         def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
-            rough = not fine and self.radius_px >= _COARSE_RADIUS_PX
-            sampling = self.sampling(FIT_BORDER_PX, rough=rough, min_rays=_FINE_RAYS if fine else 1)
+            sampling = self.sampling(FIT_BORDER_PX, spacing=self._spacing(fine), min_rays=_FINE_RAYS if fine else 1)
             extra = (_UNTRIED_LAW,) if fine and untried else ()
             lights = self._lights(box, state, laws + extra, sampling)
             if isinstance(lights, Failure):
@@ -180,6 +182,12 @@ class TemplateRenderer(Value):
             return TemplateImages(light=light, others=differing, derivatives=derivatives)
 
         return images
+
+    def _spacing(self, fine: bool) -> float:
+        """Distance between rays over that of ``rays_across``, on the way of a fit or in its last renders."""
+        if fine:
+            return _FINE if self.radius_px >= _SMALL_RADIUS_PX else 1.0
+        return ROUGH if self.radius_px >= _COARSE_RADIUS_PX else 1.0
 
     def _lights(
         self, box: PixelBox, state: TemplateState, laws: tuple[Reflectance, ...], sampling: RenderOptions
