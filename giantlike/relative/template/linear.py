@@ -29,8 +29,8 @@ _MIXING_SIGMA = 1.0
 """A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
 about between those that are mixed."""
 _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
-"""A priori standard deviation of the shares of light in wings of the point spread function, and the widths of these over
-that of its core: two, as for horizons, so that those between are spanned."""
+"""A priori standard deviation of the shares of light in wings of the point spread function, and their widths over that
+of its core: two, as for horizons, so that those between are spanned."""
 
 
 class Problem:
@@ -46,8 +46,8 @@ class Problem:
         Rendered for ``state``.
     state : TemplateState
     photometry : (k,) float64, optional
-        Coefficients of the photometric columns from a problem nearby; None finds them by plain least squares, with the
-        law of the target alone.
+        Coefficients of the photometric columns from a problem nearby, which may lack the last; None finds them by plain
+        least squares, with the law of the target alone.
     """
 
     def __init__(
@@ -63,7 +63,8 @@ class Problem:
         basis = np.stack([images.light, *_background(images.light.shape), *differences])
         if photometry is None:
             first = unweighted(basis[: LAWS - GAIN], pixels)
-            photometry = np.concatenate([first, np.zeros(len(differences))])
+            photometry = first
+        photometry = np.pad(photometry, (0, len(basis) - len(photometry)))  # of wings, after a render without
         self.gain_dn = float(photometry[0])
         body = [0, *range(LAWS - GAIN, len(basis))]
         self.signal = np.tensordot(photometry[body], basis[body], 1)

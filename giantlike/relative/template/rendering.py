@@ -170,7 +170,7 @@ class TemplateRenderer(Value):
             light, *differing = lights[: len(laws)]
             if self.radius_px >= _SMALL_RADIUS_PX:
                 untested = lights[-1] if extra else None
-                return TemplateImages(light=light, others=differing, winged=True, untried=untested)
+                return TemplateImages(light=light, others=differing, winged=fine, untried=untested)
             if not (latest and self._near(latest[0][0], state)):
                 made = self._derivatives(box, state)
                 if isinstance(made, Failure):
