@@ -211,10 +211,17 @@ def rows_shifted(plan: Plan, rng: np.random.Generator) -> Plan:
     """Rows moved from one on, or each by its own."""
     if rng.uniform() < 0.5:
         return _read(plan, readouts.jittered_rows(log_uniform(rng, 0.7, 6.0)), hard=True)
-    reach = 0.1 * plan.world.view.rows
-    first = int(_middle_px(plan.world)[1] + rng.uniform(-reach, reach))
+    first = int(_middle_px(plan.world)[1] + rng.uniform(-1.0, 1.0) * _break_px(plan))
     shift = int(np.ceil(log_uniform(rng, 1.0, 40.0)) * rng.choice([-1, 1]))
     return _read(plan, readouts.shifted_rows(first, shift), hard=True)
+
+
+def _break_px(plan: Plan) -> float:
+    """How far from the middle the rows break, px: through the body, because one that is all shifted tells nobody."""
+    world = plan.world
+    if world.body is None:
+        return 0.1 * world.view.rows
+    return 0.3 * world.body.bounding_radius_km / world.range_km * world.view.focal_px
 
 
 def eight_bit(plan: Plan, rng: np.random.Generator) -> Plan:
