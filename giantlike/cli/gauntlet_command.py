@@ -13,6 +13,7 @@ from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
+from giantlike.core.processes import process_count
 from giantlike.gauntlet.files import has_results, load_results, save_results
 from giantlike.gauntlet.kinds import KINDS
 from giantlike.gauntlet.run import Gauntlet, ImageResult, row_values, run_gauntlet, summary_of
@@ -31,7 +32,7 @@ def gauntlet(
         Path | None,
         typer.Option(help="Folder of real images that do not show the target; run them too.", metavar="DATA"),
     ] = None,
-    workers: Workers = 1,
+    workers: Workers = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
     list_kinds: Annotated[bool, typer.Option("--list-kinds", help="List the kinds of images and stop.")] = False,
@@ -52,7 +53,7 @@ def gauntlet(
         kinds=_names(kinds),
         estimators=_names(estimators),
         indices=_numbers(only),
-        workers=workers or 1,
+        workers=process_count(workers, len(_numbers(only)) or images),
         real=real,
     )
     results = _run(wanted, output, resume=resume, overwrite=overwrite)

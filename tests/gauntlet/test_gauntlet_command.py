@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 from typer.testing import CliRunner, Result
 
 from giantlike.cli.app import app
@@ -26,7 +28,7 @@ def without_times(value: Any) -> Any:
 
 
 def test_the_report_counts_every_verdict_once_and_the_folder_holds_page_table_and_summary(tmp_path: Path) -> None:
-    result = gauntlet("--images", 5, *CHEAP, "--output", tmp_path, "--json")
+    result = gauntlet("--images", 5, *CHEAP, "--workers", 1, "--output", tmp_path, "--json")
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)
     assert report["images"] == 5
@@ -44,12 +46,12 @@ def test_the_report_counts_every_verdict_once_and_the_folder_holds_page_table_an
 
 
 def test_results_do_not_depend_on_the_number_of_workers_nor_on_a_pause(tmp_path: Path) -> None:
-    alone = gauntlet("--images", 4, *CHEAP, "--output", tmp_path / "one", "--json")
+    alone = gauntlet("--images", 4, *CHEAP, "--workers", 1, "--output", tmp_path / "one", "--json")
     pair = gauntlet("--images", 4, *CHEAP, "--workers", 2, "--json")
     assert without_times(json.loads(alone.stdout)) == without_times(json.loads(pair.stdout))
     parts = tmp_path / "one" / "images.jsonl"
     parts.write_text("".join(parts.read_text(encoding="utf-8").splitlines(keepends=True)[:2]), encoding="utf-8")
-    resumed = gauntlet("--images", 4, *CHEAP, "--output", tmp_path / "one", "--resume", "--json")
+    resumed = gauntlet("--images", 4, *CHEAP, "--workers", 1, "--output", tmp_path / "one", "--resume", "--json")
     assert without_times(json.loads(resumed.stdout)) == without_times(json.loads(alone.stdout))
     assert gauntlet("--images", 4, *CHEAP, "--output", tmp_path / "one").exit_code == 2  # it holds one already
 
@@ -59,3 +61,16 @@ def test_one_image_runs_alone_and_a_wrong_name_is_one_line() -> None:
     assert {row["image"] for row in report["rows"]} == {3}
     assert "no 'nominall' in the gauntlet" in gauntlet("--kinds", "nominall").stderr
     assert gauntlet("--list-kinds").stdout.count("\n") == len(KINDS)
+
+
+def test_a_real_image_without_the_target_comes_after_the_others_and_is_no_silent_wrong(tmp_path: Path) -> None:
+    stars = np.random.default_rng(1).poisson(20.0, size=(200, 220)).astype(np.uint16)
+    stars[50:53, 60:63] += 4000
+    assert cv2.imwrite(str(tmp_path / "stars.png"), stars)
+    (tmp_path / "notes.txt").write_text("no image", encoding="utf-8")
+    (tmp_path / "broken.png").write_bytes(b"no image either")
+    result = gauntlet("--images", 1, *CHEAP, "--workers", 1, "--real", tmp_path, "--json")
+    report = json.loads(result.stdout)
+    assert report["images"] == 2
+    assert report["by_kind"]["real_negative"]["honest"] == 2  # unresolved and moment
+    assert gauntlet("--real", tmp_path / "nothing").exit_code == 2

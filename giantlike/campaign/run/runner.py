@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -48,6 +47,7 @@ from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import Record, RunFolder, stamp_of
 from giantlike.campaign.store.tables import write_tables
 from giantlike.core.outcomes import Reason
+from giantlike.core.processes import process_count
 
 Made = TypeVar("Made", bound=ImageRecord)
 Progress: TypeAlias = Callable[[str, int, int], None]
@@ -106,7 +106,7 @@ def run_campaign(
             # Taken before any image is read: a file that changes later is noticed when the run is continued.
             stamps = tuple(stamp_of(entry.path) for entry in campaign.images)
             run = _Run(bench, folder, progress or silent, stamps)
-            processes = _process_count(workers, len(campaign.images))
+            processes = process_count(workers, len(campaign.images))
             calibration = None
             if campaign.calibration is not None:
                 with WorkerPool(bench, processes) as pool:
@@ -274,13 +274,6 @@ class _Run:
 def _digest(camera: Camera) -> str:
     """Short hash of a camera."""
     return hashlib.sha256(json.dumps(camera.to_mapping(), sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _process_count(workers: int | None, images: int) -> int:
-    """Number of processes: as asked for, or the CPUs that this process may use, and no more than images."""
-    if workers is None:
-        workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(workers, images))
 
 
 def silent(stage: str, done: int, total: int) -> None:
