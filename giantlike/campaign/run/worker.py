@@ -324,11 +324,10 @@ def _notes(campaign: Campaign, prepared: PreparedImage) -> list[str]:
 
 def _from_stars(record: AttitudeRecord, navigation: StarNavigation, image: Image) -> AttitudeRecord:
     """Record with what the stars of an image give."""
-    detections = navigation.detect(image)
+    detections, fix = navigation.detect_and_solve(image)
     if isinstance(detections, Failure):
         return record.replace(problem=Problem.of(detections))
     record = record.replace(detected_px=detections.points_px.tolist(), n_detected=int(detections.clean.sum()))
-    fix = navigation.solve_detections(image, detections)
     if isinstance(fix, Failure):
         return record.replace(problem=Problem.of(fix))
     return with_stars(record, navigation.camera, fix)

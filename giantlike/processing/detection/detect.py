@@ -33,7 +33,7 @@ from giantlike.processing.detection.common_streak import (
     fit_streaks,
     unexplained_power,
 )
-from giantlike.processing.detection.detections import DetectionFlag, Detections
+from giantlike.processing.detection.detections import DetectionFlag, Detections, UnmeasuredSources
 from giantlike.processing.detection.frame import Frame, frame_of
 from giantlike.processing.detection.matched_filter import (
     FilteredImage,
@@ -44,7 +44,13 @@ from giantlike.processing.detection.matched_filter import (
 )
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.processing.detection.particles import CORE_WIDTHS, core_of, find_few_pixels
-from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, PIXEL_VARIANCE_PX2, Patches, cut_patches
+from giantlike.processing.detection.patches import (
+    MIN_PSF_SIGMA_PX,
+    PIXEL_VARIANCE_PX2,
+    Patches,
+    cut_patches,
+    neighbor_reach_px,
+)
 from giantlike.processing.detection.streak import line_shares
 
 _FIRST_PSF_SIGMA_PX = 1.0  # width of the first filter when none is given: between usual cameras of 0.5 and 2 px
@@ -55,6 +61,11 @@ _PSF_MOST_TRIED = 1000  # sources tried to find them: bounds the time for images
 _PSF_MIN_SIGNIFICANCE = 12.0  # of these stars: their widths are then known to some 10 %
 _PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: hardly any, the width is to be found
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
+
+_LEAST_MEASURED = 100
+"""Sources measured at least: 100 bright stars give the attitude that 2,000 do to 0.0013 px, and identify it."""
+_GROWTH = 1.5
+"""Least growth of their number where they hold too little: bounds the work done twice."""
 
 _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
@@ -159,7 +170,13 @@ def detect_sources(
         return Detections.empty(psf_sigma_px=psf, noise_dn=noise_dn)
     at_peaks = noise[found.peaks_px[:, 1], found.peaks_px[:, 0]].astype(np.float64)
     found = replace(found, noise_dn=at_peaks)
-    return _measure(frame, found, psf, noise_dn) if streak is None else _measure_lines(frame, found, streak, noise_dn)
+    if streak is not None:
+        detections = _measure_lines(frame, found, streak, noise_dn)
+    elif options.information < 1.0:
+        detections = _measure_enough(frame, found, psf, noise_dn, options.information)
+    else:
+        detections = _measure(frame, found, psf, noise_dn)
+    return detections.select(np.argsort(-detections.flux_dn, kind="stable"))
 
 
 def _search(
@@ -287,8 +304,44 @@ def _half_patch_px(psf_sigma_px: float) -> int:
     return math.ceil(3.0 * recorded_width_px(psf_sigma_px)) + 1
 
 
+def _measure_enough(
+    frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float, information: float
+) -> Detections:
+    """Measure the most significant candidates until those that are stars hold that share of the information."""
+    gain = frame.detector.gain_e_per_dn
+    variance = _expected_variance_px2(found.significance, found.flux_dn, psf_sigma_px, gain)
+    plateau = frame.patches(found.peaks_px, 1).saturated.any(axis=(1, 2))
+    worth = np.where(found.extended | plateau, 0.0, 1.0 / variance)
+    beyond = np.append(np.cumsum(worth[::-1])[::-1], 0.0)  # what those from the n-th on hold
+    pairs = neighbor_pairs(found.peaks_px.astype(np.float64), neighbor_reach_px(_half_patch_px(psf_sigma_px)))
+    least, known = (1.0 - information) * beyond[0], 0.0
+    while True:
+        count = max(int(np.argmax(beyond <= least)), _LEAST_MEASURED, math.ceil(_GROWTH * known))
+        if count >= len(found):
+            return _measure(frame, found, psf_sigma_px, noise_dn)
+        chosen = np.arange(len(found)) < count
+        fitted = chosen.copy()
+        fitted[pairs[chosen[pairs[:, 0]], 1]] = True  # a star is fitted with the neighbors that overlap it
+        measured = _measure(frame, found.select(fitted), psf_sigma_px, noise_dn).select(chosen[fitted])
+        stars = measured.select(measured.clean)
+        expected = _expected_variance_px2(stars.snr, stars.flux_dn, psf_sigma_px, gain)
+        scale = float(np.median(stars.sigma_px**2 / expected)) if len(stars) else 1.0
+        held = float(np.sum(stars.sigma_px**-2)) * scale
+        least, known = (1.0 - information) * (held + beyond[count]), count
+        if beyond[count] <= least:
+            left = UnmeasuredSources(peaks_px=found.peaks_px[~chosen], sigma_px=np.sqrt(scale * variance[~chosen]))
+            return replace(measured, left_out=left)
+
+
+def _expected_variance_px2(snr: Float, flux_dn: Float, psf_sigma_px: float, gain_e_per_dn: float) -> Float:
+    """Variance per axis of centroids (n,): Fisher information of a Gaussian on noise, and of its own photons."""
+    variance = recorded_width_px(psf_sigma_px) ** 2
+    result: Float = variance * (2.0 / snr**2 + 1.0 / (flux_dn * gain_e_per_dn))
+    return result
+
+
 def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
-    """Fit all candidates as stars, flag them, sort them by flux."""
+    """Fit all candidates as stars and flag them."""
     patches = frame.patches(found.peaks_px, _half_patch_px(psf_sigma_px), found.noise_dn)
     fits = fit_stars(patches, flux_dn=found.flux_dn, psf_sigma_px=psf_sigma_px)
     width = recorded_width_px(psf_sigma_px)
@@ -315,7 +368,7 @@ def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: fl
         flags=_flags(frame, found, patches, fits, core, psf_sigma_px),
         psf_sigma_px=psf_sigma_px,
         noise_dn=noise_dn,
-    ).select(np.argsort(-flux, kind="stable"))
+    )
 
 
 def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise_dn: float) -> Detections:
@@ -364,7 +417,7 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
         noise_dn=noise_dn,
         halves_px=fits.halves_px,
         half_sigma_px=fits.length_sigma_px / 2.0,
-    ).select(np.argsort(-flux, kind="stable"))
+    )
 
 
 def _flags(

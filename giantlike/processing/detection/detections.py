@@ -63,6 +63,22 @@ NOT_A_STAR = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UnmeasuredSources(Value):
+    """Sources found in an image and not fitted.
+
+    Parameters
+    ----------
+    peaks_px : (n, 2) int64, px
+        Brightest pixels of the filtered image.
+    sigma_px : (n,) float64, px
+        Standard deviation per axis that a fit of a star so bright would have.
+    """
+
+    peaks_px: NDArray[np.int64]
+    sigma_px: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detections(Value):
     """Point sources of one image, brightest first.
 
@@ -96,6 +112,8 @@ class Detections(Value):
         fitted. The ends are ``points_px`` plus and minus this.
     half_sigma_px : (n,) float64, px, optional
         Standard deviation of half the length.
+    left_out : UnmeasuredSources, optional
+        Sources found that ``DetectionOptions.information`` left unmeasured; None where all were measured.
     """
 
     points_px: Float
@@ -111,6 +129,7 @@ class Detections(Value):
     noise_dn: float
     halves_px: Float | None = None
     half_sigma_px: Float | None = None
+    left_out: UnmeasuredSources | None = None
 
     def __len__(self) -> int:
         return int(self.flags.size)

@@ -20,6 +20,10 @@ class DetectionOptions:
     max_sources : int
         Keep at most this many, the most significant ones. Default 2000: bounds the time of crowded or noisy images;
         100 bright stars give the attitude that 2000 do to 0.0013 px.
+    information : float
+        Share of the information on place (the sum of 1 / sigma^2 per axis) that the measured sources must hold, in
+        (0, 1]: the most significant are measured until the rest, as far as noise tells before a fit, holds no more than
+        what is left. Sources flagged as no stars do not count. Default 1 measures all.
     min_area_px : int, px
         Fewer connected pixels above the limit are not a source. Default 1 keeps all: undersampled stars have one.
     max_saturated_fraction : float
@@ -41,6 +45,7 @@ class DetectionOptions:
 
     threshold_sigma: float = 5.0
     max_sources: int = 2000
+    information: float = 1.0
     min_area_px: int = 1
     max_saturated_fraction: float = 0.5
     noise: NoiseSource = NoiseSource.LOCAL
@@ -50,6 +55,7 @@ class DetectionOptions:
     def __post_init__(self) -> None:
         require_number(self.threshold_sigma, "threshold_sigma", above=0.0)
         require(self.max_sources >= 1, f"max_sources must be >= 1, got {self.max_sources}")
+        require_number(self.information, "information", above=0.0, most=1.0)
         require(self.min_area_px >= 1, f"min_area_px must be >= 1, got {self.min_area_px}")
         require_number(self.max_saturated_fraction, "max_saturated_fraction", above=0.0, most=1.0)
         require(

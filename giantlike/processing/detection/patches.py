@@ -66,7 +66,7 @@ class Patches(Value):
     @property
     def reach_px(self) -> float:
         """Distance within which the light of a neighbor falls into a patch, px."""
-        return 1.5 * self.half_px + 1.0
+        return neighbor_reach_px(self.half_px)
 
     def select(self, which: NDArray[np.integer]) -> Patches:
         """Patches of the sources with the given indices (k,)."""
@@ -177,6 +177,11 @@ class Patches(Value):
         middle = np.maximum(usable.sum(axis=(1, 2)) - 1, 0) // 2
         level: Float = np.take_along_axis(np.sort(values, axis=1), middle[:, None], axis=1)[:, 0]
         return np.where(np.isfinite(level), level, 0.0)
+
+
+def neighbor_reach_px(half_px: int) -> float:
+    """Distance within which the light of a neighbor falls into patches of this half size, px."""
+    return 1.5 * half_px + 1.0
 
 
 def cut_patches(
