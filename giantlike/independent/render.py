@@ -157,6 +157,8 @@ def render_body(
     if box is None:
         return image
     left, top, columns, rows = box
+    if top + rows <= 0 or left + columns <= 0 or top >= view.rows or left >= view.columns:
+        return image  # no light of it reaches the frame
     cells = psf.blurred(_cells(stage, box, sampling), sampling.cells)
     pixels = cells.reshape(rows, sampling.cells, columns, sampling.cells).mean(axis=(1, 3))
     inner = slice(max(top, 0), min(top + rows, view.rows)), slice(max(left, 0), min(left + columns, view.columns))

@@ -167,3 +167,10 @@ def test_the_center_of_light_of_a_tiny_sphere_is_that_of_its_closed_form(phase_d
         3.0 * np.pi / 16.0 * np.sin(phase) * (1.0 + np.cos(phase)) / (np.sin(phase) + (np.pi - phase) * np.cos(phase))
     )
     np.testing.assert_allclose(centroid(image), [20.3 + offset, 20.1], rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("place", [(60.0, -40.0), (60.0, 160.0), (-40.0, 60.0), (160.0, 60.0)])
+def test_a_body_beside_the_frame_leaves_it_dark(place: tuple[float, float]) -> None:
+    view = PinholeView(FOCAL_PX, (60.0, 60.0), 120, 120)
+    pose = Pose(at(place, view, 2000.0), TURN, np.array([0.6, 0.0, -0.8]))
+    assert not render_body(EllipsoidBody(np.array([4.0, 4.0, 4.0])), view, pose, peak_dn=None).any()
