@@ -7,19 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import Lambert, LommelSeeliger, McEwen
 from giantlike.relative import ESTIMATORS, EllipseFit, EllipseFitOptions, Estimator
-from giantlike.relative.horizon.ellipse_fit import position_of_cone
-from giantlike.relative.horizon.geometry import Figure
 from giantlike.shapes import Ellipsoid, Point, irregular_body
 from tests.limb_images import BodyImage, body_image, mean_nees_band
-from tests.tolerances import SETTLED
 
 SIGMA_PX, SIGMA_RANGE = 1.0, 0.01  # what an ellipse of 160 px must say of itself at worst
 BODY = Ellipsoid(radii_km=np.array([0.3, 0.26, 0.22]))
@@ -41,21 +36,6 @@ def seen(seed: int) -> tuple[BodyImage, PositionFix]:
         off_px=(float(rng.uniform(-9, 9)), float(rng.uniform(-9, 9))), range_error=float(rng.uniform(-0.015, 0.015))
     )
     return case, found(case)
-
-
-@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (3.0, 2.6, 2.2), (7.0, 7.0, 6.5)])
-def test_the_cone_around_an_ellipsoid_gives_its_position(axes: tuple[float, float, float]) -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        turn = Rotation.from_quat(rng.normal(size=4))
-        figure = Figure(radii_km=np.array(axes), camera_from_axes=turn)
-        place = np.array([*rng.uniform(-5, 5, 2), rng.uniform(20, 2000)])
-        pull = figure.shape_matrix @ place
-        cone = np.outer(pull, pull) - (place @ pull - 1.0) * figure.shape_matrix
-        position = position_of_cone(float(rng.uniform(0.1, 9)) * cone, figure)
-        assert position is not None
-        assert_allclose(position, place, rtol=0, atol=SETTLED * place[2])
-    assert position_of_cone(np.diag([1.0, -1.0, 1.0]), figure) is None
 
 
 def test_positions_under_any_law_are_as_good_as_they_say() -> None:

@@ -29,6 +29,7 @@ from giantlike.independent import (
     render_body,
 )
 from giantlike.ray_tracing import Hapke, Lambert, LommelSeeliger, McEwen, Minnaert, Reflectance
+from giantlike.relative import ESTIMATORS as RELATIVE
 from giantlike.relative import EllipsoidCRA, EllipsoidCRAOptions, Estimator, SigmoidLimb
 from giantlike.relative.horizon.cell_scan import HorizonScan
 from giantlike.relative.limb.fix import EdgeModel
@@ -67,11 +68,12 @@ class Seen:
         *,
         psf_px: float = PSF_PX,
         dead_columns: tuple[int, ...] = (),
+        saturation_dn: float = 16383.0,
     ) -> CenterFix | Failure:
         """Estimate the position from this light with noise, the prediction being 3 px and 1 % off."""
         rng = np.random.default_rng(seed)
         defects = Defects(dead_columns=dead_columns)
-        read = record(self.light_dn, rng, Recorder(bias_dn=BIAS_DN, saturation_dn=16383.0), defects)
+        read = record(self.light_dn, rng, Recorder(bias_dn=BIAS_DN, saturation_dn=saturation_dn), defects)
         rows, columns = read.pixels.shape
         camera = Camera(
             name="stress",
@@ -79,7 +81,7 @@ class Seen:
             rows=rows,
             model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=0.5 * (columns - 1), cy_px=0.5 * (rows - 1)),
             psf=GaussianPsf(sigma_px=psf_px),
-            detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0, saturation_dn=16383.0, bias_dn=BIAS_DN),
+            detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0, saturation_dn=saturation_dn, bias_dn=BIAS_DN),
         )
         range_km = float(np.linalg.norm(self.position_km))
         off = np.append(rng.uniform(-3.0, 3.0, 2), 0.0) * range_km / FOCAL_PX
@@ -188,6 +190,20 @@ def test_dead_columns_that_no_mask_tells_leave_small_disks_right(estimator: Esti
         assert abs(fix.range_km / float(np.linalg.norm(case.position_km)) - 1.0) < 0.01
         squares.append(case.square(fix))
     assert suspect <= 1
+    assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
+
+
+@pytest.mark.parametrize("name", ["ellipsoid_cra", "sigmoid_limb", "ellipse_fit"])
+def test_a_disk_that_is_clipped_along_its_limb_is_found(name: str) -> None:
+    """Clipped at half of its peak, and said to be; before, disks at full light failed as saturated or without limb."""
+    squares = []
+    for number, phase_deg in enumerate((15.0, 65.0, 110.0)):
+        case = seen("mcewen", phase_deg, 120.0, 90 + number)
+        fix = case.fix(RELATIVE[name](), McEwen(), number, saturation_dn=BIAS_DN + 0.5 * PEAK_DN)
+        assert isinstance(fix, PositionFix), fix
+        assert not fix.flags.suspect
+        assert fix.sigma_range_km < 0.003 * fix.range_km
+        squares.append(case.square(fix))
     assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
 
 
