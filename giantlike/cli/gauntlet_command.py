@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.processes import process_count
 from giantlike.gauntlet.files import has_results, load_results, save_results
 from giantlike.gauntlet.kinds import KINDS
-from giantlike.gauntlet.run import Gauntlet, ImageResult, row_values, run_gauntlet, summary_of
+from giantlike.gauntlet.run import Gauntlet, ImageResult, run_gauntlet, summary_of
 
 
 def gauntlet(
@@ -59,7 +60,7 @@ def gauntlet(
     results = _run(wanted, output, resume=resume, overwrite=overwrite)
     report = summary_of(wanted, results)
     if only:
-        report["rows"] = [row_values(row) for result in results for row in result.rows]
+        report["rows"] = [asdict(row) for result in results for row in result.rows]
     if json:
         print_json(report)
     else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.version import VERSION
 from giantlike.gauntlet.page import page_of
-from giantlike.gauntlet.run import Gauntlet, ImageResult, row_values, summary_of
+from giantlike.gauntlet.run import Gauntlet, ImageResult, summary_of
 from giantlike.gauntlet.trial import TrialRow
 from giantlike.io.tables import write_rows
 
@@ -65,7 +66,7 @@ def save_results(folder: Path, wanted: Gauntlet, results: Sequence[ImageResult],
         return
     rows = [row for result in results for row in result.rows]
     report = summary_of(wanted, results)
-    everything = report | {"rows": [row_values(row) for row in rows]}
+    everything = report | {"rows": [asdict(row) for row in rows]}
     write_text_atomic(path, "".join(_line(wanted, result) for result in results))
     write_rows(folder / TABLE, TrialRow, rows)
     write_text_atomic(folder / SUMMARY, json.dumps(everything, indent=1, allow_nan=False) + "\n")
@@ -79,7 +80,7 @@ def _line(wanted: Gauntlet, result: ImageResult) -> str:
         "kind": result.kind,
         "cpu_s": result.cpu_s,
         "thumbnail": base64.b64encode(result.thumbnail).decode("ascii"),
-        "rows": [row_values(row) for row in result.rows],
+        "rows": [asdict(row) for row in result.rows],
     }
     return json.dumps(values, allow_nan=False) + "\n"
 

@@ -209,8 +209,8 @@ class Plan(Value):
         Plan
         """
         return Plan(
-            world=replace(self.world, **(world or {})),
-            told=replace(self.told, **(told or {})),
+            world=replace(self.world, **world) if world else self.world,
+            told=replace(self.told, **told) if told else self.told,
             hard=self.hard or hard,
         )
 

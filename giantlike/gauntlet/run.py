@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
@@ -324,17 +324,3 @@ def _alarms(rows: Sequence[TrialRow]) -> dict[str, int]:
     """Fixes of nominal images, and those of them that a check calls suspect."""
     fixes = [row for row in rows if row.status in ("ok", "suspect")]
     return {"fixes": len(fixes), "suspect": sum(row.status == "suspect" for row in fixes)}
-
-
-def row_values(row: TrialRow) -> dict[str, Any]:
-    """Return a row as JSON takes it.
-
-    Parameters
-    ----------
-    row : TrialRow
-
-    Returns
-    -------
-    dict
-    """
-    return asdict(row)

@@ -58,10 +58,12 @@ class Stage(Value):
     ----------
     seed, index : int
     kind : Kind
-    plan : Plan
-        World, and what is told.
+    plan, base : Plan
+        World, and what is told; the same with nothing wrong.
     signal_dn : (rows, columns) float64, DN
         Without noise.
+    pixels_dn : (rows, columns) float64, DN
+        As they arrive.
     image : Image
     camera : Camera
         As told.
@@ -75,7 +77,9 @@ class Stage(Value):
     index: int
     kind: Kind
     plan: Plan
+    base: Plan
     signal_dn: Float
+    pixels_dn: Float
     image: Image
     camera: Camera
     scene: Scene | None
@@ -89,7 +93,10 @@ class Stage(Value):
     @cached_property
     def undisturbed(self) -> Stage:
         """The same scene without what is wrong, with the same errors of what is told."""
-        return self if self.kind.undisturbed else stage_of(self.seed, self.index, disturbed=False)
+        if self.kind.undisturbed:
+            return self
+        known = (self.signal_dn, self.pixels_dn) if self.plan.world is self.base.world else None
+        return _stage(self.seed, self.index, self.base, self.base, known)
 
 
 def kind_of(seed: int, index: int) -> Kind:
@@ -107,26 +114,25 @@ def kind_of(seed: int, index: int) -> Kind:
     return KINDS[names[index % len(names)]]
 
 
-def plan_of(seed: int, index: int, *, disturbed: bool = True) -> Plan:
+def plans_of(seed: int, index: int) -> tuple[Plan, Plan]:
     """Draw the plan of an image.
 
     Parameters
     ----------
     seed, index : int
-    disturbed : bool
-        False for the same scene with nothing wrong.
 
     Returns
     -------
-    Plan
+    Plan, Plan
+        Of the image, and of the same scene with nothing wrong.
     """
     kind = kind_of(seed, index)
     rng = np.random.default_rng([seed, index, _BASE])
-    plan = body_plan(rng, kind.base) if kind.body else star_plan(rng)
-    return kind.disturb(plan, np.random.default_rng([seed, index, _DISTURB])) if disturbed else plan
+    base = body_plan(rng, kind.base) if kind.body else star_plan(rng)
+    return kind.disturb(base, np.random.default_rng([seed, index, _DISTURB])), base
 
 
-def stage_of(seed: int, index: int, *, disturbed: bool = True) -> Stage:
+def stage_of(seed: int, index: int) -> Stage:
     """Make an image of the gauntlet.
 
     Parameters
@@ -135,21 +141,25 @@ def stage_of(seed: int, index: int, *, disturbed: bool = True) -> Stage:
         Of the whole gauntlet.
     index : int
         Of the image, from 0.
-    disturbed : bool
-        False for the same scene with nothing wrong.
 
     Returns
     -------
     Stage
     """
-    plan = plan_of(seed, index, disturbed=disturbed)
-    signal, pixels = expose(plan.world, np.random.default_rng([seed, index, _EXPOSE]))
+    return _stage(seed, index, *plans_of(seed, index))
+
+
+def _stage(seed: int, index: int, plan: Plan, base: Plan, known: tuple[Float, Float] | None = None) -> Stage:
+    """Make the image of a plan; signal and pixels may be known."""
+    signal, pixels = known or expose(plan.world, np.random.default_rng([seed, index, _EXPOSE]))
     return Stage(
         seed=seed,
         index=index,
         kind=kind_of(seed, index),
         plan=plan,
+        base=base,
         signal_dn=signal,
+        pixels_dn=pixels,
         image=_image(plan, pixels, f"gauntlet {seed} {index}"),
         camera=_camera(plan),
         scene=None if plan.told.shape is None else _scene(plan),

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from giantlike.core.arrays import Float
 from giantlike.gauntlet import KINDS, Kind, stage_of
 from giantlike.gauntlet.plan import Base, Plan, body_plan, star_plan
-from giantlike.gauntlet.stage import deck, expose, kind_of, plan_of
+from giantlike.gauntlet.stage import deck, expose, kind_of
 
 SMALL = Base(diameter_px=(24.0, 28.0), rocks=0.0, phase_deg=(30.0, 60.0))
 ROCKY = replace(SMALL, rocks=1.0)
@@ -69,7 +69,9 @@ def test_an_image_follows_from_seed_and_number_alone() -> None:
 
 def test_the_undisturbed_image_has_the_same_scene_and_the_same_errors_of_what_is_told() -> None:
     number = next(number for number in range(200) if kind_of(3, number).name == "scale_5")
-    wrong, right = plan_of(3, number), plan_of(3, number, disturbed=False)
+    stage = stage_of(3, number)
+    wrong, right = stage.plan, stage.undisturbed.plan
+    assert_array_equal(stage.image.pixels, stage.undisturbed.image.pixels)
     assert_array_equal(wrong.world.position_camera_km, right.world.position_camera_km)
     assert_array_equal(wrong.told.position_camera_km, right.told.position_camera_km)
     assert wrong.told.shape is not None
