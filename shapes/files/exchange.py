@@ -1,4 +1,4 @@
-"""OBJ, PLY and STL files: read through trimesh, but for the usual binary PLY; OBJ is written with all digits."""
+"""OBJ, PLY and STL files: read through trimesh, but for plain OBJ and binary PLY; OBJ is written with all digits."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike.shapes.files.obj import read_plain_obj
 from giantlike.shapes.files.ply import read_binary_ply
 from giantlike.shapes.files.text import write_rows
 from giantlike.shapes.mesh import TriangleMesh
@@ -37,14 +38,16 @@ def read_exchange(path: Path) -> Surface:
     kind = path.suffix.lower().removeprefix(".")
     if kind == "ply" and (surface := read_binary_ply(path)) is not None:
         return surface
+    content = path.read_bytes()
+    if kind == "obj" and (surface := read_plain_obj(content)) is not None:
+        return surface
     import trimesh
 
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs what its exceptions say as well
-    with path.open("rb") as file:
-        source = file if kind == "ply" else _text_or_binary(file.read(), kind)
-        mesh = trimesh.load(source, file_type=kind, force="mesh", process=False, skip_materials=True)
-        vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    source = BytesIO(content) if kind == "ply" else _text_or_binary(content, kind)
+    mesh = trimesh.load(source, file_type=kind, force="mesh", process=False, skip_materials=True)
+    vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+    faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
     return Surface(vertices=vertices, faces=faces)
 
 

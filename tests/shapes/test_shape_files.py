@@ -28,6 +28,8 @@ from giantlike.shapes import (
 from giantlike.shapes.decimate import decimated, deviation, surface_distances
 from giantlike.shapes.defects import Defects, defects_of
 from giantlike.shapes.files.dsk import DskIdentity
+from giantlike.shapes.files.exchange import read_exchange
+from giantlike.shapes.files.obj import read_plain_obj
 from giantlike.shapes.load import mesh_of, read_surface
 from giantlike.shapes.measure import measured
 from giantlike.shapes.repair import repaired
@@ -225,6 +227,41 @@ def test_an_obj_may_have_comments_in_any_encoding(tmp_path: Path) -> None:
         "# Würfel\n".encode("latin-1") + "\n".join(rows_of(CUBE, "v ") + rows_of(QUADS + 1, "f ")).encode()
     )
     assert load_shape(path).volume_km3 == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["v 0 0 0 1", *rows_of(CUBE[1:], "v "), *rows_of(QUADS[:, :3] + 1, "f ")],
+        [*rows_of(CUBE, "v "), "vn 0 0 1", *rows_of(QUADS[:, :3] + 1, "f ")],
+        [*rows_of(CUBE, "v "), "f 1 2", "3 f 1 2 3"],
+        [*rows_of(CUBE, "v "), "f 1 2 3 f 1 2 4"],
+        [*rows_of(CUBE, "v "), "f 1/1 2/2 3/3"],
+        [*rows_of(CUBE, "v "), "f 1 2 -1"],
+        [*rows_of(CUBE, "v "), "f 1 2 3", "v 0 0 0"],
+        [*rows_of(CUBE[:7], "v "), "v 1.2.3 0 0", "f 1 2 3"],
+        [*rows_of(CUBE[:7], "v "), "v 1 e 0", "f 1 2 3"],
+        ["f 1 2 3"],
+        ["# nothing"],
+        [],
+    ],
+)
+def test_the_fast_reader_of_obj_leaves_all_but_plain_rows_to_the_general_one(rows: list[str]) -> None:
+    assert read_plain_obj("\n".join(rows).encode()) is None
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\n\n"])
+def test_the_fast_reader_of_obj_and_the_general_one_agree(
+    tmp_path: Path, end: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = ["# two", "# comments", *rows_of(CUBE * np.pi, "v  "), *rows_of(QUADS[:, :3] + 1, "f ")]
+    path = tmp_path / "open.obj"
+    path.write_bytes(end.join(rows).encode())
+    fast = read_exchange(path)
+    monkeypatch.setattr("giantlike.shapes.files.exchange.read_plain_obj", lambda content: None)
+    general = read_exchange(path)
+    assert_array_equal(fast.vertices, general.vertices)
+    assert_array_equal(fast.faces, general.faces)
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
