@@ -30,7 +30,11 @@ _LARGEST_SHARE = 0.5
 _LIMB, _LIMB_PX, _COVERED = 0.02, 2, 0.999
 """Margin within the outline that blocks leave out, of the radius and px, for errors of range and PSF; and the share of
 a pixel that the body covers there."""
-_ROUNDS, _STEP = 4, 0.1
+_FITTED = 4
+"""Parameters that take markings out of the residuals: brightness, place (two) and law."""
+_MOST_FITTED = 0.75
+"""Part of the variance of markings that these take, at most, so that what is left says something of them."""
+_ROUNDS, _STEP = 5, 0.1
 """Rounds of the fit, which is nearly linear, and step of its numerical derivative, a tenth of the way between laws."""
 _MOST = 1.0
 """Largest weight: from one of the laws to the other."""
@@ -83,6 +87,8 @@ class LawFit(Value):
         The body under the law found.
     unexplained_px2 : (2, 2) float64, px^2
         Covariance of the center of light by what the law does not explain: markings, or another kind of law.
+    markings : float
+        Standard deviation of the brightness of blocks about that of the template, over it, without photon noise.
     residuals : (n,) float64
         Image minus template in the bright pixels, over the brightest pixel of the template.
     """
@@ -92,6 +98,7 @@ class LawFit(Value):
     slope_px: Float
     template: Template
     unexplained_px2: Float
+    markings: float
     residuals: Float
 
 
@@ -148,25 +155,31 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     blocks = _blocks_of(light, laws.own, center, radius_px)
     weight, variance = 0.0, _WEIGHT_SIGMA**2
     photon = blocks.sums(light.variance_dn2(light.signal_dn))
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         expected = _placed(light, laws.at(weight), center)
         left, level = blocks.sums(light.signal_dn - expected), np.maximum(blocks.sums(expected), np.sqrt(photon))
         slope = blocks.sums(_placed(light, laws.at(weight + _STEP), center) - expected) / _STEP
+        # The range, and with it the brightness, is not exact.
+        left, slope = (each - float(each.sum()) / float(level.sum()) * level for each in (left, slope))
         marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
         errors = photon + marked * blocks.clustering(left / level) * level**2
-        information = float(np.sum(slope**2 / errors)) + 1.0 / _WEIGHT_SIGMA**2
-        change = (float(np.sum(slope * left / errors)) - weight / _WEIGHT_SIGMA**2) / information
+        # First without the prior: what a wrong law leaves over looks like markings, with which the law counts little.
+        prior = 0.0 if number == 0 else 1.0 / _WEIGHT_SIGMA**2
+        information = max(float(np.sum(slope**2 / errors)) + prior, 1e-12)
+        change = (float(np.sum(slope * left / errors)) - weight * prior) / information
         weight, variance = float(np.clip(weight + change, -_MOST, _MOST)), 1.0 / information
     template = laws.at(weight)
     expected = _placed(light, template, center)
     moved = light.offset_px(laws.at(weight + _STEP), light.threshold_dn) - light.offset_px(template, light.threshold_dn)
     residuals = light.signal_dn - expected
+    unexplained_px2, markings = _unexplained(light, expected, center, blocks)
     return LawFit(
         weight=weight,
         sigma=math.sqrt(variance),
         slope_px=moved / _STEP,
         template=template,
-        unexplained_px2=_unexplained_px2(light, residuals, center, blocks),
+        unexplained_px2=unexplained_px2,
+        markings=markings,
         residuals=residuals[light.bright] / float(expected.max()),
     )
 
@@ -204,11 +217,25 @@ def _placed(light: BodyLight, template: Template, center_px: Float) -> Float:
     return np.asarray(cv2.warpAffine(expected, onto, (columns, rows), flags=cv2.INTER_CUBIC), dtype=np.float64)
 
 
-def _unexplained_px2(light: BodyLight, residuals_dn: Float, center_px: Float, blocks: _Blocks) -> Float:
-    """Covariance (2, 2) of the center by the residuals of the blocks, each as one sigma."""
-    flux = float(light.signal_dn[light.bright].sum())
-    marks = blocks.sums(residuals_dn) / blocks.sums(light.signal_dn)  # of bright pixels: above 0
-    across, down = blocks.columns - center_px[0], blocks.rows - center_px[1]
-    left = residuals_dn[blocks.rows, blocks.columns]
-    pulls = np.stack([np.bincount(blocks.number, left * arm) for arm in (across, down)], axis=-1) / flux
-    return np.asarray(blocks.clustering(marks) * pulls.T @ pulls)
+def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks: _Blocks) -> tuple[Float, float]:
+    """Covariance (2, 2) of the center by the residuals of the blocks, each as one sigma, and the scatter of these.
+
+    The brightness of the body is free. Blocks that share a marking count as one; of so few, what was fitted takes out a
+    good part. Markings of the limb, which no block holds, are taken to be those of the rest.
+    """
+    values = light.signal_dn[light.bright]
+    whole = blocks.sums(expected_dn)
+    gain = float(blocks.sums(light.signal_dn).sum()) / float(whole.sum())
+    residuals = (light.signal_dn - gain * expected_dn)[blocks.rows, blocks.columns]
+    marks = np.bincount(blocks.number, residuals) / np.maximum(gain * whole, 1e-300)
+    arms = np.stack([blocks.columns, blocks.rows], axis=-1) - center_px
+    pulls = np.stack([np.bincount(blocks.number, residuals * arm) for arm in arms.T], axis=-1) / float(values.sum())
+    rows, columns = np.nonzero(light.bright)
+    lever = values[:, None] * (np.stack([columns, rows], axis=-1) - center_px)
+    held = light.signal_dn[blocks.rows, blocks.columns][:, None] * arms
+    outside = math.sqrt(float((lever**2).sum()) / max(float((held**2).sum()), 1e-300))
+    shared = blocks.clustering(marks)
+    fitted = min(_FITTED * shared / len(marks), _MOST_FITTED)
+    photon = blocks.sums(light.variance_dn2(light.signal_dn)) / np.maximum(gain * whole, 1e-300) ** 2
+    scatter = math.sqrt(max(float(np.mean(marks**2 - photon)), 0.0))
+    return np.asarray(shared * outside**2 / (1.0 - fitted) * pulls.T @ pulls), scatter

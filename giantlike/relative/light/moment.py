@@ -35,7 +35,14 @@ _LOWER_THRESHOLD = 0.5
 """Factor of the threshold whose effect on the center enters the covariance as one sigma."""
 _SAMPLING_PX = 0.02  # px, error by the rays of the template on a large body
 _INCONSISTENT_SIGMAS = 4.0  # between predicted and measured size: once in 16,000 by chance
-_EDGE_PX = 1.0  # px, error of the edge of the lit area, by the point spread function above all
+_EDGE_PX, _SETTLED_EDGE_PX = 1.0, 0.25
+"""Error of the edge of the lit area by the point spread function, px, over 3.5 for a disk; and where the image shows
+none, because several thresholds give the same size."""
+_EDGE_LEVELS = (1.0, 2.0, 4.0, 8.0)
+"""Levels at which sizes are compared, over the least; their range is half of the error of the least, at least."""
+_HEIGHT = 0.1
+"""Height, over the radius, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of
+waves of half of it, which are 1 / 4 pi as high."""
 _MAX_STRAY = 0.05  # of the bright pixels outside the expected area: above, it is not the light of the body alone
 _RAYS_ACROSS = 300  # over the body: see _SAMPLING_PX
 
@@ -88,14 +95,14 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     image minus template over the brightest pixel of the template.
 
     The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
-    ``reflectance``, what the blocks leave open of the law; ``albedo``, markings and rings, by the residuals of the
+    ``reflectance``, what the blocks leave open of the law, and of saturated bodies the error of their brightness; ``albedo``, markings and rings, by the residuals of the
     blocks; ``psf``, the error of the size, half of the effect of the wings that the light beside the body shows and, as
     one sigma, the effect of a threshold half as high. For
     ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from the rendered correction is an error of the
     reflectance.
 
     Failures are ``NO_SIGNAL``, ``AMBIGUOUS``, ``OUT_OF_FRAME`` where light reaches the edge of the image,
-    ``SATURATED`` and ``NOT_LIT``.
+    ``SATURATED`` where hardly a pixel is left, and ``NOT_LIT``.
 
     Parameters
     ----------
@@ -145,10 +152,11 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     offset = phase_correction_px(kind, rendered, inputs.geometry, model, radius_px=inputs.radius_px)
     size = _measured_size(light, laws, law, options.range_sigma, max(TRACE, share))
     by_law = law.sigma * law.slope_px if kind is Correction.RENDERED else offset - rendered
+    by_gain = light.offset_px(template, threshold_dn, brighter=1.0 + _gain_error(light, template, size)) - rendered
     parts = {
         Cause.NOISE: noise_px2 + _SAMPLING_PX**2 * np.eye(2),
         Cause.BACKGROUND: background_px2,
-        Cause.REFLECTANCE: np.outer(by_law, by_law),
+        Cause.REFLECTANCE: np.outer(by_law, by_law) + np.outer(by_gain, by_gain),
         Cause.ALBEDO: law.unexplained_px2,
         Cause.PSF: np.outer(by_threshold, by_threshold)
         + size.sigma**2 * np.outer(offset, offset)
@@ -199,7 +207,8 @@ def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma:
     own = area(law.template)
     ratio = max(measured, 1.0) / own
     by_law = max(abs(math.log(area(laws.at(law.weight + step)) / own)) for step in (-law.sigma, law.sigma))
-    variance = (0.5 * by_law) ** 2 + 0.25 / own + (0.5 * _EDGE_PX / math.sqrt(own)) ** 2
+    edge = _edge_error(light, law.template, level) * 0.5 / math.sqrt(own)
+    variance = (0.5 * by_law) ** 2 + 0.25 / own + edge**2 + (_HEIGHT * law.markings) ** 2
     log_size = 0.5 * math.log(ratio)
     excess = abs(log_size) / (_INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance))
     if excess > 1.0:  # halo, or another body
@@ -207,6 +216,28 @@ def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma:
     weight = range_sigma**2 / (range_sigma**2 + variance)
     sigma = math.sqrt(weight * variance)
     return _Size(scale=math.exp(weight * log_size), sigma=sigma, area_ratio=ratio, excess=excess)
+
+
+def _gain_error(light: BodyLight, template: Template, size: _Size) -> float:
+    """Relative error of the brightness of a clipped body by that of its size: little of its light shows it."""
+    if math.isinf(light.ceiling_dn):
+        return 0.0
+    expected = light.expected_dn(template.brightness)
+    free = float(expected[expected < light.ceiling_dn].sum()) / float(expected.sum())
+    return min(2.0 * math.hypot(math.log(size.scale), size.sigma) / max(free, 1e-6), 1.0)
+
+
+def _edge_error(light: BodyLight, template: Template, level: float) -> float:
+    """Error of the edge of the lit area, px, as :data:`_EDGE_PX`, by how sizes differ between levels."""
+    expected = light.expected_dn(template.brightness)
+    signal = light.signal_dn[light.region]
+    levels = [level * factor for factor in _EDGE_LEVELS if level * factor < 0.5 * float(expected.max())]
+    areas = [(np.count_nonzero(signal > each), np.count_nonzero(expected > each)) for each in levels]
+    sizes = [0.5 * math.log(seen / own) for seen, own in areas if seen > 0 and own > 0]
+    if len(sizes) < len(_EDGE_LEVELS):
+        return _EDGE_PX
+    shown_px = 2.0 * (max(sizes) - min(sizes)) * 2.0 * math.sqrt(areas[0][1])
+    return min(math.hypot(_SETTLED_EDGE_PX, shown_px), _EDGE_PX)
 
 
 def _laws(geometry: TargetGeometry, plane: FocalPlane, *, margin_px: int) -> LawMixture | Failure:

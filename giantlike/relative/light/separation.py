@@ -28,7 +28,8 @@ _MIN_BACKGROUND_PX = 100  # px: their median is then known to an eighth of the n
 _VISIBLE, _MOST_VISIBLE = 0.02, 0.5  # of the brightest pixel of a template: its expected blob, by the noise of the sky
 _REGION_MARGIN, _REGION_MARGIN_PX = 0.05, 3  # of the radius and px, for errors of range and law
 _OTSU_MARGIN = 0.25  # of the radius, for enough dark pixels
-_MAX_SATURATED = 0.2  # of the bright pixels: above, the center is not that of the light: see benchmarks/sensitivity.md
+_MAX_SATURATED = 0.95
+"""Of the bright pixels: above, the rim of the body that is left says nothing of its brightness."""
 _SETTLING, _SETTLED_PX = 4, 2
 """Rounds in which the region follows its light, and motion, px, that ends them: less than the margin of the region."""
 _GAIN_ROUNDS = 30
@@ -114,13 +115,15 @@ class BodyLight(Value):
         bend = lever @ self.sky.bend_dn
         return center, noise, lever[:, :3] @ self.sky.covariance_dn2 @ lever[:, :3].T + np.outer(bend, bend)
 
-    def expected_dn(self, brightness: Float) -> Float:
+    def expected_dn(self, brightness: Float, *, brighter: float = 1.0) -> Float:
         """Signal of a template: scaled to all of the light, and clipped where the image is.
 
         Parameters
         ----------
         brightness : (h, w) float64
             Of a template; any scale.
+        brighter : float
+            Factor on the brightness before it is clipped.
 
         Returns
         -------
@@ -129,27 +132,29 @@ class BodyLight(Value):
         total = float(self.signal_dn[self.region].sum())
         gain = total / float(brightness.sum())
         if math.isinf(self.ceiling_dn):
-            return gain * brightness
+            return gain * brighter * brightness
         low, high = gain, 100.0 * gain
         for _ in range(_GAIN_ROUNDS):
             gain = math.sqrt(low * high)
             below = float(np.minimum(gain * brightness, self.ceiling_dn).sum()) < total
             low, high = (gain, high) if below else (low, gain)
-        return np.minimum(gain * brightness, self.ceiling_dn)
+        return np.minimum(gain * brighter * brightness, self.ceiling_dn)
 
-    def offset_px(self, template: Template, threshold_dn: float) -> Float:
+    def offset_px(self, template: Template, threshold_dn: float, *, brighter: float = 1.0) -> Float:
         """From the center of a template's light, cut at the same level, to the center of its body.
 
         Parameters
         ----------
         template : Template
         threshold_dn : float, DN
+        brighter : float
+            As for :meth:`expected_dn`.
 
         Returns
         -------
         (2,) float64, px
         """
-        expected = self.expected_dn(template.brightness)
+        expected = self.expected_dn(template.brightness, brighter=brighter)
         kept = np.where(expected > threshold_dn, expected, 0.0)
         if not kept.any():
             kept = expected
