@@ -95,9 +95,9 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     image minus template over the brightest pixel of the template.
 
     The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
-    ``reflectance``, what the blocks leave open of the law, and of saturated bodies the error of their brightness; ``albedo``, markings and rings, by the residuals of the
-    blocks; ``psf``, the error of the size, half of the effect of the wings that the light beside the body shows and, as
-    one sigma, the effect of a threshold half as high. For
+    ``reflectance``, what the blocks leave open of the law, and of saturated bodies the error of their brightness;
+    ``albedo``, markings and rings, by the residuals of the blocks; ``psf``, the error of the size, half of the effect
+    of the wings that the light beside the body shows and, as one sigma, that of a threshold half as high. For
     ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from the rendered correction is an error of the
     reflectance.
 
