@@ -24,8 +24,9 @@ from giantlike.processing.limb.measurement import (
 )
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.processing.limb.search import find_limb
-from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, Minnaert, Reflectance
+from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.horizon.cells import CellFits
+from giantlike.relative.horizon.clipped_disk import measure_clipped
 from giantlike.relative.horizon.geometry import Altitude, Figure
 from giantlike.relative.horizon.good_cells import CellRules, NoCells, good_cells
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
@@ -40,9 +41,7 @@ from giantlike.relative.limb.fix import (
     agreeing_step,
     settle_limb,
 )
-from giantlike.relative.limb.line_scan import measure_by_lines
-from giantlike.relative.limb.profiles import LimbScanOptions
-from giantlike.shapes import Ellipsoid
+from giantlike.relative.quality import LEAST_USED_SHARE
 
 _COARSE_POINTS = 120
 """Points for the search of the horizon as a whole."""
@@ -221,7 +220,7 @@ def measure_by_cells(
 ) -> LimbMeasurement | Failure:
     """Find the horizon of an ellipsoid and measure it in cells until it nearly stands still.
 
-    Where the disk is clipped all along the limb, lines across it take the place of cells.
+    Where the disk is clipped along half of the limb or more, lines across it take the place of cells.
 
     What is left is for the solution that comes after: its profiles are linear in the shift to second order, so that a
     last step of s px leaves errors of s^2 over the width of the blur, about a pixel.
@@ -271,41 +270,15 @@ def measure_by_cells(
     if isinstance(settled, Failure) and settled.reason is Reason.NOT_CONVERGED:
         scan = replace(scan, held=True)
         settled = settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
-    if isinstance(settled, Failure) and settled.reason is Reason.SATURATED:
-        return measure_clipped(view, figure, law, found[0], search, options)
+    if view.clipped.any() and _mostly_lost(settled):
+        by_lines = measure_clipped(view, figure, law, found[0], search, options)
+        return settled if isinstance(by_lines, Failure) else by_lines
     return settled
 
 
-def measure_clipped(
-    view: LimbView, figure: Figure, law: Reflectance, position_km: Float, search: IteratedSearch, options: ScanOptions
-) -> LimbMeasurement | Failure:
-    """Measure the horizon of an ellipsoid that is clipped all along by lines, whose template is clipped alike.
-
-    Parameters
-    ----------
-    view : LimbView
-    figure : Figure
-    law : Reflectance
-    position_km : (3,) float64, km, camera axes
-        Predicted.
-    search : IteratedSearch
-    options : ScanOptions
-
-    Returns
-    -------
-    LimbMeasurement or Failure
-        As of :func:`giantlike.relative.limb.line_scan.measure_by_lines`.
-    """
-    body = Body(
-        shape=Ellipsoid(radii_km=figure.radii_km),
-        reflectance=law,
-        camera_from_body=figure.camera_from_axes,
-        position_camera_km=position_km,
-    )
-    lines = LimbScanOptions(
-        edges=options.edges, window_px=options.window_px, min_contrast=options.min_contrast, psf_error=options.psf_error
-    )
-    return measure_by_lines(view, body, search, lines)
+def _mostly_lost(settled: LimbMeasurement | Failure) -> bool:
+    """True if the limb could not be measured, or less than half of what is lit of it."""
+    return isinstance(settled, Failure) or settled.n_used < LEAST_USED_SHARE * settled.n_offered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

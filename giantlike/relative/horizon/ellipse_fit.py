@@ -23,7 +23,7 @@ from giantlike.processing.limb.measurement import LimbMeasurement, LimbView, Smo
 from giantlike.processing.limb.segmentation import Background, background_of
 from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
-from giantlike.relative.horizon.cell_scan import measure_clipped
+from giantlike.relative.horizon.clipped_disk import measure_clipped
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidStandIn
 from giantlike.relative.horizon.geometry import Altitude, Figure, christian_robinson, fit_horizon, horizon_residuals
 from giantlike.relative.light.phase_correction import sunlight_px

@@ -61,6 +61,7 @@ class EllipsoidCRAOptions(HorizonSearch):
     """
 
     method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD
+    tolerance_px: float = 0.005
     max_relief: float = 0.08
     horizon: HorizonScan = field(default_factory=HorizonScan)
     scan: LimbScanOptions = field(default_factory=LimbScanOptions)
