@@ -23,6 +23,7 @@ class Reason(StrEnum):
 
     UNREADABLE_IMAGE = "unreadable_image"
     NO_SIGNAL = "no_signal"
+    MASKED = "masked"
     SATURATED = "saturated"
     TOO_FEW_DETECTIONS = "too_few_detections"
     NO_CATALOG_STARS = "no_catalog_stars"
@@ -103,6 +104,8 @@ class Quality(enum.Flag):
     """
     WRONG_FIGURE = enum.auto()
     """Parts of the body ask for different places: wrong shape, orientation or roll, or rows that are shifted."""
+    BLURRED = enum.auto()
+    """The image is blurred by another amount than the camera's optics: motion, defocus, two exposures, a wrong psf."""
     SUSPECT = (
         LOW_SCORE
         | MANY_REJECTED
@@ -114,6 +117,7 @@ class Quality(enum.Flag):
         | WRONG_LIGHT
         | UNEXPLAINED_LIGHT
         | WRONG_FIGURE
+        | BLURRED
     )
 
     @property

@@ -446,7 +446,7 @@ def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
     if not inputs.usable.any():
         if inputs.saturated.any():
             return Reason.SATURATED, "every good pixel of the image is saturated; use a shorter exposure"
-        return Reason.NO_SIGNAL, "every pixel of the image is masked"
+        return Reason.MASKED, "every pixel of the image is masked: no bad pixel is used; check the mask and the file"
     values = inputs.pixels_dn[inputs.usable]
     if not inputs.saturated.any() and float(values.min()) == float(values.max()):
         return Reason.NO_SIGNAL, f"every good pixel of the image holds {values[0] + inputs.camera.detector.bias_dn:g}"

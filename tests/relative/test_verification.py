@@ -123,6 +123,16 @@ def test_a_second_exposure_is_light_that_the_body_does_not_explain(phase_deg: fl
     assert Quality.UNEXPLAINED_LIGHT in flags(inputs_of(twice, phase_deg))
 
 
+@pytest.mark.parametrize("shift", [(5, 0), (4, -4)])
+def test_two_exposures_a_few_pixels_apart_are_a_blur(shift: tuple[int, int]) -> None:
+    twice = 0.5 * light(60.0) + 0.5 * np.roll(light(60.0), shift, axis=(0, 1))
+    inputs = inputs_of(twice, 60.0)
+    between = POSITION_KM + np.array([0.15 * shift[1], 0.15 * shift[0], 0.0])  # 0.3 km to a pixel
+    assert Quality.BLURRED in flags(inputs, between)
+    unknown = replace(inputs, camera=replace(inputs.camera, psf=None))
+    assert Quality.BLURRED not in flags(unknown, between)
+
+
 def test_a_shadow_on_the_body_is_light_that_it_should_have() -> None:
     rows, columns = np.mgrid[:SIZE, :SIZE]
     shadow = np.hypot(rows - MIDDLE - 18.0, columns - MIDDLE + 12.0) < 22.0

@@ -97,8 +97,8 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
     reflectance law, as far as the image leaves that open; for ``kaasalainen_tanga`` and ``ellipsoid`` their difference
     from the rendered correction, as one sigma.
 
-    Failures are ``NOT_UNRESOLVED`` for larger bodies, ``NO_SIGNAL``, ``OUT_OF_FRAME``, ``NOT_LIT``, ``SATURATED``,
-    ``NOT_CONVERGED`` and ``DEGENERATE_GEOMETRY``.
+    Failures are ``NOT_UNRESOLVED`` for larger bodies, ``NO_SIGNAL``, ``MASKED``, ``OUT_OF_FRAME``, ``NOT_LIT``,
+    ``SATURATED``, ``NOT_CONVERGED`` and ``DEGENERATE_GEOMETRY``.
 
     Parameters
     ----------
@@ -255,13 +255,13 @@ def _centroid(image: BoxPixels, saturated: Mask, start_px: Float, window_px: flo
     if not usable[core].all():
         clipped = bool(box.cut(saturated)[core].any())
         return Failure(
-            Reason.SATURATED if clipped else Reason.NO_SIGNAL,
+            Reason.SATURATED if clipped else Reason.MASKED,
             f"{int((~usable[core]).sum())} of {int(core.sum())} pixels on the source at {_text(start_px)} px are "
             f"{'saturated' if clipped else 'bad or outside the image'}",
         )
     ring = (distance > reach) & usable
     if not ring.any():
-        return Failure(Reason.NO_SIGNAL, f"no good pixel around the source at {_text(start_px)} px for a background")
+        return Failure(Reason.MASKED, f"no good pixel around the source at {_text(start_px)} px for a background")
     sky = background_of(values[ring])
     signal, variance_dn2 = values - sky.level_dn, image.noise_variance_dn2
     measured = windowed_centroid(

@@ -128,7 +128,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
 
     The result is a :class:`~giantlike.core.outcomes.PositionFix` where the range was estimated and a
     :class:`~giantlike.core.outcomes.CenterFix` elsewhere. ``LOW_CORRELATION``,
-    ``PEAK_AT_EDGE``, ``OUT_OF_FRAME``, ``NOT_LIT``, ``NO_SIGNAL``, ``SATURATED``, ``NOT_CONVERGED`` and
+    ``PEAK_AT_EDGE``, ``OUT_OF_FRAME``, ``NOT_LIT``, ``MASKED``, ``SATURATED``, ``NOT_CONVERGED`` and
     ``DEGENERATE_GEOMETRY`` are its failures. Its ``score`` is the correlation of image and template at the
     solution, its ``residuals`` are image minus model over the brightest pixel of the model, and ``limb_px`` is the
     outline of the template. The covariance is that of :func:`~giantlike.relative.template.fit.fit_template`.
@@ -225,7 +225,8 @@ def match_template(
         return Failure(Reason.OUT_OF_FRAME, "the best correlation lies outside the frame")
     known = pixels.usable if pixels.censored is None else pixels.usable | pixels.censored
     if float(light[known].sum()) < (1.0 - _MAX_UNUSABLE_LIGHT) * float(light[within].sum()):
-        return Failure(Reason.NO_SIGNAL, "most of the body's light falls on bad pixels")
+        detail = "most of the light of the body falls on bad pixels: check the mask"
+        return Failure(Reason.MASKED, detail)
     state = replace(start, center_px=start.center_px + peak.offset_px)
     if radius_px >= _ALIGN_RADIUS_PX:
         rendered = replace(state, center_px=template.center_px + shift)

@@ -25,6 +25,8 @@ BLOCK = 0.25
 as in ``relative/light/moment.py``. They set how much a better match means, which noise of pixels does not."""
 LEAST_RADIUS_PX = 5.0
 """Radius, px, below which the point spread function takes away what a face looks like."""
+_PSF_REACH = 3.0
+"""Standard deviations of the point spread function that the region has around a body."""
 _RAYS_PER_CELL = 2
 """Rays along the side of a cell: the limb of a body of 24 cells is then right to some 0.01 cells on average."""
 _MOST_CELLS = 160
@@ -69,6 +71,16 @@ class Cells(Value):
     radius: float
     size: int
     center_px: Float
+
+    @property
+    def has_face(self) -> bool:
+        """True if the body is large enough that its face tells something."""
+        return self.radius * self.size >= LEAST_RADIUS_PX
+
+    @property
+    def blur(self) -> float:
+        """Standard deviation of the point spread function, cells."""
+        return 0.0 if self.camera.psf is None else self.camera.psf.sigma_px
 
     @property
     def inner(self) -> PixelBox:
@@ -141,7 +153,7 @@ def cells_around(
     Returns
     -------
     Cells or None
-        None where the body is too small to have a face.
+        None where the image is smaller than two cells, or the camera model images nothing there.
     """
     center_px = body.center_px(camera.model)
     if not np.isfinite(center_px).all():
@@ -149,9 +161,11 @@ def cells_around(
     inside = np.clip(center_px, -0.5, [camera.columns - 0.5, camera.rows - 0.5])
     px_per_km = 1.0 / float(np.linalg.norm(body.position_camera_km)) / float(camera.ifov_rad(inside))
     radius_px = body.shape.mean_radius_km * px_per_km
-    reach_px, room_px = MARGIN * body.shape.circumscribing_radius_km * px_per_km, max(room_px, radius_px)
+    blur_px = 0.0 if camera.psf is None else camera.psf.sigma_px
+    reach_px = MARGIN * body.shape.circumscribing_radius_km * px_per_km + _PSF_REACH * blur_px
+    room_px = max(room_px, radius_px)
     size = max(1, round(radius_px / CELLS_PER_RADIUS), math.ceil(2.0 * (reach_px + room_px) / _MOST_CELLS))
-    if radius_px < LEAST_RADIUS_PX or min(good.shape) < 2 * size:
+    if min(good.shape) < 2 * size:
         return None
     room = math.ceil(room_px / size)
     half = math.ceil(reach_px / size) + room

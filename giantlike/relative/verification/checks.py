@@ -44,6 +44,7 @@ class _Numbers(TypedDict, total=False):
     unexplained: float
     place_chance: float
     figure_chance: float
+    blur_chance: float
     prediction_chance: float
 
 
@@ -117,17 +118,18 @@ def _image_numbers(fix: CenterFix, inputs: EstimatorInputs, search_px: float) ->
         return _Numbers()
     cells, trace, own = coarse.cells, coarse.trace, coarse.own
     numbers = _Numbers()
-    side = light_side(cells, trace, own, inputs.geometry.sun_direction_camera)
+    side = light_side(cells, trace, own, inputs.geometry.sun_direction_camera) if cells.has_face else None
     if side is not None:
         numbers["light_log_odds"] = side.log_odds
+    if side is not None or not cells.has_face:
         numbers["rival_log_odds"] = rival_log_odds(cells, own, inputs.predicted_px, search_px)
     if coarse.fit is not None:
-        numbers.update(_fit_numbers(fix, coarse.fit))
+        numbers.update(_fit_numbers(fix, coarse.fit, psf_known=inputs.psf_sigma_px is not None))
     return numbers
 
 
-def _fit_numbers(fix: CenterFix, fit: CoarseFit) -> _Numbers:
-    """Residuals of a coarse fit, and chances that its changes of the place and of the figure are errors of its own."""
+def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers:
+    """Residuals of a coarse fit, and chances that what it asks for beyond the fix are errors of its own."""
     own = summed(fix.parts, _OF_ITS_OWN) if fix.parts else fix.covariance_px2
     size = len(own)
     return _Numbers(
@@ -135,12 +137,13 @@ def _fit_numbers(fix: CenterFix, fit: CoarseFit) -> _Numbers:
         unexplained=fit.unexplained,
         place_chance=chance_of(fit.moved[:size], fit.covariance[:size, :size] + own),
         figure_chance=chance_of(fit.strain, fit.strain_covariance),
+        blur_chance=chance_of(fit.blur, fit.blur_covariance) if psf_known else 1.0,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Coarse(Value):
-    """A body rendered where it was found, and fitted to the image; ``fit`` is None where too few cells hold it."""
+    """A body rendered where it was found and fitted to the image; ``fit`` is None where too few cells hold its face."""
 
     cells: Cells
     trace: Trace
@@ -176,7 +179,8 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None
     own = None if cells is None or trace is None else cells.render(trace)
     if cells is None or trace is None or own is None:
         return None
-    return _Coarse(cells=cells, trace=trace, own=own, fit=fit_cells(cells, trace, own, turn_rad=_turn_rad(inputs)))
+    fit = fit_cells(cells, trace, own, turn_rad=_turn_rad(inputs)) if cells.has_face else None
+    return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 
 
 def _turn_rad(inputs: EstimatorInputs) -> float:

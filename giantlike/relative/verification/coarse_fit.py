@@ -27,8 +27,12 @@ _LAW_SIGMA = 1.0
 """Share of another law in the light, a priori: anything from the law that was told to the other one."""
 _MOVED, _GROWN, _STRAINED = 0.5, 0.3, 0.3
 """Motion, radii, growth and strain of a body a priori: far beyond what is linear."""
-_PLACE, _STRAIN = slice(9, 12), slice(12, 15)
-"""Columns of the design for the place and the strain."""
+_PLACE, _STRAIN, _BLUR = slice(9, 12), slice(12, 15), slice(15, 18)
+"""Columns of the design for the place, the strain and the blur."""
+_BLURRED = 10.0
+"""Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
+_PSF_PX2 = 0.3
+"""Standard deviation, px^2, of the variance of a point spread function that a camera knows: one of 0.7 px to 30 %."""
 _ITERATIONS = 3
 """The gain that sets the weights of the cells is known to a percent after three."""
 _UNLIKELY = 4.0
@@ -62,6 +66,9 @@ class CoarseFit(Value):
         How the parts of the body disagree: motion along rows and along columns in proportion to the place along the
         other axis, and growth along rows with shrinking along columns; relative.
     strain_covariance : (3, 3) float64
+    blur : (3,) float64, px^2
+        Covariance of light about its place beyond that of the point spread function: xx, xy and yy.
+    blur_covariance : (3, 3) float64
     """
 
     gain_dn: float
@@ -71,6 +78,8 @@ class CoarseFit(Value):
     covariance: Float
     strain: Float
     strain_covariance: Float
+    blur: Float
+    blur_covariance: Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,6 +140,9 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         unexplained=_unexplained_area(normalized, fresh) / float(np.count_nonzero(lit)),
         moved=per_radius @ solution[_PLACE] / gain,
         covariance=per_radius @ covariance[_PLACE, _PLACE] @ per_radius / gain**2,
+        blur=np.asarray(solution[_BLUR] / gain * cells.size**2),
+        blur_covariance=covariance[_BLUR, _BLUR] * (cells.size**2 / gain) ** 2
+        + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0]),
         strain=np.asarray(solution[_STRAIN] / gain),
         strain_covariance=covariance[_STRAIN, _STRAIN] / gain**2 + turn_rad**2 * np.eye(3),
     )
@@ -147,7 +159,8 @@ def _design(cells: Cells, trace: Trace, own: Template) -> _Design:
     rows, columns = np.mgrid[: light.shape[0], : light.shape[1]]
     x = (columns - (own.center_px[0] - cells.inner.x)) / cells.radius
     y = (rows - (own.center_px[1] - cells.inner.y)) / cells.radius
-    by_row, by_column = np.gradient(light)
+    by_row, by_column = (np.asarray(one, dtype=np.float64) for one in np.gradient(light))
+    by_blur = _second_derivatives(by_row, by_column)
     by_row, by_column = -by_row * cells.radius, -by_column * cells.radius
     by_place = (by_column, by_row, by_column * x + by_row * y)
     by_strain = (by_column * y, by_row * x, by_column * x - by_row * y)
@@ -156,10 +169,17 @@ def _design(cells: Cells, trace: Trace, own: Template) -> _Design:
     stray = (light.mean(axis=0) * ones, light.mean(axis=1)[:, None] * ones, _scattered(light, cells))
     return _Design(
         own=light,
-        columns=np.stack([light, *others, *level, *stray, *by_place, *by_strain]),
-        sigma=np.array([math.inf, *2 * [_LAW_SIGMA], *6 * [math.inf], _MOVED, _MOVED, _GROWN, *3 * [_STRAINED]]),
+        columns=np.stack([light, *others, *level, *stray, *by_place, *by_strain, *by_blur]),
+        sigma=np.array(
+            [math.inf, *2 * [_LAW_SIGMA], *6 * [math.inf], _MOVED, _MOVED, _GROWN, *3 * [_STRAINED], *3 * [_BLURRED]]
+        ),
         slope=np.hypot(by_row, by_column) / cells.radius,
     )
+
+
+def _second_derivatives(by_row: Float, by_column: Float) -> tuple[Float, Float, Float]:
+    """Change of an image by the xx, xy and yy of a blur, from its first derivatives."""
+    return 0.5 * np.gradient(by_column, axis=1), np.gradient(by_column, axis=0), 0.5 * np.gradient(by_row, axis=0)
 
 
 def _first_gain(values: Float, light: Float, fresh: Mask) -> float:
@@ -195,6 +215,8 @@ def _nothing_alike() -> CoarseFit:
         covariance=np.eye(3),
         strain=np.zeros(3),
         strain_covariance=np.eye(3),
+        blur=np.zeros(3),
+        blur_covariance=np.eye(3),
     )
 
 

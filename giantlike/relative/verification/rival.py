@@ -9,14 +9,20 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing import Template
 from giantlike.relative.verification.cells import BLOCK, Cells
+from giantlike.relative.verification.coarse_fit import ALBEDO
 from giantlike.relative.verification.shifts import ShiftedMatches
 
-_APART = 1.0
-"""Least distance, radii, between two places: a body matches itself to some degree within a radius."""
+_APART, _APART_BLUR = 1.0, 4.0
+"""Least distance between two places, radii and standard deviations of the point spread function: a body matches itself
+to some degree within it."""
 _FAINT = 0.3
 """Light over that of the fix below which another place holds another, fainter body or a ghost of this one."""
-_EXACT = 1e-9
-"""Share of the variance that rounding leaves of an exact model."""
+_LEAST_SIGMAS = 6.0
+"""Light at another place, standard deviations of the noise, below which it may be noise: one of some 10^4 places."""
+_CORE = 4.0 * math.pi
+"""Area of a point spread function, squares of its standard deviation: what its pixels tell of a smaller body."""
+_LEAST_LEFT = ALBEDO**2
+"""Share of the variance that markings leave of a right model: a place that leaves less is no better for it."""
 
 
 def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: float) -> float:
@@ -40,19 +46,22 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
         other place is far enough away, or none holds as much light.
     """
     room = min(math.ceil((search_px + np.abs(predicted_px - cells.center_px).max()) / cells.size), cells.room)
-    if room <= _APART * cells.radius:
+    apart = _APART * cells.radius + _APART_BLUR * cells.blur
+    if room <= apart:
         return -math.inf
-    share, gain = ShiftedMatches.of(cells, room).explained(cells.place(own.brightness, own))
+    light = cells.place(own.brightness, own)
+    share, gain = ShiftedMatches.of(cells, room).explained(light)
+    noise = math.sqrt(float(np.median(cells.variance)) / max(light.size * float(light.var()), 1e-300))
     steps = np.arange(-room, room + 1)
     columns, rows = steps[None, :], steps[:, None]
-    here = np.hypot(rows, columns) < 0.5 * _APART * cells.radius
+    here = np.hypot(rows, columns) < 0.5 * apart
     place_px = [found + cells.size * step for found, step in zip(cells.center_px, (columns, rows), strict=True)]
     searched = np.maximum(*(np.abs(place - mid) for place, mid in zip(place_px, predicted_px, strict=True)))
-    away = (np.hypot(rows, columns) >= _APART * cells.radius) & (searched <= search_px)
-    away &= gain > _FAINT * float(gain[here].max())
+    away = (np.hypot(rows, columns) >= apart) & (searched <= search_px)
+    away &= gain > max(_FAINT * float(gain[here].max()), _LEAST_SIGMAS * noise)
     if not away.any():
         return -math.inf
-    coverage = cells.place(own.coverage, own)
-    parts = float(coverage[cells.cropped(cells.good)].sum()) / (BLOCK * cells.radius) ** 2
-    left, left_there = (max(1.0 - float(share[where].max()), _EXACT) for where in (here, away))
+    seen = float(cells.place(own.coverage, own)[cells.cropped(cells.good)].sum())
+    parts = min(seen / (BLOCK * cells.radius) ** 2, seen + _CORE * cells.blur**2)
+    left, left_there = (max(1.0 - float(share[where].max()), _LEAST_LEFT) for where in (here, away))
     return 0.5 * parts * math.log(left / left_there)
