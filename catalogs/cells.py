@@ -81,8 +81,9 @@ class SkyIndex(Value):
         for row, component in zip(self.directions, axis.astype(np.float32), strict=True):
             difference = np.concatenate([np.empty(0, np.float32), *(row[run] for run in runs)])
             difference -= component
-            difference *= difference
-            squared += difference
+            with np.errstate(over="ignore", invalid="ignore"):  # directions of a damaged file are far from any axis
+                difference *= difference
+                squared += difference
         limits = np.full(stars.size, _chord_squared(reach), dtype=np.float32)
         wide = radius_rad + self.fast_margin_rad + ABERRATION_RAD + _ROUNDING_RAD
         limits[stars.size - self.fast_margin_rad.size :] = _chord_squared(wide)

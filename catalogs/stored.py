@@ -293,7 +293,7 @@ def _arrays(path: Path, header: CatalogHeader, raw: NDArray[np.uint8]) -> dict[s
             or (np.diff(starts) < 0).any()
         ):
             raise ValueError(f"the lengths of {wrong or 'the index'} do not fit {count} stars")
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, LookupError, TypeError, OverflowError) as error:
         raise DataError(path, f"has a damaged header ({error}); {_REMEDY}") from error
     return arrays
 

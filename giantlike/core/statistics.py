@@ -15,6 +15,7 @@ MAD_TO_SIGMA = 1.482602218505602
 IQR_PER_SIGMA = 1.3489795003921634
 """Interquartile range of a normal distribution of unit standard deviation: twice the inverse normal CDF at 3/4."""
 _COST = 2.0  # of a parameter in -2 ln likelihood, by the criterion of Akaike
+_LEAST_FLOOR, _MOST_FLOOR, _FLOORS = 0.03, 3.0, 14  # floors tried, over the median sigma: steps of 1.4
 _FACTORS = 24  # tried between 1 and the one without a floor: steps of 5 % where that is 3
 MEDIAN_CHI2 = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom: of the squared length of a normalized residual in the image."""
@@ -123,6 +124,46 @@ def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[f
     best = min(of(factor) for factor in np.geomspace(1.0, most, _FACTORS).tolist())
     _, factor, floor = best if best[0] < alone[0] - _COST else alone
     return factor, floor
+
+
+def hidden_floor(residuals: Float, covariance: Float, jacobian: Float) -> float:
+    """Most likely error floor of observations whose residuals their noise explains.
+
+    An observation that is far better than all others is fitted exactly, so that its own error moves the fit off the
+    others and hides in it: the sum of squares does not show it. The restricted likelihood (REML) looks at what the fit
+    leaves of each.
+
+    Parameters
+    ----------
+    residuals : (n, 2) float64
+        Of the fit with these covariances.
+    covariance : (n, 2, 2) float64
+        Of each residual, positive definite.
+    jacobian : (n, 2, k) float64
+        Derivative of the observations by the parameters of the fit.
+
+    Returns
+    -------
+    float
+        Unit of the residuals, per axis; 0 where it makes them no more likely than a parameter costs.
+    """
+    variances, axes = np.linalg.eigh(covariance)
+    along = np.einsum("nji,nj->ni", axes, residuals).ravel()
+    design = np.einsum("nji,njk->nik", axes, jacobian).reshape(along.size, -1)
+    design /= np.linalg.norm(design, axis=0)
+    own = variances.ravel()
+
+    def cost(floor: float) -> float:
+        root = np.sqrt(own + floor**2)
+        basis, triangle = np.linalg.qr(design / root[:, None])
+        left = along / root
+        left = left - basis @ (basis.T @ left)
+        return float(2.0 * np.log(root).sum() + 2.0 * np.log(np.abs(np.diag(triangle))).sum() + left @ left)
+
+    floors = np.sqrt(np.median(own)) * np.geomspace(_LEAST_FLOOR, _MOST_FLOOR, _FLOORS)
+    costs = [cost(floor) for floor in floors.tolist()]
+    best = int(np.argmin(costs))
+    return float(floors[best]) if costs[best] < cost(0.0) - _COST else 0.0
 
 
 def robust_sigma(values: ArrayLike, center: float | None = None) -> float:

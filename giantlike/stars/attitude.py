@@ -16,9 +16,10 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.statistics import error_floor, error_terms, squared_residuals
+from giantlike.core.statistics import error_floor, error_terms, hidden_floor, squared_residuals
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
+from giantlike.stars.smooth_errors import shared_covariance, shared_error_px
 
 _MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
 _STEP_RAD = 1e-11  # last step: 2 microarcsec, far below any sigma, above the rounding of float64
@@ -53,6 +54,12 @@ class AttitudeSolution(Value):
         Factor on the standard deviations of the stars themselves, at least 1.
     reduced_chi2 : float
         Chi-square over degrees of freedom without the floor.
+    hidden_floor_px : float, px
+        The most likely floor where the noise explains the residuals: in the covariance, not in the weights. It matters
+        where one star is far better than the others, so that the fit follows its unmodeled error.
+    shared_error_px : float, px
+        Standard deviation per axis of the errors that neighboring stars share, 0 where there are none to be seen; the
+        covariance holds them as if they were a shift and a slope of the whole image.
     by_pixels : (3, k, 2) float64, rad/px
         Derivative of the small rotation by the places in the image of the k stars used.
     """
@@ -66,6 +73,8 @@ class AttitudeSolution(Value):
     error_floor_px: float
     error_factor: float
     reduced_chi2: float
+    hidden_floor_px: float
+    shared_error_px: float
     by_pixels: Float
 
 
@@ -284,18 +293,29 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
         if isinstance(fitted, Failure):
             return fitted
     state, covariance = fitted
-    variances = np.trace(stars.inflated(floor, factor).covariance_px2, axis1=1, axis2=2) / 2.0
+    weighted = stars.inflated(floor, factor)
+    sigma_px = np.sqrt(np.trace(weighted.covariance_px2, axis1=1, axis2=2) / 2.0)
+    by_pixels, residuals = _by_pixels(state, weighted.select(used), scale), chosen.residuals(state)
+    shared_px = shared_error_px(chosen.points_px, residuals, sigma_px[used], explained=floor == 0.0)
+    unseen = shared_px**2 * shared_covariance(chosen.points_px, by_pixels)
+    hidden_px = 0.0
+    if floor == 0.0 and freedom > 0:
+        own = factor**2 * chosen.covariance_px2
+        hidden_px = hidden_floor(residuals, own, state.jacobian(chosen.directions, scale))
+        unseen += hidden_px**2 * np.einsum("ina,jna->ij", by_pixels, by_pixels)
     return AttitudeSolution(
         camera_from_inertial=state.rotation,
-        covariance_rad2=covariance[:3, :3],
+        covariance_rad2=covariance[:3, :3] + unseen,
         model=state.model,
         used=used,
         predicted_px=state.predict(stars.directions),
-        sigma_px=np.sqrt(variances),
+        sigma_px=sigma_px,
         error_floor_px=floor,
         error_factor=factor,
         reduced_chi2=plain / max(freedom, 1),
-        by_pixels=_by_pixels(state, chosen.inflated(floor, factor), scale),
+        hidden_floor_px=hidden_px,
+        shared_error_px=shared_px,
+        by_pixels=by_pixels,
     )
 
 

@@ -39,6 +39,7 @@ _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog s
 _INFORMATION = 0.95
 """Share of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5 %."""
 _LARGE_CHI = 5.0  # root of the reduced chi-square above which residuals are large; no study yet
+_LARGE_SHARED_PX = 0.5  # of errors that neighbors share: as large a shift hides in the attitude
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
 
 
@@ -283,6 +284,8 @@ class StarNavigation:
             "observer": "barycenter at rest assumed" if image.observer is None else "position and velocity",
             "error_floor_px": f"{solution.error_floor_px:.4g}",
             "error_factor": f"{solution.error_factor:.4g}",
+            "hidden_floor_px": f"{solution.hidden_floor_px:.4g}",
+            "shared_error_px": f"{solution.shared_error_px:.4g}",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
 
@@ -339,6 +342,7 @@ def _flags(image: Image, solution: AttitudeSolution, detection_flags: NDArray[np
         flags |= Quality.MASKED
     if 2 * int(solution.used.sum()) < solution.used.size:
         flags |= Quality.MANY_REJECTED
-    if solution.reduced_chi2 > _LARGE_CHI**2 and solution.error_floor_px > _LARGE_FLOOR_PX:
+    large = solution.reduced_chi2 > _LARGE_CHI**2 and solution.error_floor_px > _LARGE_FLOOR_PX
+    if large or solution.shared_error_px > _LARGE_SHARED_PX:
         flags |= Quality.LARGE_RESIDUALS
     return flags
