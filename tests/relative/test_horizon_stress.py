@@ -14,7 +14,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import (
@@ -69,6 +69,7 @@ class Seen:
         psf_px: float = PSF_PX,
         dead_columns: tuple[int, ...] = (),
         saturation_dn: float = 16383.0,
+        off_px: float = 0.0,
     ) -> CenterFix | Failure:
         """Estimate the position from this light with noise, the prediction being 3 px and 1 % off."""
         rng = np.random.default_rng(seed)
@@ -84,7 +85,7 @@ class Seen:
             detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0, saturation_dn=saturation_dn, bias_dn=BIAS_DN),
         )
         range_km = float(np.linalg.norm(self.position_km))
-        off = np.append(rng.uniform(-3.0, 3.0, 2), 0.0) * range_km / FOCAL_PX
+        off = np.append(rng.uniform(-3.0, 3.0, 2) + np.array([off_px, 0.0]), 0.0) * range_km / FOCAL_PX
         geometry = ApparentGeometry(
             position_inertial_km=(self.position_km + off) * rng.uniform(0.99, 1.01),
             inertial_from_body=self.camera_from_body,
@@ -205,6 +206,16 @@ def test_a_disk_that_is_clipped_along_its_limb_is_found(name: str) -> None:
         assert fix.sigma_range_km < 0.003 * fix.range_km
         squares.append(case.square(fix))
     assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
+
+
+@pytest.mark.parametrize("name", ["ellipsoid_cra", "limb_matching"])
+def test_a_limb_farther_than_declared_is_found_and_suspect(name: str) -> None:
+    """The prediction is 70 px off where 40 px are declared."""
+    case = seen("mcewen", 65.0, 120.0, 95)
+    fix = case.fix(RELATIVE[name](), McEwen(), 1, off_px=70.0)
+    assert isinstance(fix, PositionFix), fix
+    assert Quality.FAR_FROM_PREDICTION in fix.flags
+    assert case.square(fix) < float(chi2.ppf(1.0 - RARE, 3))
 
 
 def test_a_step_instead_of_a_law_states_its_errors() -> None:

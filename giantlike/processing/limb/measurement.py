@@ -28,7 +28,7 @@ The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn th
 """
 _PATCH_PX = 3
 """Side of the smallest square of saturated pixels that is taken for a part of a body."""
-_SATURATED_SHARE = 0.2
+SATURATED_SHARE = 0.2
 """Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
 
 
@@ -383,7 +383,7 @@ def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int],
     saturated = float(view.saturated[area].mean()) if area.any() else 0.0
     reasons = ", ".join(f"{count} {name}" for name, count in rejected.items() if count)
     return Failure(
-        Reason.SATURATED if saturated > _SATURATED_SHARE else Reason.NO_LIMB,
+        Reason.SATURATED if saturated > SATURATED_SHARE else Reason.NO_LIMB,
         f"{int(good.sum())} of {good.size} points measured along the lit limb in the frame are good, needed {needed}"
         + (f"; {reasons}" if reasons else ""),
     )
