@@ -54,6 +54,7 @@ def _as_it_is(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan
 
 
+# Limits that several kinds share: large enough for what is drawn on the disk, with points of light, of one figure.
 _WIDE = Base(diameter_px=(60.0, 220.0))
 _WITH_POINTS = Base(points=0.15)
 _ROCK = Base(rocks=1.0, diameter_px=(40.0, 130.0))

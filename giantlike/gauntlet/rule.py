@@ -8,7 +8,7 @@ for all kinds. What a kind adds is one word, ``hard``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -53,6 +53,9 @@ LEAST_LIMB_PX, LEAST_STARS = 60.0, 15
 MARGIN_PX = 10.0
 """Sky around a body that is wholly in the frame, px."""
 _OUTLINE_POINTS = 360
+"""Points of the outline of a sphere, every degree."""
+_NEARLY_FULL = 0.95
+"""Share of the largest value above which noise takes some pixels to it."""
 _DIM_STAR_DN = 400.0
 """Signal of stars that count, DN over all pixels: signal to noise ratios from 15 up."""
 
@@ -126,39 +129,36 @@ def facts_of(plan: Plan, signal_dn: Float, *, undisturbed: bool) -> Facts:
     """
     world, told = plan.world, plan.told
     room = world.recorder.saturation_dn - world.recorder.bias_dn
-    common = Facts(
+    facts = Facts(
         hard=plan.hard,
         undisturbed=undisturbed,
         damaged=bool(world.readouts),
-        saturated=bool((signal_dn > 0.95 * room).any()),
+        saturated=bool((signal_dn > _NEARLY_FULL * room).any()),
         stars=_stars_in_frame(plan),
     )
     if told.shape is None:
-        return common
-    diameter = 2.0 * told.shape.mean_radius_km / world.range_km * world.view.focal_px
-    if world.body is not None:  # as it is, not as it is told
-        diameter = 2.0 * _mean_radius_km(world.body, told.shape.mean_radius_km) / world.range_km * world.view.focal_px
+        return facts
     predicted = rotate(told.attitude_error, told.position_camera_km)
     told_range = float(np.linalg.norm(predicted))
+    told_cosine = float(np.clip(-(told.sun @ told.position_camera_km) / told_range, -1.0, 1.0))
+    # As it is, not as it is told.
+    radius = told.shape.mean_radius_km if world.body is None else _mean_radius_km(world.body, told.shape.mean_radius_km)
+    diameter = 2.0 * radius / world.range_km * world.view.focal_px
     background = float(np.median(signal_dn))
     peak = float(signal_dn.max()) - background
-    return Facts(
-        **{
-            **{name: getattr(common, name) for name in ("hard", "undisturbed", "damaged", "saturated", "stars")},
-            "absent": world.body is None,
-            "diameter_px": diameter,
-            "told_diameter_px": 2.0 * told.shape.mean_radius_km / told_range * world.view.focal_px,
-            "phase_deg": math.degrees(world.phase_rad),
-            "told_phase_deg": math.degrees(
-                math.acos(np.clip(-(told.sun @ told.position_camera_km) / told_range, -1, 1))
-            ),
-            "snr": peak / math.sqrt(max(peak + background, 0.0) + READ_NOISE_DN**2),
-            "whole": _whole(plan, diameter),
-            "limb_px": _lit_limb_px(plan, diameter),
-            "told_ellipsoid": isinstance(told.shape, Ellipsoid),
-            "offset_px": float(np.linalg.norm(world.view.project(predicted) - world.center_px)),
-            "range_error": abs(told_range / world.range_km - 1.0),
-        }
+    return replace(
+        facts,
+        absent=world.body is None,
+        diameter_px=diameter,
+        told_diameter_px=2.0 * told.shape.mean_radius_km / told_range * world.view.focal_px,
+        phase_deg=math.degrees(world.phase_rad),
+        told_phase_deg=math.degrees(math.acos(told_cosine)),
+        snr=peak / math.sqrt(max(peak + background, 0.0) + READ_NOISE_DN**2),
+        whole=_whole(plan, diameter),
+        limb_px=_lit_limb_px(plan, diameter),
+        told_ellipsoid=isinstance(told.shape, Ellipsoid),
+        offset_px=float(np.linalg.norm(world.view.project(predicted) - world.center_px)),
+        range_error=abs(told_range / world.range_km - 1.0),
     )
 
 
