@@ -89,6 +89,8 @@ class LawFit(Value):
         Covariance of the center of light by what the law does not explain: markings, or another kind of law.
     markings : float
         Standard deviation of the brightness of blocks about that of the template, over it, without photon noise.
+    unexplained : float
+        Norm of image minus template over that of the light of the body, without that of the noise.
     residuals : (n,) float64
         Image minus template in the bright pixels, over the brightest pixel of the template.
     """
@@ -99,6 +101,7 @@ class LawFit(Value):
     template: Template
     unexplained_px2: Float
     markings: float
+    unexplained: float
     residuals: Float
 
 
@@ -173,6 +176,8 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     moved = light.offset_px(laws.at(weight + _STEP), light.threshold_dn) - light.offset_px(template, light.threshold_dn)
     residuals = light.signal_dn - expected
     unexplained_px2, markings = _unexplained(light, expected, center, blocks)
+    seen = light.signal_dn[light.region]
+    excess = float((residuals[light.region] ** 2 - light.variance_dn2(np.maximum(seen, 0.0))).sum())
     return LawFit(
         weight=weight,
         sigma=math.sqrt(variance),
@@ -180,6 +185,7 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
         template=template,
         unexplained_px2=unexplained_px2,
         markings=markings,
+        unexplained=math.sqrt(max(excess, 0.0) / float((seen**2).sum())),
         residuals=residuals[light.bright] / float(expected.max()),
     )
 

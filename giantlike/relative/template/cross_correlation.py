@@ -37,10 +37,11 @@ _MAX_UNUSABLE_LIGHT = 0.5
 """Light on saturated or bad pixels above which there is no fit. Half and double: benchmarks/sensitivity.md."""
 _LOW_SCORE = 0.7
 """Correlation of the fitted template below which it is flagged. Half and double: benchmarks/sensitivity.md."""
-_LARGE_CHI, _LARGE_RESIDUAL = 5.0, 0.3
-"""Residuals over noise, and over the light, that are large where both are exceeded: bright bodies exceed their noise
-by far wherever the model is not exact, and faint ones differ by much from noise alone. Half and double:
-benchmarks/sensitivity.md."""
+_LARGE_CHI, _LARGE_RESIDUAL = 2.0, 0.125
+"""Residuals over noise, and those beyond noise over the light, that are large where both are exceeded: bright bodies
+exceed their noise wherever the model is not exact, and faint ones differ by much from noise alone. Exact models leave
+0.02-0.03 of the light, albedo of 15 % 0.06-0.13, unlisted relief of 1 % 0.07-0.08 up to 90 deg of phase, and the
+covariance holds; relief at 125 deg leaves 0.13-0.18, and the range is then wrong by 3 of its sigmas."""
 _SEARCHED_WIDER = (Reason.LOW_CORRELATION, Reason.PEAK_AT_EDGE)  # failures that a body outside the search explains
 _WIDER, _WIDEST_PX = 2.5, 400  # times the declared search, and px: memory and time grow with the square
 _WIDER_LOG_RANGES = (0.0, -0.08, 0.08)
@@ -352,7 +353,8 @@ def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, options: Cr
     area[rows + box.y, columns + box.x] = True
     seen = lit & fit.used
     signal = fit.signal_dn[seen]
-    unexplained = float(np.linalg.norm(fit.residuals_dn[seen]) / np.linalg.norm(signal))
+    beyond = max(1.0 - 1.0 / max(fit.chi, 1e-12) ** 2, 0.0)
+    unexplained = float(np.linalg.norm(fit.residuals_dn[seen]) / np.linalg.norm(signal)) * math.sqrt(beyond)
     n_used = int(fit.used.sum())
     checks = QualityChecks(
         off_px=fit.state.center_px - inputs.predicted_px,
