@@ -16,7 +16,7 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector, GaussianPsf
-from giantlike.core.outcomes import CenterFix, Failure, Reason
+from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder, Sampling
@@ -204,6 +204,17 @@ def test_the_moment_of_a_saturated_disk_counts_what_its_rim_does_not_tell() -> N
         assert np.sqrt(np.diag(fix.covariance_px2)).max() < 1.0  # px: it says something
         values.append(each.nees(fix))
     within(values)
+
+
+def test_rows_that_are_shifted_are_large_residuals_of_moment_and_template() -> None:
+    each = shot(5, diameter_px=60.0)
+    pixels = each.image.pixels.copy()
+    middle = round(float(each.center_px[1]))
+    pixels[middle:] = np.roll(pixels[middle:], 9, axis=1)
+    torn = replace(each, image=replace(each.image, pixels=pixels))
+    for estimator in (Moment(), CrossCorrelation()):
+        assert Quality.LARGE_RESIDUALS in torn.fix(estimator).flags
+        assert not each.fix(estimator).flags.suspect
 
 
 @pytest.mark.parametrize("psf_sigma_px", [0.62, 1.04])
