@@ -310,3 +310,27 @@ def test_attitudes_from_pixels_hold_their_covariance_where_models_are_wrong(case
 def test_an_unknown_speed_is_no_negative_number() -> None:
     with pytest.raises(InputError, match="unknown_speed_km_s"):
         StarOptions(unknown_speed_km_s=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "flag"),
+    [("none", Quality.NONE), ("slipped", Quality.AMBIGUOUS), ("blurred", Quality.BLURRED)],
+)
+def test_rows_that_slipped_far_and_blur_make_an_attitude_suspect(fault: str, flag: Quality) -> None:
+    camera = replace(
+        _camera(SMALL_VIEW),
+        columns=SMALL,
+        rows=SMALL,
+        psf=GaussianPsf(sigma_px=0.8),
+        detector=Detector(gain_e_per_dn=2.0, read_noise_e=5.0),
+    )
+    rng = np.random.default_rng(8)
+    attitude = Rotation.random(rng=rng)
+    field = random_stars(rng, 100, axis=attitude.inv().apply([0.0, 0.0, 1.0]), radius_rad=0.13)
+    light, _ = star_image(field, SMALL_VIEW, attitude, psf=Psf(1.3 if fault == "blurred" else 0.8))
+    if fault == "slipped":
+        light[SMALL // 2 :] = np.roll(light[SMALL // 2 :], 40, axis=1)
+    exposed = record(light + 500.0, rng, Recorder(gain_e_per_dn=2.0, read_noise_e=5.0))
+    image = Image(pixels=exposed.pixels, camera_from_inertial=attitude, epoch=EPOCH, observer=STILL)
+    fix = StarNavigation(camera, _catalog(field, np.zeros((100, 2)))).solve(image).unwrap()
+    assert fix.flags is flag
