@@ -246,8 +246,10 @@ def _read_catalog(path: Path) -> LandmarkCatalog:
         raise ValueError(f"shapes must be whole numbers, got {archive['shapes'].dtype}")
     shapes: NDArray[np.int64] = archive["shapes"].astype(np.int64)
     sizes, painted = np.prod(shapes, axis=1), archive["has_albedo"].astype(bool)
-    heights = np.split(archive["heights_km"].astype(np.float64), np.cumsum(sizes)[:-1])
-    albedo = iter(np.split(archive["albedo"].astype(np.float64), np.cumsum(sizes[painted])[:-1]))
+    with np.errstate(invalid="ignore"):  # a damaged file may hold signaling NaN
+        all_heights, all_albedo = archive["heights_km"].astype(np.float64), archive["albedo"].astype(np.float64)
+    heights = np.split(all_heights, np.cumsum(sizes)[:-1])
+    albedo = iter(np.split(all_albedo, np.cumsum(sizes[painted])[:-1]))
     landmarks = []
     for k, name in enumerate(archive["names"].tolist()):
         local = LocalMap(
