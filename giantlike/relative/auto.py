@@ -68,7 +68,7 @@ class AutoOptions:
     unresolved_px: float = 4.0
     limb_px: float = 40.0
     min_limb_px: float = 60.0
-    false_alarm: float = 1e-4
+    false_alarm: float = 1e-3
     unresolved: UnresolvedOptions = field(default_factory=UnresolvedOptions)
     moment: MomentOptions = field(default_factory=MomentOptions)
     cross_correlation: CrossCorrelationOptions = field(default_factory=CrossCorrelationOptions)

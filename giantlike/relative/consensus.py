@@ -46,7 +46,7 @@ def verdict(
     seconds: Iterable[tuple[str, CenterFix | Failure]],
     *,
     alone: Quality = Quality.UNCHECKED,
-    false_alarm: float = 1e-4,
+    false_alarm: float = 1e-3,
 ) -> Verdict:
     """Compare a fix with second fixes of the same body, in order, until one that is trusted decides.
 
