@@ -27,6 +27,11 @@ _LAW_SIGMA = 1.0
 """Share of another law in the light, a priori: anything from the law that was told to the other one."""
 _MOVED, _GROWN, _STRAINED = 0.5, 0.3, 0.3
 """Motion, radii, growth and strain of a body a priori: far beyond what is linear."""
+_LAWS = (1, 2)
+"""Columns of the design for other laws."""
+_OTHER_LAW = 0.5
+"""Error that laws beyond those two leave, over what the two change: half of it, as for Minnaert's law at 110-125 deg of
+phase, which lies outside of them."""
 _PLACE, _STRAIN, _BLUR = slice(9, 12), slice(12, 15), slice(15, 18)
 """Columns of the design for the place, the strain and the blur."""
 _BLURRED = 10.0
@@ -133,6 +138,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
     misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
     scale = max(misfit, _LEAST_SCALE)
     covariance = _covariance(design.columns, np.where(fresh, weights, 0.0), noise, scale * model_sigma, normal, cells)
+    by_law = _OTHER_LAW * (solution - _without_laws(normal, weighted @ values[fresh]))
+    covariance = covariance + np.outer(by_law, by_law)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
     return CoarseFit(
         gain_dn=gain,
@@ -180,6 +187,14 @@ def _design(cells: Cells, trace: Trace, own: Template) -> _Design:
 def _second_derivatives(by_row: Float, by_column: Float) -> tuple[Float, Float, Float]:
     """Change of an image by the xx, xy and yy of a blur, from its first derivatives."""
     return 0.5 * np.gradient(by_column, axis=1), np.gradient(by_column, axis=0), 0.5 * np.gradient(by_row, axis=0)
+
+
+def _without_laws(normal: Float, projected: Float) -> Float:
+    """Solution (p,) with the law as it was told."""
+    kept = np.delete(np.arange(len(projected)), _LAWS)
+    solution = np.zeros_like(projected)
+    solution[kept] = np.linalg.solve(normal[np.ix_(kept, kept)], projected[kept])
+    return solution
 
 
 def _first_gain(values: Float, light: Float, fresh: Mask) -> float:
