@@ -217,6 +217,20 @@ def test_rows_that_are_shifted_are_large_residuals_of_moment_and_template() -> N
         assert not each.fix(estimator).flags.suspect
 
 
+@pytest.mark.parametrize("turn_deg", [60.0, 90.0])
+def test_light_where_the_template_has_none_gives_the_moment_large_residuals(turn_deg: float) -> None:
+    each = shot(4, phase_deg=130.0, diameter_px=60.0)
+    target = each.scene.targets[0]
+    assert isinstance(target.ephemeris, ApparentGeometry)
+    turned = Rotation.from_rotvec([0.0, 0.0, np.radians(turn_deg)]).apply(
+        target.ephemeris.sun_direction_inertial.copy()
+    )
+    elsewhere = replace(target.ephemeris, sun_direction_inertial=turned)
+    fix = replace(each, scene=Scene(targets=(replace(target, ephemeris=elsewhere),))).fix(Moment())
+    assert Quality.LARGE_RESIDUALS in fix.flags
+    assert np.isfinite(fix.covariance_px2).all()
+
+
 @pytest.mark.parametrize("psf_sigma_px", [0.62, 1.04])
 def test_thin_crescents_of_a_few_pixels_are_within_the_covariance(psf_sigma_px: float) -> None:
     shots = [shot(n, law=law, phase_deg=150.0, diameter_px=width) for n, (width, law) in enumerate(CRESCENTS)]

@@ -230,10 +230,10 @@ def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks:
     good part. Markings of the limb, which no block holds, are taken to be those of the rest.
     """
     values = light.signal_dn[light.bright]
-    whole = blocks.sums(expected_dn)
-    gain = float(blocks.sums(light.signal_dn).sum()) / float(whole.sum())
+    whole, level = blocks.sums(light.signal_dn), float(blocks.sums(expected_dn).sum())  # bright pixels: above 0
+    gain = float(whole.sum()) / level if level > 0.0 else 0.0
     residuals = (light.signal_dn - gain * expected_dn)[blocks.rows, blocks.columns]
-    marks = np.bincount(blocks.number, residuals) / np.maximum(gain * whole, 1e-300)
+    marks = np.bincount(blocks.number, residuals) / whole
     arms = np.stack([blocks.columns, blocks.rows], axis=-1) - center_px
     pulls = np.stack([np.bincount(blocks.number, residuals * arm) for arm in arms.T], axis=-1) / float(values.sum())
     rows, columns = np.nonzero(light.bright)
@@ -242,6 +242,6 @@ def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks:
     outside = math.sqrt(float((lever**2).sum()) / max(float((held**2).sum()), 1e-300))
     shared = blocks.clustering(marks)
     fitted = min(_FITTED * shared / len(marks), _MOST_FITTED)
-    photon = blocks.sums(light.variance_dn2(light.signal_dn)) / np.maximum(gain * whole, 1e-300) ** 2
+    photon = blocks.sums(light.variance_dn2(light.signal_dn)) / whole**2
     scatter = math.sqrt(max(float(np.mean(marks**2 - photon)), 0.0))
     return np.asarray(shared * outside**2 / (1.0 - fitted) * pulls.T @ pulls), scatter
