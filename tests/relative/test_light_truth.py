@@ -217,6 +217,17 @@ def test_rows_that_are_shifted_are_large_residuals_of_moment_and_template() -> N
         assert not each.fix(estimator).flags.suspect
 
 
+def test_a_missing_block_moves_the_moment_as_little_as_its_template() -> None:
+    each = shot(6, phase_deg=40.0, diameter_px=100.0)
+    mask = np.zeros(each.image.pixels.shape, bool)
+    x, y = (round(float(value)) for value in each.center_px + 20.0)
+    mask[y : y + 24, x : x + 24] = True
+    holed = replace(each, image=replace(each.image, pixels=np.where(mask, 0, each.image.pixels), mask=mask))
+    fix = holed.fix(Moment())
+    assert np.linalg.norm(fix.center_px - each.center_px) < 0.35  # px; 1.6 where the block is dark
+    assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
+
+
 @pytest.mark.parametrize("turn_deg", [60.0, 90.0])
 def test_light_where_the_template_has_none_gives_the_moment_large_residuals(turn_deg: float) -> None:
     each = shot(4, phase_deg=130.0, diameter_px=60.0)

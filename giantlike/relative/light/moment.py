@@ -44,6 +44,9 @@ _HEIGHT = 0.1
 """Height, over the radius, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of
 waves of half of it, which are 1 / 4 pi as high."""
 _MAX_STRAY = 0.05  # of the bright pixels outside the expected area: above, it is not the light of the body alone
+_FILL_UNKNOWN = 0.25
+"""Part of the effect of filled pixels on the center that is one sigma: the template that tells it lies within half a
+pixel and some percent of the range."""
 _MOST_UNEXPLAINED = 0.25
 """Part of the light, as a norm, that differs from the template: exact models leave 0.01-0.08, another law 0.11, albedo
 of 15 % and relief of 1 % 0.05-0.28, unmasked columns of a body of 30 px 0.23-0.32; the covariance holds up to here."""
@@ -156,11 +159,12 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     size = _measured_size(light, laws, law, options.range_sigma, max(TRACE, share))
     by_law = law.sigma * law.slope_px if kind is Correction.RENDERED else offset - rendered
     by_gain = light.offset_px(template, threshold_dn, brighter=1.0 + _gain_error(light, template, size)) - rendered
+    by_fill = _FILL_UNKNOWN * (rendered - light.offset_px(template, threshold_dn, filled=False))
     parts = {
         Cause.NOISE: noise_px2 + _SAMPLING_PX**2 * np.eye(2),
         Cause.BACKGROUND: background_px2,
         Cause.REFLECTANCE: np.outer(by_law, by_law) + np.outer(by_gain, by_gain),
-        Cause.ALBEDO: law.unexplained_px2,
+        Cause.ALBEDO: law.unexplained_px2 + np.outer(by_fill, by_fill),
         Cause.PSF: np.outer(by_threshold, by_threshold)
         + size.sigma**2 * np.outer(offset, offset)
         + WING_UNKNOWN**2 * np.outer(by_wings, by_wings),

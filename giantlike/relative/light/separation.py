@@ -32,6 +32,9 @@ _MAX_SATURATED = 0.95
 """Of the bright pixels: above, the rim of the body that is left says nothing of its brightness."""
 _SETTLING, _SETTLED_PX = 4, 2
 """Rounds in which the region follows its light, and motion, px, that ends them: less than the margin of the region."""
+_FILL_SIDES_PX, _FILL_SHARE = (65, 17, 5), 0.1
+"""Sides, px, of the squares whose good pixels fill bad ones, the last that hold a tenth of good ones: of a pixel or two
+on all sides of single bad pixels, more in the middle of a missing block."""
 _GAIN_ROUNDS = 30
 """Halvings in which the gain of a clipped body is found: to a billionth."""
 
@@ -69,6 +72,8 @@ class BodyLight(Value):
         Variance, DN^2, of the noise of pixels of a given signal.
     shift_px : (2,) int64, px
         From a template at the predicted place to the light.
+    bad : (rows, columns) bool
+        Pixels that were filled.
     """
 
     signal_dn: Float
@@ -79,6 +84,7 @@ class BodyLight(Value):
     sky: SkyPlane
     noise_variance_dn2: Callable[[Float], Float]
     shift_px: NDArray[np.int64]
+    bad: Mask
 
     @property
     def bright(self) -> Mask:
@@ -140,8 +146,10 @@ class BodyLight(Value):
             low, high = (gain, high) if below else (low, gain)
         return np.minimum(gain * brighter * brightness, self.ceiling_dn)
 
-    def offset_px(self, template: Template, threshold_dn: float, *, brighter: float = 1.0) -> Float:
-        """From the center of a template's light, cut at the same level, to the center of its body.
+    def offset_px(
+        self, template: Template, threshold_dn: float, *, brighter: float = 1.0, filled: bool = True
+    ) -> Float:
+        """From the center of a template's light, cut and filled like the image, to the center of its body.
 
         Parameters
         ----------
@@ -149,12 +157,18 @@ class BodyLight(Value):
         threshold_dn : float, DN
         brighter : float
             As for :meth:`expected_dn`.
+        filled : bool
+            Fill the bad pixels of the image in the template too.
 
         Returns
         -------
         (2,) float64, px
         """
         expected = self.expected_dn(template.brightness, brighter=brighter)
+        if filled and self.bad.any():
+            x, y = (template.corner_px + self.shift_px).tolist()
+            box = PixelBox(x=x, y=y, width=expected.shape[1], height=expected.shape[0])
+            expected = _filled(expected, box.cut(self.bad))
         kept = np.where(expected > threshold_dn, expected, 0.0)
         if not kept.any():
             kept = expected
@@ -203,6 +217,7 @@ def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Predictio
             sky=sky,
             noise_variance_dn2=image.noise_variance_dn2,
             shift_px=shift,
+            bad=bad,
         )
         bright = light.bright
         if not bright.any():
@@ -277,12 +292,16 @@ def _sky(image: BoxPixels, prediction: Prediction) -> SkyPlane | Failure:
 
 
 def _filled(values_dn: Float, bad: Mask) -> Float:
-    """Pixels with bad ones replaced by the mean of the good ones around."""
+    """Pixels with bad ones replaced by the mean of the good ones around: of the nearest that are enough."""
     if not bad.any():
         return values_dn
-    share = cv2.blur((~bad).astype(np.float64), (5, 5))
-    near = cv2.blur(np.where(bad, 0.0, values_dn), (5, 5)) / np.maximum(share, 1e-6)
-    return np.asarray(np.where(bad, near, values_dn))
+    result = np.where(bad, 0.0, values_dn)
+    good, light = (~bad).astype(np.float64), result
+    for side in _FILL_SIDES_PX:
+        share = cv2.blur(good, (side, side))
+        near = cv2.blur(light, (side, side)) / np.maximum(share, 1e-6)
+        result = np.where(bad & (share > _FILL_SHARE), near, result)
+    return np.asarray(result)
 
 
 def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius_px: float) -> tuple[Mask, Mask, Mask]:
