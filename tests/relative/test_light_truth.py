@@ -233,9 +233,9 @@ def test_light_where_the_template_has_none_gives_the_moment_large_residuals(turn
     each = shot(4, phase_deg=130.0, diameter_px=60.0)
     target = each.scene.targets[0]
     assert isinstance(target.ephemeris, ApparentGeometry)
-    turned = Rotation.from_rotvec([0.0, 0.0, np.radians(turn_deg)]).apply(
-        target.ephemeris.sun_direction_inertial.copy()
-    )
+    sun = target.ephemeris.sun_direction_inertial
+    assert sun is not None
+    turned = Rotation.from_rotvec([0.0, 0.0, np.radians(turn_deg)]).apply(sun.copy())
     elsewhere = replace(target.ephemeris, sun_direction_inertial=turned)
     fix = replace(each, scene=Scene(targets=(replace(target, ephemeris=elsewhere),))).fix(Moment())
     assert Quality.LARGE_RESIDUALS in fix.flags
