@@ -134,3 +134,17 @@ def test_a_smooth_error_moves_a_solution_by_what_it_is() -> None:
     gain = np.linalg.pinv(design)
     covariance = smooth_parts((shared,), points, gain)[Cause.PSF]
     assert_allclose(covariance, np.diag([0.0, 0.0, 0.09]), rtol=0, atol=SETTLED)
+
+
+def test_some_points_of_a_measurement_can_be_solved_alone() -> None:
+    """A fit of some points failed where the points share errors: those were still as many as before."""
+    view, truth = seen()
+    measured = measure_by_lines(view, truth, IteratedSearch(), LimbScanOptions())
+    assert isinstance(measured, LimbMeasurement)
+    assert measured.common_px
+    which = np.flatnonzero(measured.keep)[::-2]
+    some = measured.select(which)
+    assert_allclose(some.observed_px, measured.observed_px[which], rtol=0, atol=0)
+    figure = Figure(radii_km=SHAPE.radii_km, camera_from_axes=truth.camera_from_body)
+    solution = fit_horizon(some, PLANE.model, figure, truth.position_camera_km, Altitude())
+    assert sigmas(solution.position_camera_km, solution.covariance_camera_km2, truth.position_camera_km) < SIGMAS

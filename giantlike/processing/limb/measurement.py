@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -241,6 +241,29 @@ class LimbMeasurement(Value):
     def outline_share(self) -> float:
         """Length of limb used over that of the whole outline, at most 1."""
         return min(self.n_used * self.spacing_px / self.perimeter_px, 1.0)
+
+    def select(self, which: NDArray[np.integer]) -> LimbMeasurement:
+        """Measurement with some of its points.
+
+        Parameters
+        ----------
+        which : (k,) int
+            Indices of the points, in the order wanted.
+
+        Returns
+        -------
+        LimbMeasurement
+        """
+        return replace(
+            self,
+            predicted_px=self.predicted_px[which],
+            normals_px=self.normals_px[which],
+            design=self.design[which],
+            shift_px=self.shift_px[which],
+            sigma_px=self.sigma_px[which],
+            keep=self.keep[which],
+            common_px={cause: shared_px[which] for cause, shared_px in self.common_px.items()},
+        )
 
     def smooth_covariances(self, gain: Float) -> dict[Cause, Float]:
         """Covariances of a solution by what the points share: the common and the smooth errors.

@@ -274,16 +274,7 @@ def fit_limb_ellipse(
     start_km = christian_robinson(observed_px[used], model, figure, sigma_px=measured.sigma_px[used])
     if isinstance(start_km, Failure):
         return start_km
-    along = replace(
-        measured,
-        predicted_px=measured.predicted_px[used],
-        normals_px=measured.normals_px[used],
-        design=measured.design[used],
-        shift_px=measured.shift_px[used],
-        sigma_px=measured.sigma_px[used],
-        keep=measured.keep[used],
-    )
-    solution = fit_horizon(along, model, figure, start_km, Altitude())
+    solution = fit_horizon(measured.select(used), model, figure, start_km, Altitude())
     return replace(measured, keep=kept), replace(
         solution, position_camera_km=solution.position_camera_km - stand_in.offset_camera_km
     )
