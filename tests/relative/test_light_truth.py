@@ -228,6 +228,14 @@ def test_a_missing_block_moves_the_moment_as_little_as_its_template() -> None:
     assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
 
 
+def test_a_hot_column_from_body_to_frame_does_not_cut_the_body_for_the_moment() -> None:
+    each = shot(8, phase_deg=40.0, diameter_px=60.0)
+    pixels = each.image.pixels.copy()
+    pixels[:, round(float(each.center_px[0])) + 12] += 600
+    fix = replace(each, image=replace(each.image, pixels=pixels)).fix(Moment())
+    assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
+
+
 @pytest.mark.parametrize("turn_deg", [60.0, 90.0])
 def test_light_where_the_template_has_none_gives_the_moment_large_residuals(turn_deg: float) -> None:
     each = shot(4, phase_deg=130.0, diameter_px=60.0)

@@ -226,6 +226,8 @@ def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Predictio
         before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
         if np.abs(shift - before).max() <= _SETTLED_PX:
             break
+    if not blob.any() and _may_be_cut(template, signal.shape, 0.0, shift):
+        return _cut_by_frame()
     clipped = float(saturated[bright].mean())
     if clipped > _MAX_SATURATED:
         return Failure(
@@ -255,9 +257,16 @@ def _blob_of(signal: Float, sky: SkyPlane, prediction: Prediction) -> tuple[Mask
         cut = chosen.reason is Reason.NO_SIGNAL and bool(blobs.touch_frame.any())
         return _cut_by_frame() if cut and _may_be_cut(template, signal.shape, search_px) else chosen
     blob = int(chosen[0])
-    if bool(blobs.touch_frame[blob]):
+    pixels, foreign = blobs.labels == blob + 1, np.isin(blobs.labels, chosen[1:] + 1)
+    if not bool(blobs.touch_frame[blob]):
+        return pixels, foreign, blobs.centroids_px[blob]
+    thick = cv2.morphologyEx(pixels.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    if _touches(np.asarray(thick, dtype=bool)):
         return _cut_by_frame()
-    return blobs.labels == blob + 1, np.isin(blobs.labels, chosen[1:] + 1), blobs.centroids_px[blob]
+    # What reaches the frame is thin, as a hot column: only what is expected counts.
+    y, x = np.nonzero(pixels & near)
+    place = np.array([np.median(x), np.median(y)]) if x.size else template.photocenter_px
+    return np.zeros_like(pixels), foreign, place
 
 
 def _cut_by_frame() -> Failure:
@@ -267,11 +276,18 @@ def _cut_by_frame() -> Failure:
     )
 
 
-def _may_be_cut(template: Template, shape: tuple[int, ...], search_px: float) -> bool:
+def _touches(pixels: Mask) -> bool:
+    """True if a pixel on the edge of the image is set."""
+    return bool(pixels[[0, -1]].any() or pixels[:, [0, -1]].any())
+
+
+def _may_be_cut(
+    template: Template, shape: tuple[int, ...], search_px: float, shift_px: NDArray[np.int64] | None = None
+) -> bool:
     """True if the predicted light, moved as far as the search allows, would reach over the edge of the image."""
     rows, columns = np.nonzero(template.brightness > _VISIBLE * float(template.brightness.max()))
-    low = np.array([columns.min(), rows.min()]) + template.corner_px
-    high = np.array([columns.max(), rows.max()]) + template.corner_px
+    corner = template.corner_px if shift_px is None else template.corner_px + shift_px
+    low, high = np.array([columns.min(), rows.min()]) + corner, np.array([columns.max(), rows.max()]) + corner
     return bool((low < search_px).any() or (high > np.array(shape[::-1]) - 1 - search_px).any())
 
 
