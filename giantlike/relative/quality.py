@@ -40,12 +40,12 @@ the 145 with the right law, shape and albedo none came to more than 0.6. Double 
 come to 1.3-20.
 """
 UNEXPLAINED = 0.005
-"""Area with unexplained light over the lit area beyond which something else is in the image: none of the same 860 fixes
-had any, a second body beside the first gives 0.5, a ring 3."""
+"""Area with unexplained light over the lit area beyond which something else is in the image: one of the same 860 fixes
+had more, a second body beside the first gives 0.5, a ring 3."""
 LEAST_CHANCE = 1e-5
 """Probability below which the place, the figure or the blur that a coarse render asks for contradicts a fix.
 
-Errors of laws and markings have longer tails than a Gaussian: of the same 860 fixes 1.6 % came to less, none of
+Errors of laws and markings have longer tails than a Gaussian: of the same 860 fixes 2.4 % came to less, none of
 the 145 with the right law, shape and albedo, where 0.1 is the least. Real limbs of Jupiter came to 1.4e-5.
 """
 LEAST_PREDICTION_CHANCE = 1e-4

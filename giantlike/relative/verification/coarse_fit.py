@@ -19,8 +19,8 @@ _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
 point spread function."""
 _WINGS, _WING_RADIUS = 0.01, 0.35
 """Light scattered around a body, over its own, and how far from it, radii: wings of a point spread function."""
-_AROUND, _FLOOR = 1.0, 0.02
-"""Cells over which markings and errors of the law reach, so that the cells along a terminator and a limb have them too,
+_AROUND, _FLOOR = 0.08, 0.02
+"""Radii over which markings and errors of the law reach, so that the cells along a terminator and a limb have them too,
 and the least error over the brightest cell. Without the floor bright images (20,000 DN) of right fixes contradict them
 by up to 9 standard deviations where the law is another one; with 1 and 2 % by up to 5."""
 _LAW_SIGMA = 1.0
@@ -214,7 +214,7 @@ def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> Float:
     """Standard deviation (n, n) of the errors of the model in each cell over the gain: markings, edges, and wings."""
     from scipy.ndimage import gaussian_filter
 
-    markings = ALBEDO * gaussian_filter(design.own, _AROUND)
+    markings = ALBEDO * gaussian_filter(design.own, _AROUND * cells.radius)
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
     wings, floor = _WINGS * _scattered(design.own, cells), _FLOOR * float(design.own.max())
     return np.asarray(np.sqrt(markings**2 + edges**2 + wings**2 + floor**2))
