@@ -13,7 +13,6 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution, robust_solution
-from giantlike.processing.limb.measurement import LimbView, PredictedLimb
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
@@ -25,6 +24,7 @@ from giantlike.processing.limb.scan import (
     step_profile,
 )
 from giantlike.processing.limb.search import search_limb
+from giantlike.processing.limb.view import LimbView, PredictedLimb
 from giantlike.ray_tracing import FocalPlane
 from tests.tolerances import FLOAT64_SUM
 

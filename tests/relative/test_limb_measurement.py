@@ -14,14 +14,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.processing.limb.measurement import (
-    LimbMeasurement,
-    LimbView,
-    SmoothError,
-    judge_points,
-    smooth_parts,
-    too_few,
-)
+from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError, judge_points, smooth_parts, too_few
+from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body, FocalPlane, McEwen, RenderOptions, Template, render
 from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
 from giantlike.relative.horizon.geometry import Altitude, Figure, fit_horizon

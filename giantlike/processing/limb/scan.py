@@ -21,7 +21,7 @@ from scipy.special import ndtr
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.statistics import MAD_TO_SIGMA, robust_sigma
 from giantlike.core.values import Value
-from giantlike.processing.limb.measurement import in_frame
+from giantlike.processing.limb.view import in_frame
 
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
 """Variance of the cubic B-spline through which lines are sampled: it widens every edge by so much."""

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.processing.limb.measurement import SATURATED_SHARE, LimbView, PredictedLimb
+from giantlike.processing.limb.measurement import SATURATED_SHARE
+from giantlike.processing.limb.view import LimbView, PredictedLimb
 
 _COARSE_BLUR_PX = 1.0
 """Least blur of the searched image, px: that of a half of the step, so that no limb falls between two steps."""

@@ -15,8 +15,6 @@ from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
     LimbMeasurement,
-    LimbView,
-    PredictedLimb,
     SmoothError,
     no_lit_limb,
     pixels_near,
@@ -24,6 +22,7 @@ from giantlike.processing.limb.measurement import (
 )
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.processing.limb.search import find_limb
+from giantlike.processing.limb.view import LimbView, PredictedLimb
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.horizon.cells import CellFits
 from giantlike.relative.horizon.clipped_disk import measure_clipped

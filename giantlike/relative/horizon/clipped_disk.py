@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure
-from giantlike.processing.limb.measurement import LimbMeasurement, LimbView
+from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body, Reflectance
 from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.limb.fix import IteratedSearch, ScanOptions

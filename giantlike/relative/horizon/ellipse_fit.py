@@ -19,8 +19,9 @@ from giantlike.core.values import Value, select_rows
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.geometry.conic_fit import ConicFit, fit_ellipse
 from giantlike.processing.limb.edges import EdgePoints, scan_edges
-from giantlike.processing.limb.measurement import LimbMeasurement, LimbView, SmoothError, too_few
+from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError, too_few
 from giantlike.processing.limb.segmentation import Background, background_of
+from giantlike.processing.limb.view import LimbView
 from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.horizon.clipped_disk import measure_clipped

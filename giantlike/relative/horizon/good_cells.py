@@ -11,7 +11,8 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.correlated_fit import robust_solution
-from giantlike.processing.limb.measurement import LimbView, judge_points
+from giantlike.processing.limb.measurement import judge_points
+from giantlike.processing.limb.view import LimbView
 from giantlike.relative.horizon.cells import CellFits, fit_cells, limb_pixels
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
 

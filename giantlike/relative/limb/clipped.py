@@ -16,8 +16,9 @@ from scipy.special import ndtr
 
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.processing.limb.measurement import LimbView, pixels_near
+from giantlike.processing.limb.measurement import pixels_near
 from giantlike.processing.limb.scan import Scans, match_profiles, scan_lines
+from giantlike.processing.limb.view import LimbView
 
 _GAINS = np.geomspace(1.03, 16.0, 13)
 """Brightest rendered pixel over the clipping level that is tried: beyond sixteen times the halo of the body, which no

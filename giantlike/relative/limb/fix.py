@@ -16,7 +16,8 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
-from giantlike.processing.limb.measurement import LimbMeasurement, LimbView
+from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.estimator import EstimatorInputs, center_of_position, place_covariance
 from giantlike.relative.quality import QualityChecks

@@ -15,8 +15,6 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
     LimbMeasurement,
-    LimbView,
-    PredictedLimb,
     SmoothError,
     limb_design,
     no_lit_limb,
@@ -32,6 +30,7 @@ from giantlike.processing.limb.scan import (
     scan_lines,
 )
 from giantlike.processing.limb.search import find_limb
+from giantlike.processing.limb.view import LimbView, PredictedLimb
 from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
 from giantlike.relative.limb.clipped import EXTRAPOLATION_ERROR
 from giantlike.relative.limb.fix import (

@@ -14,7 +14,7 @@ from giantlike.core.causes import Cause
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
-from giantlike.processing.limb.measurement import LimbView, judge_points
+from giantlike.processing.limb.measurement import judge_points
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
@@ -25,6 +25,7 @@ from giantlike.processing.limb.scan import (
     step_profile,
 )
 from giantlike.processing.limb.shared import SharedEstimate, estimate_shared, smooth_places
+from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body, render_near
 from giantlike.ray_tracing.reflectance import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.limb.clipped import LOG_GAIN_SIGMA, clipped_profiles, clipping_level_dn

@@ -1,0 +1,131 @@
+"""Pixels, camera and light of an image in which a limb is measured, and the limb predicted in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.detector import Detector
+from giantlike.core.values import Value
+from giantlike.ray_tracing import FocalPlane
+
+_PATCH_PX = 3
+"""Side of the smallest square of saturated pixels that is taken for a part of a body."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LimbView(Value):
+    """Pixels of a body, how they were recorded, and how it is lit: all that measurements of a limb need to know.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns) float64, DN
+        Bias taken off.
+    usable : (rows, columns) bool
+        Neither bad nor saturated.
+    saturated : (rows, columns) bool
+    detector : Detector
+        Noise model.
+    plane : FocalPlane
+        Camera model and point spread function, None where unknown.
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
+    radius_px : float, px
+        Predicted apparent radius of the body.
+    """
+
+    pixels_dn: Float
+    usable: Mask
+    saturated: Mask
+    detector: Detector
+    plane: FocalPlane
+    sun_direction_camera: Float
+    radius_px: float
+
+    @property
+    def model(self) -> CameraModel:
+        """Camera model."""
+        return self.plane.model
+
+    @property
+    def psf_sigma_px(self) -> float | None:
+        """Standard deviation of the point spread function, px; None when unknown."""
+        return None if self.plane.psf is None else self.plane.psf.sigma_px
+
+    @property
+    def clipped(self) -> Mask:
+        """Saturated pixels (rows, columns) where some lie in a patch, of a bright body; single ones are defects."""
+        patch = np.ones((_PATCH_PX, _PATCH_PX), np.uint8)
+        in_patches = cv2.erode(self.saturated.astype(np.uint8), patch, borderValue=0).any()
+        return self.saturated if in_patches else np.zeros_like(self.saturated)
+
+    @property
+    def with_clipped(self) -> Mask:
+        """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever it holds."""
+        return np.asarray(self.usable | self.clipped)
+
+    @property
+    def dark_noise_dn(self) -> float:
+        """Standard deviation of a dark pixel, DN."""
+        return math.sqrt(float(self.detector.variance_dn2(np.zeros(1))[0]))
+
+    def contains(self, points_px: Float, *, margin_px: float = 0.0) -> Mask:
+        """Find the points that lie on the detector.
+
+        Parameters
+        ----------
+        points_px : (..., 2) float64, px
+        margin_px : float, px
+            Least distance from the edge; negative for points as far outside.
+
+        Returns
+        -------
+        (...) bool
+        """
+        return in_frame(points_px, self.usable.shape, margin_px=margin_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedLimb(Value):
+    """Points of a predicted limb that are lit and in the frame.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64, px
+    points_camera_km : (n, 3) float64, km, camera axes
+        The same points in space.
+    normals_px : (n, 2) float64, unitless
+        Outward unit normals of the outline in the image.
+    brightness : (n,) float64
+        Just inside the outline, in any unit.
+    """
+
+    points_px: Float
+    points_camera_km: Float
+    normals_px: Float
+    brightness: Float
+
+
+def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0) -> Mask:
+    """Find the points that lie on the pixels of an image; NaN does not.
+
+    Parameters
+    ----------
+    points_px : (..., 2) float64, px
+    shape : (int, int)
+        Rows and columns.
+    margin_px : float, px
+        Least distance from the edge of the image; negative for points as far outside.
+
+    Returns
+    -------
+    (...) bool
+    """
+    low, high = margin_px - 0.5, np.array(shape[1::-1]) - 0.5 - margin_px
+    result: Mask = np.all((points_px >= low) & (points_px <= high), axis=-1)
+    return result
