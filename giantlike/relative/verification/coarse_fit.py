@@ -122,19 +122,23 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         return None
     values, noise = cells.cropped(cells.values), cells.cropped(cells.variance)
     gain = _first_gain(values, design.own, fresh)
-    flat = design.columns[:, fresh]
     relative_sigma = _model_sigma(design, turn_rad, cells)
     for _ in range(_ITERATIONS):
         model_sigma = gain * relative_sigma
         weights = 1.0 / (noise + model_sigma**2)
+        flat = design.columns[:, fresh]
         weighted = flat * weights[fresh]
         normal = weighted @ flat.T + np.diag(1.0 / (gain * design.sigma) ** 2)
         solution = np.linalg.solve(normal, weighted @ values[fresh])
         if not solution[0] > 0.0:
             return _nothing_alike()
         gain = float(solution[0])
-    left = values - np.tensordot(solution, design.columns, axes=1)
-    normalized = np.where(fresh, left * np.sqrt(weights), 0.0)
+        used, normalized = fresh, (values - np.tensordot(solution, design.columns, axes=1)) * np.sqrt(weights)
+        fresh = fresh & ~_isolated(normalized, fresh)
+    fresh, lit = used, lit & used
+    if not lit.any():
+        return None
+    normalized = np.where(fresh, normalized, 0.0)
     misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
     scale = max(misfit, _LEAST_SCALE)
     covariance = _covariance(design.columns, np.where(fresh, weights, 0.0), noise, scale * model_sigma, normal, cells)
@@ -249,9 +253,19 @@ def _covariance(columns: Float, weights: Float, noise: Float, model_sigma: Float
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
+def _isolated(normalized: Float, fresh: Mask) -> Mask:
+    """Cells that nothing explains, alone or in a single line: stars, cosmic rays, dead columns."""
+    odd = fresh & (np.abs(normalized) > _UNLIKELY)
+    return np.asarray(odd & ~_in_patches(odd))
+
+
 def _unexplained_area(normalized: Float, fresh: Mask) -> float:
     """Number of cells that nothing explains, isolated ones left out."""
+    return float(np.count_nonzero(_in_patches(fresh & (np.abs(normalized) > _UNLIKELY))))
+
+
+def _in_patches(odd: Mask) -> Mask:
+    """Cells most of whose neighbors are odd too."""
     from scipy.ndimage import median_filter
 
-    odd = fresh & (np.abs(normalized) > _UNLIKELY)
-    return float(np.count_nonzero(median_filter(odd, size=_ISOLATED)))
+    return np.asarray(median_filter(odd, size=_ISOLATED))
