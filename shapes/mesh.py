@@ -240,9 +240,9 @@ class TriangleMesh(Value):
 def _checked(vertices_km: ArrayLike, faces: ArrayLike) -> tuple[Float, Faces]:
     """Copies of vertices (n, 3) and faces (m, 3) that are safe to hand to a ray tracer."""
     vertices = np.array(as_floats(vertices_km, (3,), "vertices_km"), order="C")
-    require(vertices.ndim == 2 and vertices.size > 0, f"vertices_km must have shape (n, 3), got {vertices.shape}")
     indices = np.asarray(faces)
     require(indices.size > 0, "a mesh needs at least one facet, got none")
+    require(vertices.ndim == 2 and vertices.size > 0, f"vertices_km must have shape (n, 3), got {vertices.shape}")
     if indices.ndim != 2 or indices.shape[1] != 3 or not np.issubdtype(indices.dtype, np.integer):
         raise InputError(f"faces must be integers of shape (m, 3), got {indices.dtype} of shape {indices.shape}")
     bad = ~np.isfinite(vertices).all(axis=1)

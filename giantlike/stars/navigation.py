@@ -328,8 +328,11 @@ def _enough(detections: Detections, fix: AttitudeFix, left: UnmeasuredSources) -
     """True if the sources left out would shrink the covariance of an attitude by less than 5 %.
 
     As large a share of them as of the measured ones is expected to be stars of the catalog, with the errors beyond the
-    noise (floor, catalog, neighbors) that the stars used have in the median.
+    noise (floor, catalog, neighbors) that the stars used have in the median. Errors found beyond the sigmas of the
+    stars, which few stars tell badly, ask for all.
     """
+    if any(float(fix.provenance[name]) > 0.0 for name in ("hidden_floor_px", "shared_error_px")):
+        return False
     variance = fix.sigma_px**2
     own = detections.sigma_px[fix.detection_indices] ** 2
     beyond = max(float(np.median(variance - own)), 0.0)

@@ -14,6 +14,7 @@ from multiprocessing.connection import wait as wait_for_end
 from typing import Any, TypeVar
 
 import cv2
+from threadpoolctl import threadpool_limits
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.worker import Workbench
@@ -44,7 +45,8 @@ class WorkerPool:
     The jobs in flight are then run again one by one in a separate process; one that kills this as well is
     given up, and the rest continue.
 
-    Worker processes do arithmetic with one thread each, and end when the process that started them is gone.
+    Arithmetic is done with one thread in each process, so that results do not depend on the number of processes, and
+    worker processes end when the process that started them is gone.
     """
 
     def __init__(self, bench: Workbench, workers: int) -> None:
@@ -53,9 +55,12 @@ class WorkerPool:
         self._workers = workers
         self._executors: dict[int, ProcessPoolExecutor] = {}
         self._variables: list[str] = []
+        self._limits: threadpool_limits | None = None
 
     def __enter__(self) -> WorkerPool:
-        if self._workers > 1:
+        if self._workers == 1:
+            self._limits = threadpool_limits(1)  # the last bits of sums depend on the number of threads
+        else:
             # Read when numpy is imported, so they must be there when a process starts.
             self._variables = [name for name in _THREAD_VARIABLES if name not in os.environ]
             os.environ.update(dict.fromkeys(self._variables, "1"))
@@ -66,6 +71,8 @@ class WorkerPool:
             self._executors.pop(size).shutdown(wait=True, cancel_futures=True)
         for name in self._variables:
             del os.environ[name]
+        if self._limits is not None:
+            self._limits.restore_original_limits()
 
     def run(
         self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]
