@@ -29,7 +29,8 @@ _WIDER, _WIDEST_RANGE, _AT_BORDER = 2.75, 0.3, 0.95
 """How much farther than declared is searched where nothing is found or only at the border of the search; at most, over
 the range; and where that border begins. What is found farther out is suspect.
 
-With 110 px and 8 % instead of 40 px and 3 %, Vesta, Europa and Jupiter are found from starts 80 px and 5 % off.
+With 40 px and 3 % declared, starts 80 px and 5 % off lead within 15 px of the truth, and to suspect, in 18 of 21 cases
+on Vesta, 12 on Europa (a tenth of its limb) and 21 on Jupiter.
 """
 _LIGHT_SIGMAS = 5.0  # of the noise in the dark, beyond which a pixel is light
 
