@@ -13,11 +13,12 @@ import gzip
 import hashlib
 import io
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, cast
 
-from giantlike.core.errors import DataError
+from giantlike.core.errors import DataError, InputError
 
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
@@ -73,6 +74,35 @@ def reads(what: str) -> _Decorator:
         return guarded
 
     return decorate
+
+
+@contextmanager
+def resolving(path: Path, what: str) -> Iterator[None]:
+    """What a file asks for is found and checked in a ``with`` block, and refused as a :class:`DataError` with its path.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What it is, with its article.
+
+    Raises
+    ------
+    DataError
+        Of the block as it is; else with the text of an ``InputError``, which names the key, or of another exception
+        that content caused, such as a path that the system refuses or a number beyond a float.
+    """
+    try:
+        yield
+    except DataError:
+        raise
+    except InputError as error:
+        raise DataError(path, str(error)) from error
+    except Exception as error:
+        if not is_of_content(error):
+            raise
+        raise DataError(path, problem_text(error, what)) from error
 
 
 def toml_table(path: Path, what: str) -> dict[str, Any]:

@@ -28,8 +28,7 @@ from giantlike.campaign.file.inputs import (
 from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
 from giantlike.campaign.file.toml_file import named, read_toml
 from giantlike.core.arrays import Float, require
-from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import is_of_content, problem_text
+from giantlike.core.reading import resolving
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry
 from giantlike.processing.detection.options import DetectionOptions
@@ -156,16 +155,8 @@ class Campaign:
         """
         path = Path(path)
         content, table = read_toml(path, CampaignFile, "campaign file")
-        try:
+        with resolving(path, "a campaign file"):
             return _resolve(path, content, table)
-        except InputError as error:
-            raise DataError(path, str(error)) from error
-        except DataError:
-            raise
-        except Exception as error:  # a path that the system refuses, a number beyond a float
-            if not is_of_content(error):
-                raise
-            raise DataError(path, problem_text(error, "a campaign file")) from error
 
     @property
     def apriori_covariance_rad2(self) -> Float | None:

@@ -30,7 +30,7 @@ from giantlike.campaign.render.schema import DetectorSection, ImageSection, Plac
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
-from giantlike.core.reading import is_of_content, problem_text
+from giantlike.core.reading import resolving
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import AU_KM, RAD_PER_DEG
 from giantlike.core.values import Value
@@ -137,16 +137,8 @@ class RenderPlan(Value):
         """
         path = Path(path)
         content, _ = read_toml(path, RenderFile, "scene file")
-        try:
+        with resolving(path, "a scene file"):
             return _resolve(path, content)
-        except InputError as error:
-            raise DataError(path, str(error)) from error
-        except DataError:
-            raise
-        except Exception as error:  # a path that the system refuses, a number beyond a float
-            if not is_of_content(error):
-                raise
-            raise DataError(path, problem_text(error, "a scene file")) from error
 
     @property
     def photometry(self) -> Photometry:
