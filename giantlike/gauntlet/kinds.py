@@ -179,6 +179,12 @@ _BODY_OR_STARS: tuple[tuple[str, str, Disturb, Base], ...] = (
 )
 """Kinds that spoil any image: each comes with a body, and with stars under the name ``stars_...``."""
 
+
+def _of_stars(name: str, summary: str, disturb: Disturb) -> Kind:
+    """Kind of images of stars alone, once in each deck."""
+    return Kind(name=f"stars_{name}", summary=summary, disturb=disturb, body=False, stars=True, weight=1)
+
+
 _STAR_KINDS = (
     Kind(
         name="stars_nominal",
@@ -189,49 +195,14 @@ _STAR_KINDS = (
         weight=3,
         undisturbed=True,
     ),
-    Kind(
-        name="stars_dense",
-        summary="stars far beyond the catalog",
-        disturb=scenery.crowded,
-        body=False,
-        stars=True,
-        weight=1,
-    ),
-    Kind(
-        name="stars_gaps",
-        summary="stars missing in the catalog",
-        disturb=mistakes.gaps,
-        body=False,
-        stars=True,
-        weight=1,
-    ),
-    Kind(
-        name="stars_foreign",
-        summary="catalog of another sky",
-        disturb=mistakes.other_sky,
-        body=False,
-        stars=True,
-        weight=1,
-    ),
-    Kind(
-        name="stars_observer",
-        summary="velocity of the observer unknown or in m/s",
-        disturb=mistakes.observer,
-        body=False,
-        stars=True,
-        weight=1,
-    ),
-    Kind(
-        name="stars_attitude",
-        summary="attitude 0.1 to 3 degrees off",
-        disturb=mistakes.wrong_attitude,
-        body=False,
-        stars=True,
-        weight=1,
-    ),
-    Kind(name="stars_roll", summary="attitude rolled", disturb=mistakes.wrong_roll, body=False, stars=True, weight=1),
-    Kind(name="stars_focal", summary="focal length 2 % off", disturb=mistakes.focal, body=False, stars=True, weight=1),
-    Kind(name="stars_noise", summary="nothing but noise", disturb=scenery.noise, body=False, stars=True, weight=1),
+    _of_stars("dense", "stars far beyond the catalog", scenery.crowded),
+    _of_stars("gaps", "stars missing in the catalog", mistakes.gaps),
+    _of_stars("foreign", "catalog of another sky", mistakes.other_sky),
+    _of_stars("observer", "velocity of the observer unknown or in m/s", mistakes.observer),
+    _of_stars("attitude", "attitude 0.1 to 3 degrees off", mistakes.wrong_attitude),
+    _of_stars("roll", "attitude rolled", mistakes.wrong_roll),
+    _of_stars("focal", "focal length 2 % off", mistakes.focal),
+    _of_stars("noise", "nothing but noise", scenery.noise),
     Kind(
         name="stars_and_body",
         summary="a body among stars: attitude by the stars, body by the estimators",
@@ -247,10 +218,7 @@ def _all_kinds() -> dict[str, Kind]:
     spoiled = [
         Kind(name=name, summary=summary, disturb=disturb, base=base) for name, summary, disturb, base in _BODY_OR_STARS
     ]
-    stars = [
-        Kind(name=f"stars_{name}", summary=summary, disturb=disturb, body=False, stars=True, weight=1)
-        for name, summary, disturb, _ in _BODY_OR_STARS
-    ]
+    stars = [_of_stars(name, summary, disturb) for name, summary, disturb, _ in _BODY_OR_STARS]
     return {kind.name: kind for kind in (*_BODY_KINDS, *spoiled, *_STAR_KINDS, *stars)}
 
 
