@@ -120,7 +120,7 @@ def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE
 
 
 def _least_eigenvalues(matrices: Float) -> Float:
-    """Least eigenvalues (m,) of symmetric matrices (m, n, n); of 2 x 2 in closed form, ten times faster."""
+    """Least eigenvalues (m,) of symmetric matrices (m, n, n); of 2 x 2 in closed form, in a ninth of the time."""
     if matrices.shape[-1] != 2:
         return np.asarray(np.linalg.eigvalsh(matrices)[..., :1])
     a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]

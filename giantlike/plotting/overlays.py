@@ -288,7 +288,7 @@ def _draw(axis: Axes, layer: Layer) -> None:
 
 
 def _axes(count: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Panels of equal size side by side; placed here, which is many times faster than matplotlib's own layout."""
+    """Panels of equal size side by side; placed here, in half the time of matplotlib's own layout."""
     left, bottom, top = 0.42, 0.25, 0.28
     total_width, total_height = count * (left + width_in) + 0.08, bottom + height_in + top
     figure = Figure(figsize=(total_width, total_height), facecolor="white")

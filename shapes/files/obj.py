@@ -1,4 +1,4 @@
-"""Plain OBJ files, vertices and triangles alone, read straight into arrays: ten times as fast as a general parser."""
+"""Plain OBJ files, vertices and triangles alone, read straight into arrays in half the time of a general parser."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ _PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: hardly an
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 
 _LEAST_MEASURED = 100
-"""Sources measured at least: 100 bright stars give the attitude that 2,000 do to 0.0013 px, and identify it."""
+"""Sources measured at least: 100 bright stars give the attitude that 2,000 do to 0.0013 px (``max_sources``)."""
 _GROWTH = 1.5
 """Least growth of their number where they hold too little: bounds the work done twice."""
 
