@@ -94,14 +94,17 @@ def answer_of(draw: Draw, estimator: Estimator) -> Answer:
         fix = estimator.estimate(draw.image, seen.camera, draw.scene)
     except (OpNavError, ValueError, ArithmeticError) as error_raised:
         return Answer(view=seen.number, status=f"raised {type(error_raised).__name__}: {error_raised}"[:90])
-    spent = time.process_time() - began
+    return replace(judged(draw, fix), cpu_s=time.process_time() - began)
+
+
+def judged(draw: Draw, fix: CenterFix | Failure) -> Answer:
+    """Numbers of a fix beside the truth of a draw."""
+    seen = draw.seen
     if isinstance(fix, Failure):
-        return Answer(view=seen.number, status=str(fix.reason), cpu_s=spent)
+        return Answer(view=seen.number, status=str(fix.reason))
     status = "ok" if not fix.flags.suspect else "suspect:" + "+".join(_suspect_flags(fix))
     if seen.case.observed:
-        return Answer(
-            view=seen.number, status=status, phase_deg=seen.phase_deg, cpu_s=spent, **_observed_less_computed(draw, fix)
-        )
+        return Answer(view=seen.number, status=status, phase_deg=seen.phase_deg, **_observed_less_computed(draw, fix))
     error = fix.center_px - seen.center_px
     numbers = {
         "error_px": float(np.hypot(*error)) / np.sqrt(2.0),
@@ -116,7 +119,7 @@ def answer_of(draw: Draw, estimator: Estimator) -> Answer:
         }
     else:
         numbers["nees"] = _nees(error, fix.covariance_px2)
-    return Answer(view=seen.number, status=status, phase_deg=seen.phase_deg, cpu_s=spent, **numbers)
+    return Answer(view=seen.number, status=status, phase_deg=seen.phase_deg, **numbers)
 
 
 def _observed_less_computed(draw: Draw, fix: CenterFix) -> dict[str, float]:

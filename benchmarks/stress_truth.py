@@ -68,6 +68,7 @@ class Case:
     pole_error_deg: float = 0.0
     attitude_error_deg: float = 0.0
     frame_px: int = 0
+    mesh_cells: int = MESH_CELLS
     estimators: tuple[str, ...] = ()
     options: str = ""
     observed: bool = False
@@ -106,11 +107,11 @@ class Draw:
 
 
 @lru_cache
-def _rock(seed: int) -> tuple[SphereField, TriangleMesh]:
+def _rock(seed: int, cells: int) -> tuple[SphereField, TriangleMesh]:
     """Heights of a body with craters, and the mesh of it."""
     heights = bumps(9000 + seed, rms=0.03, widths_deg=(10.0, 40.0))
     heights += craters(9100 + seed, depth=0.1, count=250, radii_deg=(2.0, 20.0))
-    return heights, TriangleMesh(*ReliefBody(RADII_KM, heights).mesh(MESH_CELLS), f"rock {seed}")
+    return heights, TriangleMesh(*ReliefBody(RADII_KM, heights).mesh(cells), f"rock {seed}")
 
 
 def _figure(case: Case, number: int) -> tuple[EllipsoidBody | ReliefBody, Shape]:
@@ -122,12 +123,12 @@ def _figure(case: Case, number: int) -> tuple[EllipsoidBody | ReliefBody, Shape]
         if unlisted is None:
             return EllipsoidBody(RADII_KM, markings), told
         return ReliefBody(RADII_KM, unlisted, markings), told
-    listed, mesh = _rock(number % 3)
+    listed, mesh = _rock(number % 3, case.mesh_cells)
     return ReliefBody(RADII_KM, listed if unlisted is None else listed + unlisted, markings), mesh
 
 
-def view_of(case: Case, number: int) -> Seen:
-    """Render a view of a case: another place, pose, Sun and body for each number."""
+def view_of(case: Case, number: int, rendered_dn: Float | None = None) -> Seen:
+    """Render a view of a case: another place, pose, Sun and body for each number; or take what was rendered before."""
     rng = np.random.default_rng([number, 4711])
     size, phase_deg = case.size_px, case.phases_deg[number % len(case.phases_deg)]
     middle = (0.5 * (size - 1) + 1.5, 0.5 * (size - 1) - 2.5)
@@ -148,8 +149,10 @@ def view_of(case: Case, number: int) -> Seen:
     sun = -math.cos(phase) * sight + math.sin(phase) * side
     turn = Rotation.random(rng=rng)
     body, told = _figure(case, number)
-    signal = render_body(body, view, Pose(position, turn, sun), law=case.law, psf=case.psf)
-    signal += background((size, size), constant_dn=case.level_dn, slope_dn=case.slope_dn)
+    signal = rendered_dn
+    if signal is None:
+        signal = render_body(body, view, Pose(position, turn, sun), law=case.law, psf=case.psf)
+        signal += background((size, size), constant_dn=case.level_dn, slope_dn=case.slope_dn)
     camera = Camera(
         name="stress",
         columns=size,

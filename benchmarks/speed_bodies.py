@@ -1,0 +1,105 @@
+"""Jobs of ``speed.py`` that trace rays: estimators on bodies with craters in frames of 1024 x 1024 px.
+
+Truth is ``giantlike.independent``; views and draws are those of ``stress_truth.py``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from speed import IMAGES, Job, Outcome
+from stress import judged
+from stress_truth import Case, Draw, Seen, draw_of, view_of
+
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix
+from giantlike.relative import ESTIMATORS
+from giantlike.relative.estimator import EstimatorInputs, gather
+from giantlike.relative.verification import verified
+
+ROCK = Case(
+    name="speed", body="rock", frame_px=1024, mesh_cells=128, diameter_px=300.0, phases_deg=(20.0, 60.0, 90.0, 120.0)
+)
+"""196,608 facets."""
+FEW_FACETS, MANY_FACETS = 64, 508
+"""Cells along the side of a cube: 49,152 and 3,096,768 facets."""
+
+
+def fresh(case: Case) -> Callable[[int], Draw]:
+    """Draws of the views of a case, whose images are kept where a folder is named."""
+    return lambda number: draw_of(_seen(case, number), 0)
+
+
+def _seen(case: Case, number: int) -> Seen:
+    folder = os.environ.get(IMAGES)
+    if folder is None:
+        return view_of(case, number)
+    phase_deg = case.phases_deg[number % len(case.phases_deg)]
+    path = Path(folder) / f"{case.body}-{case.law}-{case.diameter_px:g}-{phase_deg:g}-{case.frame_px}-{number}.npy"
+    if path.exists():
+        return view_of(case, number, np.load(path))
+    seen = view_of(case, number)
+    np.save(path, seen.signal_dn)
+    return seen
+
+
+def estimated(name: str) -> Callable[[Draw], CenterFix | PositionFix | Failure]:
+    """Run an estimator with its defaults."""
+    return lambda draw: ESTIMATORS[name]().estimate(draw.image, draw.seen.camera, draw.scene)
+
+
+def judge(draw: Draw, fix: CenterFix | PositionFix | Failure) -> Outcome | str:
+    """Error of the center per axis, its sigma, and the squared error over the covariance."""
+    answer = judged(draw, fix)
+    if isinstance(fix, Failure):
+        return answer.status
+    return Outcome(error=answer.error_px, sigma=answer.sigma_px, nees_over_dof=answer.nees)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A fix before it is verified, and what it was made of."""
+
+    draw: Draw
+    inputs: EstimatorInputs
+    fix: Any
+
+
+def found(number: int) -> Found:
+    """An unverified fix of cross_correlation."""
+    draw = fresh(ROCK)(number)
+    estimator = ESTIMATORS["cross_correlation"]()
+    inputs = gather(draw.image, draw.seen.camera, draw.scene, None, estimator=estimator.name, options=estimator.options)
+    assert not isinstance(inputs, Failure)
+    return Found(draw=draw, inputs=inputs, fix=estimator._estimate(inputs))
+
+
+def jobs() -> list[Job]:
+    """The rows of bodies."""
+
+    def of(name: str, job: str, goal_u: float | None, case: Case, **more: Any) -> Job:
+        return Job(name=f"{name}, {job}", goal_u=goal_u, fresh=fresh(case), run=estimated(name), judge=judge, **more)
+
+    large = replace(ROCK, diameter_px=1000.0)
+    one_mesh: dict[str, Any] = {"warm": (0,), "numbers": (3, 6, 9)}
+    few, many = (replace(ROCK, mesh_cells=cells) for cells in (FEW_FACETS, MANY_FACETS))
+    return [
+        of("cross_correlation", "300 px", 1.5, ROCK),
+        of("cross_correlation", "1,000 px", 4.0, large, **one_mesh),
+        of("limb_matching", "300 px", 0.8, ROCK),
+        of("limb_matching", "1,000 px", None, large, **one_mesh),
+        of("limb_matching", "300 px, 49,000 facets", None, few, **one_mesh),
+        of("limb_matching", "300 px, 3.1 million facets", None, many, **one_mesh),
+        of("surface_features", "300 px", 2.0, replace(ROCK, phases_deg=(30.0, 60.0, 90.0))),
+        Job(
+            name="verification, 300 px",
+            goal_u=0.17,
+            fresh=found,
+            run=lambda one: verified(one.fix, one.inputs, 40.0),
+            judge=lambda one, fix: judge(one.draw, fix),
+        ),
+    ]
