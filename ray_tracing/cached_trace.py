@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, require
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
@@ -50,6 +50,11 @@ class Trace(Value):
         """The body as it was traced."""
         return self.view.body
 
+    @property
+    def lit(self) -> int:
+        """Number of rays that end on a point in sunlight."""
+        return sum(traced.lit for traced in self.tiles)
+
     def template(self) -> Template | Failure:
         """Shade the rays and gather them on pixels.
 
@@ -62,6 +67,21 @@ class Trace(Value):
         pairs = zip(footprint.tiles, self.tiles, strict=True)
         shaded = (shade_tile(footprint, tile, traced, law) for tile, traced in pairs)
         return unless_dark(gathered(self.view, footprint, shaded))
+
+    def cell_brightness(self) -> Float:
+        """Shade the rays and leave them as they are.
+
+        Returns
+        -------
+        (columns, rows) float64
+            Brightness of the cells of the footprint; 0 where nothing is lit.
+        """
+        x, y = self.footprint.cells
+        brightness = np.zeros((x.count, y.count))
+        for tile, traced in zip(self.footprint.tiles, self.tiles, strict=True):
+            part = brightness[tile.left : tile.right, tile.start : tile.stop]
+            part[:] = traced.brightness(self.body.reflectance).reshape(part.shape)
+        return brightness
 
     def with_reflectance(self, reflectance: Reflectance) -> Trace:
         """Return the same rays under another law; costs nothing until it is shaded.

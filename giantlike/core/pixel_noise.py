@@ -11,8 +11,8 @@ from giantlike.core.arrays import Float, Mask
 
 _LEAST_VALUES = 16
 """Different values that a common step needs: fewer have one by chance, 16 once in 30,000 images."""
-_SAMPLE = 65_536
-"""Pixels that are looked at for the step; all steps between values of the sky occur among so many."""
+_SAMPLE = 16_384
+"""Pixels that are looked at for the step, about; all steps between values of the sky occur among so many."""
 _STEP_TOLERANCE = 0.05
 """Largest distance of a difference of two values from a multiple of the step, in steps.
 
@@ -56,7 +56,7 @@ def value_step(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     >>> value_step(counts), value_step(16 * counts), round(value_step(1e-4 * counts), 12), value_step(np.sqrt(counts))
     (1.0, 16.0, 0.0001, 0.0)
     """
-    every = max(pixels.size // _SAMPLE, 1)
+    every = max(pixels.size // _SAMPLE, 1) | 1  # odd, or only some columns would be looked at
     sample = pixels.ravel()[::every]
     if mask is not None:
         sample = sample[~mask.ravel()[::every]]

@@ -33,6 +33,9 @@ _PLATEAU_SIGMAS, _PLATEAU_STEPS = 3.0, 3.0
 """Width of the band below the largest value, in standard deviations of the noise and at least in DN: without clipping
 the noise spreads the pixels of the brightest ground over it."""
 
+_SPARSE = 16
+"""Step along rows and columns between the pixels that are looked at first."""
+
 Options = TypeVar("Options")
 Fix = TypeVar("Fix", bound=CenterFix, covariant=True)
 
@@ -280,23 +283,26 @@ class EstimatorInputs(Value):
         """
         return Failure(reason, f"{self.image.name}: {self.target_name}: {self.estimator}: {detail}")
 
-    def flags_at(self, area: Mask) -> Quality:
+    def flags_at(self, area: Mask, corner_px: tuple[int, int] = (0, 0)) -> Quality:
         """Return the flags of the inputs for a measurement on some pixels.
 
         Parameters
         ----------
-        area : (rows, columns) bool
-            Pixels that were measured.
+        area : (h, w) bool
+            Pixels that were measured, in a part of the image.
+        corner_px : (int, int), px
+            Column and row of its first element.
 
         Returns
         -------
         Quality
             The source of the attitude, and whether saturated or bad pixels lie in the area.
         """
-        flags = self.flags
-        if bool((self.saturated & area).any()):
+        flags, (x, y) = self.flags, corner_px
+        part = slice(y, y + area.shape[0]), slice(x, x + area.shape[1])
+        if bool((self.saturated[part] & area).any()):
             flags |= Quality.SATURATED
-        if bool((self.masked & area).any()):
+        if bool((self.masked[part] & area).any()):
             flags |= Quality.MASKED
         return flags
 
@@ -447,14 +453,23 @@ def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
         if inputs.saturated.any():
             return Reason.SATURATED, "every good pixel of the image is saturated; use a shorter exposure"
         return Reason.MASKED, "every pixel of the image is masked: no bad pixel is used; check the mask and the file"
-    values = inputs.pixels_dn[inputs.usable]
-    if not inputs.saturated.any() and float(values.min()) == float(values.max()):
-        return Reason.NO_SIGNAL, f"every good pixel of the image holds {values[0] + inputs.camera.detector.bias_dn:g}"
+    level = None if inputs.saturated.any() else _level_dn(inputs.pixels_dn, inputs.usable)
+    if level is not None:
+        return Reason.NO_SIGNAL, f"every good pixel of the image holds {level + inputs.camera.detector.bias_dn:g}"
     if geometry.range_km <= geometry.target.shape.circumscribing_radius_km:
         return Reason.DEGENERATE_GEOMETRY, f"at a range of {geometry.range_km:g} km the camera is inside the body"
     if not np.isfinite(inputs.predicted_px).all():
         return Reason.OUT_OF_FRAME, "the predicted center lies behind the camera or outside the field of its model"
     return None
+
+
+def _level_dn(pixels_dn: Float, usable: Mask) -> float | None:
+    """Value of all usable pixels of an image, of which there is one at least; None where they differ."""
+    for step in (_SPARSE, 1):  # pixels far apart differ nearly always
+        values = pixels_dn[::step, ::step][usable[::step, ::step]]
+        if values.size and float(values.min()) != float(values.max()):
+            return None
+    return float(values[0])
 
 
 def _type_limit(pixels: NDArray[Any]) -> float:
@@ -468,15 +483,17 @@ def _plateau_dn(image: Image, detector: Detector) -> float:
     A clipped image piles up at its largest value what lay above. Noise keeps an image that is not clipped from holding
     more pixels of exactly that value than within the band of noise below it.
     """
-    values = image.pixels[~image.mask]
-    if values.size == 0 or values.min() == values.max():
+    values = image.pixels[~image.mask] if image.mask.any() else image.pixels
+    if values.size == 0:
         return math.inf
-    top = float(values.max())
+    largest = values.max()
+    at_top = int(np.count_nonzero(values == largest))
+    if at_top < _PLATEAU_PIXELS or at_top == values.size:
+        return math.inf
+    top = float(largest)
     sigma = math.sqrt(float(detector.variance_dn2(np.array([top - detector.bias_dn]))[0]))
     below = values > top - max(_PLATEAU_SIGMAS * sigma, _PLATEAU_STEPS)
-    at_top = int(np.count_nonzero(values == top))
-    clipped = at_top >= _PLATEAU_PIXELS and 2 * at_top > int(np.count_nonzero(below))
-    return top if clipped else math.inf
+    return top if 2 * at_top > int(np.count_nonzero(below)) else math.inf
 
 
 def _provenance(image: Image, camera: Camera, geometry: TargetGeometry, options: object) -> Mapping[str, str]:

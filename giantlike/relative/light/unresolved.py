@@ -23,6 +23,7 @@ from giantlike.relative.light.phase_correction import Correction, phase_correcti
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2, UNKNOWN_BLUR_SIGMA_PX2, TemplateRenderer
+from giantlike.relative.template.small_body import SmallBody
 
 _BACKGROUND_PX = 12  # px, width of the ring around the search region for the background and its noise
 _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the centroid
@@ -32,7 +33,8 @@ _HOT_PSF, _HOT_LIGHT = 0.7, 0.3
 of the light expected, of which a quarter is the least that is fitted."""
 _RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival: see benchmarks/sensitivity.md
 _FIT_MARGIN_PX = 4  # px around the template: derivatives take so many, and the background is fitted
-_RAYS_PER_PIXEL, _RAYS_ACROSS = 20, (96, 240)  # over a body that is lit all over; finer is lost in noise
+_RAYS_PER_PIXEL, _RAYS_ACROSS = 10, (96, 240)
+"""Over a body that is lit all over: centers of 2, 5 and 10 px are then right to 0.001-0.003 px up to 120 degrees."""
 _LEAST_LIT, _MOST_RAYS = 0.05, 720
 """Least lit share of the disk that rays are added for, as many lit ones as on a full disk, and most of them across.
 
@@ -128,7 +130,10 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
             sun_direction_camera=inputs.geometry.sun_direction_camera,
             rays_across=_rays_across(diameter, inputs.geometry.phase_angle_rad),
         )
-        template = renderer.render(renderer.start, renderer.sampling(math.ceil(options.search_px)))
+        trace = renderer.trace(renderer.start, renderer.sampling(math.ceil(options.search_px)))
+        if isinstance(trace, Failure):
+            return trace
+        template = trace.template()
         if isinstance(template, Failure):
             return template
         image = inputs.pixels
@@ -143,8 +148,8 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         offset = _offset(template, width_px)
         if isinstance(offset, Failure):
             return offset
-        start_px, psf_known = measured.point_px + offset, inputs.psf_sigma_px is not None
-        fit = _fitted(image, renderer, template, start_px, options, psf_known=psf_known)
+        start_px = measured.point_px + offset
+        fit = _fitted(inputs, renderer, SmallBody(trace=trace, state=renderer.start), template, start_px, options)
         if isinstance(fit, Failure):
             return fit
         rendered_px = template.center_px - template.photocenter_px
@@ -163,7 +168,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
             residuals=disagreement_px / (_LARGE_DISAGREEMENT * width_px),
             ambiguous=rivals,
         )
-        core = _disk(inputs.usable.shape, measured.point_px, _CORE_SIGMAS * width_px)
+        core, corner_px = _disk(image, measured.point_px, _CORE_SIGMAS * width_px)
         return CenterFix(
             **inputs.identity,
             center_px=fit.state.center_px + shift_px,
@@ -173,7 +178,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
             n_used=int(fit.used.sum()),
             n_rejected=fit.n_rejected,
             score=measured.snr,
-            flags=inputs.flags_at(core) | checks.flags,
+            flags=inputs.flags_at(core, corner_px) | checks.flags,
         )
 
 
@@ -221,24 +226,24 @@ def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedO
 
 
 def _fitted(
-    image: BoxPixels,
+    inputs: EstimatorInputs,
     renderer: TemplateRenderer,
+    traced: SmallBody,
     template: Template,
     center_px: Float,
     options: UnresolvedOptions,
-    *,
-    psf_known: bool,
 ) -> TemplateFit | Failure:
-    """Fit the rendered body to the image; another law is mixed in where its offset enters the result."""
+    """Fit the traced body to the image; another law is mixed in where its offset enters the result."""
     low = (template.corner_px + np.rint(center_px - template.center_px).astype(np.int64)).astype(np.float64)
     box = renderer.box(low, low + template.brightness.shape[::-1], _FIT_MARGIN_PX)
+    other_law = Correction(options.correction) is Correction.RENDERED
     return fit_template(
-        image.cut(box),
-        renderer.synthesis(box, other_law=Correction(options.correction) is Correction.RENDERED),
+        inputs.pixels.cut(box),
+        renderer.synthesis(box, other_law=other_law, traced=traced),
         replace(renderer.start, center_px=center_px),
         options=TemplateFitOptions(
             log_range_sigma=options.range_sigma,
-            blur_sigma_px2=KNOWN_BLUR_SIGMA_PX2 if psf_known else UNKNOWN_BLUR_SIGMA_PX2,
+            blur_sigma_px2=UNKNOWN_BLUR_SIGMA_PX2 if inputs.psf_sigma_px is None else KNOWN_BLUR_SIGMA_PX2,
         ),
     )
 
@@ -305,10 +310,12 @@ def _box_around(center_px: Float, half_px: float, image: BoxPixels) -> PixelBox:
     return box.limited(columns, rows)
 
 
-def _disk(shape: tuple[int, ...], center_px: Float, radius_px: float) -> Mask:
-    """Pixels (rows, columns) within a radius of a point."""
-    rows, columns = np.ogrid[: shape[0], : shape[1]]
-    return np.asarray((columns - center_px[0]) ** 2 + (rows - center_px[1]) ** 2 <= radius_px**2)
+def _disk(image: BoxPixels, center_px: Float, radius_px: float) -> tuple[Mask, tuple[int, int]]:
+    """Pixels (h, w) within a radius of a point, in a box of the image, and its first column and row."""
+    box = _box_around(center_px, radius_px, image)
+    rows, columns = np.ogrid[: box.height, : box.width]
+    x, y = center_px - np.array(box.corner_px)
+    return np.asarray((columns - x) ** 2 + (rows - y) ** 2 <= radius_px**2), box.corner_px
 
 
 def _text(point_px: Float) -> str:

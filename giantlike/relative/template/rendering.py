@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
-from giantlike.core.outcomes import Failure
+from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import (
@@ -23,11 +23,13 @@ from giantlike.ray_tracing import (
     Reflectance,
     RenderOptions,
     Template,
+    Trace,
     render,
     trace_body,
 )
 from giantlike.relative.estimator import apparent_radius_px
-from giantlike.relative.template.state import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState, warped
+from giantlike.relative.template.small_body import SmallBody
+from giantlike.relative.template.state import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState
 
 UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 """A priori standard deviation, px^2, of the variance of a point spread function that the camera does not know."""
@@ -37,8 +39,9 @@ KNOWN_BLUR_SIGMA_PX2 = 0.15
 _POINT_PX = 1e-3  # px: smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_across`` samples them finely enough
 _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it: bodies are rarely more elongated
-_NEAR_PX, _NEAR_BLUR = 1.0, 0.1
-"""Motion of center or limb, px, and share of the blur up to which derivatives are moved along."""
+_LIMB_PX, _TURNED_PX = 1.0, 0.006
+"""Motion, px, of the limb of a small body up to which it is not traced anew, and of its surface because it is seen from
+elsewhere: its light moves a third as far at most, which is a fifth of the noise of bright bodies."""
 ROUGH = 2.0
 """Times the distance between rays: on the way to the solution, which needs no fine edges."""
 _FINE = 0.5
@@ -53,9 +56,8 @@ _UNTRIED_LAW: Reflectance = Minnaert(k=0.8)
 """Law that is not mixed in: what it would change says how much laws outside of the mixture matter. Its limb lies
 between those of the others, where sums of laws follow a power law worst."""
 _SMALL_RADIUS_PX = 10.0
-"""Radius, px, below which derivatives are those of renders, see TemplateImages, and only one other law is mixed in."""
-_STEP_PX, _LOG_RANGE_STEP, _BLUR_STEP_PX2 = 0.125, 0.04, 0.1
-"""Steps to both sides for these derivatives: of the center, px, of the logarithm of the range and of the blur, px^2."""
+"""Radius, px, below which a body is a :class:`SmallBody`, with derivatives in closed form, and only one other law is
+mixed in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,6 +111,18 @@ class TemplateRenderer(Value):
             options=options,
         )
 
+    def trace(self, state: TemplateState, options: RenderOptions) -> Trace | Failure:
+        """Trace a state."""
+        return trace_body(
+            self.body(state),
+            self.plane.model,
+            sun_direction_camera=self.sun_direction_camera,
+            psf=GaussianPsf(sigma_px=math.sqrt(state.psf_variance_px2)),
+            columns=self.plane.columns,
+            rows=self.plane.rows,
+            options=options,
+        )
+
     def sampling(self, margin_px: int, *, spacing: float = 1.0, min_rays: int = 1) -> RenderOptions:
         """Return options for renders that reach over the frame.
 
@@ -137,12 +151,13 @@ class TemplateRenderer(Value):
         box = PixelBox.spanning(low_px, high_px, margin_px)
         return box.limited(self.plane.columns, self.plane.rows, FIT_BORDER_PX)
 
-    def synthesis(self, box: PixelBox, *, other_law: bool, most_laws: int | None = None) -> Synthesis:
+    def synthesis(
+        self, box: PixelBox, *, other_law: bool, most_laws: int | None = None, traced: SmallBody | None = None
+    ) -> Synthesis:
         """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
-        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else. The
-        derivatives of small bodies are rendered anew only where the geometry has moved by a pixel, and moved along with
-        it up to there.
+        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else.
+        Small bodies are traced once, and anew only where they are seen from elsewhere.
 
         Parameters
         ----------
@@ -150,6 +165,8 @@ class TemplateRenderer(Value):
         other_law : bool
         most_laws : int, optional
             Other laws at most; by default as many as a body of that size can show.
+        traced : SmallBody, optional
+            Trace of a small body that is there already.
 
         Returns
         -------
@@ -158,27 +175,33 @@ class TemplateRenderer(Value):
         most = most_laws if self.radius_px >= _SMALL_RADIUS_PX else 1
         others = contrasting_laws(self.target.reflectance)[:most] if other_law else ()
         laws = (self.target.reflectance, *others)
-        untried = other_law and self.radius_px >= _SMALL_RADIUS_PX
-        latest: list[tuple[TemplateState, Float]] = []
+        if self.radius_px < _SMALL_RADIUS_PX:
+            return self._small_synthesis(box, laws, traced)
 
         def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
             sampling = self.sampling(FIT_BORDER_PX, spacing=self._spacing(fine), min_rays=_FINE_RAYS if fine else 1)
-            extra = (_UNTRIED_LAW,) if fine and untried else ()
+            extra = (_UNTRIED_LAW,) if fine and other_law else ()
             lights = self._lights(box, state, laws + extra, sampling)
             if isinstance(lights, Failure):
                 return lights
             light, *differing = lights[: len(laws)]
-            if self.radius_px >= _SMALL_RADIUS_PX:
-                untested = lights[-1] if extra else None
-                return TemplateImages(light=light, others=differing, winged=fine, untried=untested)
-            if not (latest and self._near(latest[0][0], state)):
-                made = self._derivatives(box, state)
-                if isinstance(made, Failure):
-                    return made
-                latest[:] = [(state, made)]
-            there, derivatives = latest[0]
-            if there is not state:
-                derivatives = np.stack([warped(one, box.corner_px, there, state) for one in derivatives])
+            return TemplateImages(light=light, others=differing, winged=fine, untried=lights[-1] if extra else None)
+
+        return images
+
+    def _small_synthesis(self, box: PixelBox, laws: tuple[Reflectance, ...], traced: SmallBody | None) -> Synthesis:
+        """Return the function that moves a body, traced once, to states in a box."""
+        latest = [] if traced is None else [traced]
+
+        def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
+            if not (latest and self._near(latest[0].state, state)):
+                trace = self.trace(state, self.sampling(FIT_BORDER_PX + math.ceil(2.0 * self.radius_px)))
+                if isinstance(trace, Failure):
+                    return trace
+                if not trace.lit:
+                    return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
+                latest[:] = [SmallBody(trace=trace, state=state)]
+            (light, *differing), derivatives = latest[0].lights(box, state, laws)
             return TemplateImages(light=light, others=differing, derivatives=derivatives)
 
         return images
@@ -186,22 +209,14 @@ class TemplateRenderer(Value):
     def _spacing(self, fine: bool) -> float:
         """Distance between rays over that of ``rays_across``, on the way of a fit or in its last renders."""
         if fine:
-            return _FINE if self.radius_px >= _SMALL_RADIUS_PX else 1.0
+            return _FINE
         return ROUGH if self.radius_px >= _COARSE_RADIUS_PX else 1.0
 
     def _lights(
         self, box: PixelBox, state: TemplateState, laws: tuple[Reflectance, ...], sampling: RenderOptions
     ) -> list[Float] | Failure:
         """Light (h, w) predicted for a state under each law, on the pixels of a box, all from the same rays."""
-        trace = trace_body(
-            self.body(state),
-            self.plane.model,
-            sun_direction_camera=self.sun_direction_camera,
-            psf=GaussianPsf(sigma_px=math.sqrt(state.psf_variance_px2)),
-            columns=self.plane.columns,
-            rows=self.plane.rows,
-            options=sampling,
-        )
+        trace = self.trace(state, sampling)
         if isinstance(trace, Failure):
             return trace
         lights = []
@@ -212,32 +227,14 @@ class TemplateRenderer(Value):
             lights.append(placed(template, box))
         return lights
 
-    def _derivatives(self, box: PixelBox, state: TemplateState) -> Float | Failure:
-        """Derivatives (4, h, w) of the light at a state, from renders to both sides of it."""
-        blur = min(_BLUR_STEP_PX2, state.psf_variance_px2)
-        derivatives = []
-        for number, step in enumerate((_STEP_PX, _STEP_PX, _LOG_RANGE_STEP, blur)):
-            sides = []
-            for change in (-step, step):
-                x, y, log_range, variance = change * np.eye(4)[number]
-                there = TemplateState(
-                    center_px=state.center_px + np.array([x, y]),
-                    log_range=state.log_range + float(log_range),
-                    psf_variance_px2=state.psf_variance_px2 + float(variance),
-                )
-                template = self.render(there, self.sampling(FIT_BORDER_PX))
-                if isinstance(template, Failure):
-                    return template
-                sides.append(placed(template, box))
-            derivatives.append((sides[1] - sides[0]) / (2.0 * max(step, 1e-6)))
-        return np.stack(derivatives)
-
     def _near(self, first: TemplateState, second: TemplateState) -> bool:
-        """Return True if derivatives can be moved from one state to another."""
-        shift_px = float(np.abs(first.center_px - second.center_px).max())
+        """Return True if rays of one state serve for another: no part of the body is cut, or seen from elsewhere."""
+        size = np.array([self.plane.columns, self.plane.rows])
+        past_px = float(np.max(np.abs(first.center_px - 0.5 * (size - 1)) - 0.5 * size))
         limb_px = abs(first.log_range - second.log_range) * self.radius_px
-        blur_px2 = abs(first.psf_variance_px2 - second.psf_variance_px2)
-        return max(shift_px, limb_px) < _NEAR_PX and blur_px2 < _NEAR_BLUR * (0.1 + first.psf_variance_px2)
+        sights = self.plane.model.unproject(np.stack([first.center_px, second.center_px]))
+        turned_rad = float(np.linalg.norm(sights[1] - sights[0]))
+        return past_px < FIT_BORDER_PX and limb_px < _LIMB_PX and turned_rad * self.radius_px < _TURNED_PX
 
 
 def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:
