@@ -211,17 +211,22 @@ def rows_shifted(plan: Plan, rng: np.random.Generator) -> Plan:
     """Rows moved from one on, or each by its own."""
     if rng.uniform() < 0.5:
         return _read(plan, readouts.jittered_rows(log_uniform(rng, 0.7, 6.0)), hard=True)
-    first = int(_middle_px(plan.world)[1] + rng.uniform(-1.0, 1.0) * _break_px(plan))
+    first = int(_break_row(plan, rng.uniform(-1.0, 1.0)))
     shift = int(np.ceil(log_uniform(rng, 1.0, 40.0)) * rng.choice([-1, 1]))
     return _read(plan, readouts.shifted_rows(first, shift), hard=True)
 
 
-def _break_px(plan: Plan) -> float:
-    """How far from the middle the rows break, px: through the body, because one that is all shifted tells nobody."""
+def _break_row(plan: Plan, place: float) -> float:
+    """Row at a place, -1 to 1, in the light of the body: if all of it is shifted, nothing in the image tells."""
     world = plan.world
+    middle = float(_middle_px(world)[1])
     if world.body is None:
-        return 0.1 * world.view.rows
-    return 0.3 * world.body.bounding_radius_km / world.range_km * world.view.focal_px
+        return middle + 0.1 * place * world.view.rows
+    radius_px = world.body.bounding_radius_km / world.range_km * world.view.focal_px
+    # From terminator to limb the light of a sphere reaches from -cos(phase) to 1 radii towards the Sun.
+    cosine, across = math.cos(world.phase_rad), math.hypot(world.sun[0], world.sun[1])
+    toward_sun = float(world.sun[1]) / max(across, 1e-9)
+    return middle + 0.5 * radius_px * ((1.0 - cosine) * toward_sun + 0.6 * (1.0 + cosine) * place)
 
 
 def eight_bit(plan: Plan, rng: np.random.Generator) -> Plan:

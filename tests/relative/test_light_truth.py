@@ -295,3 +295,34 @@ def test_a_body_cut_by_the_frame_is_reported_as_such_by_the_moment() -> None:
                               camera, whole.scene)  # fmt: skip
     assert isinstance(found, Failure)
     assert found.reason is Reason.OUT_OF_FRAME
+
+
+def test_a_trail_that_joins_body_and_frame_is_other_light_and_no_cut_for_the_moment() -> None:
+    each = shot(8, phase_deg=40.0)
+    pixels = each.image.pixels.copy()
+    row = round(float(each.center_px[1]))
+    pixels[row - 3 : row + 4] += 800
+    found = Moment().estimate(replace(each.image, pixels=pixels), each.camera, each.scene)
+    assert isinstance(found, Failure)
+    assert found.reason is Reason.AMBIGUOUS
+
+
+@pytest.mark.parametrize("estimator", [LimbMatching(), EllipsoidCRA()])
+def test_a_lit_limb_beyond_the_frame_is_out_of_it_and_not_dark(estimator: Estimator) -> None:
+    each = shot(4, diameter_px=120.0)
+    target = each.scene.targets[0]
+    told = target.ephemeris
+    assert isinstance(told, ApparentGeometry)
+    assert told.sun_direction_inertial is not None
+    side = int(np.argmax(np.abs(each.toward_sun)))
+    across, sun = np.zeros(3), np.array([0.0, 0.0, -0.5])
+    across[side] = sun[side] = np.sign(each.toward_sun[side])
+    range_km = float(told.position_inertial_km[2])
+    outside = replace(
+        told,
+        position_inertial_km=(SIZE / 2 + 60.0) / FOCAL_PX * range_km * across + [0.0, 0.0, range_km],
+        sun_direction_inertial=sun / np.linalg.norm(sun),
+    )  # of the outline only the dark half lies within the search, 40 px
+    found = estimator.estimate(each.image, each.camera, Scene(targets=(replace(target, ephemeris=outside),)))
+    assert isinstance(found, Failure)
+    assert found.reason is Reason.OUT_OF_FRAME, found

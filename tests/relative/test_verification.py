@@ -168,6 +168,27 @@ def test_rows_that_are_shifted_and_a_roll_are_another_figure_unless_declared() -
     assert not flags(inputs_of(signal, 60.0, turn=rolled, told_km=shape, uncertainty=declared)).suspect
 
 
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_a_pole_told_10_degrees_off_is_another_figure_where_nothing_else_is_wrong(axis: tuple[float, ...]) -> None:
+    turned = Rotation.from_rotvec(math.radians(10.0) * np.array(axis)) * TURN
+    assert Quality.WRONG_FIGURE in flags(inputs_of(light(60.0), 60.0, turn=turned))
+
+
+def test_rows_that_are_one_pixel_off_are_another_figure() -> None:
+    rows = light(20.0).copy()
+    rows[80:] = np.roll(rows[80:], 1, axis=1)
+    between = POSITION_KM + np.array([0.15, 0.0, 0.0])  # 0.3 km to a pixel
+    assert Quality.WRONG_FIGURE in flags(inputs_of(rows, 20.0), between)
+
+
+@pytest.mark.parametrize("law", ["minnaert", "hapke", "lommel_seeliger"])
+def test_a_law_that_is_not_the_one_told_is_no_other_figure(law: str) -> None:
+    fix = verified(fix_at(inputs_of(light(100.0, law), 100.0)), inputs_of(light(100.0, law), 100.0), SEARCH_PX)
+    numbers = dict(part.split("=") for part in fix.provenance["checks"].split())
+    assert min(float(numbers[name]) for name in ("place_chance", "figure_chance", "blur_chance")) > 0.05
+    assert fix.flags == Quality.NONE
+
+
 def test_a_twin_in_the_search_region_is_as_good_and_one_beyond_it_is_not() -> None:
     far_km = POSITION_KM * [1.0, 1.0, 3.5]  # a radius of 8.6 px
     view = PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)

@@ -330,9 +330,15 @@ def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera
     Returns
     -------
     Failure
-        ``NOT_LIT`` where some of it is in the frame, else ``NO_LIMB``.
+        ``NOT_LIT`` where all of it is in the frame; ``OUT_OF_FRAME`` where some is, so that the lit part is outside;
+        ``NO_LIMB`` where none is.
     """
     rows, columns = view.usable.shape
+    if inside.any() and not inside.all():
+        return Failure(
+            Reason.OUT_OF_FRAME,
+            f"{inside.mean():.0%} of the predicted outline can lie in the frame, all dark: the lit limb is outside",
+        )
     if inside.any():
         cosine = -float(unit(position_camera_km) @ view.sun_direction_camera)
         return Failure(

@@ -192,8 +192,8 @@ def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Predictio
     Returns
     -------
     BodyLight or Failure
-        ``NO_SIGNAL``, ``AMBIGUOUS``, ``SATURATED``, and ``OUT_OF_FRAME`` where light of the body is cut by the edge of
-        the image.
+        ``NO_SIGNAL``; ``AMBIGUOUS``, also where light at the edge of the image is joined to that of a body that is
+        predicted inside; ``SATURATED``; and ``OUT_OF_FRAME`` where the edge cuts the light of the body.
     """
     template = prediction.template
     sky = _sky(image, prediction)
@@ -262,7 +262,7 @@ def _blob_of(signal: Float, sky: SkyPlane, prediction: Prediction) -> tuple[Mask
         return pixels, foreign, blobs.centroids_px[blob]
     thick = cv2.morphologyEx(pixels.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     if _touches(np.asarray(thick, dtype=bool)):
-        return _cut_by_frame()
+        return _cut_by_frame() if _may_be_cut(template, signal.shape, 0.0) else _joined_to_frame()
     # What reaches the frame is thin, as a hot column: only what is expected counts.
     y, x = np.nonzero(pixels & near)
     place = np.array([np.median(x), np.median(y)]) if x.size else template.photocenter_px
@@ -273,6 +273,14 @@ def _cut_by_frame() -> Failure:
     return Failure(
         Reason.OUT_OF_FRAME,
         "the light of the body reaches the edge of the image; use an estimator that matches limb or template",
+    )
+
+
+def _joined_to_frame() -> Failure:
+    return Failure(
+        Reason.AMBIGUOUS,
+        "light at the edge of the image is joined to that of the body, predicted inside: other light, or a body "
+        "that the edge cuts; use an estimator that matches limb or template",
     )
 
 
