@@ -285,10 +285,11 @@ def test_a_mesh_of_an_ellipsoid_gives_nearly_the_fix_of_the_ellipsoid_and_is_fla
 def test_relief_is_in_the_covariance() -> None:
     """Errors of the ellipsoids of made-up bodies against what their relief makes of the covariance."""
     nees, errors = [], []
+    wide = EllipsoidCRAOptions(search_range=0.1)
     for seed in range(8):
         shape = irregular_body(seed, facets=10_000, relief=0.025, roughness=0.002)
         case = body_image(shape, 70 + seed, phase_deg=25.0 + 10.0 * seed).believed(off_px=(4.0, 3.0))
-        result = EllipsoidCRA().estimate(case.image, case.camera, case.scene)
+        result = EllipsoidCRA(wide).estimate(case.image, case.camera, case.scene)
         assert isinstance(result, PositionFix), result
         assert Quality.SHAPE_APPROXIMATED in result.flags
         nees.append(case.nees(result))
@@ -296,6 +297,19 @@ def test_relief_is_in_the_covariance() -> None:
     assert np.mean(errors) > 0.2  # else there would be nothing to test
     low, high = mean_nees_band(len(nees))
     assert low < np.mean(nees) < 1.3 * high, nees  # the correlation length is that of asteroids on average
+
+
+def test_an_ellipsoid_that_leaves_more_of_the_range_open_than_is_searched_is_the_wrong_shape() -> None:
+    shape = irregular_body(1, facets=10_000, relief=0.04, roughness=0.002)
+    case = body_image(shape, 71, phase_deg=35.0).believed(off_px=(4.0, 3.0))
+    wide = EllipsoidCRA(EllipsoidCRAOptions(search_range=0.2)).estimate(case.image, case.camera, case.scene)
+    assert isinstance(wide, PositionFix), wide
+    found = EllipsoidCRA(EllipsoidCRAOptions(search_range=2.0 * wide.sigma_range_km / wide.range_km)).estimate(
+        case.image, case.camera, case.scene
+    )
+    assert isinstance(found, Failure)
+    assert found.reason is Reason.WRONG_SHAPE
+    assert "raise search_range" in found.detail
 
 
 def test_relief_is_the_distance_from_the_ellipsoid_along_its_normals() -> None:
