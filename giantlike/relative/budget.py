@@ -9,7 +9,7 @@ the difference of the two fixes, in which the noise cancels, is the response.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TypeVar
 
@@ -97,6 +97,35 @@ def with_budget(
         changes["covariance_px2"] = fix.covariance_px2 + summed(body)[:2, :2]
     if isinstance(fix, PositionFix) and in_camera.any():
         added_km2 = position_covariance(model, position_km, in_camera)
+        changes["covariance_camera_km2"] = fix.covariance_camera_km2 + added_km2
+    return replace(fix, **changes)  # type: ignore[arg-type]
+
+
+def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: Iterable[Cause]) -> AnyFix:
+    """Return a fix with the variances by some causes multiplied.
+
+    Parameters
+    ----------
+    fix : CenterFix or PositionFix
+        With its parts; one that has none is all noise.
+    model : CameraModel
+    factor : float
+        At least 1.
+    causes : iterable of Cause
+        In the image.
+
+    Returns
+    -------
+    CenterFix or PositionFix
+    """
+    chosen = tuple(causes)
+    if not fix.parts:
+        return replace(fix, covariance_px2=factor * fix.covariance_px2)
+    parts = {cause: factor * part if cause in chosen else part for cause, part in fix.parts.items()}
+    added = (factor - 1.0) * summed(fix.parts, chosen)
+    changes: dict[str, object] = {"parts": parts, "covariance_px2": fix.covariance_px2 + added[:2, :2]}
+    if isinstance(fix, PositionFix):
+        added_km2 = position_covariance(model, fix.position_camera_km, added)
         changes["covariance_camera_km2"] = fix.covariance_camera_km2 + added_km2
     return replace(fix, **changes)  # type: ignore[arg-type]
 

@@ -156,6 +156,20 @@ def test_a_fix_beside_the_body_disagrees_with_its_image() -> None:
         assert Quality.DISAGREEMENT in flags(inputs, POSITION_KM + off_km)
 
 
+def test_a_fix_a_little_beside_the_body_is_less_certain_and_one_that_agrees_stays_as_it_is() -> None:
+    inputs = inputs_of(light(60.0), 60.0)
+    sure, before = verified(fix_at(inputs), inputs, SEARCH_PX), fix_at(inputs)
+    np.testing.assert_array_equal(sure.covariance_camera_km2, before.covariance_camera_km2)
+    beside = fix_at(inputs, POSITION_KM + np.array([0.06, 0.0, 0.0]))  # 0.2 px: 4 of its sigma
+    found = verified(beside, inputs, SEARCH_PX)
+    assert not found.flags.suspect
+    grown = found.covariance_px2[0, 0] / beside.covariance_px2[0, 0]
+    assert 1.5 < grown < 9.0
+    np.testing.assert_allclose(found.parts[Cause.NOISE], grown * beside.parts[Cause.NOISE], rtol=1e-9)
+    expected = grown * beside.covariance_camera_km2
+    np.testing.assert_allclose(found.covariance_camera_km2, expected, rtol=0.0, atol=1e-6 * expected[2, 2])
+
+
 def test_rows_that_are_shifted_and_a_roll_are_another_figure_unless_declared() -> None:
     rows = light(60.0).copy()
     rows[80:] = np.roll(rows[80:], 4, axis=1)

@@ -373,8 +373,8 @@ def limb_fix(
     Returns
     -------
     PositionFix or Failure
-        ``LARGE_RESIDUALS``, ``DEGENERATE_GEOMETRY``, or ``WRONG_SHAPE`` where the ellipsoid that stands for a shape leaves
-        so much of the range open that right fixes lie beyond the search.
+        ``LARGE_RESIDUALS``, ``DEGENERATE_GEOMETRY``, or ``WRONG_SHAPE`` where the ellipsoid that stands for a shape
+        leaves so much of the range open that right fixes lie beyond the search.
     """
     position_km, covariance_km2 = solution.position_camera_km, solution.covariance_camera_km2
     rms_px = float(np.sqrt(np.mean(solution.residuals_px**2)))
@@ -398,7 +398,7 @@ def limb_fix(
     if measured.relief_px > 0.0 and _SURE * sigma_range > search.search_range > 0.0:
         return Failure(
             Reason.WRONG_SHAPE,
-            f"an ellipsoid for the shape leaves {sigma_range:.1%} of range open, and {_SURE:g} sigma must lie within the "
+            f"an ellipsoid for the shape leaves {sigma_range:.1%} of range open, and {_SURE:g} sigma must lie in the "
             f"search of {search.search_range:.1%}: use limb_matching or raise search_range",
         )
     checks = QualityChecks(

@@ -13,6 +13,7 @@ from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
+from giantlike.relative.budget import with_larger_errors
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
@@ -26,9 +27,9 @@ AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
 _CHECKED = "checks"
 """Key of the provenance of fixes: the numbers of their checks."""
-_LINEAR = 0.03
+_LINEAR = 0.01
 """Motion over the radius, and change of the range, up to which derivatives of the coarse render tell the residuals: a
-third of a cell."""
+fifth of a cell. The square of a motion that is left looks like a blur."""
 _BELIEVED = 0.5
 """Motion over the radius, and change of the range, beyond which the coarse fit has not found the body."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
@@ -65,15 +66,54 @@ def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float) -> AnyFix:
     """
     if _CHECKED in fix.provenance:
         return fix
-    numbers = _image_numbers(fix, inputs, search_px)
+    coarse = _coarse(fix, inputs, search_px)
+    numbers = _Numbers() if coarse is None else _image_numbers(fix, coarse, inputs, search_px)
     chance = _prediction_chance(fix, inputs)
     if chance is not None:
         numbers["prediction_chance"] = chance
     if not numbers:
         return fix
     checks = QualityChecks(off_px=np.zeros(2), search_px=math.inf, **numbers)
-    text = " ".join(f"{name}={number:.3g}" for name, number in numbers.items())
-    return replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
+    tension = 1.0 if coarse is None or coarse.fit is None else tension_of(fix, coarse.fit)
+    text = " ".join(f"{name}={number:.3g}" for name, number in (*numbers.items(), ("tension", tension)))
+    fix = replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
+    return fix if tension == 1.0 else with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)
+
+
+def tension_of(fix: CenterFix, fit: CoarseFit) -> float:
+    """Factor by which the variances of a fix are too small for what a coarse fit asks for beyond it.
+
+    What contradicts a fix makes it suspect; what is merely unlikely makes it less certain. The factor is the ratio by
+    which Birge makes measurements consistent: the larger of squared motion and strain per degree of freedom, and at
+    least 1. Of right fixes on right models none has more.
+
+    Parameters
+    ----------
+    fix : CenterFix or PositionFix
+    fit : CoarseFit
+        At the place of the fix.
+
+    Returns
+    -------
+    float
+
+    References
+    ----------
+    .. [1] Birge (1932), The calculation of errors by the method of least squares, Phys. Rev. 40, 207: the ratio of
+       external to internal consistency.
+    """
+    own = _own(fix)
+    size = len(own)
+    asked = (
+        (fit.moved[:size], fit.covariance[:size, :size] + own),
+        (fit.strain, fit.strain_covariance),
+    )
+    return max(1.0, *(_squared(difference, covariance) / len(difference) for difference, covariance in asked))
+
+
+def _own(fix: CenterFix) -> Float:
+    """Covariance of a fix, of center and logarithm of the range, without what the coarse fit has in common with it."""
+    return summed(fix.parts, _OF_ITS_OWN) if fix.parts else fix.covariance_px2
 
 
 def chance_of(difference: Float, covariance: Float) -> float:
@@ -90,9 +130,14 @@ def chance_of(difference: Float, covariance: Float) -> float:
     """
     from scipy.stats import chi2
 
+    return float(chi2.sf(_squared(difference, covariance), len(difference)))
+
+
+def _squared(difference: Float, covariance: Float) -> float:
+    """Squared length of a difference (k,) over its covariance (k, k)."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     whitened = np.linalg.lstsq(covariance / np.outer(scale, scale), difference / scale, rcond=None)[0]
-    return float(chi2.sf(float(whitened @ (difference / scale)), len(difference)))
+    return float(whitened @ (difference / scale))
 
 
 def _prediction_chance(fix: CenterFix, inputs: EstimatorInputs) -> float | None:
@@ -111,11 +156,8 @@ def _prediction_chance(fix: CenterFix, inputs: EstimatorInputs) -> float | None:
     return chance_of(difference[compared], fix.covariance_total[compared, compared])
 
 
-def _image_numbers(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Numbers:
-    """Numbers of the coarse render at the place found; none where the body has no face or is not seen."""
-    coarse = _coarse(fix, inputs, search_px)
-    if coarse is None:
-        return _Numbers()
+def _image_numbers(fix: CenterFix, coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> _Numbers:
+    """Numbers of the coarse render at the place found; none where the body has no face."""
     cells, trace, own = coarse.cells, coarse.trace, coarse.own
     numbers = _Numbers()
     side = light_side(cells, trace, own, inputs.geometry.sun_direction_camera) if cells.has_face else None
@@ -130,7 +172,7 @@ def _image_numbers(fix: CenterFix, inputs: EstimatorInputs, search_px: float) ->
 
 def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers:
     """Residuals of a coarse fit, and chances that what it asks for beyond the fix are errors of its own."""
-    own = summed(fix.parts, _OF_ITS_OWN) if fix.parts else fix.covariance_px2
+    own = _own(fix)
     size = len(own)
     return _Numbers(
         misfit=fit.misfit,
