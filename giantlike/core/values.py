@@ -103,6 +103,8 @@ def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE
     """
     shape = covariance.shape
     require(len(shape) >= 2 and shape[-1] == shape[-2], f"{name} must be square, got shape {shape}")
+    if shape[-2:] == (2, 2) and _clearly_covariances(covariance):
+        return
     if not np.isfinite(covariance).all():
         covariance = covariance[np.isfinite(covariance).all(axis=(-2, -1))]
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
@@ -117,6 +119,13 @@ def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE
         least >= -tolerance,
         f"{name} must be positive semi-definite, its correlation matrix has the eigenvalue {least:.2g}",
     )
+
+
+def _clearly_covariances(matrices: Float) -> bool:
+    """True if matrices (..., 2, 2) are exactly symmetric, finite and positive definite: in a tenth of the time."""
+    a, b, c, d = matrices.reshape(-1, 4).T
+    sound = (b == c) & (a > 0.0) & (b * b < a * d) & (a + d < np.inf)
+    return bool(sound.all())
 
 
 def _least_eigenvalues(matrices: Float) -> Float:

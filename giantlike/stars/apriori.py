@@ -25,6 +25,13 @@ from giantlike.stars.matching import (
 from giantlike.stars.options import StarOptions
 
 _SAMPLE = 4  # stars of a random sample, as in the paper: two fix an attitude, four show a wrong pair among them
+_RANSAC_PAIRS = 128
+"""Pairs at most, of all brightnesses, that random samples are taken from and judged by. Samples find an attitude where
+a quarter of the pairs are right, and these are then 32."""
+_RANSAC_CHUNK = 50  # samples tried at a time
+_RANSAC_MISSED = 4e-9
+"""Probability that all samples so far hold a wrong pair, if as many are right as agree with the best, below which no
+more are tried: that of all 300 where half of the pairs are wrong (``StarOptions.ransac_iterations``)."""
 _VOTING_STARS, _VOTING_POINTS = 150, 100  # brightest stars and detections that vote for a common shift; bounds its time
 
 
@@ -187,19 +194,28 @@ def ransac_attitude(
     size = min(_SAMPLE, len(points))
     if size < 2:
         return Rotation.identity(), 0
+    if len(points) > _RANSAC_PAIRS:
+        some = np.linspace(0, len(points) - 1, _RANSAC_PAIRS).astype(np.intp)
+        directions, vectors, points = directions[some], vectors[some], points[some]
     rng = np.random.default_rng(options.seed)
-    samples = np.argsort(rng.random((options.ransac_iterations, len(points))), axis=1)[:, :size]
-    rotations = Rotation.from_quat(davenport_quaternions(directions[samples], vectors[samples]))
-    predicted = camera.model.project(np.einsum("sij,kj->ski", rotations.as_matrix(), directions))
-    squares = np.sum((predicted - points) ** 2, axis=-1)
-    inside = squares <= options.inlier_px**2  # NaN compares false
-    counts = inside.sum(axis=1)
-    costs = np.where(inside, squares, 0.0).sum(axis=1)
-    best = int(np.lexsort((costs, -counts))[0])
-    chosen = inside[best]
-    if counts[best] < 2:
-        return rotations[best], int(counts[best])
-    return Rotation.from_quat(davenport_quaternions(directions[chosen], vectors[chosen])), int(counts[best])
+    most, least, chosen = -1, np.inf, np.zeros(len(points), dtype=bool)
+    for tried in range(0, options.ransac_iterations, _RANSAC_CHUNK):
+        count = min(_RANSAC_CHUNK, options.ransac_iterations - tried)
+        samples = np.argpartition(rng.random((count, len(points))), size - 1, axis=1)[:, :size]
+        rotations = Rotation.from_quat(davenport_quaternions(directions[samples], vectors[samples]))
+        predicted = camera.model.project(directions @ rotations.as_matrix().swapaxes(1, 2))
+        squares = np.sum((predicted - points) ** 2, axis=-1)
+        inside = squares <= options.inlier_px**2  # NaN compares false
+        counts = inside.sum(axis=1)
+        costs = np.where(inside, squares, 0.0).sum(axis=1)
+        best = int(np.lexsort((costs, -counts))[0])
+        if (-counts[best], costs[best]) < (-most, least):
+            most, least, chosen, rotation = int(counts[best]), float(costs[best]), inside[best], rotations[best]
+        if (1.0 - (most / len(points)) ** size) ** (tried + count) < _RANSAC_MISSED:
+            break
+    if most < 2:
+        return rotation, most
+    return Rotation.from_quat(davenport_quaternions(directions[chosen], vectors[chosen])), most
 
 
 def _verified(

@@ -16,7 +16,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.statistics import error_floor, error_terms, hidden_floor, squared_residuals
+from giantlike.core.statistics import error_floor, error_terms, hidden_floor, squared_residuals, whitened
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 from giantlike.stars.smooth_errors import shared_covariance, shared_error_px
@@ -237,24 +237,23 @@ def _wahba(method: WahbaMethod, state: _State, stars: _Stars, _: Scale) -> tuple
 
 def _gauss_newton(state: _State, stars: _Stars, scale: Scale) -> tuple[_State, Float] | Failure:
     """Weighted least squares: the state and the covariance (3 + scale, 3 + scale) of its parameters."""
-    weights = np.linalg.inv(stars.covariance_px2)
     for _ in range(_MAX_STEPS):
-        jacobian = state.jacobian(stars.directions, scale)
         residuals = stars.residuals(state)
         if not np.isfinite(residuals).all():
             return Failure(Reason.NOT_CONVERGED, "a star left the region that the camera model can project")
-        weighted = np.swapaxes(jacobian, 1, 2) @ weights
-        normal = np.sum(weighted @ jacobian, axis=0)
-        gradient = np.sum(weighted @ residuals[..., None], axis=0)[:, 0]
+        table = np.concatenate([state.jacobian(stars.directions, scale), residuals[..., None]], axis=-1)
+        table = whitened(table, stars.covariance_px2).reshape(2 * len(residuals), -1)
+        products = table.T @ table
+        normal, gradient = products[:-1, :-1], products[:-1, -1]
         units = 1.0 / np.sqrt(np.diag(normal))
         scaled = normal * np.outer(units, units)
         if not np.linalg.cond(scaled) < 1e12:
-            return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(weights)} stars do not fix all parameters of the fit")
+            return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(residuals)} stars do not fix all parameters of the fit")
         step = np.linalg.solve(scaled, gradient * units) * units
         state = state.moved(step)
         if np.abs(step).max() < _STEP_RAD:
             return state, np.linalg.inv(scaled) * np.outer(units, units)
-    return Failure(Reason.NOT_CONVERGED, f"the fit of {len(weights)} stars did not converge in {_MAX_STEPS} steps")
+    return Failure(Reason.NOT_CONVERGED, f"the fit of {len(residuals)} stars did not converge in {_MAX_STEPS} steps")
 
 
 def _without_outliers(
@@ -322,9 +321,11 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
 def _by_pixels(state: _State, stars: _Stars, scale: Scale) -> Float:
     """Derivative (3, n, 2) of the rotation by the centroids: ``(H^T W H)^-1 H^T W``, rad/px."""
     jacobian = state.jacobian(stars.directions, scale)
-    weighted = np.swapaxes(jacobian, 1, 2) @ np.linalg.inv(stars.covariance_px2)
+    (a, b), (_, d) = np.moveaxis(stars.covariance_px2, 0, -1)
+    inverse = np.array([[d, -b], [-b, a]]) / (a * d - b * b)
+    weighted = np.swapaxes(jacobian, 1, 2) @ np.moveaxis(inverse, -1, 0)
     normal = np.sum(weighted @ jacobian, axis=0)
     units = 1.0 / np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)
-    by_pixels: Float = np.einsum("ij,njk->ink", inverse[:3], weighted)
+    covariance = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)
+    by_pixels: Float = np.moveaxis(covariance[:3] @ weighted, 0, 1)
     return by_pixels

@@ -28,7 +28,7 @@ from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.apriori import identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.consider import attitude_parts, response_to_camera
-from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky
+from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, half_diagonal_rad
 from giantlike.stars.lost_in_space import identify_in_cone, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within, predicted_in_frame
 from giantlike.stars.options import StarOptions, bright_enough
@@ -222,8 +222,11 @@ class StarNavigation:
         self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky
     ) -> RefinedAttitude | Failure:
         options, camera = self.options, self.camera
-        depth = depth_for(len(points_px))
-        wide = sky.field(camera, camera_from_inertial, margin_px=options.max_pixel_distance, count=depth)
+        depth, margin = depth_for(len(points_px)), options.max_pixel_distance
+        # the sky looked up is that of any attitude within the margin: as deep as for one of them
+        several = (1.0 + margin / (half_diagonal_rad(camera) * camera.model.focal_length_px)) ** 2
+        around = sky.field(camera, camera_from_inertial, margin_px=margin, count=math.ceil(several * depth))
+        wide = around.brightest(depth)
         expected = camera.contains(camera.model.project(rotate(camera_from_inertial, wide.directions_inertial)))
         offered = _DETECTIONS_PER_STAR * int(expected.sum()) + _SPARE_DETECTIONS
         points, covariance = points_px[:offered], covariance_px2[:offered]
@@ -232,7 +235,7 @@ class StarNavigation:
             near: RefinedAttitude | Failure = found
         else:
             near = refine_attitude(
-                sky.field(camera, found.camera_from_inertial, count=depth),
+                around,
                 points,
                 covariance,
                 camera,

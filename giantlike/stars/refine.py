@@ -108,14 +108,14 @@ def refine_attitude(
                 f"{len(matches)} of {len(points_px)} detections match a star to {radius:.3g} px, "
                 f"{options.min_matches} are needed",
             )
+        now = (matches.star_indices.tobytes(), matches.detection_indices.tobytes())
+        if now == previous and radius == options.inlier_px:
+            break  # the same stars give the same attitude
         fitted = refinement.fit(matches, predicted, camera)
         if isinstance(fitted, Failure):
             return fitted
         solution, rotation = fitted, fitted.camera_from_inertial
         camera = dataclasses.replace(camera, model=solution.model)
-        now = (matches.star_indices.tobytes(), matches.detection_indices.tobytes())
-        if now == previous and radius == options.inlier_px:
-            break
         previous, radius = now, options.inlier_px
     return refinement.accepted(matches, solution, camera)
 
@@ -145,6 +145,8 @@ def significant_matches(predicted_px: Float, points_px: Float, radius_px: float,
     chance = np.minimum(np.arange(1, visible.size + 1) * np.pi * radius_px**2 / area_px2, 0.5)
     log_tail = log_chance(np.cumsum(is_matched), len(points_px), chance)
     depth = int(np.argmin(np.where(is_matched, log_tail, np.inf))) + 1
+    if depth == visible.size:
+        return matches
     limited = np.full_like(predicted_px, np.nan)
     limited[visible[:depth]] = predicted_px[visible[:depth]]
     return match_nearest(limited, points_px, radius_px)

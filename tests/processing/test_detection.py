@@ -135,7 +135,7 @@ def test_centroids_reach_the_cramer_rao_bound_without_bias_and_with_honest_covar
 ) -> None:
     shape, flux = (1200, 1200), flux_of_snr(snr, sigma_px)
     errors, nees = [], []
-    for seed in (11, 12):
+    for seed in (20, 21, 22, 23):
         points = spread_points(shape, 40, seed)
         found = detected(
             exposed(star_image(points, np.full(len(points), flux), sigma_px, shape), seed), psf_sigma_px=sigma_px

@@ -21,7 +21,7 @@ unseen neighbor, a wrong gain), and the noise is not the error. Correlation betw
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +34,17 @@ from giantlike.processing.detection.patches import (
     Patches,
     chi2_inflation,
     inverses,
-    normal_equations,
     pixel_shares,
 )
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
-_CONVERGED_SIGMAS = 0.02  # last step over the error of the centroid: adds 0.02 % to its variance
+_CONVERGED_SIGMAS = 0.1  # last step over the error of the centroid: the next is a fifth of it, 0.04 % of the variance
+_CONVERGED_FLUX = 0.02  # last step over the flux: the covariance is that before it
+_CONVERGED_WIDTH = 0.05  # last step of ln sigma: flags ask for widths off by a third
 _N_UNKNOWNS = 7
+_ROUNDING = 3e-6  # of the diagonal: above what single precision may take off an eigenvalue of fits to a few pixels
+_BLOCK = 512  # stars fitted together: derivatives by patches of 9 x 9 pixels are then 1.3 MB
 _PLANE = [3, 5, 6]  # level of the background and its slopes, of these unknowns
 _NONLINEAR = [0, 1, 4]  # x, y, ln sigma: the model is linear in the others
 _LOG_WIDTH_LIMIT = math.log(4.0)  # largest change of ln sigma from that of the PSF: flags need no more than a factor 3
@@ -83,10 +86,11 @@ def fit_stars(
     *,
     flux_dn: Float,
     psf_sigma_px: float,
+    points_px: Float | None = None,
     width_prior: float = 0.25,
     isolated: bool = False,
 ) -> StarFits:
-    r"""Fit a pixel-integrated Gaussian to each patch, starting at the middle of its central pixel.
+    r"""Fit a pixel-integrated Gaussian to each patch.
 
     Parameters
     ----------
@@ -95,6 +99,8 @@ def fit_stars(
         First guess.
     psf_sigma_px : float, px
         Expected width; start and prior of the fitted one. At least ``MIN_PSF_SIGMA_PX``.
+    points_px : (n, 2) float64, px, optional
+        First guess; default: the middle of the central pixel of each patch.
     width_prior : float
         Standard deviation of the prior on ln sigma, by default 25 %: it keeps the fits of faint stars in bounds and
         does not touch those of bright ones.
@@ -113,20 +119,20 @@ def fit_stars(
     psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
     flux_dn, log_width = np.maximum(flux_dn, patches.noise_dn), np.full(len(flux_dn), math.log(psf))
     slopes = np.zeros((len(flux_dn), 2))
-    start = np.column_stack([patches.centers_px, flux_dn, patches.border_level_dn(), log_width, slopes])
+    places = patches.centers_px if points_px is None else points_px
+    start = np.column_stack([places, flux_dn, patches.border_level_dn(), log_width, slopes])
     problem = _Problem(patches, psf, width_prior)
-    parameters, good = problem.solve(start)
-    pairs = neighbor_pairs(start[:, :2], patches.reach_px)
+    solution = problem.solve(start)
+    pairs = neighbor_pairs(patches.centers_px.astype(np.float64), patches.reach_px)
     for _ in range(0 if isolated else _NEIGHBOR_ROUNDS):
-        near = pairs[good[pairs[:, 1]]]  # a fit that ran away must not be subtracted from its neighbors
+        near = pairs[solution.good[pairs[:, 1]]]  # a fit that ran away must not be subtracted from its neighbors
         if not len(near):
             break
         blended = np.unique(near[:, 0])
-        problem = replace(problem, patches=_without_neighbors(patches, parameters, near))
-        parameters[blended], good[blended] = problem.select(blended).solve(
-            np.where(good[blended, None], parameters[blended], start[blended])
-        )
-    return problem.finish(parameters, good)
+        alone = _without_neighbors(patches, solution.parameters, near).select(blended)
+        again = np.where(solution.good[blended, None], solution.parameters[blended], start[blended])
+        solution.replace(blended, replace(problem, patches=alone).solve(again))
+    return problem.finish(solution)
 
 
 def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
@@ -144,6 +150,25 @@ def _without_neighbors(patches: Patches, parameters: Float, pairs: NDArray[np.in
     return replace(patches, values_dn=values)
 
 
+@dataclass(slots=True)
+class _Solution:
+    """Parameters (n, 7), their covariances (n, 7, 7), chi-squares (n,), pixels used (n,), converged near the peak (n,).
+
+    Covariance and chi-square are those before the last step, a tenth of a sigma at most.
+    """
+
+    parameters: Float
+    covariance: Float
+    chi2: Float
+    count: NDArray[np.int64]
+    good: Mask
+
+    def replace(self, which: NDArray[np.integer], other: _Solution) -> None:
+        """Take over the solution of the stars of these indices (k,)."""
+        for field in fields(self):
+            getattr(self, field.name)[which] = getattr(other, field.name)
+
+
 @dataclass(frozen=True, slots=True)
 class _Problem:
     """Least squares of all stars: parameters (n, 7) are x, y, flux, background, ln sigma, slopes along x and y."""
@@ -152,60 +177,96 @@ class _Problem:
     psf_sigma_px: float
     width_prior: float
 
-    def select(self, which: NDArray[np.integer]) -> _Problem:
+    def select(self, which: NDArray[np.integer] | slice) -> _Problem:
         return replace(self, patches=self.patches.select(which))
 
-    def solve(self, start: Float) -> tuple[Float, Mask]:
-        """Gauss-Newton from ``start`` (n, 7): parameters (n, 7), and a mask (n,) of fits converged near the peak."""
-        parameters = start.copy()
-        active = np.arange(len(start))
-        last, pace = np.zeros_like(start), np.ones(len(start))
+    def solve(self, start: Float) -> _Solution:
+        """Gauss-Newton from ``start`` (n, 7)."""
+        n = len(start)
+        solution = _Solution(
+            parameters=start.copy(),
+            covariance=np.empty((n, _N_UNKNOWNS, _N_UNKNOWNS)),
+            chi2=np.empty(n),
+            count=np.empty(n, dtype=np.int64),
+            good=np.ones(n, dtype=bool),
+        )
+        active = np.arange(n)
+        last, pace = np.zeros_like(start), np.ones(n)
         problem = self
         for _ in range(_MAX_STEPS):
             if not active.size:
                 break
-            now = parameters[active]
-            normal, right, chi2, count = problem.linearize(now)
-            covariance = inverses(normal)
-            step = problem.limited(now, (covariance @ right[:, :, None])[:, :, 0])
+            now = solution.parameters[active]
+            covariance, step, chi2, count = problem.stepped(now)
             # A step back is a step too far: undersampled stars overshoot for ever at full length.
             back = np.sum((step * last[active])[:, _NONLINEAR], axis=1) < 0.0
             pace[active] = np.where(back, 0.5 * pace[active], np.minimum(1.0, 1.5 * pace[active]))
             last[active] = step
-            parameters[active] = now + pace[active, None] * step
+            solution.parameters[active] = now + pace[active, None] * step
+            solution.covariance[active], solution.chi2[active], solution.count[active] = covariance, chi2, count
             error = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) * np.maximum(1.0, chi2 / count.clip(1)))
             still = np.hypot(step[:, 0], step[:, 1]) <= np.maximum(_CONVERGED_PX, _CONVERGED_SIGMAS * error)
+            still &= (np.abs(step[:, 2]) <= _CONVERGED_FLUX * now[:, 2]) & (np.abs(step[:, 4]) <= _CONVERGED_WIDTH)
             if still.any():
                 active, problem = active[~still], problem.select(np.flatnonzero(~still))
         reach = 1.0 + _MAX_SHIFT_WIDTHS * self.psf_sigma_px
-        good = np.hypot(*(parameters[:, :2] - self.patches.centers_px).T) <= reach
-        good[active] = False
-        return parameters, good
+        solution.good[:] = np.hypot(*(solution.parameters[:, :2] - self.patches.centers_px).T) <= reach
+        solution.good[active] = False
+        return solution
+
+    def stepped(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
+        """Covariances (n, 7, 7), steps (n, 7), chi-squares (n,), pixels (n,): a block of stars at a time.
+
+        The derivatives of a block stay in the cache.
+        """
+        parts = []
+        for first in range(0, len(parameters), _BLOCK):
+            which = slice(first, first + _BLOCK)
+            block = self if len(parameters) <= _BLOCK else self.select(which)
+            normal, right, chi2, count = block.linearize(parameters[which])
+            covariance = inverses(normal)
+            step = block.limited(parameters[which], (covariance @ right[:, :, None])[:, :, 0])
+            parts.append((covariance, step, chi2, count))
+        covariances, steps, chi2s, counts = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return covariances, steps, chi2s, counts
 
     def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
         """Normal matrices (n, 7, 7), right sides (n, 7), chi-squares (n,) and numbers of pixels (n,)."""
         patches, n, size = self.patches, len(parameters), self.patches.size_px
-        x, y, flux, _, log_width, *_ = parameters.T
+        flux, log_width = parameters[:, 2], parameters[:, 4]
         width = np.exp(log_width)
-        px, px_center, px_width = pixel_shares(patches.corner_px[:, 0], size, x, width)
-        py, py_center, py_width = pixel_shares(patches.corner_px[:, 1], size, y, width)
-        scale = flux[:, None, None]
-        star = py[:, :, None] * px[:, None, :]
-        jacobian = np.empty((n, _N_UNKNOWNS, size, size))
-        jacobian[:, 0] = scale * py[:, :, None] * px_center[:, None, :]
-        jacobian[:, 1] = scale * py_center[:, :, None] * px[:, None, :]
-        jacobian[:, 2] = star
-        jacobian[:, _PLANE] = patches.plane_terms()
-        jacobian[:, 4] = scale * (py[:, :, None] * px_width[:, None, :] + py_width[:, :, None] * px[:, None, :])
-        residual, weight = patches.residuals(scale * star, parameters[:, _PLANE])
-        normal, right = normal_equations(jacobian.reshape(n, _N_UNKNOWNS, -1), residual, weight)
+        places, corners = parameters[:, :2].T.ravel(), patches.corner_px.T.ravel()
+        shares, by_place, by_width = pixel_shares(corners, size, places, np.concatenate([width, width]))
+        across = [part[:n, None, :] for part in (shares, by_place, by_width)]
+        down = [part[n:, :, None] for part in (shares, by_place, by_width)]
+        light = (flux[:, None, None] * down[0]) * across[0]
+        residual, weight = patches.residuals(light, parameters[:, _PLANE])
+        # Single precision moves the solution by 1e-5 sigma: the residuals themselves are rounded after the difference.
+        table = np.empty((n, _N_UNKNOWNS + 1, size, size), dtype=np.float32)
+        weights = np.sqrt(weight).reshape(n, size, size)
+        table[:, _N_UNKNOWNS] = weights * residual.reshape(weights.shape)
+        px, dx, wx = (part.astype(np.float32) for part in across)
+        py, dy, wy = (part.astype(np.float32) for part in down)
+        root = weights.astype(np.float32)
+        np.multiply(root * px, py, out=table[:, 2])
+        for index, term in zip(_PLANE, patches.plane_terms().astype(np.float32), strict=True):
+            np.multiply(root, term, out=table[:, index])
+        root *= flux.astype(np.float32)[:, None, None]
+        np.multiply(root * py, dx, out=table[:, 0])
+        np.multiply(root * px, dy, out=table[:, 1])
+        np.multiply(root, py * wx + wy * px, out=table[:, 4])
+        flat = table.reshape(n, _N_UNKNOWNS + 1, -1)
+        products = (flat @ flat.swapaxes(1, 2)).astype(np.float64)
+        normal, right = products[:, :-1, :-1], products[:, :-1, -1]
         normal[:, 4, 4] += self.width_prior**-2
         right[:, 4] += (math.log(self.psf_sigma_px) - log_width) * self.width_prior**-2
         # A star without pixels has no information: keep the matrix regular, its covariance says so.
         tiny, level = np.full(n, 1e-6), 1e-12 / patches.noise_dn**2
         diagonal = [0, 1, 2, *_PLANE]
         normal[:, diagonal, diagonal] += np.stack([tiny, tiny, (1e-6 / flux) ** 2, level, level, level], axis=-1)
-        return normal, right, np.sum(weight * residual**2, axis=1), np.count_nonzero(weight, axis=1)
+        every = np.arange(_N_UNKNOWNS)
+        normal[:, every, every] *= 1.0 + _ROUNDING
+        return normal, right, products[:, -1, -1], np.count_nonzero(weight, axis=1)
 
     def limited(self, parameters: Float, step: Float) -> Float:
         """Limit steps (n, 7) to the region in which the linearization is valid."""
@@ -220,12 +281,11 @@ class _Problem:
         result[:, 4] = np.maximum(wanted, math.log(0.6 * MIN_PSF_SIGMA_PX)) - parameters[:, 4]
         return result
 
-    def finish(self, parameters: Float, good: Mask) -> StarFits:
+    def finish(self, solution: _Solution) -> StarFits:
         """Covariances and quality of the solution."""
-        normal, _, chi2, count = self.linearize(parameters)
-        covariance = inverses(normal)
-        freedom = np.maximum(count - _N_UNKNOWNS, 1)
-        inflation = chi2_inflation(chi2, freedom)
+        parameters, covariance = solution.parameters, solution.covariance
+        freedom = np.maximum(solution.count - _N_UNKNOWNS, 1)
+        inflation = chi2_inflation(solution.chi2, freedom)
         inflation *= 1.0 + _SECOND_ORDER * covariance[:, 2, 2] / parameters[:, 2] ** 2
         return StarFits(
             points_px=parameters[:, :2],
@@ -234,6 +294,6 @@ class _Problem:
             background_dn=self.patches.level_dn(parameters[:, _PLANE], parameters[:, :2]),
             width_px=np.exp(parameters[:, 4]),
             planes=parameters[:, _PLANE],
-            reduced_chi2=chi2 / freedom,
-            converged=good & (count > _N_UNKNOWNS),
+            reduced_chi2=solution.chi2 / freedom,
+            converged=solution.good & (solution.count > _N_UNKNOWNS),
         )

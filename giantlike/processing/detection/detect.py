@@ -16,16 +16,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.values import Value, select_rows
+from giantlike.processing.detection.candidates import Candidates, find_candidates
 from giantlike.processing.detection.centroid import StarFits, fit_stars, neighbor_pairs
 from giantlike.processing.detection.common_streak import (
     CommonStreak,
@@ -37,7 +36,6 @@ from giantlike.processing.detection.detections import DetectionFlag, Detections,
 from giantlike.processing.detection.frame import Frame, frame_of
 from giantlike.processing.detection.matched_filter import (
     FilteredImage,
-    Image32,
     matched_filter,
     noise_between,
     recorded_width_px,
@@ -71,34 +69,12 @@ _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three si
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
 _STREAK_UNEXPLAINED = 0.3  # share of the power left by the fitted line above which a source is no streak; no study yet
 
-_EXTENDED_AREA = 4.0  # area over that of a star of the same peak above the threshold; no study yet
-_EXTENDED_AREA_MARGIN_PX = 12  # added to it, px: small areas fluctuate with the noise
 _EXTENDED_WIDTH = 2.0  # width over that of a recorded star above which a source is extended
 _EXTENDED_WIDTH_SATURATED = 3.0  # the same for saturated sources: bright stars bloom
 _ELONGATED = 0.9  # longest axis of the windowed moments: 0.5 for a star, 1 for anything longer than the window
 _SHARP_WIDTH = 0.62  # width over the usual width of the stars of the image below which a source is sharp; no study yet
 _SHARP_MIN_PSF_PX = 0.4  # usual width, px, below which a star and a hot pixel look the same
 _USUAL_MIN_STARS = 10  # fewest stars whose median width replaces that of the PSF
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Candidates(Value):
-    """Peaks of the filtered image, most significant first."""
-
-    peaks_px: NDArray[np.int64]
-    flux_dn: Float
-    noise_dn: Float
-    significance: Float
-    area_px: NDArray[np.int64]
-    extended: Mask
-    alone: Mask
-    first: Mask
-
-    def __len__(self) -> int:
-        return len(self.flux_dn)
-
-    def select(self, which: NDArray[np.integer] | Mask | slice) -> _Candidates:
-        return select_rows(self, which)
 
 
 def detect_sources(
@@ -181,7 +157,7 @@ def detect_sources(
 
 def _search(
     frame: Frame, psf_sigma_px: float | None, options: DetectionOptions
-) -> tuple[float, FilteredImage, _Candidates]:
+) -> tuple[float, FilteredImage, Candidates]:
     """Search with the given width of the PSF or, without one, that of the sources of the image."""
     if psf_sigma_px is not None:
         psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
@@ -200,7 +176,7 @@ def _search(
 
 def _search_with(
     frame: Frame, psf_sigma_px: float, options: DetectionOptions, half_streak_px: tuple[float, float] | None = None
-) -> tuple[FilteredImage, _Candidates]:
+) -> tuple[FilteredImage, Candidates]:
     """Filter for stars or streaks of this width and list the peaks."""
     filtered = matched_filter(
         frame.flat,
@@ -211,65 +187,16 @@ def _search_with(
     )
     if frame.noise_dn is not None:
         filtered = replace(filtered, noise_dn=np.maximum(frame.noise_dn, np.float32(frame.noise_floor_dn)))
-    found = _find_peaks(frame, filtered, options)
+    found = find_candidates(frame, filtered, options)
     return filtered, found if half_streak_px is None else found.select(found.first)
 
 
-def _common_streak(frame: Frame, found: _Candidates, psf_sigma_px: float | None) -> CommonStreak | None:
+def _common_streak(frame: Frame, found: Candidates, psf_sigma_px: float | None) -> CommonStreak | None:
     bright = found.select(found.first & (found.significance > _STREAK_MIN_SIGNIFICANCE))
     return find_common_streak(frame, bright.peaks_px, bright.noise_dn, psf_sigma_px)
 
 
-def _find_peaks(frame: Frame, filtered: FilteredImage, options: DetectionOptions) -> _Candidates:
-    """Local maxima of the filtered image above the threshold, with the component that each belongs to."""
-    limit = filtered.noise_dn * np.float32(options.threshold_sigma * filtered.response_noise)
-    above = cv2.compare(filtered.response, limit, cv2.CMP_GT)
-    n_components, labels = cv2.connectedComponents(above, connectivity=8, ltype=cv2.CV_32S)
-    lit = cv2.findNonZero(above)
-    points = np.zeros((0, 2), dtype=np.int64) if lit is None else lit.reshape(-1, 2).astype(np.int64)
-    component = labels[points[:, 1], points[:, 0]].astype(np.int64)
-    area = np.bincount(component, minlength=n_components)
-    peak = _local_maxima(filtered.response, points) & (area[component] >= options.min_area_px)
-    points, component = points[peak], component[peak]
-    response = filtered.response[points[:, 1], points[:, 0]].astype(np.float64)
-    noise = filtered.noise_dn[points[:, 1], points[:, 0]].astype(np.float64)
-    significance = response / (noise * filtered.response_noise)
-    order = np.argsort(-significance, kind="stable")
-    first = np.zeros(len(order), dtype=bool)  # the strongest peak of its component
-    first[np.unique(component[order], return_index=True)[1]] = True
-    points, component, significance = points[order], component[order], significance[order]
-    strongest = np.zeros(n_components)
-    strongest[component[first]] = significance[first]
-    star_area = 4.0 * math.pi * filtered.width_px**2 * np.log(strongest[component] / options.threshold_sigma)
-    extended = area[component] > _EXTENDED_AREA * star_area + _EXTENDED_AREA_MARGIN_PX
-    near_saturation = frame.patches(points, 1).saturated.any(axis=(1, 2))
-    candidates = _Candidates(
-        peaks_px=points,
-        flux_dn=response[order] * filtered.flux_per_response,
-        noise_dn=noise[order],
-        significance=significance,
-        area_px=area[component].astype(np.int64),
-        extended=extended,
-        alone=np.bincount(component, minlength=n_components)[component] == 1,
-        first=first,
-    )
-    return candidates.select(first | ~(extended | near_saturation))
-
-
-def _local_maxima(response: Image32, points_px: NDArray[np.int64]) -> Mask:
-    """True (n,) for pixels (n, 2) above their eight neighbors; of equal ones only for the first in reading order."""
-    rows, columns = response.shape
-    x, y = points_px.T
-    value = response[y, x]
-    result = np.ones(len(x), dtype=bool)
-    for dy, dx in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
-        inside = (y + dy >= 0) & (y + dy < rows) & (x + dx >= 0) & (x + dx < columns)
-        other = response[np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, columns - 1)]
-        result &= ~inside | ((value > other) if (dy, dx) < (0, 0) else (value >= other))
-    return result
-
-
-def _estimate_psf(frame: Frame, found: _Candidates, psf_sigma_px: float) -> float:
+def _estimate_psf(frame: Frame, found: Candidates, psf_sigma_px: float) -> float:
     """Median fitted width of the most significant isolated, unsaturated, compact sources that may be stars."""
     found = found.select(found.alone & ~found.extended & (found.significance > _PSF_MIN_SIGNIFICANCE))
     stars: list[float] = []
@@ -284,6 +211,7 @@ def _estimate_psf(frame: Frame, found: _Candidates, psf_sigma_px: float) -> floa
         patches, some = patches.select(whole), some.select(whole)
         fits = fit_stars(
             patches,
+            points_px=some.points_px,
             flux_dn=some.flux_dn,
             psf_sigma_px=psf_sigma_px,
             width_prior=_PSF_WIDTH_PRIOR,
@@ -305,13 +233,12 @@ def _half_patch_px(psf_sigma_px: float) -> int:
 
 
 def _measure_enough(
-    frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float, information: float
+    frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float, information: float
 ) -> Detections:
     """Measure the most significant candidates until those that are stars hold that share of the information."""
     gain = frame.detector.gain_e_per_dn
     variance = _expected_variance_px2(found.significance, found.flux_dn, psf_sigma_px, gain)
-    plateau = frame.patches(found.peaks_px, 1).saturated.any(axis=(1, 2))
-    worth = np.where(found.extended | plateau, 0.0, 1.0 / variance)
+    worth = np.where(found.extended | found.plateau, 0.0, 1.0 / variance)
     beyond = np.append(np.cumsum(worth[::-1])[::-1], 0.0)  # what those from the n-th on hold
     pairs = neighbor_pairs(found.peaks_px.astype(np.float64), neighbor_reach_px(_half_patch_px(psf_sigma_px)))
     least, known = (1.0 - information) * beyond[0], 0.0
@@ -340,10 +267,10 @@ def _expected_variance_px2(snr: Float, flux_dn: Float, psf_sigma_px: float, gain
     return result
 
 
-def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
+def _measure(frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
     """Fit all candidates as stars and flag them."""
     patches = frame.patches(found.peaks_px, _half_patch_px(psf_sigma_px), found.noise_dn)
-    fits = fit_stars(patches, flux_dn=found.flux_dn, psf_sigma_px=psf_sigma_px)
+    fits = fit_stars(patches, points_px=found.points_px, flux_dn=found.flux_dn, psf_sigma_px=psf_sigma_px)
     width = recorded_width_px(psf_sigma_px)
     failed = ~fits.converged
     fits = replace(
@@ -371,7 +298,7 @@ def _measure(frame: Frame, found: _Candidates, psf_sigma_px: float, noise_dn: fl
     )
 
 
-def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise_dn: float) -> Detections:
+def _measure_lines(frame: Frame, found: Candidates, streak: CommonStreak, noise_dn: float) -> Detections:
     """Fit all candidates as lines; those unlike the common streak are flagged as extended."""
     width = recorded_width_px(streak.sigma_px)
     half = math.ceil(max(abs(h) for h in streak.half_px) + 3.0 * width) + 2
@@ -422,7 +349,7 @@ def _measure_lines(frame: Frame, found: _Candidates, streak: CommonStreak, noise
 
 def _flags(
     frame: Frame,
-    found: _Candidates,
+    found: Candidates,
     patches: Patches,
     fits: StarFits,
     core: Mask,

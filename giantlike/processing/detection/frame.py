@@ -38,6 +38,8 @@ class Frame(Value):
         Lower bound of the noise of a pixel: quantization.
     noise_dn : (rows, columns) float32, DN, or None
         Noise of a pixel; None where it is measured on the filtered image.
+    any_saturated : bool
+        True if a good pixel is saturated.
     """
 
     pixels: NDArray[Any]
@@ -46,6 +48,7 @@ class Frame(Value):
     detector: Detector
     noise_floor_dn: float
     noise_dn: Image32 | None
+    any_saturated: bool
 
     def patches(self, points_px: NDArray[np.int64], half_px: int, noise_dn: ArrayLike = 1.0) -> Patches:
         """Cut-outs of ``2 half_px + 1`` pixels around pixels (n, 2), of background noise (n,), DN."""
@@ -107,6 +110,7 @@ def frame_of(
         bad=masked,
         flat=np.subtract(array, np.median(sample), dtype=np.float32),
         detector=replace(detector, saturation_dn=saturation),
+        any_saturated=saturated > 0.0,
         noise_floor_dn=max((detector.step_dn or 0.0) / math.sqrt(12.0), _FLOAT_FLOOR * (high - low)),
         noise_dn=None
         if options.noise is NoiseSource.LOCAL

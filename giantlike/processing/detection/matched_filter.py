@@ -219,12 +219,14 @@ class NoiseGrid:
         Bad pixels and those within ``reach_px`` of a source are excluded, unless too few remain.
         """
         values = self.boxes(response[:: self.step, :: self.step])
-        sigma = _quartile_sigma(np.sort(values, axis=-1), np.int64(values.shape[-1]))
+        count = np.full(values.shape[:-1], values.shape[-1], dtype=np.int64)
         if bad is not None or len(sources_px):
             excluded = self._excluded(bad, sources_px, reach_px)
-            some = excluded.any(axis=-1) & (excluded.mean(axis=-1) < _MAX_EXCLUDED)
-            kept = np.sort(np.where(excluded[some], np.float32(np.inf), values[some]), axis=-1)
-            sigma[some] = _quartile_sigma(kept, np.count_nonzero(~excluded[some], axis=-1))
+            kept = values.shape[-1] - np.count_nonzero(excluded, axis=-1)
+            some = kept > (1.0 - _MAX_EXCLUDED) * values.shape[-1]
+            values = np.where(excluded & some[..., None], np.float32(np.inf), values)
+            count[some] = kept[some]
+        sigma = _quartile_sigma(np.sort(values, axis=-1), count)
         if min(sigma.shape) >= 3:
             return np.asarray(cv2.medianBlur(sigma, 3), dtype=np.float32)
         return sigma

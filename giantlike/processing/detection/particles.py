@@ -49,7 +49,7 @@ class FewPixels(Value):
     not_star : (n,) bool
         True if light in a few pixels explains the source and a star does not.
     n_pixels : (n,) int64
-        Number of these pixels.
+        Number of these pixels; 0 for sources that a star explains.
     """
 
     not_star: Mask
@@ -60,7 +60,7 @@ def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> Mask:
     """Mask (n, w, w) of the core of the sources at ``points_px`` (n, 2)."""
     dx, dy = patches.offsets_px(points_px)
     radius = CORE_WIDTHS * recorded_width_px(psf_sigma_px) + 0.5
-    return np.asarray(np.hypot(dy[:, :, None], dx[:, None, :]) <= radius)
+    return np.asarray((dy**2)[:, :, None] + (dx**2)[:, None, :] <= radius**2)
 
 
 def find_few_pixels(
@@ -85,41 +85,49 @@ def find_few_pixels(
     -------
     FewPixels
     """
-    n, size = len(points_px), patches.size_px
-    gain = patches.gain_e_per_dn
+    n, gain = len(points_px), patches.gain_e_per_dn
     used = (core_of(patches, points_px, psf_sigma_px) & patches.valid & ~patches.saturated).reshape(n, -1)
     share = patches.star_shares(points_px, widths_px).reshape(n, -1)
     light = patches.values_dn.reshape(n, -1) - background_dn[:, None]
     floor = patches.noise_dn[:, None] ** 2
-    star = _star_light(light, share, used, floor, gain)
+    star = _star_light(light, np.where(used, share, 0.0), share, floor, gain)
     variance = floor + star / gain + (_MODEL_ERROR * star) ** 2
     left = np.sum(np.where(used, (light - star) ** 2 / variance, 0.0), axis=1)
-    single = np.where(used, light**2 / (floor + np.maximum(light, 0.0) / gain), 0.0)
-    brightest = -np.sort(np.where(light > 0.0, -single, 0.0), axis=1)[:, :_MOST_PIXELS]
-    explained = np.concatenate([np.zeros((n, 1)), np.cumsum(brightest - _PIXEL_COST, axis=1)], axis=1)
-    few = single.sum(axis=1) - explained.max(axis=1)
     freedom = np.maximum(used.sum(axis=1) - _STAR_UNKNOWNS, 1)
-    refused = left > freedom + _REFUSED_SIGMAS * np.sqrt(2.0 * freedom)
-    n_pixels = explained.argmax(axis=1)
-    least = np.take_along_axis(np.pad(brightest, ((0, 0), (1, 0)), constant_values=np.inf), n_pixels[:, None], axis=1)
-    lit = np.where((single >= least) & (light > 0.0), light, 0.0).reshape(n, size, size)
-    x, y, xx, yy, xy = patches.moments(points_px, lit)
+    refused = np.flatnonzero(left > freedom + _REFUSED_SIGMAS * np.sqrt(2.0 * freedom))
+    not_star, n_pixels = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
+    if not refused.size:
+        return FewPixels(not_star=not_star, n_pixels=n_pixels)
+    few, n_pixels[refused], lit = _brightest_pixels(light[refused], used[refused], floor[refused], gain)
+    some = patches.select(refused)
+    x, y, xx, yy, xy = some.moments(points_px[refused], lit.reshape(some.values_dn.shape))
     xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
     across = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)  # second moment across the line through the light
     thin = across <= min(_LINE_PX2 + _LINE_GROWTH * psf_sigma_px**2, _LINE_MOST_PX2)
-    power = np.where(used, np.stack([(light - star) ** 2, light**2]), 0.0).sum(axis=2)
-    refused &= power[0] > np.where(thin, _LEAST_POWER, _UNLIKE_POWER) * power[1]
-    return FewPixels(not_star=refused & (few < left), n_pixels=n_pixels.astype(np.int64))
+    unlike, all_light = (np.where(used[refused], part[refused] ** 2, 0.0).sum(axis=1) for part in (light - star, light))
+    not_star[refused] = (unlike > np.where(thin, _LEAST_POWER, _UNLIKE_POWER) * all_light) & (few < left[refused])
+    return FewPixels(not_star=not_star, n_pixels=n_pixels)
 
 
-def _star_light(light: Float, share: Float, used: Mask, floor: Float, gain_e_per_dn: float) -> Float:
+def _brightest_pixels(
+    light: Float, used: Mask, floor: Float, gain_e_per_dn: float
+) -> tuple[Float, NDArray[np.int64], Float]:
+    """Explain sources by their brightest pixels: chi-square (n,) left, number of pixels (n,), their light (n, k)."""
+    n = len(light)
+    single = np.where(used, light**2 / (floor + np.maximum(light, 0.0) / gain_e_per_dn), 0.0)
+    brightest = -np.sort(np.where(light > 0.0, -single, 0.0), axis=1)[:, :_MOST_PIXELS]
+    explained = np.concatenate([np.zeros((n, 1)), np.cumsum(brightest - _PIXEL_COST, axis=1)], axis=1)
+    n_pixels = explained.argmax(axis=1)
+    least = np.take_along_axis(np.pad(brightest, ((0, 0), (1, 0)), constant_values=np.inf), n_pixels[:, None], axis=1)
+    lit: Float = np.where((single >= least) & (light > 0.0), light, 0.0)
+    return single.sum(axis=1) - explained.max(axis=1), n_pixels.astype(np.int64), lit
+
+
+def _star_light(light: Float, used_share: Float, share: Float, floor: Float, gain_e_per_dn: float) -> Float:
     """Light (n, pixels) of the star that fits best, never negative: its flux is the only unknown."""
     flux = np.zeros((len(light), 1))
     for _ in range(2):  # the weights depend on the flux
-        weight = np.where(used, share, 0.0) / (floor + flux * share / gain_e_per_dn)
-        flux = np.maximum(
-            np.sum(weight * light, axis=1, keepdims=True)
-            / np.maximum(np.sum(weight * share, axis=1, keepdims=True), 1e-300),
-            0.0,
-        )
+        weight = used_share / (floor + flux * share / gain_e_per_dn)
+        seen, expected = (np.einsum("ij,ij->i", weight, part)[:, None] for part in (light, share))
+        flux = np.maximum(seen / np.maximum(expected, 1e-300), 0.0)
     return flux * share

@@ -68,7 +68,7 @@ class Patches(Value):
         """Distance within which the light of a neighbor falls into a patch, px."""
         return neighbor_reach_px(self.half_px)
 
-    def select(self, which: NDArray[np.integer]) -> Patches:
+    def select(self, which: NDArray[np.integer] | slice) -> Patches:
         """Patches of the sources with the given indices (k,)."""
         return select_rows(self, which)
 
@@ -129,17 +129,8 @@ class Patches(Value):
 
     def moments(self, points_px: Float, light_dn: Float) -> Float:
         """Moments (5, n) of light (n, w, w) about points (n, 2) over its sum: x, y in px, and xx, yy, xy in px^2."""
-        dx, dy = self.offsets_px(points_px)
-        columns, rows = light_dn.sum(axis=1), light_dn.sum(axis=2)
-        sums = [
-            np.sum(columns * dx, axis=1),
-            np.sum(rows * dy, axis=1),
-            np.sum(columns * dx**2, axis=1),
-            np.sum(rows * dy**2, axis=1),
-            np.einsum("nij,ni,nj->n", light_dn, dy, dx),
-        ]
-        result: Float = np.stack(sums) / np.maximum(columns.sum(axis=1), 1e-300)
-        return result
+        across, down = (np.stack([np.ones_like(d), d, d**2], axis=1) for d in self.offsets_px(points_px))
+        return _moments(light_dn, across, down)
 
     def elongation(self, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
         """Largest second moment (n,) in a Gaussian window as wide as a star, in units of the window's.
@@ -159,10 +150,13 @@ class Patches(Value):
         """
         dx, dy = self.offsets_px(points_px)
         window_px = math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
-        window = np.exp(-0.5 * (dy / window_px) ** 2)[:, :, None] * np.exp(-0.5 * (dx / window_px) ** 2)[:, None, :]
+        across, down = (
+            np.stack([np.ones_like(d), d, d**2], axis=1) * np.exp(-0.5 * (d / window_px) ** 2)[:, None]
+            for d in (dx, dy)
+        )
         light = self.values_dn - background_dn[:, None, None]
         star = self.star_shares(points_px, np.full(len(points_px), max(psf_sigma_px, MIN_PSF_SIGMA_PX)))
-        seen, expected = (self.moments(points_px, np.where(self.valid, image, 0.0) * window) for image in (light, star))
+        seen, expected = (_moments(np.where(self.valid, image, 0.0), across, down) for image in (light, star))
         _, _, xx, yy, xy = seen - expected
         longest: Float = ((xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)) / window_px**2 + 0.5
         return longest
@@ -171,12 +165,22 @@ class Patches(Value):
         """Median (n,), DN, of the valid pixels on the rim of each patch, or of all valid ones."""
         rim = np.ones(self.valid.shape[1:], dtype=bool)
         rim[1:-1, 1:-1] = False
-        usable = self.valid & rim
-        usable = np.where(usable.any(axis=(1, 2), keepdims=True), usable, self.valid)
-        values = np.where(usable, self.values_dn, np.inf).reshape(len(usable), -1)
-        middle = np.maximum(usable.sum(axis=(1, 2)) - 1, 0) // 2
+        usable, values = self.valid[:, rim], self.values_dn[:, rim]
+        if not usable.any(axis=1).all():
+            usable = np.where((self.valid & rim).any(axis=(1, 2), keepdims=True), self.valid & rim, self.valid)
+            usable, values = usable.reshape(len(usable), -1), self.values_dn.reshape(len(usable), -1)
+        values = np.where(usable, values, np.inf)
+        middle = np.maximum(usable.sum(axis=1) - 1, 0) // 2
         level: Float = np.take_along_axis(np.sort(values, axis=1), middle[:, None], axis=1)[:, 0]
         return np.where(np.isfinite(level), level, 0.0)
+
+
+def _moments(light_dn: Float, across: Float, down: Float) -> Float:
+    """Moments (5, n) of light (n, w, w) by powers 0, 1, 2 of its columns and of its rows (n, 3, w)."""
+    sums = down @ light_dn @ across.swapaxes(1, 2)
+    moments = np.stack([sums[:, 0, 1], sums[:, 1, 0], sums[:, 0, 2], sums[:, 2, 0], sums[:, 1, 1]])
+    result: Float = moments / np.maximum(sums[:, 0, 0], 1e-300)
+    return result
 
 
 def neighbor_reach_px(half_px: int) -> float:
@@ -285,11 +289,21 @@ def inverses(normal: Float) -> Float:
     Returns
     -------
     (n, p, p) float64
+        Not finite for a matrix that is singular.
     """
     units = 1.0 / np.sqrt(np.einsum("nii->ni", normal))
     both = units[:, :, None] * units[:, None, :]
-    inverse = np.linalg.inv(normal * both) * both
-    symmetric: Float = (inverse + inverse.swapaxes(1, 2)) / 2.0
+    swept = np.moveaxis(normal * both, 0, -1).copy()  # one operation on all matrices at a time
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for k in range(len(swept)):  # Gauss-Jordan: positive definite matrices need no pivots
+            row = swept[k] / swept[k, k]
+            column = swept[:, k].copy()
+            swept -= column[:, None] * row
+            swept[:, k] = -column / column[k]
+            swept[k] = row
+            swept[k, k] = 1.0 / column[k]
+        inverse = np.moveaxis(swept, -1, 0) * both
+        symmetric: Float = (inverse + inverse.swapaxes(1, 2)) / 2.0
     return symmetric
 
 

@@ -1,0 +1,163 @@
+"""Candidates: local maxima of the filtered image above the threshold, each with the component that it belongs to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value, select_rows
+from giantlike.processing.detection.frame import Frame
+from giantlike.processing.detection.matched_filter import FilteredImage, Image32
+from giantlike.processing.detection.options import DetectionOptions
+
+_EXTENDED_AREA = 4.0  # area over that of a star of the same peak above the threshold; no study yet
+_EXTENDED_AREA_MARGIN_PX = 12  # added to it, px: small areas fluctuate with the noise
+_LEAST_SIDE = 0.05  # of the peak: a neighbor below it, which noise may bring below zero, has no logarithm to rely on
+_AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))  # neighbors of a pixel, rows first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidates(Value):
+    """Peaks of the filtered image, most significant first.
+
+    Parameters
+    ----------
+    peaks_px : (n, 2) int64, px
+        Brightest pixel (x, y) of each.
+    points_px : (n, 2) float64, px
+        Maximum of the Gaussian through that pixel and its neighbors: a star is there to some 0.03 px and its noise.
+    flux_dn : (n,) float64, DN
+        Of a star with that maximum.
+    noise_dn : (n,) float64, DN
+    significance : (n,) float64
+        Peak over its noise.
+    area_px : (n,) int64, px
+        Of the component: connected pixels above the threshold.
+    extended : (n,) bool
+        True where that is far larger than a star.
+    plateau : (n,) bool
+        True where a pixel of the peak or a neighbor is saturated.
+    alone : (n,) bool
+        True for the only peak of its component.
+    first : (n,) bool
+        True for its strongest peak.
+    """
+
+    peaks_px: NDArray[np.int64]
+    points_px: Float
+    flux_dn: Float
+    noise_dn: Float
+    significance: Float
+    area_px: NDArray[np.int64]
+    extended: Mask
+    plateau: Mask
+    alone: Mask
+    first: Mask
+
+    def __len__(self) -> int:
+        return len(self.flux_dn)
+
+    def select(self, which: NDArray[np.integer] | Mask | slice) -> Candidates:
+        """Candidates of a mask, of indices or of a slice, in that order."""
+        return select_rows(self, which)
+
+
+def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOptions) -> Candidates:
+    """List the local maxima above the threshold.
+
+    Of a component far larger than a star, or saturated, only the strongest.
+
+    Parameters
+    ----------
+    frame : Frame
+    filtered : FilteredImage
+    options : DetectionOptions
+
+    Returns
+    -------
+    Candidates
+    """
+    limit = filtered.noise_dn * np.float32(options.threshold_sigma * filtered.response_noise)
+    above = cv2.compare(filtered.response, limit, cv2.CMP_GT)
+    n_components, labels = cv2.connectedComponents(above, connectivity=8, ltype=cv2.CV_32S)
+    found = cv2.findNonZero(above)
+    columns = above.shape[1]
+    lit = np.zeros(0, dtype=np.intp)
+    if found is not None:
+        x, y = found.reshape(-1, 2).T.astype(np.intp)
+        lit = y * columns + x
+    component = labels.ravel()[lit]
+    area = np.bincount(component, minlength=n_components)
+    peaks = _local_maxima(filtered.response, lit)
+    component = labels.ravel()[peaks]
+    large = area[component] >= options.min_area_px
+    peaks, component = peaks[large], component[large]
+    response = filtered.response.ravel()[peaks].astype(np.float64)
+    noise = filtered.noise_dn.ravel()[peaks].astype(np.float64)
+    significance = response / (noise * filtered.response_noise)
+    order = np.argsort(-significance, kind="stable")
+    peaks, component, significance, noise = peaks[order], component[order], significance[order], noise[order]
+    first = np.zeros(len(order), dtype=bool)  # the strongest peak of its component
+    first[np.unique(component, return_index=True)[1]] = True
+    strongest = np.zeros(n_components)
+    strongest[component[first]] = significance[first]
+    star_area = 4.0 * math.pi * filtered.width_px**2 * np.log(strongest[component] / options.threshold_sigma)
+    extended = area[component] > _EXTENDED_AREA * star_area + _EXTENDED_AREA_MARGIN_PX
+    pixels = np.stack(np.divmod(peaks, columns)[::-1], axis=1)
+    plateau: Mask = np.zeros(len(peaks), dtype=bool)
+    if frame.any_saturated:
+        plateau = np.asarray(frame.patches(pixels, 1).saturated.any(axis=(1, 2)))
+    points, top = _maxima(filtered.response, pixels)
+    candidates = Candidates(
+        peaks_px=pixels,
+        points_px=points,
+        flux_dn=top * filtered.flux_per_response,
+        noise_dn=noise,
+        significance=significance,
+        area_px=area[component],
+        extended=extended,
+        plateau=plateau,
+        alone=np.bincount(component, minlength=n_components)[component] == 1,
+        first=first,
+    )
+    return candidates.select(first | ~(extended | plateau))
+
+
+def _local_maxima(response: Image32, indices: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Those of some pixels above their eight neighbors; of equal ones only the first in reading order."""
+    rows, columns = response.shape
+    flat = response.ravel()
+    for dy, dx in _AROUND:
+        y, x = np.divmod(indices, columns)
+        inside = (y + dy >= 0) & (y + dy < rows) & (x + dx >= 0) & (x + dx < columns)
+        other = flat[np.where(inside, indices + dy * columns + dx, 0)]
+        higher = flat[indices] > other if (dy, dx) < (0, 0) else flat[indices] >= other
+        indices = indices[~inside | higher]
+    return indices
+
+
+def _maxima(response: Image32, pixels_px: NDArray[np.int64]) -> tuple[Float, Float]:
+    """Place (n, 2) and height (n,) of the maxima of Gaussians through pixels (n, 2) and their neighbors on both axes.
+
+    The response to a Gaussian star is a Gaussian but for the box: its logarithm is a parabola.
+    """
+    rows, columns = response.shape
+    x, y = pixels_px.T
+    middle = response[y, x].astype(np.float64)
+    top = np.log(middle)
+    places, heights = [], [top]
+    for before, after in (
+        (response[y, np.maximum(x - 1, 0)], response[y, np.minimum(x + 1, columns - 1)]),
+        (response[np.maximum(y - 1, 0), x], response[np.minimum(y + 1, rows - 1), x]),
+    ):
+        low, high = (np.log(np.clip(side, _LEAST_SIDE * middle, middle)) for side in (before, after))
+        bend = 2.0 * top - low - high
+        shift = 0.5 * (high - low) / np.where(bend > 0.0, bend, 1.0)
+        places.append(shift)
+        heights.append((high - low) * shift / 4.0)
+    return pixels_px + np.stack(places, axis=1), np.exp(sum(heights))
