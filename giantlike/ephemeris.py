@@ -283,6 +283,9 @@ class ApparentGeometry(Value):
         Orientation at the time the light left the body.
     sun_direction_inertial : (3,), unitless, ICRF, optional
         Unit vector from body to Sun (other lengths are normalized); without it the light of the scene gives it.
+    velocity_inertial_km_s : (3,), km/s, ICRF, optional
+        Velocity of the body with respect to the solar system barycenter when the light left it. Images do not depend
+        on it; the geometric position at the time of the image does.
 
     Raises
     ------
@@ -293,6 +296,7 @@ class ApparentGeometry(Value):
     position_inertial_km: Float
     inertial_from_body: Rotation = field(default_factory=Rotation.identity)
     sun_direction_inertial: Float | None = None
+    velocity_inertial_km_s: Float | None = None
 
     def __post_init__(self) -> None:
         position = as_finite(self.position_inertial_km, (3,), "position_inertial_km")
@@ -303,6 +307,9 @@ class ApparentGeometry(Value):
         object.__setattr__(self, "position_inertial_km", position)
         if self.sun_direction_inertial is not None:
             object.__setattr__(self, "sun_direction_inertial", _unit3(self.sun_direction_inertial))
+        if self.velocity_inertial_km_s is not None:
+            velocity = as_finite(self.velocity_inertial_km_s, (3,), "velocity_inertial_km_s")
+            object.__setattr__(self, "velocity_inertial_km_s", velocity)
         Value.__post_init__(self)
 
 

@@ -145,6 +145,32 @@ class TargetGeometry(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Circumstances(Value):
+    """States by which light time and stellar aberration of a target in an image are put in and taken out.
+
+    Parameters
+    ----------
+    origin : str
+        NAIF name of the origin of states.
+    observer_position_km, observer_velocity_km_s : (3,) float64, km and km/s, ICRF axes
+        Of the spacecraft at the epoch of the image.
+    target_velocity_km_s : (3,) float64, km/s, ICRF axes, optional
+        Of the target when the light left it.
+    target_motion_km : (3,) float64, km, ICRF axes, optional
+        From where the target was when the light left it to where it is at the epoch of the image.
+    light_time_s : float, s
+        Predicted.
+    """
+
+    origin: str
+    observer_position_km: Float
+    observer_velocity_km_s: Float
+    target_velocity_km_s: Float | None = None
+    target_motion_km: Float | None = None
+    light_time_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene(Value):
     """Targets, the light on them, and the position of the camera.
 
@@ -309,6 +335,53 @@ class Scene(Value):
             vector = boosted(vector, observer_km_s)
         return ApparentGeometry(
             position_inertial_km=vector, inertial_from_body=inertial_from_body, sun_direction_inertial=sun
+        )
+
+    def circumstances(self, image: Image, target: str | None = None) -> Circumstances | None:
+        """States by which the apparent geometry of a target follows from the geometric one.
+
+        Parameters
+        ----------
+        image : Image
+            Gives the epoch and, where the scene has no observer, the observer.
+        target : str, optional
+            Name of the target; may be left out when there is only one.
+
+        Returns
+        -------
+        Circumstances or None
+            None where epoch or observer are not known. Of a target whose apparent geometry is given, the motion is
+            that of its velocity, where that is known.
+
+        Raises
+        ------
+        InputError
+            There is no such target, or an ephemeris table does not cover the epoch.
+        DataError
+            SPICE kernels do not cover the epoch.
+        """
+        ephemeris, et = self.target(target).ephemeris, image.et
+        observer = None if et is None else self._observer_state(image, et)
+        if et is None or observer is None:
+            return None
+        position_km, velocity_km_s = observer
+        if isinstance(ephemeris, ApparentGeometry):
+            seen_km = boosted(ephemeris.position_inertial_km, -velocity_km_s)
+            light_time_s = float(np.linalg.norm(seen_km)) / SPEED_OF_LIGHT_KM_S
+            target_km_s = ephemeris.velocity_inertial_km_s
+            motion_km = None if target_km_s is None else light_time_s * target_km_s
+        else:
+            seen_km, emission = (light_path if self.light_time else _straight)(ephemeris, et, position_km)
+            light_time_s = et - emission
+            target_km_s = ephemeris.state(emission)[1]
+            motion_km = ephemeris.state(et)[0] - (position_km + seen_km)
+        return Circumstances(
+            origin=self._origin(),
+            observer_position_km=position_km,
+            observer_velocity_km_s=velocity_km_s,
+            target_velocity_km_s=target_km_s,
+            target_motion_km=motion_km,
+            light_time_s=light_time_s,
         )
 
     def _observer_state(self, image: Image, et: float) -> tuple[Float, Float] | None:

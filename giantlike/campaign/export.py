@@ -1,14 +1,15 @@
-"""Export of the attitudes of a finished run in the formats of other programs."""
+"""Export of the attitudes and observables of a finished run in the formats of other programs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 
 from giantlike.camera import Camera
+from giantlike.campaign.store.observables import write_run_observables
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
@@ -33,6 +34,20 @@ class ExportFormat(StrEnum):
     """CCSDS Attitude Ephemeris Message."""
     WCS = "wcs"
     """A FITS header with TAN-SIP world coordinates for each image, in a folder."""
+    OBSERVABLES = "observables"
+    """Observables of bodies, landmarks and stars: JSON lines or, by the name of the output, Parquet."""
+
+
+EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
+    {
+        ExportFormat.CSV: "attitudes_export.csv",
+        ExportFormat.CK: "attitudes_export.bc",
+        ExportFormat.AEM: "attitudes_export.aem",
+        ExportFormat.WCS: "attitudes_export.wcs",
+        ExportFormat.OBSERVABLES: "observables.jsonl",
+    }
+)
+"""Names of the files in the run folder that an export writes where no other is given."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,17 +99,19 @@ class Exported:
     n_attitudes : int
     left_out : mapping of str to int
         Number of attitudes left out, by reason.
+    n_observations : int
     """
 
     files: tuple[Path, ...]
-    n_attitudes: int
-    left_out: Mapping[str, int]
+    n_attitudes: int = 0
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    n_observations: int = 0
 
 
 def export_run(
     folder: Path, output: Path, format_name: ExportFormat, options: ExportOptions = ExportOptions()
 ) -> Exported:
-    """Write the attitudes of a finished run.
+    """Write the attitudes or observables of a finished run.
 
     Parameters
     ----------
@@ -117,6 +134,9 @@ def export_run(
         It is no finished run, or a file cannot be written.
     """
     result = load_result(folder)
+    if format_name is ExportFormat.OBSERVABLES:
+        make_folder(output.parent)
+        return Exported(files=(output,), n_observations=write_run_observables(result, output))
     camera = camera_of_run(folder)
     chosen, left_out = _chosen(result, options, needs_epoch=format_name is not ExportFormat.WCS)
     require(bool(chosen), f"{folder}: no attitude to write ({_said(left_out)})")

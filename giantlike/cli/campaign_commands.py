@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from giantlike.campaign import Campaign, RunResult, load_result, run_campaign, write_report
-from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
+from giantlike.campaign.export import EXPORT_NAMES, ExportFormat, ExportOptions, export_run
 from giantlike.campaign.interlock import interlock_of, write_interlock
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.render.run import RenderedImage, render_images
@@ -74,10 +74,11 @@ def export(
     sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 5,
     json: Json = False,
 ) -> ExitCode:
-    """Write the attitudes of a run for other programs.
+    """Write the attitudes or observables of a run for other programs.
 
     csv: quaternions and covariances. ck: SPICE C-kernel of type 3. aem: CCSDS attitude ephemeris. wcs: a FITS header
-    with TAN-SIP world coordinates for each image.
+    with TAN-SIP world coordinates for each image. observables: bodies, landmarks and stars as JSON lines, or as the
+    Parquet file that every run writes.
     """
     options = ExportOptions(
         suspect=suspect,
@@ -91,8 +92,7 @@ def export(
         originator=originator,
         sip_order=sip_order,
     )
-    suffix = {ExportFormat.CK: "bc", ExportFormat.WCS: "wcs"}.get(kind, str(kind))
-    exported = export_run(folder, output or folder / f"attitudes_export.{suffix}", kind, options)
+    exported = export_run(folder, output or folder / EXPORT_NAMES[kind], kind, options)
     if json:
         print_json({"format": kind} | asdict(exported))
         return ExitCode.DONE
@@ -100,6 +100,9 @@ def export(
         typer.echo(f"wrote {file}")
     if len(exported.files) > 10:
         typer.echo(f"and {len(exported.files) - 10} more")
+    if exported.n_observations:
+        typer.echo(f"{exported.n_observations} observations")
+        return ExitCode.DONE
     skipped = "".join(f"; left out: {count} {reason}" for reason, count in exported.left_out.items())
     typer.echo(f"{exported.n_attitudes} attitudes{skipped}")
     return ExitCode.DONE

@@ -156,6 +156,37 @@ def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]
     return {cause: checked[cause] for cause in Cause if cause in checked}
 
 
+def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
+    """Check the derivatives of a place by what its errors come from, and make them read-only.
+
+    Parameters
+    ----------
+    partials : mapping of Cause or its value to (size, m) float64
+    size : int
+        Number of coordinates.
+
+    Returns
+    -------
+    dict
+        In the order of :class:`Cause`.
+
+    Raises
+    ------
+    InputError
+        A matrix has another number of rows.
+    ValueError
+        A key is no cause.
+    """
+    checked = {}
+    for key, partial in partials.items():
+        matrix = as_floats(partial, (), f"partials: {key}")
+        require(
+            matrix.ndim == 2 and len(matrix) == size, f"partials: {key} must be ({size}, m), got shape {matrix.shape}"
+        )
+        checked[Cause(key)] = read_only(matrix)
+    return {cause: checked[cause] for cause in Cause if cause in checked}
+
+
 def require_sum(parts: Mapping[Cause, Float], causes: Iterable[Cause], covariance: Float, name: str) -> None:
     """Raise unless parts sum to a covariance, of the leading coordinates where it has fewer than they.
 

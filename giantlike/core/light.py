@@ -40,11 +40,7 @@ def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     20.496
     """
     vectors = as_floats(directions, (3,), "directions")
-    beta = as_finite(velocity_km_s, (3,), "velocity_km_s") / SPEED_OF_LIGHT_KM_S
-    require(
-        float(beta @ beta) < 1.0, f"velocity_km_s must be below the speed of light, got {beta * SPEED_OF_LIGHT_KM_S}"
-    )
-    gamma = 1.0 / np.sqrt(1.0 - beta @ beta)
+    beta, gamma = _beta_gamma(velocity_km_s)
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     n = vectors / length
     along = (n @ beta)[..., None]
@@ -86,11 +82,42 @@ def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     38.2
     """
     vectors = as_floats(positions_km, (3,), "positions_km")
-    beta = as_finite(velocity_km_s, (3,), "velocity_km_s") / SPEED_OF_LIGHT_KM_S
-    squared = float(beta @ beta)
-    require(squared < 1.0, f"velocity_km_s must be below the speed of light, got {beta * SPEED_OF_LIGHT_KM_S}")
-    gamma = 1.0 / np.sqrt(1.0 - squared)
+    beta, gamma = _beta_gamma(velocity_km_s)
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     along = (vectors @ beta)[..., None]
     result: Float = vectors + gamma * beta * (length + along * gamma / (1.0 + gamma))
     return result
+
+
+def boost_jacobian(position_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
+    """Derivative of :func:`boosted` by the position.
+
+    Parameters
+    ----------
+    position_km : (3,), km, inertial
+        Not zero.
+    velocity_km_s : (3,), km/s, inertial
+        Velocity of the observer with respect to the frame at rest.
+
+    Returns
+    -------
+    (3, 3) float64
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, or a speed that is not below that of light.
+    """
+    position = as_finite(position_km, (3,), "position_km")
+    beta, gamma = _beta_gamma(velocity_km_s)
+    along = position / np.linalg.norm(position) + beta * gamma / (1.0 + gamma)
+    result: Float = np.eye(3) + gamma * np.outer(beta, along)
+    return result
+
+
+def _beta_gamma(velocity_km_s: ArrayLike) -> tuple[Float, float]:
+    """Velocity (3,) over that of light, and the Lorentz factor."""
+    beta = as_finite(velocity_km_s, (3,), "velocity_km_s") / SPEED_OF_LIGHT_KM_S
+    squared = float(beta @ beta)
+    require(squared < 1.0, f"velocity_km_s must be below the speed of light, got {beta * SPEED_OF_LIGHT_KM_S}")
+    return beta, float(1.0 / np.sqrt(1.0 - squared))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_parts, require_sum, summed
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials, checked_parts, require_sum, summed
 from giantlike.core.errors import EstimationError
 from giantlike.core.values import Value
 
@@ -339,12 +339,17 @@ class CenterFix(Value):
         aberration stand beside them, as the pixels by which they shift the direction in inertial axes: where the
         attitude comes from stars, ``CAMERA`` is what the camera does to stars and body together. Empty when all is
         noise.
+    partials : mapping of Cause to (k, m) float64
+        Derivative of the measured place, in the coordinates of ``parts``, by the true value of what the errors come
+        from, as far as it is known: the attitude (a small rotation about the camera axes, rad), the scale of the shape
+        (relative), the pole (two small rotations of the body about its x and y axes, rad), the spin (one about its z
+        axis, rad), and the uncertain parameters of the camera, stars that follow them included.
 
     Raises
     ------
     InputError
-        A part has another shape, is not symmetric or not positive semi-definite, or the parts do not sum to the
-        covariance.
+        A part or a derivative has another shape, a part is not symmetric or not positive semi-definite, or the parts
+        do not sum to the covariance.
     """
 
     estimator: str
@@ -359,9 +364,11 @@ class CenterFix(Value):
     flags: Quality = Quality.NONE
     provenance: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[Cause, Float] = field(default_factory=dict)
+    partials: Mapping[Cause, Float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", checked_parts(self.parts, self._size))
+        object.__setattr__(self, "partials", checked_partials(self.partials, self._size))
         if self.parts:
             self._require_sums()
         Value.__post_init__(self)

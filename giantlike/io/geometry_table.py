@@ -17,6 +17,9 @@ One row per image and target. Every column but ``file`` may be absent or empty:
 ``observer_x_km``, ``observer_y_km``,          spacecraft with respect to the solar system barycenter, inertial axes:
 ``observer_z_km``, ``observer_vx_km_s``,       position and velocity, all six or none; with them stars get parallax
 ``observer_vy_km_s``, ``observer_vz_km_s``     and aberration
+``target_vx_km_s``, ``target_vy_km_s``,        velocity of the target with respect to the solar system barycenter when
+``target_vz_km_s``                             the light left it, inertial axes: with it and the observer, observables
+                                               are given with light time removed, too
 =============================================  ==========================================================
 """
 
@@ -52,7 +55,10 @@ _SUN = ("sun_x", "sun_y", "sun_z")
 _OBSERVER = (
     "observer_x_km", "observer_y_km", "observer_z_km", "observer_vx_km_s", "observer_vy_km_s", "observer_vz_km_s",
 )  # fmt: skip
-COLUMNS = ("file", "epoch_utc", "exposure_s", *_ATTITUDE, "target", *_TARGET, *_BODY, *_SUN, *_OBSERVER)
+_TARGET_VELOCITY = ("target_vx_km_s", "target_vy_km_s", "target_vz_km_s")
+COLUMNS = (
+    "file", "epoch_utc", "exposure_s", *_ATTITUDE, "target", *_TARGET, *_BODY, *_SUN, *_OBSERVER, *_TARGET_VELOCITY,
+)  # fmt: skip
 """Columns of ``geometry.csv``, in the order in which they are written."""
 
 
@@ -78,6 +84,8 @@ class GeometryRow(Value):
         Unit vector from target to Sun.
     observer : ObserverState or None
         State of the spacecraft with respect to the solar system barycenter.
+    target_velocity_inertial_km_s : (3,) float64 or None, km/s, inertial axes
+        Velocity of the target with respect to the barycenter when the light left it.
     line : int
         Line in the file, 0 for a row that was not read from one.
     """
@@ -91,6 +99,7 @@ class GeometryRow(Value):
     body_from_inertial: Rotation | None = None
     sun_direction_inertial: Float | None = None
     observer: ObserverState | None = None
+    target_velocity_inertial_km_s: Float | None = None
     line: int = 0
 
 
@@ -217,7 +226,7 @@ def read_geometry(path: str | Path, *, default_target: str | None = None) -> Geo
 def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
     """Write a geometry table atomically, with numbers at full precision and epochs to the microsecond.
 
-    The observer columns are there only when a row has an observer.
+    The columns of the observer and of the target's velocity are there only when a row has one.
 
     Parameters
     ----------
@@ -230,8 +239,13 @@ def write_geometry(path: str | Path, rows: Iterable[GeometryRow]) -> None:
         The file cannot be written.
     """
     rows = list(rows)
-    count = len(COLUMNS) if any(row.observer is not None for row in rows) else COLUMNS.index(_OBSERVER[0])
-    write_csv_rows(path, COLUMNS[:count], (_cells(row)[:count] for row in rows))
+    unused: set[str] = set()
+    if all(row.observer is None for row in rows):
+        unused |= set(_OBSERVER)
+    if all(row.target_velocity_inertial_km_s is None for row in rows):
+        unused |= set(_TARGET_VELOCITY)
+    kept = [index for index, name in enumerate(COLUMNS) if name not in unused]
+    write_csv_rows(path, [COLUMNS[index] for index in kept], ([_cells(row)[index] for index in kept] for row in rows))
 
 
 def _cells(row: GeometryRow) -> list[str | float | None]:
@@ -248,6 +262,7 @@ def _cells(row: GeometryRow) -> list[str | float | None]:
         *_numbers(row.sun_direction_inertial, 3),
         *_numbers(None if observer is None else observer.position_km, 3),
         *_numbers(None if observer is None else observer.velocity_km_s, 3),
+        *_numbers(row.target_velocity_inertial_km_s, 3),
     ]
 
 
@@ -264,7 +279,8 @@ def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
         raise row.error(_TARGET[0], "a vector from camera to target is needed, not zero")
     body_from_inertial, sun = row.rotation(_BODY), row.direction(_SUN)
     state = row.vector(_OBSERVER)
-    described = position is not None or body_from_inertial is not None or sun is not None
+    velocity = row.vector(_TARGET_VELOCITY)
+    described = any(known is not None for known in (position, body_from_inertial, sun, velocity))
     target = row.text("target") or (default_target if described else None)
     if described and target is None:
         raise row.error("target", "a target name is needed where its geometry is given")
@@ -278,6 +294,7 @@ def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
         body_from_inertial=body_from_inertial,
         sun_direction_inertial=sun,
         observer=None if state is None else ObserverState(position_km=state[:3], velocity_km_s=state[3:]),
+        target_velocity_inertial_km_s=velocity,
         line=row.line,
     )
 

@@ -93,6 +93,7 @@ class ObservationRow:
         "One sigma of `x_px` with camera and attitude; empty where the attitude's is unknown.", "px", _IMAGE
     )
     sigma_y_total_px: float | None = column("The same of `y_px`.", "px", _IMAGE)
+    rho_xy_total: float | None = column("Correlation of `x_px` and `y_px` with camera and attitude.", "", _IMAGE)
     x_camera_km: float | None = column("Measured vector from camera to center, x.", "km", _CAMERA)
     y_camera_km: float | None = column("Measured vector from camera to center, y.", "km", _CAMERA)
     z_camera_km: float | None = column("Measured vector from camera to center, z.", "km", _CAMERA)
@@ -100,6 +101,12 @@ class ObservationRow:
     sigma_range_km: float | None = column("One sigma of `range_km`.", "km")
     rho_x_range: float | None = column("Correlation of `x_px` and `range_km`, without the camera.", "", _IMAGE)
     rho_y_range: float | None = column("Correlation of `y_px` and `range_km`, without the camera.", "", _IMAGE)
+    rho_x_range_total: float | None = column(
+        "Correlation of `x_px` and `range_km` with camera and attitude; empty where the attitude's is unknown.",
+        "",
+        _IMAGE,
+    )
+    rho_y_range_total: float | None = column("The same of `y_px`.", "", _IMAGE)
     score: float | None = column("Measure of fit of the estimator.")
     n_used: int | None = column("Number of pixels or points used.")
     n_rejected: int | None = column("Number of pixels or points rejected.")

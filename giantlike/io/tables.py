@@ -18,7 +18,14 @@ from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
 Row = TypeVar("Row")
 
 _KINDS: Mapping[Any, str] = MappingProxyType(
-    {str: "text", int: "integer", float: "number", Sequence[str]: "texts", Sequence[float]: "numbers"}
+    {
+        str: "text",
+        bool: "true or false",
+        int: "integer",
+        float: "number",
+        Sequence[str]: "texts",
+        Sequence[float]: "numbers",
+    }
 )
 
 
@@ -30,7 +37,7 @@ class Column:
     ----------
     name : str
     kind : str
-        text, integer, number, texts or numbers.
+        text, true or false, integer, number, texts or numbers.
     description : str
     unit, frame : str
         Empty where there is none.
@@ -38,6 +45,8 @@ class Column:
         True if the CSV file has the column as well as the Parquet file.
     required : bool
         True if no cell may be empty.
+    size : int
+        Of lists that all have the same length, that length; else 0.
     """
 
     name: str
@@ -47,9 +56,10 @@ class Column:
     frame: str
     csv: bool
     required: bool
+    size: int = 0
 
 
-def column(description: str, unit: str = "", frame: str = "", *, csv: bool = True) -> Any:
+def column(description: str, unit: str = "", frame: str = "", *, csv: bool = True, size: int = 0) -> Any:
     """Field of a dataclass that describes a column; the type of the field decides kind and emptiness.
 
     Parameters
@@ -59,13 +69,15 @@ def column(description: str, unit: str = "", frame: str = "", *, csv: bool = Tru
         Empty where there is none.
     csv : bool
         False for a column of the Parquet file only.
+    size : int
+        Of a column of lists of one length, that length.
 
     Returns
     -------
     dataclasses.Field
         Default None.
     """
-    metadata = {"description": description, "unit": unit, "frame": frame, "csv": csv}
+    metadata = {"description": description, "unit": unit, "frame": frame, "csv": csv, "size": size}
     return dataclasses.field(default=None, metadata=metadata)
 
 
@@ -153,12 +165,25 @@ def _cell(row: CsvRow, column: Column) -> str | int | float | None:
         raise row.error(column.name, f"a value of kind {column.kind} is needed") from None
 
 
-def _parquet(columns: Sequence[Column], rows: Sequence[Any]) -> bytes:
+def arrow_schema(columns: Sequence[Column], metadata: Mapping[str, str] | None = None) -> Any:
+    """Schema of a Parquet file.
+
+    Parameters
+    ----------
+    columns : sequence of Column
+        Unit, frame and description become metadata of the field.
+    metadata : mapping of str to str, optional
+        Of the file.
+
+    Returns
+    -------
+    pyarrow.Schema
+    """
     import pyarrow as pa
-    from pyarrow import parquet
 
     types = {
         "text": pa.string(),
+        "true or false": pa.bool_(),
         "number": pa.float64(),
         "integer": pa.int64(),
         "texts": pa.list_(pa.string()),
@@ -167,13 +192,38 @@ def _parquet(columns: Sequence[Column], rows: Sequence[Any]) -> bytes:
     fields = [
         pa.field(
             column.name,
-            types[column.kind],
+            pa.list_(pa.float64(), column.size) if column.size else types[column.kind],
             metadata={"unit": column.unit, "frame": column.frame, "description": column.description},
         )
         for column in columns
     ]
-    arrays = [pa.array([getattr(row, field.name) for row in rows], type=field.type) for field in fields]
+    return pa.schema(fields, metadata=metadata)
+
+
+def arrow_table(schema: Any, rows: Sequence[Any]) -> Any:
+    """Rows of a dataclass as a table of a schema.
+
+    Parameters
+    ----------
+    schema : pyarrow.Schema
+    rows : sequence
+
+    Returns
+    -------
+    pyarrow.Table
+    """
+    import pyarrow as pa
+
+    arrays = [pa.array([getattr(row, field.name) for row in rows], type=field.type) for field in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _parquet(columns: Sequence[Column], rows: Sequence[Any]) -> bytes:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    schema = arrow_schema(columns)
     sink = pa.BufferOutputStream()
-    parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), sink)
+    parquet.write_table(arrow_table(schema, rows), sink)
     content: bytes = sink.getvalue().to_pybytes()
     return content

@@ -9,7 +9,7 @@ the difference of the two fixes, in which the noise cancels, is the response.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -21,7 +21,7 @@ from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import skew
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
+from giantlike.core.outcomes import AttitudeErrors, CenterFix, Failure, PositionFix, Reason
 from giantlike.image import Image
 from giantlike.scene import TargetGeometry
 
@@ -64,8 +64,9 @@ def with_budget(
     Returns
     -------
     CenterFix, PositionFix or Failure
-        The same fix with all ``parts``, and with what they add to its ``covariance_px2`` and ``covariance_camera_km2``;
-        a failure of the estimator where it finds nothing when the body is moved by one sigma either way.
+        The same fix with all ``parts`` and ``partials``, and with what they add to its ``covariance_px2`` and
+        ``covariance_camera_km2``; a failure of the estimator where it finds nothing when the body is moved by one sigma
+        either way.
     """
     size = 3 if isinstance(fix, PositionFix) else 2
     model = camera.model
@@ -74,10 +75,12 @@ def with_budget(
     )
     place_per_km = place_jacobian(model, position_km)
     parts = dict(fix.parts) or {Cause.NOISE: _own_covariance(fix, place_per_km)}
-    body = _body_parts(fix, geometry, again, missing=set(Cause) - set(parts))
-    if isinstance(body, Failure):
-        return body
+    by_body = _body_partials(fix, geometry, again, missing=set(Cause) - set(parts))
+    if isinstance(by_body, Failure):
+        return by_body
+    body = _body_parts(by_body, geometry)
     turn = (place_per_km @ -skew(position_km))[:size]
+    partials = by_body | {Cause.ATTITUDE: turn}
     added, in_camera = (
         body | _attitude_parts(image, camera, turn),
         summed({**body, Cause.NOISE: np.zeros((size, size))}),
@@ -87,12 +90,13 @@ def with_budget(
         radius_km = geometry.target.shape.mean_radius_km
         response = camera_response(camera, position_km, radius_km, geometry.sun_direction_camera, size=size)
         in_camera = in_camera + _propagated(response, known.covariance)
-        added[Cause.CAMERA] = _propagated(response + turn @ _attitude_by_camera(image, camera), known.covariance)
+        partials[Cause.CAMERA] = response + turn @ _attitude_by_camera(image, camera)
+        added[Cause.CAMERA] = _propagated(partials[Cause.CAMERA], known.covariance)
     sigma_km = geometry.target.uncertainty.ephemeris_km
     if sigma_km > 0.0:
         added[Cause.EPHEMERIS] = _propagated(place_per_km[:size], sigma_km**2 * np.eye(3))
     new = {cause: part for cause, part in added.items() if cause not in parts}
-    changes: dict[str, object] = {"parts": parts | new}
+    changes: dict[str, object] = {"parts": parts | new, "partials": partials | dict(fix.partials)}
     if body:
         changes["covariance_px2"] = fix.covariance_px2 + summed(body)[:2, :2]
     if isinstance(fix, PositionFix) and in_camera.any():
@@ -244,16 +248,35 @@ def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
     return cosine * axis + sine * around, cosine * around - sine * axis
 
 
-def _attitude_parts(image: Image, camera: Camera, turn: Float) -> dict[Cause, Float]:
-    """Parts of the attitude (3, 3), rad^2, through the derivative of the place by the turn of the camera."""
-    covariance, errors = image.attitude_covariance_rad2, image.attitude_errors
-    if covariance is None:
+def attitude_parts_rad2(covariance_rad2: Float | None, errors: AttitudeErrors, camera: Camera) -> dict[Cause, Float]:
+    """Covariance of an attitude, apart from what it shares with the camera and with other attitudes.
+
+    Parameters
+    ----------
+    covariance_rad2 : (3, 3) float64, rad^2, optional
+        Of the small rotation about the camera axes; None where unknown.
+    errors : AttitudeErrors
+    camera : Camera
+        Where its parameters are uncertain, what an attitude from stars follows of them is left out: it is in the part
+        of the camera.
+
+    Returns
+    -------
+    dict of Cause to (3, 3) float64, rad^2
+        ``ATTITUDE``, and ``ABERRATION`` and ``EPOCH`` where the attitude has them; empty where it is unknown.
+    """
+    if covariance_rad2 is None:
         return {}
     if camera.uncertainty is not None:
-        covariance = errors.apart_from_camera(covariance)
+        covariance_rad2 = errors.apart_from_camera(covariance_rad2)
     apart = {cause: errors.parts[cause] for cause in (Cause.ABERRATION, Cause.EPOCH) if cause in errors.parts}
-    left = covariance - (summed(apart, apart) if apart else 0.0)
-    return {cause: _propagated(turn, part) for cause, part in {Cause.ATTITUDE: left, **apart}.items()}
+    return {Cause.ATTITUDE: covariance_rad2 - (summed(apart, apart) if apart else 0.0), **apart}
+
+
+def _attitude_parts(image: Image, camera: Camera, turn: Float) -> dict[Cause, Float]:
+    """Parts of the attitude through the derivative of the place by the turn of the camera."""
+    parts = attitude_parts_rad2(image.attitude_covariance_rad2, image.attitude_errors, camera)
+    return {cause: _propagated(turn, part) for cause, part in parts.items()}
 
 
 def _attitude_by_camera(image: Image, camera: Camera) -> Float:
@@ -265,36 +288,51 @@ def _attitude_by_camera(image: Image, camera: Camera) -> Float:
     return by_camera[:, [names.index(name) for name in camera.uncertainty.estimated]]
 
 
-def _body_parts(
+def _body_partials(
     fix: CenterFix,
     geometry: TargetGeometry,
     again: Callable[[TargetGeometry], CenterFix | Failure],
     *,
     missing: set[Cause],
 ) -> dict[Cause, Float] | Failure:
-    """Parts of the scale of the shape and of the orientation of the body, of those that are missing."""
-    known, size = geometry.target.uncertainty, 3 if isinstance(fix, PositionFix) else 2
-    parts = dict[Cause, Float]()
-    if size == 3 and known.scale > 0.0 and Cause.SHAPE_SCALE in missing:
+    """Derivatives (k, m) of the place by the true scale, pole and spin of the body, of those that are missing.
+
+    The scale is that of the shape, relative, and the others are small rotations of the body about its own axes, rad.
+    """
+    size = 3 if isinstance(fix, PositionFix) else 2
+    columns = dict[Cause, list[Float]]()
+    if size == 3 and Cause.SHAPE_SCALE in missing:
         # A body that is larger and as much farther away, along all axes, gives the same image.
-        parts[Cause.SHAPE_SCALE] = np.diag([0.0, 0.0, known.scale**2])
-    for cause, moved in _moved_bodies(geometry):
+        columns[Cause.SHAPE_SCALE] = [np.array([0.0, 0.0, -1.0])]
+    for cause, sigma, moved in _moved_bodies(geometry):
         if cause not in missing or (cause is Cause.SHAPE_SCALE and size == 3):
             continue
         shift = _response(fix, moved, again)
         if isinstance(shift, Failure):
             return Failure(shift.reason, f"no fix with the {cause} of the body off by one sigma: {shift.detail}")
-        parts[cause] = parts.get(cause, np.zeros((size, size))) + np.outer(shift, shift)
-    return parts
+        columns.setdefault(cause, []).append(-shift / sigma)
+    return {cause: np.stack(each, axis=1) for cause, each in columns.items()}
 
 
-def _moved_bodies(geometry: TargetGeometry) -> Iterator[tuple[Cause, tuple[TargetGeometry, TargetGeometry]]]:
-    """Yield the geometry with each independent error of the body at plus and minus one sigma."""
+def _body_parts(partials: Mapping[Cause, Float], geometry: TargetGeometry) -> dict[Cause, Float]:
+    """Parts of the scale of the shape and of the orientation of the body, of what is not declared exact."""
+    known = geometry.target.uncertainty
+    sigmas = {Cause.SHAPE_SCALE: known.scale, Cause.POLE: known.pole_rad, Cause.SPIN: known.spin_rad}
+    return {
+        cause: _propagated(partial, sigmas[cause] ** 2 * np.eye(partial.shape[1]))
+        for cause, partial in partials.items()
+        if sigmas[cause] > 0.0
+    }
+
+
+def _moved_bodies(geometry: TargetGeometry) -> Iterator[tuple[Cause, float, tuple[TargetGeometry, TargetGeometry]]]:
+    """Yield each independent error of the body, its sigma, and the geometry at plus and minus one sigma."""
     known = geometry.target.uncertainty
     if known.scale > 0.0:
         nearer, farther = (geometry.position_camera_km / (1.0 + sign * known.scale) for sign in (1, -1))
         yield (
             Cause.SHAPE_SCALE,
+            known.scale,
             (replace(geometry, position_camera_km=nearer), replace(geometry, position_camera_km=farther)),
         )
     sigmas_rad = ((Cause.POLE, known.pole_rad), (Cause.POLE, known.pole_rad), (Cause.SPIN, known.spin_rad))
@@ -304,6 +342,7 @@ def _moved_bodies(geometry: TargetGeometry) -> Iterator[tuple[Cause, tuple[Targe
             before = geometry.camera_from_body
             yield (
                 cause,
+                sigma_rad,
                 (
                     replace(geometry, camera_from_body=before * turn),
                     replace(geometry, camera_from_body=before * turn.inv()),
@@ -316,18 +355,18 @@ def _response(
     moved: tuple[TargetGeometry, TargetGeometry],
     again: Callable[[TargetGeometry], CenterFix | Failure],
 ) -> Float | Failure:
-    """Shift of the place of a fix for another geometry, the first of two that the estimator can use; or why neither."""
+    """Shift of the place of a fix for a body moved by plus one sigma; where that fails, minus that for minus one."""
     failed = Failure(Reason.NOT_CONVERGED, "the range was not estimated")
-    for geometry in moved:
+    for sign, geometry in zip((1.0, -1.0), moved, strict=True):
         other = again(geometry)
         if isinstance(other, Failure):
             failed = other
             continue
-        shift: Float = other.center_px - fix.center_px
+        shift: Float = sign * (other.center_px - fix.center_px)
         if not isinstance(fix, PositionFix):
             return shift
         if isinstance(other, PositionFix):
-            return np.append(shift, math.log(other.range_km / fix.range_km))
+            return np.append(shift, sign * math.log(other.range_km / fix.range_km))
     return failed
 
 

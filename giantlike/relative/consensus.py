@@ -165,6 +165,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
         "center_px": center_px,
         "covariance_px2": summed(parts)[:2, :2],
         "parts": parts,
+        "partials": _fused_partials(first, second, weight),
         "flags": first.flags | second.flags,
         "provenance": {**first.provenance, "weight": f"{weight:.3g}"},
     }
@@ -189,6 +190,12 @@ def _fused_parts(first: CenterFix, second: CenterFix, weight: float) -> dict[Cau
         elif other is not None:
             parts[cause] = (1.0 - weight) ** 2 * other
     return parts
+
+
+def _fused_partials(first: CenterFix, second: CenterFix, weight: float) -> dict[Cause, Float]:
+    """Derivatives of a weighted mean of two fixes, by what both have derivatives of."""
+    both = [cause for cause in first.partials if cause in second.partials]
+    return {cause: weight * first.partials[cause] + (1.0 - weight) * second.partials[cause] for cause in both}
 
 
 def _by_camera(fix: PositionFix, model: CameraModel) -> Float:

@@ -399,6 +399,7 @@ class _Planner(Value):
             shot = replace(shot, exposure_s=self._short_exposure_s(shot, encounter))
         apparent = encounter.scene.apparent(unexposed(shot, self.camera), encounter.target)
         assert isinstance(apparent, ApparentGeometry)
+        emission = light_path(encounter.orbit, et, observer.position_km)[1]
         return Frame(
             shot=shot,
             scene=encounter.scene,
@@ -407,7 +408,11 @@ class _Planner(Value):
             seed=(self.options.seed, int(self.rng.integers(2**31))),
             apriori_camera_from_inertial=None if misalignment is None else misalignment * attitude,
             apriori_observer=replace(observer, position_km=observer.position_km - error_km),
-            apriori_geometry=replace(apparent, position_inertial_km=apparent.position_inertial_km + error_km),
+            apriori_geometry=replace(
+                apparent,
+                position_inertial_km=apparent.position_inertial_km + error_km,
+                velocity_inertial_km_s=encounter.orbit.state(emission)[1],
+            ),
         )
 
     def _attitudes(self, apparent_km: Float, shape: Shape) -> tuple[Rotation, ...]:

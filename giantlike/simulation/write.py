@@ -167,6 +167,7 @@ def _geometry_row(frame: Frame) -> GeometryRow:
         target_position_inertial_km=geometry.position_inertial_km,
         body_from_inertial=geometry.inertial_from_body.inv(),
         sun_direction_inertial=geometry.sun_direction_inertial,
+        target_velocity_inertial_km_s=geometry.velocity_inertial_km_s,
     )
 
 

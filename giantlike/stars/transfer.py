@@ -104,6 +104,8 @@ class TransferredAttitude(Value):
         Of the small rotation about the camera axes: the propagated errors of the star solutions, and the drift.
     used : tuple of int
         Indices of the star solutions used, one or two.
+    weights : tuple of float
+        Share of each of them in the attitude; they sum to 1.
     gap_s : float, s
         Time to the nearest of them.
     errors : AttitudeErrors
@@ -113,6 +115,7 @@ class TransferredAttitude(Value):
     camera_from_inertial: Rotation
     covariance_rad2: Float
     used: tuple[int, ...]
+    weights: tuple[float, ...]
     gap_s: float
     errors: AttitudeErrors
 
@@ -204,6 +207,7 @@ def _from_one(
         camera_from_inertial=relative * star.camera_from_inertial,
         covariance_rad2=covariance,
         used=(index,),
+        weights=(1.0,),
         gap_s=gap,
         errors=errors,
     )
@@ -226,6 +230,7 @@ def _between(
         camera_from_inertial=part * first.camera_from_inertial,
         covariance_rad2=covariance,
         used=(before, after),
+        weights=(1.0 - weight, weight),
         gap_s=min(weight, 1 - weight) * span,
         errors=errors,
     )

@@ -33,7 +33,7 @@ from giantlike.campaign.run.pool import WorkerPool
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.run.worker import Workbench
 from giantlike.campaign.store.records import AttitudeRecord
-from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.store.results import RunResult, grouped, load_result
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
@@ -45,6 +45,7 @@ from giantlike.ephemeris import SpiceEphemeris
 from giantlike.image import ObserverState
 from giantlike.io import navigation_header, write_fits, write_geometry
 from giantlike.io.geometry_table import GeometryRow
+from giantlike.io.observables_file import read_observables
 from giantlike.io.spice import load_kernels
 from giantlike.plotting import (
     BodyMarks,
@@ -80,8 +81,8 @@ ATTITUDE_COLUMNS = (
 )  # as in the contract, and the flags
 OBSERVATION_COLUMNS = (
     "file,epoch_utc,target,estimator,status,reason,predicted_x_px,predicted_y_px,x_px,y_px,sigma_x_px,sigma_y_px,"
-    "rho_xy,sigma_x_total_px,sigma_y_total_px,x_camera_km,y_camera_km,z_camera_km,range_km,sigma_range_km,"
-    "rho_x_range,rho_y_range,score,n_used,n_rejected,flags,time_s"
+    "rho_xy,sigma_x_total_px,sigma_y_total_px,rho_xy_total,x_camera_km,y_camera_km,z_camera_km,range_km,sigma_range_km,"
+    "rho_x_range,rho_y_range,rho_x_range_total,rho_y_range_total,score,n_used,n_rejected,flags,time_s"
 )  # likewise
 
 
@@ -182,6 +183,29 @@ def test_parquet_holds_the_same_and_full_covariances(finished: Run) -> None:
     sigmas = ARCSEC_PER_RAD * np.sqrt([row["covariance_rad2"][k] for k in (0, 3, 5)])
     expected = [row[f"sigma_{axis}_arcsec"] for axis in "xyz"]
     assert_allclose(sigmas, expected, rtol=0, atol=FLOAT64)
+
+
+def test_observables_hold_every_fix_and_star_once_and_the_totals_of_the_table(finished: Run) -> None:
+    rows, metadata = read_observables(finished.result.folder / "observables.parquet")
+    assert metadata["campaign"] == "test"
+    assert Camera.from_mapping(json.loads(metadata["camera"])) == CAMERA
+    bodies = {(row.file, row.target, row.estimator): row for row in rows if row.kind == "body"}
+    records = [record for record in finished.result.observations if record.center_px is not None]
+    assert len(records) == len(bodies) > 0
+    assert sum(row.kind == "star" for row in rows) == sum(r.n_matched or 0 for r in finished.result.attitudes) > 0
+    for text in table(finished.result.folder, "observations"):
+        row = bodies[text["file"], text["target"], text["estimator"]]
+        pairs = (("sigma_x_total_px", row.sigma_pixel_px), ("sigma_y_total_px", row.sigma_line_px),
+                 ("rho_xy_total", row.correlation_pixel_line), ("rho_x_range_total", row.correlation_pixel_range),
+                 ("sigma_range_km", row.sigma_range_km))  # fmt: skip
+        for name, value in pairs:
+            assert_allclose(float(text[name]), value, rtol=1e-6, atol=1e-12)
+        assert row.shared_attitude == "{0}_a_long.fits + {0}_c_long.fits".format(text["file"][:6])
+        # The table tells no velocity of the target, and the header one of the spacecraft.
+        assert row.geometric_ra_deg is None
+        assert row.astrometric_ra_deg is not None
+    for (file, target), group in grouped(bodies.values(), lambda row: (row.file, row.target)).items():
+        assert sum(row.preferred for row in group) == 1, (file, target)
 
 
 def test_the_partials_of_an_observation_match_numerical_derivatives(finished: Run) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 from typer.testing import CliRunner
 
 from giantlike.camera import Camera
@@ -22,9 +23,11 @@ from giantlike.campaign.demo import DemoReport, Goal, run_demo
 from giantlike.cli.app import app
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.time import et_from_time
 from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.io.observables_file import read_observables
 from giantlike.io.tables import columns_of
-from giantlike.simulation import ApproachOptions, Visit
+from giantlike.simulation import ApproachOptions, Visit, plan_approach
 from giantlike.simulation.compare import (
     AttitudeError,
     Comparison,
@@ -316,6 +319,33 @@ def test_the_lost_visit_is_solved_without_an_a_priori_attitude(report: DemoRepor
         lost = {row["file"] for row in csv.DictReader(stream) if not row["qx"]}
     assert lost == {"rock_07_long1.fits", "rock_07_short.fits", "rock_07_long2.fits"}
     assert {error.status for error in report.comparison.attitudes if error.file in lost} == {"ok"}
+
+
+def test_geometric_observables_are_where_the_bodies_were_within_their_covariance(report: DemoReport) -> None:
+    """Of the preferred fixes, against the true orbits at the epoch: no light time, no aberration, no camera."""
+    rows, _ = read_observables(report.output / "run" / "observables.parquet")
+    truth = {
+        frame.shot.name: frame.scene.target().ephemeris.state(et)[0] - frame.shot.observer.position_km
+        for frame in plan_approach().frames
+        if (et := et_from_time(frame.shot.epoch)) and frame.shot.observer is not None
+    }
+    squared, count = 0.0, 0
+    for row in rows:
+        if row.kind != "body" or not row.preferred:
+            continue
+        true_km = truth[row.file]
+        direction = np.array(row.geometric_direction_icrf)
+        off = direction - true_km / np.linalg.norm(true_km)
+        assert np.abs(off).max() < 2e-5  # 0.07 px; aberration and light time alone are 1e-4 each
+        if row.geometric_position_icrf_km is None or row.covariance_position_icrf_km2 is None:
+            continue
+        error = np.array(row.geometric_position_icrf_km) - true_km
+        covariance = np.array(row.covariance_position_icrf_km2).reshape(3, 3)
+        squared += float(error @ np.linalg.solve(covariance, error))
+        count += 3
+    low, high = (float(chi2.ppf(tail, count)) for tail in (1e-3, 0.999))
+    assert count >= 24
+    assert low < squared < high
 
 
 def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(report: DemoReport) -> None:

@@ -19,7 +19,8 @@ from typer.testing import CliRunner
 from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models import BrownModel
 from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
-from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem, Status
+from giantlike.campaign.store.record_values import Status
+from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem
 from giantlike.campaign.store.results import camera_of_run
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.app import app

@@ -31,6 +31,9 @@ RANGE_KM = 1000.0
 TRUTH = {"fx_px": 900.0, "fy_px": 900.0, "cx_px": 127.5, "cy_px": 127.5, "k1": -0.05, "k2": 0.0, "p1": 0.0, "p2": 0.0}
 STEPS = {name: 1e-2 if name.endswith("px") else 1e-5 for name in TRUTH}
 N_STARS, STAR_SIGMA_PX = 150, 0.2
+TURNED = np.array(
+    [0.06, 0.06, 2e-3]
+)  # px, px, ln: of shifts of 0.6 px; 1.7 deg of another view, by the whole pixels of lines
 FALSE_ALARM = 1e-4  # of each test of squared errors
 
 
@@ -175,6 +178,38 @@ def test_scale_and_orientation_of_a_body_are_in_its_covariance() -> None:
     low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
     assert low < with_body < high
     assert exact > high  # without the parts of the body the test fails
+
+
+def test_a_fix_moves_with_the_true_body_as_its_partials_say() -> None:
+    """The true body, of another renderer, is larger or turned; what the estimator is told of it stays."""
+    known = TargetUncertainty(scale=2e-3, pole_rad=0.03, spin_rad=0.04)
+    position, radii = np.array([5.0, -8.0, RANGE_KM]), np.array([60.0, 42.0, 29.0])
+    attitude = Rotation.from_euler("xyz", [0.4, 1.1, -0.3])
+    here = scene(position, radii, attitude, known)
+
+    def fix(scale: float = 1.0, turn: Rotation | None = None) -> PositionFix:
+        pose = Pose(position, attitude if turn is None else attitude * turn, SUN)
+        light = render_body(EllipsoidBody(radii * scale), VIEW, pose, law="lambert", psf=Psf(0.7))
+        image = Image(pixels=light, camera_from_inertial=Rotation.identity())
+        return LimbMatching().estimate(image, camera(), here).unwrap()
+
+    def place(one: PositionFix) -> Float:
+        return np.append(one.center_px, np.log(one.range_km))
+
+    before = fix()
+    scaled = (place(fix(1.01)) - place(before)) / 0.01
+    np.testing.assert_allclose(before.partials[Cause.SHAPE_SCALE][:, 0], scaled, rtol=0.02, atol=1.0)  # 0.01 px
+    largest = 0.0
+    for cause, axes, sigma in (
+        (Cause.POLE, np.eye(3)[:2], known.pole_rad),
+        (Cause.SPIN, np.eye(3)[2:], known.spin_rad),
+    ):
+        # A body told with an error of one sigma is one whose truth is off by minus one sigma.
+        moved = np.array([place(before) - place(fix(turn=Rotation.from_rotvec(-sigma * axis))) for axis in axes])
+        off = np.abs(sigma * before.partials[cause] - moved.T).max(axis=1)
+        assert (off < TURNED).all(), (cause, off)
+        largest = max(largest, float(np.abs(moved[:, 0]).max()))
+    assert largest > 5.0 * TURNED[0]
 
 
 def test_the_attitude_and_the_ephemeris_shift_the_direction_as_a_turned_camera_and_a_moved_body_do() -> None:

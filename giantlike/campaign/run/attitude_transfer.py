@@ -112,4 +112,5 @@ def _transferred(
         "gap_s": f"{outcome.gap_s:.6g}",
     }
     record = with_attitude(record, campaign.camera, attitude, "suspect" if suspect else "ok")
-    return record.replace(provenance=provenance, flags=list(outcome.errors.flags.names()))
+    shares = {source.file: weight for source, weight in zip(sources, outcome.weights, strict=True)}
+    return record.replace(provenance=provenance, flags=list(outcome.errors.flags.names()), attitude_shares=shares)

@@ -253,8 +253,14 @@ def _from_row(
         if not _has_state("SUN", et, spacecraft):
             return _missing(image, target, _SUN_COLUMNS, f"no state of SUN relative to {spacecraft}")
         sun = unit(spice.spice.sun_from(position, et))
+    velocity = row.target_velocity_inertial_km_s
+    if velocity is None and spice is not None and et is not None and _has_state(target.spice_body, et, BARYCENTER):
+        velocity = spk_state(target.spice_body, et, observer=BARYCENTER)[1]
     return ApparentGeometry(
-        position_inertial_km=position, inertial_from_body=inertial_from_body, sun_direction_inertial=sun
+        position_inertial_km=position,
+        inertial_from_body=inertial_from_body,
+        sun_direction_inertial=sun,
+        velocity_inertial_km_s=velocity,
     )
 
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord, StarMatches, Status
+from giantlike.campaign.store.record_values import Landmarks, SightingRecord, StarMatches, Status
+from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.causes import Cause, summed
 from giantlike.core.errors import InputError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
+from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix, CenterFix, PositionFix, Quality
-from giantlike.image import AttitudeSource
+from giantlike.image import AttitudeSource, Image
 from giantlike.relative.budget import position_covariance
-from giantlike.scene import TargetGeometry
+from giantlike.relative.landmarks.surface_features import LandmarkFix
+from giantlike.scene import Scene, TargetGeometry
 
 
 def status_of(flags: Quality) -> Status:
@@ -60,6 +65,25 @@ def attitude_of(
         parts={cause: part.tolist() for cause, part in errors.parts.items()},
         by_camera=None if errors.by_camera is None else errors.by_camera.tolist(),
         flags=list(errors.flags.names()),
+    )
+
+
+def with_observer(record: AttitudeRecord, observer: ObserverState | None) -> AttitudeRecord:
+    """Record with the state of the spacecraft.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+    observer : ObserverState, optional
+
+    Returns
+    -------
+    AttitudeRecord
+    """
+    if observer is None:
+        return record
+    return record.replace(
+        observer_position_km=observer.position_km.tolist(), observer_velocity_km_s=observer.velocity_km_s.tolist()
     )
 
 
@@ -116,6 +140,50 @@ def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> Atti
     )
 
 
+def sighting_of(scene: Scene, image: Image, geometry: TargetGeometry) -> SightingRecord:
+    """Record of what was known of a target beforehand.
+
+    Parameters
+    ----------
+    scene : Scene
+    image : Image
+    geometry : TargetGeometry
+        Of a target of the scene in the image.
+
+    Returns
+    -------
+    SightingRecord
+    """
+    known = geometry.target.uncertainty
+    record = SightingRecord(
+        target=geometry.target.name,
+        camera_from_body_xyzw=quaternion_xyzw(geometry.camera_from_body).tolist(),
+        sun_direction_camera=geometry.sun_direction_camera.tolist(),
+        scale_sigma=known.scale,
+        pole_sigma_rad=known.pole_rad,
+        spin_sigma_rad=known.spin_rad,
+        ephemeris_sigma_km=known.ephemeris_km,
+    )
+    circumstances = scene.circumstances(image, geometry.target.name)
+    if circumstances is None:
+        return record
+    return record.replace(**{name: _plain(value) for name, value in asdict(circumstances).items()})
+
+
+def _plain(value: object) -> object:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _landmarks(fix: LandmarkFix) -> Landmarks:
+    return Landmarks(
+        names=list(fix.landmark_names),
+        observed_px=fix.landmark_px.tolist(),
+        predicted_px=fix.landmark_predicted_px.tolist(),
+        covariance_px2=fix.covariance_landmarks_px2.tolist(),
+        body_km=fix.landmark_body_km.tolist(),
+    )
+
+
 def with_prediction(record: ObservationRecord, camera: Camera, geometry: TargetGeometry) -> ObservationRecord:
     """Record with the place of the target by the a priori geometry.
 
@@ -168,6 +236,8 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
         flags=list(fix.flags.names()),
         provenance=dict(fix.provenance),
         parts={cause: part.tolist() for cause, part in fix.parts.items()},
+        partials={cause: partial.tolist() for cause, partial in fix.partials.items()},
+        landmarks=_landmarks(fix) if isinstance(fix, LandmarkFix) else None,
     )
     position = camera.model.unproject(fix.center_px) * geometry.range_km
     if isinstance(fix, PositionFix):

@@ -34,6 +34,7 @@ from giantlike.campaign.run.worker import (
     solve_image,
 )
 from giantlike.campaign.store.log import RunLog
+from giantlike.campaign.store.observables import write_run_observables
 from giantlike.campaign.store.records import (
     AttitudeRecord,
     CalibrationRecord,
@@ -145,6 +146,7 @@ def _finish(folder: RunFolder, result: RunResult) -> None:
     )
     images = {record.file: record.sha256 for record in result.attitudes}
     folder.write_provenance(folder.provenance() | {"images_sha256": images, "run": run.model_dump()})
+    write_run_observables(result)
     write_report(result)
     folder.log("run_finished", failed_images=len(result.failed_images), time_s=run.time_s)
 

@@ -19,7 +19,16 @@ from giantlike.campaign.calibration.solve import NO_STAR_IMAGE, record_of_stars,
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.inputs import TargetSetup
 from giantlike.campaign.run.image_loading import PreparedImage, open_image, scene_of, targets_in
-from giantlike.campaign.run.observables import attitude_of, with_attitude, with_fix, with_prediction, with_stars
+from giantlike.campaign.run.observables import (
+    attitude_of,
+    sighting_of,
+    with_attitude,
+    with_fix,
+    with_observer,
+    with_prediction,
+    with_stars,
+)
+from giantlike.campaign.store.record_values import SightingRecord
 from giantlike.campaign.store.records import (
     Attitude,
     AttitudeRecord,
@@ -297,7 +306,7 @@ def _solved(bench: Workbench, entry: ImageEntry) -> AttitudeRecord | Problem:
     bench, prepared = opened
     campaign, image = bench.campaign, prepared.image
     apriori = image.camera_from_inertial
-    record = _unsolved(campaign, entry, image).replace(
+    record = with_observer(_unsolved(campaign, entry, image), image.observer).replace(
         sha256=image.sha256,
         columns=image.columns,
         rows=image.rows,
@@ -403,6 +412,7 @@ def _estimated(bench: Workbench, job: ImageJob) -> ObservationsRecord | Problem:
         )
     epoch_utc = None if image.epoch is None else utc_text(image.epoch)
     observations: list[ObservationRecord] = []
+    sightings: list[SightingRecord] = []
     views: list[TargetView] = []
     notes: list[str] = []
     for target in targets_in(campaign, entry.key):
@@ -415,13 +425,17 @@ def _estimated(bench: Workbench, job: ImageJob) -> ObservationsRecord | Problem:
             else:
                 problem = Problem.of(geometry) if isinstance(geometry, Failure) else geometry
                 observations.append(record.replace(problem=problem))
+        if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
+            sightings.append(sighting_of(scene, image, geometry))
         if isinstance(geometry, TargetGeometry) and campaign.max_overlays > 0:
             view = _attempt(_view, campaign, geometry)
             if isinstance(view, Problem):
                 notes.append(f"no outline of {target.name}: {view.detail}")
             elif view is not None:
                 views.append(view)
-    return ObservationsRecord(index=entry.index, file=entry.key, observations=observations, views=views, notes=notes)
+    return ObservationsRecord(
+        index=entry.index, file=entry.key, observations=observations, sightings=sightings, views=views, notes=notes
+    )
 
 
 def _observed(

@@ -6,71 +6,35 @@ records. Results therefore never depend on whether a run was interrupted.
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
-from typing import Annotated, ClassVar, Literal, Self, TypeAlias
+from typing import ClassVar, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
+from giantlike.campaign.store.record_values import (
+    Covariance,
+    FlagName,
+    Landmarks,
+    Pair,
+    PlainRecord,
+    Rows,
+    SightingRecord,
+    StarMatches,
+    Status,
+    Triple,
+    TwoByThree,
+    TwoByTwo,
+    UnitQuaternion,
+    Vector,
+)
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
 
-Vector: TypeAlias = list[float]
-Matrix: TypeAlias = list[list[float]]
-Pair: TypeAlias = Annotated[Vector, Field(min_length=2, max_length=2)]
-Triple: TypeAlias = Annotated[Vector, Field(min_length=3, max_length=3)]
-TwoByTwo: TypeAlias = Annotated[list[Pair], Field(min_length=2, max_length=2)]
-TwoByThree: TypeAlias = Annotated[list[Triple], Field(min_length=2, max_length=2)]
-_UNIT = 1e-6  # departure of the length of a quaternion from 1 that is rounding
 
-
-def _unit_quaternion(values: Vector) -> Vector:
-    if len(values) != 4 or not abs(math.hypot(*values) - 1.0) < _UNIT:
-        raise ValueError(f"a unit quaternion of four numbers is needed, got {values}")
-    return values
-
-
-def _of_equal_rows(values: Matrix) -> Matrix:
-    if len({len(row) for row in values}) != 1:
-        raise ValueError("a matrix with rows of equal length is needed")
-    return values
-
-
-def _flag_name(name: str) -> str:
-    if name.upper() not in Quality.__members__:
-        raise ValueError(f"there is no quality flag {name!r}")
-    return name
-
-
-UnitQuaternion: TypeAlias = Annotated[Vector, AfterValidator(_unit_quaternion)]
-Covariance: TypeAlias = Annotated[list[Triple], Field(min_length=3, max_length=3)]
-Rows: TypeAlias = Annotated[Matrix, AfterValidator(_of_equal_rows)]
-FlagName: TypeAlias = Annotated[str, AfterValidator(_flag_name)]
-Status: TypeAlias = Literal["ok", "suspect", "failed"]
-
-
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    def replace(self, **changes: object) -> Self:
-        """Return a checked copy with other values of some fields.
-
-        Parameters
-        ----------
-        **changes
-            Values by field.
-
-        Returns
-        -------
-        record
-        """
-        return self.model_validate(self.__dict__ | changes)
-
-
-class Problem(_Record):
+class Problem(PlainRecord):
     """The reason why there is no result.
 
     Parameters
@@ -101,7 +65,7 @@ class Problem(_Record):
         return cls(reason=failure.reason, detail=failure.detail)
 
 
-class RunSummary(_Record):
+class RunSummary(PlainRecord):
     """Section ``run`` of the provenance of a finished run.
 
     Parameters
@@ -127,7 +91,7 @@ class RunSummary(_Record):
     time_s: float
 
 
-class Attitude(_Record):
+class Attitude(PlainRecord):
     """An attitude and its covariance.
 
     Parameters
@@ -178,27 +142,7 @@ class Attitude(_Record):
         return np.sqrt(np.diag(self.covariance_rad2))
 
 
-class StarMatches(_Record):
-    """Stars of one solution, for residual plots and overlays.
-
-    Parameters
-    ----------
-    star_ids : (n,) list of int
-    observed_px, predicted_px : (n, 2) list of float, px
-    sigma_px, magnitudes : (n,) list of float, px and magnitudes
-    rejected_px : (m, 2) list of float, px
-        Matches rejected as outliers.
-    """
-
-    star_ids: list[int]
-    observed_px: list[Pair]
-    predicted_px: list[Pair]
-    sigma_px: Vector
-    magnitudes: Vector
-    rejected_px: list[Pair] = []
-
-
-class ImageRecord(_Record):
+class ImageRecord(PlainRecord):
     """Base of what is kept of one image by one step of a run; one file in the run folder.
 
     Parameters
@@ -241,6 +185,8 @@ class AttitudeRecord(ImageRecord):
         Empty and 0 where the image could not be read.
     epoch_utc, et, exposure_s : str, float, float, optional
         Mid-exposure (UTC; TDB seconds past J2000) and exposure, s.
+    observer_position_km, observer_velocity_km_s : (3,) list of float, optional
+        Of the spacecraft with respect to the solar system barycenter, km and km/s, ICRF axes.
     star_image, body_image : bool
         True if its own stars were to be solved; True if estimators run on it.
     transferred : bool
@@ -251,6 +197,8 @@ class AttitudeRecord(ImageRecord):
         A priori ``camera_from_inertial``, scalar last.
     attitude : Attitude, optional
         The result; None when failed.
+    attitude_shares : dict of str to float
+        Of a transferred attitude, the star images it is made of and the share of each.
     n_detected, n_matched, n_rejected, rms_px, false_match_probability : int or float, optional
         Of the star solution, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
     ra_deg, dec_deg, roll_deg, fov_deg : float, optional, deg
@@ -275,6 +223,8 @@ class AttitudeRecord(ImageRecord):
     epoch_utc: str | None = None
     et: float | None = None
     exposure_s: float | None = None
+    observer_position_km: Triple | None = None
+    observer_velocity_km_s: Triple | None = None
     star_image: bool = False
     body_image: bool = True
     transferred: bool = False
@@ -282,6 +232,7 @@ class AttitudeRecord(ImageRecord):
     problem: Problem | None = None
     apriori_xyzw: UnitQuaternion | None = None
     attitude: Attitude | None = None
+    attitude_shares: dict[str, float] = Field(default_factory=dict)
     n_detected: int | None = None
     n_matched: int | None = None
     n_rejected: int | None = None
@@ -291,12 +242,12 @@ class AttitudeRecord(ImageRecord):
     dec_deg: float | None = None
     roll_deg: float | None = None
     fov_deg: float | None = None
-    flags: list[str] = []
-    provenance: dict[str, str] = {}
+    flags: list[str] = Field(default_factory=list)
+    provenance: dict[str, str] = Field(default_factory=dict)
     time_s: float = 0.0
     stars: StarMatches | None = None
-    detected_px: list[Pair] = []
-    notes: list[str] = []
+    detected_px: list[Pair] = Field(default_factory=list)
+    notes: list[str] = Field(default_factory=list)
 
     @property
     def readable(self) -> bool:
@@ -351,14 +302,14 @@ class CalibrationRecord(ImageRecord):
     observer_velocity_km_s: Triple | None = None
     temperature_c: float = 0.0
     apriori_xyzw: UnitQuaternion | None = None
-    quaternion_xyzw: Vector = []
+    quaternion_xyzw: Vector = Field(default_factory=list)
     focal_length_px: float = 0.0
-    points_px: list[Pair] = []
-    covariance_px2: list[TwoByTwo] = []
-    snr: Vector = []
-    star_ids: list[int] = []
-    source_indices: list[int] = []
-    sigma_px: Vector = []
+    points_px: list[Pair] = Field(default_factory=list)
+    covariance_px2: list[TwoByTwo] = Field(default_factory=list)
+    snr: Vector = Field(default_factory=list)
+    star_ids: list[int] = Field(default_factory=list)
+    source_indices: list[int] = Field(default_factory=list)
+    sigma_px: Vector = Field(default_factory=list)
 
     @property
     def problems(self) -> list[Problem]:
@@ -366,7 +317,7 @@ class CalibrationRecord(ImageRecord):
         return [] if self.problem is None else [self.problem]
 
 
-class ObservationRecord(_Record):
+class ObservationRecord(PlainRecord):
     """Result of one estimator for one target in one image; units and frames as in the tables.
 
     Covariances are (2, 2) and (3, 3), partials (2, 3); see :class:`~giantlike.io.run_tables.ObservationRow`.
@@ -383,6 +334,9 @@ class ObservationRecord(_Record):
     provenance : dict of str to str
     parts : mapping of Cause to (k, k) list of float
         Covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
+    partials : mapping of Cause to (k, m) list of float
+        Derivatives of the place, as there.
+    landmarks : Landmarks, optional
     limb_px : (n, 2) list of float, px
         Limb points used.
     time_s : float, s
@@ -412,14 +366,16 @@ class ObservationRecord(_Record):
     score: float | None = None
     n_used: int | None = None
     n_rejected: int | None = None
-    flags: list[str] = []
-    provenance: dict[str, str] = {}
+    flags: list[str] = Field(default_factory=list)
+    provenance: dict[str, str] = Field(default_factory=dict)
     parts: dict[Cause, Rows] = Field(default_factory=dict)
-    limb_px: list[Pair] = []
+    partials: dict[Cause, Rows] = Field(default_factory=dict)
+    landmarks: Landmarks | None = None
+    limb_px: list[Pair] = Field(default_factory=list)
     time_s: float = 0.0
 
 
-class TargetView(_Record):
+class TargetView(PlainRecord):
     """Predicted place of a target in an image, for overlays.
 
     Parameters
@@ -446,6 +402,8 @@ class ObservationsRecord(ImageRecord):
     Parameters
     ----------
     observations : list of ObservationRecord
+    sightings : list of SightingRecord
+        Of the targets whose geometry is known.
     views : list of TargetView
     notes : list of str
         Oddities.
@@ -453,9 +411,10 @@ class ObservationsRecord(ImageRecord):
 
     part: ClassVar[str] = "observations"
 
-    observations: list[ObservationRecord] = []
-    views: list[TargetView] = []
-    notes: list[str] = []
+    observations: list[ObservationRecord] = Field(default_factory=list)
+    sightings: list[SightingRecord] = Field(default_factory=list)
+    views: list[TargetView] = Field(default_factory=list)
+    notes: list[str] = Field(default_factory=list)
 
     @property
     def problems(self) -> list[Problem]:
@@ -463,11 +422,11 @@ class ObservationsRecord(ImageRecord):
         return [record.problem for record in self.observations if record.problem is not None]
 
     def light(self) -> Self:
-        """Return the record without limb points and outlines.
+        """Return the record without limb points, landmarks and outlines.
 
         Returns
         -------
         ObservationsRecord
         """
-        observations = [record.model_copy(update={"limb_px": []}) for record in self.observations]
+        observations = [record.model_copy(update={"limb_px": [], "landmarks": None}) for record in self.observations]
         return self.model_copy(update={"observations": observations, "views": []})

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from giantlike.campaign.store.records import AttitudeRecord, Matrix, ObservationRecord
-from giantlike.core.causes import summed
+from giantlike.campaign.store.record_values import Matrix
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
+from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.io.run_tables import AttitudeRow, ObservationRow
 from giantlike.io.tables import write_rows
 
 Row = TypeVar("Row", AttitudeRow, ObservationRow)
+
+_TOTAL = tuple(cause for cause in Cause if cause is not Cause.EPHEMERIS)
+"""Causes in ``covariance_with_attitude_px2``."""
 
 
 def write_tables(folder: Path, attitudes: Sequence[AttitudeRecord], observations: Sequence[ObservationRecord]) -> None:
@@ -54,28 +58,25 @@ def _attitude_row(record: AttitudeRecord) -> AttitudeRow:
 
 
 def _observation_row(record: ObservationRecord) -> ObservationRow:
-    attitude, covariance = record.attitude, record.covariance_px2
-    sigmas = _sigmas(covariance)
-    correlation = None
-    if covariance is not None and sigmas is not None:
-        product = sigmas[0] * sigmas[1]
-        correlation = covariance[0][1] / product if product > 0 else None
+    attitude, covariance, total = record.attitude, record.covariance_px2, record.covariance_with_attitude_px2
     return _row(
         ObservationRow,
         record,
         **_named("predicted_x_px predicted_y_px", record.predicted_px),
         **_named("x_px y_px", record.center_px),
-        **_named("sigma_x_px sigma_y_px", sigmas),
-        rho_xy=correlation,
-        **_named("sigma_x_total_px sigma_y_total_px", _sigmas(record.covariance_with_attitude_px2)),
-        **_named("rho_x_range rho_y_range", _range_correlations(record)),
+        **_named("sigma_x_px sigma_y_px", _sigmas(covariance)),
+        rho_xy=_correlation(covariance),
+        **_named("sigma_x_total_px sigma_y_total_px", _sigmas(total)),
+        rho_xy_total=_correlation(total),
+        **_named("rho_x_range rho_y_range", _range_correlations(record, IN_IMAGE)),
+        **_named("rho_x_range_total rho_y_range_total", None if total is None else _range_correlations(record, _TOTAL)),
         parts=json.dumps(record.parts) if record.parts else None,
         **_named("x_camera_km y_camera_km z_camera_km", record.position_camera_km),
         attitude_source=None if attitude is None else attitude.source,
         camera_from_inertial_xyzw=None if attitude is None else attitude.quaternion_xyzw,
         attitude_covariance_rad2=_triangle(None if attitude is None else attitude.covariance_rad2),
         covariance_px2=_triangle(covariance),
-        covariance_with_attitude_px2=_triangle(record.covariance_with_attitude_px2),
+        covariance_with_attitude_px2=_triangle(total),
         partial_position_inertial_px_km=_flat(record.partial_position_inertial_px_km),
         partial_attitude_px_rad=_flat(record.partial_attitude_px_rad),
         covariance_camera_km2=_triangle(record.covariance_camera_km2),
@@ -88,11 +89,18 @@ def _sigmas(covariance: Matrix | None) -> list[float] | None:
     return None if covariance is None else [math.sqrt(row[k]) for k, row in enumerate(covariance)]
 
 
-def _range_correlations(record: ObservationRecord) -> list[float] | None:
-    """Correlations of x and y with the range; None where no range was estimated."""
+def _correlation(covariance: Matrix | None) -> float | None:
+    """Correlation of x and y; None where it is not defined."""
+    sigmas = _sigmas(covariance)
+    product = 0.0 if sigmas is None else sigmas[0] * sigmas[1]
+    return covariance[0][1] / product if covariance is not None and product > 0.0 else None
+
+
+def _range_correlations(record: ObservationRecord, causes: Iterable[Cause]) -> list[float] | None:
+    """Correlations of x and y with the range, by some causes; None where no range was estimated."""
     if record.range_km is None or not record.parts:
         return None
-    total = summed({cause: np.array(part) for cause, part in record.parts.items()})
+    total = summed({cause: np.array(part) for cause, part in record.parts.items()}, causes)
     sigmas = np.sqrt(np.diag(total))
     product = sigmas[:2] * sigmas[2]
     return (total[:2, 2] / product).tolist() if (product > 0.0).all() else None

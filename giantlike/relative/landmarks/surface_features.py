@@ -122,6 +122,9 @@ class LandmarkFix(PositionFix):
         Of the landmarks used.
     landmark_px, landmark_predicted_px : (n, 2) float64, px
         Measured, and projected by the pose.
+    covariance_landmarks_px2 : (n, 2, 2) float64, px^2
+        Of each measured landmark alone: the noise, and the excess of the residuals over it.
+    landmark_body_km : (n, 3) float64, km, body-fixed axes
     """
 
     camera_from_body: Rotation
@@ -130,6 +133,8 @@ class LandmarkFix(PositionFix):
     landmark_names: tuple[str, ...]
     landmark_px: Float
     landmark_predicted_px: Float
+    covariance_landmarks_px2: Float
+    landmark_body_km: Float
 
     def unwrap(self) -> LandmarkFix:
         """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead).
@@ -372,6 +377,8 @@ class _Search:
             landmark_names=tuple(self.catalog.landmarks[number].name for number in numbers),
             landmark_px=observed,
             landmark_predicted_px=self._projected(body)[numbers],
+            covariance_landmarks_px2=np.array([match.covariance_px2 for match in used]) + pose.floor_px**2 * np.eye(2),
+            landmark_body_km=self.viewer.points_body_km[numbers],
         )
 
     def _flags(self, found: _Found, observed_px: Float, score: float) -> Quality:

@@ -1,0 +1,134 @@
+"""Plain values that records of a run are made of, checked where they are read: numbers, stars, landmarks, states."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Self, TypeAlias
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from giantlike.core.outcomes import Quality
+
+Vector: TypeAlias = list[float]
+Matrix: TypeAlias = list[list[float]]
+Pair: TypeAlias = Annotated[Vector, Field(min_length=2, max_length=2)]
+Triple: TypeAlias = Annotated[Vector, Field(min_length=3, max_length=3)]
+TwoByTwo: TypeAlias = Annotated[list[Pair], Field(min_length=2, max_length=2)]
+TwoByThree: TypeAlias = Annotated[list[Triple], Field(min_length=2, max_length=2)]
+_UNIT = 1e-6  # departure of the length of a quaternion from 1 that is rounding
+
+
+def _unit_quaternion(values: Vector) -> Vector:
+    if len(values) != 4 or not abs(math.hypot(*values) - 1.0) < _UNIT:
+        raise ValueError(f"a unit quaternion of four numbers is needed, got {values}")
+    return values
+
+
+def _of_equal_rows(values: Matrix) -> Matrix:
+    if len({len(row) for row in values}) != 1:
+        raise ValueError("a matrix with rows of equal length is needed")
+    return values
+
+
+def _flag_name(name: str) -> str:
+    if name.upper() not in Quality.__members__:
+        raise ValueError(f"there is no quality flag {name!r}")
+    return name
+
+
+UnitQuaternion: TypeAlias = Annotated[Vector, AfterValidator(_unit_quaternion)]
+Covariance: TypeAlias = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+Rows: TypeAlias = Annotated[Matrix, AfterValidator(_of_equal_rows)]
+FlagName: TypeAlias = Annotated[str, AfterValidator(_flag_name)]
+Status: TypeAlias = Literal["ok", "suspect", "failed"]
+
+
+class PlainRecord(BaseModel):
+    """Base of values that survive JSON exactly."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def replace(self, **changes: object) -> Self:
+        """Return a checked copy with other values of some fields.
+
+        Parameters
+        ----------
+        **changes
+            Values by field.
+
+        Returns
+        -------
+        record
+        """
+        return self.model_validate(self.__dict__ | changes)
+
+
+class StarMatches(PlainRecord):
+    """Stars of one solution, for residual plots and overlays.
+
+    Parameters
+    ----------
+    star_ids : (n,) list of int
+    observed_px, predicted_px : (n, 2) list of float, px
+    sigma_px, magnitudes : (n,) list of float, px and magnitudes
+    rejected_px : (m, 2) list of float, px
+        Matches rejected as outliers.
+    """
+
+    star_ids: list[int]
+    observed_px: list[Pair]
+    predicted_px: list[Pair]
+    sigma_px: Vector
+    magnitudes: Vector
+    rejected_px: list[Pair] = Field(default_factory=list)
+
+
+class Landmarks(PlainRecord):
+    """Landmarks of one fix.
+
+    Parameters
+    ----------
+    names : (n,) list of str
+    observed_px, predicted_px : (n, 2) list of float, px
+        Measured, and projected by the pose that they give.
+    covariance_px2 : list of n (2, 2) lists, px^2
+        Of each alone: noise and the excess of the residuals over it.
+    body_km : (n, 3) list of float, km, body-fixed axes
+    """
+
+    names: list[str]
+    observed_px: list[Pair]
+    predicted_px: list[Pair]
+    covariance_px2: list[TwoByTwo]
+    body_km: list[Triple]
+
+
+class SightingRecord(PlainRecord):
+    """What was known of a target in an image beforehand, for its observables.
+
+    Parameters
+    ----------
+    target : str
+    origin, observer_position_km, ..., light_time_s
+        As in :class:`~giantlike.scene.Circumstances`; None where unknown.
+    camera_from_body_xyzw : (4,) list of float
+        Orientation when the light left, by the attitude used; scalar last.
+    sun_direction_camera : (3,) list of float
+        From the body to the Sun.
+    scale_sigma, pole_sigma_rad, spin_sigma_rad, ephemeris_sigma_km : float
+        As in :class:`~giantlike.scene.TargetUncertainty`.
+    """
+
+    target: str
+    origin: str | None = None
+    observer_position_km: Triple | None = None
+    observer_velocity_km_s: Triple | None = None
+    target_velocity_km_s: Triple | None = None
+    target_motion_km: Triple | None = None
+    light_time_s: float | None = None
+    camera_from_body_xyzw: UnitQuaternion
+    sun_direction_camera: Triple
+    scale_sigma: float = 0.0
+    pole_sigma_rad: float = 0.0
+    spin_sigma_rad: float = 0.0
+    ephemeris_sigma_km: float = 0.0

@@ -1,0 +1,314 @@
+"""Columns of the observables file, and the file: Parquet with the meaning of each column in it, or JSON lines.
+
+The file is for a filter that estimates an orbit: one row is one observation, lists have fixed lengths, matrices are
+given by rows, and a value that is not known is null.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from giantlike.core.atomic import replacing
+from giantlike.core.causes import Cause
+from giantlike.core.errors import DataError, InputError
+from giantlike.io.tables import arrow_schema, arrow_table, column, columns_of
+
+FORMAT, FORMAT_VERSION = "giantlike observables", "1"
+"""Metadata of the file: what it is, and the version of its columns."""
+_GROUP = 4096
+"""Rows of a group of the Parquet file: some megabytes, whatever the number of images."""
+_ICRF = "ICRF"
+_CAMERA = "camera"
+_PLACE = "(pixel, line, apparent range)"
+_PLACE_UNITS = "px, px, km"
+_MATRIX = "(3 x 3, by rows; without a range the last row and column are null)"
+
+
+def _part(cause: Cause, what: str, shared: str) -> Any:
+    """Column of a part of the covariance."""
+    text = f"Part of `covariance` by {what}. Shared by rows with the same `{shared}`."
+    return column(text, _PLACE_UNITS, str(cause), size=9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObservableRow:
+    """One row per observation: an image, a target and an estimator (`kind` body), a landmark of one, or a star.
+
+    What is *apparent* is as the camera saw it: light time and stellar aberration are in. *Astrometric* is without
+    stellar aberration: from the spacecraft at the epoch to the target when the light left it. *Geometric* is without
+    light time, too: from the spacecraft to the target, both at the epoch. `o_minus_c` is observed less computed by the
+    a priori geometry and the attitude of the row. A covariance is that of the errors of the measurement; the ephemeris
+    of the target, which a filter estimates, is not in it. Partials are derivatives of (pixel, line, apparent range) by
+    the true value of something, all else being equal.
+    """
+
+    kind: str = column("`body` (the origin of its shape model), `landmark` or `star`.")
+    file: str = column("Image file, as in `attitudes`.")
+    target: str | None = column("Name of the target; null for a star.")
+    estimator: str | None = column("Name of the estimator; null for a star.")
+    feature: str | None = column("Name of the landmark; catalog number of the star.")
+    status: str = column("`ok`, or `suspect` (a named check objects).")
+    flags: str | None = column("Names of quality flags, joined by `|`.")
+    preferred: bool = column("True for the one fix of a target in an image that a filter should take.")
+    preferred_reason: str | None = column("Why this fix is preferred, or why another is; of bodies.")
+    epoch_utc: str | None = column("Mid-exposure, ISO 8601.", "UTC")
+    epoch_et_s: float | None = column("Mid-exposure, seconds past J2000.", "TDB s")
+    exposure_s: float | None = column("Exposure.", "s")
+    light_time_s: float | None = column("Light time, by the measured range or, without one, the predicted.", "s")
+    emission_et_s: float | None = column("When the light left the target, seconds past J2000.", "TDB s")
+
+    observed_pixel_px: float = column("Measured column; 0 is the center of the first.", "px", "distorted image")
+    observed_line_px: float = column("Measured row; 0 is the center of the first.", "px", "distorted image")
+    observed_apparent_range_km: float | None = column("Measured apparent range; null where only a direction is.", "km")
+    computed_pixel_px: float | None = column("Computed column.", "px", "distorted image")
+    computed_line_px: float | None = column("Computed row.", "px", "distorted image")
+    computed_apparent_range_km: float | None = column("Computed apparent range.", "km")
+    o_minus_c_pixel_px: float | None = column("Observed less computed column.", "px", "distorted image")
+    o_minus_c_line_px: float | None = column("Observed less computed row.", "px", "distorted image")
+    o_minus_c_apparent_range_km: float | None = column("Observed less computed apparent range.", "km")
+
+    apparent_direction_icrf: Sequence[float] | None = column("Measured apparent unit vector.", "", _ICRF, size=3)
+    apparent_ra_deg: float | None = column("Its right ascension.", "deg", _ICRF)
+    apparent_dec_deg: float | None = column("Its declination.", "deg", _ICRF)
+    apparent_position_icrf_km: Sequence[float] | None = column(
+        "Measured apparent vector from camera to target; its length is the range by which sizes in the image go.",
+        "km",
+        _ICRF,
+        size=3,
+    )
+    astrometric_direction_icrf: Sequence[float] | None = column("The same without aberration.", "", _ICRF, size=3)
+    astrometric_ra_deg: float | None = column("Its right ascension.", "deg", _ICRF)
+    astrometric_dec_deg: float | None = column("Its declination.", "deg", _ICRF)
+    astrometric_position_icrf_km: Sequence[float] | None = column(
+        "Measured vector from the spacecraft at the epoch to the target when the light left it.", "km", _ICRF, size=3
+    )
+    geometric_direction_icrf: Sequence[float] | None = column(
+        "The same without light time either; null where the motion of the target is not known.", "", _ICRF, size=3
+    )
+    geometric_ra_deg: float | None = column("Its right ascension.", "deg", _ICRF)
+    geometric_dec_deg: float | None = column("Its declination.", "deg", _ICRF)
+    geometric_position_icrf_km: Sequence[float] | None = column(
+        "Measured vector from the spacecraft to the target, both at the epoch.", "km", _ICRF, size=3
+    )
+
+    sigma_pixel_px: float | None = column("One sigma of the measured column, of all causes.", "px")
+    sigma_line_px: float | None = column("One sigma of the measured row, of all causes.", "px")
+    sigma_range_km: float | None = column("One sigma of the measured range, of all causes.", "km")
+    correlation_pixel_line: float | None = column("Correlation of column and row.")
+    correlation_pixel_range: float | None = column("Correlation of column and range.")
+    correlation_line_range: float | None = column("Correlation of row and range.")
+    sigma_ra_cos_dec_arcsec: float | None = column("One sigma of the direction to the east.", "arcsec", _ICRF)
+    sigma_dec_arcsec: float | None = column("One sigma of the direction to the north.", "arcsec", _ICRF)
+    correlation_ra_dec: float | None = column("Correlation of east and north.")
+    covariance: Sequence[float] | None = column(
+        f"Covariance of {_PLACE} of all causes but the ephemeris of the target {_MATRIX}; null where the uncertainty "
+        "of the attitude is not known. Of stars, the noise alone: the attitude follows from them.",
+        _PLACE_UNITS,
+        size=9,
+    )
+    covariance_position_icrf_km2: Sequence[float] | None = column(
+        "Covariance of the measured position by the same causes (3 x 3, by rows).", "km²", _ICRF, size=9
+    )
+    part_noise: Sequence[float] | None = _part(Cause.NOISE, "noise of the pixels", "shared_image")
+    part_background: Sequence[float] | None = _part(Cause.BACKGROUND, "other light", "shared_image")
+    part_psf: Sequence[float] | None = _part(Cause.PSF, "the point spread function", "shared_camera")
+    part_edge: Sequence[float] | None = _part(Cause.EDGE, "the profile of the limb", "shared_camera")
+    part_camera: Sequence[float] | None = _part(Cause.CAMERA, "the camera model", "shared_camera")
+    part_attitude: Sequence[float] | None = _part(Cause.ATTITUDE, "the attitude", "shared_attitude")
+    part_aberration: Sequence[float] | None = _part(Cause.ABERRATION, "the observer's velocity", "shared_camera")
+    part_epoch: Sequence[float] | None = _part(Cause.EPOCH, "the epoch of the stars", "shared_camera")
+    part_reflectance: Sequence[float] | None = _part(Cause.REFLECTANCE, "the reflectance law", "shared_body")
+    part_albedo: Sequence[float] | None = _part(Cause.ALBEDO, "markings of the surface", "shared_body")
+    part_relief: Sequence[float] | None = _part(Cause.RELIEF, "relief beyond the shape model", "shared_body")
+    part_altitude: Sequence[float] | None = _part(Cause.ALTITUDE, "the altitude of the limb", "shared_body")
+    part_shape_scale: Sequence[float] | None = _part(Cause.SHAPE_SCALE, "the size of the shape", "shared_body")
+    part_pole: Sequence[float] | None = _part(Cause.POLE, "the pole of the body", "shared_body")
+    part_spin: Sequence[float] | None = _part(Cause.SPIN, "the rotation of the body about its pole", "shared_body")
+
+    shared_image: str = column("Rows with the same key come from the same pixels: never take two of a target as two.")
+    shared_attitude: str | None = column("Rows with the same key have the same attitude and its error.")
+    shared_camera: str = column("Rows with the same key have the same camera, its calibration and their errors.")
+    shared_body: str | None = column("Rows with the same key have the same shape, pole, reflectance and their errors.")
+    attitude_source: str | None = column("`stars`, `interpolated` or `a_priori`.")
+    attitude_images: Sequence[str] | None = column("Star images that the attitude is made of.")
+    attitude_weights: Sequence[float] | None = column("Share of each in it.")
+    camera_from_icrf_xyzw: Sequence[float] | None = column(
+        "Quaternion of the attitude used, scalar last.", "", "camera from ICRF", size=4
+    )
+    attitude_covariance_rad2: Sequence[float] | None = column(
+        "Covariance of the small rotation about the camera axes that `part_attitude` goes back to (3 x 3, by rows).",
+        "rad²",
+        _CAMERA,
+        size=9,
+    )
+    sigma_shape_scale: float | None = column("One sigma, relative, that `part_shape_scale` goes back to.")
+    sigma_pole_rad: float | None = column("One sigma about each axis that `part_pole` goes back to.", "rad", "body")
+    sigma_spin_rad: float | None = column("One sigma that `part_spin` goes back to.", "rad", "body")
+    sigma_ephemeris_km: float | None = column("One sigma per axis of the a priori position; in no covariance.", "km")
+
+    partial_camera_position: Sequence[float] | None = column(
+        "By the position of the spacecraft at the epoch (3 x 3, by rows); the last row, of the range, is computed even "
+        "where no range was measured.",
+        "px/km, px/km, km/km",
+        _ICRF,
+        size=9,
+    )
+    partial_target_position: Sequence[float] | None = column(
+        "By the position of the target, moved as a whole along its path (3 x 3, by rows).",
+        "px/km, px/km, km/km",
+        _ICRF,
+        size=9,
+    )
+    partial_attitude: Sequence[float] | None = column(
+        "By the small rotation `e` about the camera axes, camera_true = Exp(e) camera (3 x 3, by rows).",
+        "px/rad, px/rad, km/rad",
+        _CAMERA,
+        size=9,
+    )
+    partial_focal_length: Sequence[float] | None = column(
+        "By the focal length, relative: pixels grow with the true one, and the range from a size in the image shrinks.",
+        "px, px, km",
+        size=3,
+    )
+    partial_shape_scale: Sequence[float] | None = column(
+        "By the size of the body, relative; null where it was not computed (no range, and no sigma declared).",
+        "px, px, km",
+        size=3,
+    )
+    partial_pole: Sequence[float] | None = column(
+        "By small rotations of the body about its x and y axes (3 x 2, by rows); null where no sigma is declared.",
+        "px/rad, px/rad, km/rad",
+        "body",
+        size=6,
+    )
+    partial_spin: Sequence[float] | None = column(
+        "By a small rotation of the body about its z axis; null where no sigma is declared.",
+        "px/rad, px/rad, km/rad",
+        "body",
+        size=3,
+    )
+    partial_camera_parameters: Sequence[float] | None = column(
+        "By the uncertain parameters of the camera, with the attitude from stars that follows them (3 x m, by rows); "
+        "their names and covariance are in the metadata `camera_parameters`.",
+        "px, px, km per unit of each",
+    )
+
+    states_origin: str | None = column("Origin of the states: its name in SPICE.")
+    observer_position_icrf_km: Sequence[float] | None = column("Spacecraft at the epoch, used.", "km", _ICRF, size=3)
+    observer_velocity_icrf_km_s: Sequence[float] | None = column(
+        "Its velocity, by which aberration was removed.", "km/s", _ICRF, size=3
+    )
+    target_velocity_icrf_km_s: Sequence[float] | None = column(
+        "Velocity of the target when the light left it, by which light time was removed.", "km/s", _ICRF, size=3
+    )
+    icrf_from_body_xyzw: Sequence[float] | None = column(
+        "Orientation of the body when the light left it, quaternion, scalar last.", "", "ICRF from body", size=4
+    )
+    sun_direction_icrf: Sequence[float] | None = column("Unit vector from the body to the Sun.", "", _ICRF, size=3)
+    feature_position_body_km: Sequence[float] | None = column("Landmark.", "km", "body", size=3)
+    magnitude: float | None = column("Catalog magnitude of the star.")
+    score: float | None = column("Measure of fit of the estimator.")
+    n_used: int | None = column("Number of pixels or points used.")
+    n_rejected: int | None = column("Number of pixels or points rejected.")
+
+
+def write_observables(path: Path, rows: Iterable[ObservableRow], metadata: Mapping[str, str]) -> int:
+    """Write observables: Parquet, or JSON lines where the file name ends in ``.jsonl``.
+
+    Rows are written as they come, so that no more than some thousand are in memory.
+
+    Parameters
+    ----------
+    path : Path
+        New file, ``.parquet`` or ``.jsonl``; an existing one is replaced.
+    rows : iterable of ObservableRow
+    metadata : mapping of str to str
+        Of the Parquet file, beside format and version.
+
+    Returns
+    -------
+    int
+        Number of rows.
+
+    Raises
+    ------
+    InputError
+        The file name has another ending.
+    DataError
+        The file cannot be written.
+    """
+    writers = {".parquet": _write_parquet, ".jsonl": _write_json_lines}
+    if path.suffix not in writers:
+        raise InputError(f"{path}: observables are written as .parquet or .jsonl, got {path.suffix!r}")
+    with replacing(path) as part:
+        return writers[path.suffix](part, iter(rows), metadata)
+
+
+def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
+    """Read observables back from a Parquet file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    rows : list of ObservableRow
+    metadata : dict of str to str
+        Of the file.
+
+    Raises
+    ------
+    DataError
+        It is missing, damaged, or no observables file of this version.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise DataError(path, f"cannot be read as Parquet: {' '.join(str(error).split())[:200]}") from error
+    metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    found = (metadata.get("format"), metadata.get("format_version"))
+    names = [each.name for each in columns_of(ObservableRow)]
+    if found != (FORMAT, FORMAT_VERSION) or table.column_names != names:
+        raise DataError(path, f"is no file of {FORMAT} version {FORMAT_VERSION}: write it again with giantlike export")
+    return [ObservableRow(**row) for row in table.to_pylist()], metadata
+
+
+def _write_parquet(path: Path, rows: Iterator[ObservableRow], metadata: Mapping[str, str]) -> int:
+    from pyarrow import parquet
+
+    named = {"format": FORMAT, "format_version": FORMAT_VERSION, **metadata}
+    schema, count = arrow_schema(columns_of(ObservableRow), named), 0
+    with parquet.ParquetWriter(path, schema) as writer:
+        while group := list(islice(rows, _GROUP)):
+            writer.write_table(arrow_table(schema, group))
+            count += len(group)
+    return count
+
+
+def _write_json_lines(path: Path, rows: Iterator[ObservableRow], metadata: Mapping[str, str]) -> int:
+    """Write one object a line; values that are not known are left out."""
+    count = 0
+    with path.open("w", encoding="utf-8") as file:
+        for row in rows:
+            cells = {name: _json(value) for name, value in dataclasses.asdict(row).items() if value is not None}
+            file.write(json.dumps(cells, allow_nan=False) + "\n")
+            count += 1
+    return count
+
+
+def _json(value: Any) -> Any:
+    """Numbers that JSON does not have become null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return [_json(each) for each in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,87 @@
+"""Light time and stellar aberration out of measured vectors, and in derivatives by positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.light import boost_jacobian, boosted
+from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.core.values import Value
+from giantlike.scene import Circumstances
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Removed(Value):
+    """A measured vector from the spacecraft to a target, with light time and stellar aberration taken out.
+
+    Parameters
+    ----------
+    astrometric_km : (3,) float64, km, ICRF axes
+        From the spacecraft at the epoch to the target when the light left it: aberration taken out.
+    geometric_km : (3,) float64, km, ICRF axes, or None
+        From the spacecraft to the target, both at the epoch; None where the motion of the target is not known.
+    light_time_s : float, s
+    """
+
+    astrometric_km: Float
+    geometric_km: Float | None
+    light_time_s: float
+
+
+def removed(apparent_km: Float, circumstances: Circumstances) -> Removed:
+    """Take stellar aberration and light time out of an apparent vector.
+
+    Parameters
+    ----------
+    apparent_km : (3,) float64, km, ICRF axes
+        Apparent vector from camera to target: its direction holds aberration, and its length is the distance by which
+        the size in the image goes (:func:`~giantlike.core.light.boosted`).
+    circumstances : Circumstances
+
+    Returns
+    -------
+    Removed
+
+    Notes
+    -----
+    The boost to the frame of the spacecraft is undone by that of the opposite velocity. Where the light time is not the
+    predicted one, the motion of the target meanwhile is that of its velocity.
+    """
+    astrometric_km = boosted(apparent_km, -circumstances.observer_velocity_km_s)
+    light_time_s = float(np.linalg.norm(astrometric_km)) / SPEED_OF_LIGHT_KM_S
+    geometric_km = None
+    if circumstances.target_motion_km is not None and circumstances.target_velocity_km_s is not None:
+        longer_s = light_time_s - circumstances.light_time_s
+        geometric_km = astrometric_km + circumstances.target_motion_km + longer_s * circumstances.target_velocity_km_s
+    return Removed(astrometric_km=astrometric_km, geometric_km=geometric_km, light_time_s=light_time_s)
+
+
+def apparent_by_position(astrometric_km: Float, circumstances: Circumstances) -> Float:
+    r"""Derivative of the apparent vector by the position of the target; by that of the spacecraft it is the negative.
+
+    Parameters
+    ----------
+    astrometric_km : (3,) float64, km, ICRF axes
+    circumstances : Circumstances
+
+    Returns
+    -------
+    (3, 3) float64
+
+    Notes
+    -----
+    The vector ``v = t(et - |v|/c) - s`` from the spacecraft ``s`` to the target ``t`` changes by
+    ``(I + w n^T / c)^-1 (dt - ds)`` with the velocity ``w`` of the target and the unit direction ``n``, and the boost
+    by its own derivative. Where the velocity of the target is not known, ``w`` is that of the spacecraft, which is off
+    by the relative velocity over that of light, 1e-4 at most.
+    """
+    velocity = circumstances.target_velocity_km_s
+    if velocity is None:
+        velocity = circumstances.observer_velocity_km_s
+    direction = astrometric_km / np.linalg.norm(astrometric_km)
+    longer = np.eye(3) + np.outer(velocity, direction) / SPEED_OF_LIGHT_KM_S
+    result: Float = boost_jacobian(astrometric_km, circumstances.observer_velocity_km_s) @ np.linalg.inv(longer)
+    return result
