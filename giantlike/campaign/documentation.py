@@ -45,9 +45,9 @@ covariance_km2 = np.stack(fixes.covariance_position_icrf_km2).reshape(-1, 3, 3)
 ## Which direction to take
 | name | stellar aberration | light time | for a program that |
 | --- | --- | --- | --- |
-| `apparent_...` | in | in | models both, as one that computes pixels does |
-| `astrometric_...` | removed | in | models light time, as most orbit programs do for right ascension and declination |
-| `geometric_...` | removed | removed | takes the vector from spacecraft to target at one time |
+| `apparent_...` | in | in | models both, as one that computes pixels does. |
+| `astrometric_...` | removed | in | models light time, as most orbit programs do for angles. |
+| `geometric_...` | removed | removed | takes the vector from spacecraft to target at one time. |
 
 Removing needs the velocity of the spacecraft, and light time that of the target as well; without them the columns are
 null. The length of an apparent position is the distance by which sizes in the image go (it holds the Doppler factor of
@@ -71,7 +71,6 @@ An attitude between two star images has the errors of both: `attitude_weights` a
 Of one target in one image take one row, the one with `preferred`: other estimators see the same pixels. It is that
 of `auto` where it was run (which checks its choice by an independent estimator), else the smallest error ellipse of the
 fixes that agree with most others; suspect fixes are never preferred, and `preferred_reason` says why.
-[examples/orbit_determination.py](../examples/orbit_determination.py) solves an arc from this file alone.
 
 """
 _TYPES: Mapping[Any, str] = types.MappingProxyType(

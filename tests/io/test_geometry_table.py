@@ -47,9 +47,10 @@ def refusal(path: Path) -> str:
 # ----------------------------------------------------------------------------------------- geometry
 
 
-def test_the_columns_are_those_of_the_campaign_contract_and_the_observer() -> None:
+def test_the_columns_are_those_of_the_campaign_contract_the_observer_and_the_targets_velocity() -> None:
     assert ",".join(COLUMNS[:18]) == CONTRACT
-    assert COLUMNS[18:] == (*(f"observer_{x}_km" for x in "xyz"), *(f"observer_v{x}_km_s" for x in "xyz"))
+    assert COLUMNS[18:24] == (*(f"observer_{x}_km" for x in "xyz"), *(f"observer_v{x}_km_s" for x in "xyz"))
+    assert COLUMNS[24:] == tuple(f"target_v{x}_km_s" for x in "xyz")
 
 
 def test_a_full_row_is_read_as_what_it_says(tmp_path: Path) -> None:
