@@ -36,9 +36,10 @@ as Parquet where `--output` ends in `.parquet`. `observations.csv` stays as the 
 
 ```python
 import numpy as np, pandas as pd
+
 table = pd.read_parquet("run/observables.parquet")
 fixes = table[(table.kind == "body") & table.preferred]
-position_km = np.stack(fixes.geometric_position_icrf_km)             # spacecraft to target, both at the epoch
+position_km = np.stack(fixes.geometric_position_icrf_km)  # spacecraft to target, both at the epoch
 covariance_km2 = np.stack(fixes.covariance_position_icrf_km2).reshape(-1, 3, 3)
 ```
 
