@@ -199,7 +199,7 @@ def test_observables_hold_every_fix_and_star_once_and_the_totals_of_the_table(fi
                  ("rho_xy_total", row.correlation_pixel_line), ("rho_x_range_total", row.correlation_pixel_range),
                  ("sigma_range_km", row.sigma_range_km))  # fmt: skip
         for name, value in pairs:
-            assert_allclose(float(text[name]), value, rtol=1e-6, atol=1e-12)
+            assert float(text[name]) == pytest.approx(value, rel=1e-6, abs=1e-12)
         assert row.shared_attitude == "{0}_a_long.fits + {0}_c_long.fits".format(text["file"][:6])
         # The table tells no velocity of the target, and the header one of the spacecraft.
         assert row.geometric_ra_deg is None

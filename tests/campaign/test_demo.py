@@ -21,10 +21,12 @@ from giantlike.camera_models import PinholeModel
 from giantlike.campaign import demo
 from giantlike.campaign.demo import DemoReport, Goal, run_demo
 from giantlike.cli.app import app
+from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.time import et_from_time
 from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.ephemeris import Ephemeris
 from giantlike.io.observables_file import read_observables
 from giantlike.io.tables import columns_of
 from giantlike.simulation import ApproachOptions, Visit, plan_approach
@@ -324,11 +326,12 @@ def test_the_lost_visit_is_solved_without_an_a_priori_attitude(report: DemoRepor
 def test_geometric_observables_are_where_the_bodies_were_within_their_covariance(report: DemoReport) -> None:
     """Of the preferred fixes, against the true orbits at the epoch: no light time, no aberration, no camera."""
     rows, _ = read_observables(report.output / "run" / "observables.parquet")
-    truth = {
-        frame.shot.name: frame.scene.target().ephemeris.state(et)[0] - frame.shot.observer.position_km
-        for frame in plan_approach().frames
-        if (et := et_from_time(frame.shot.epoch)) and frame.shot.observer is not None
-    }
+    truth = dict[str, Float]()
+    for frame in plan_approach().frames:
+        orbit, observer = frame.scene.target().ephemeris, frame.shot.observer
+        assert isinstance(orbit, Ephemeris)
+        assert observer is not None
+        truth[frame.shot.name] = orbit.state(et_from_time(frame.shot.epoch))[0] - observer.position_km
     squared, count = 0.0, 0
     for row in rows:
         if row.kind != "body" or not row.preferred:

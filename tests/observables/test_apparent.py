@@ -33,7 +33,7 @@ def _kernels() -> Iterator[None]:
 
 def _state(body: str, et: float) -> tuple[Float, Float]:
     state = spiceypy.spkssb(spiceypy.bodn2c(body), et, "J2000")
-    return state[:3], state[3:]
+    return np.array(state[:3]), np.array(state[3:])
 
 
 def _vector(correction: str, et: float = ET) -> Float:
@@ -56,7 +56,7 @@ def _apparent(et: float = ET) -> Float:
 
 def _circumstances(*, late_s: float = 0.0) -> Circumstances:
     """As a scene gives them; with a predicted light time that is off."""
-    light_time = np.linalg.norm(_vector("CN")) / SPEED_OF_LIGHT_KM_S + late_s
+    light_time = float(np.linalg.norm(_vector("CN"))) / SPEED_OF_LIGHT_KM_S + late_s
     position, velocity = _state(OBSERVER, ET)
     return Circumstances(
         origin=BARYCENTER,
@@ -64,7 +64,7 @@ def _circumstances(*, late_s: float = 0.0) -> Circumstances:
         observer_velocity_km_s=velocity,
         target_velocity_km_s=_state(TARGET, ET - light_time)[1],
         target_motion_km=_state(TARGET, ET)[0] - _state(TARGET, ET - light_time)[0],
-        light_time_s=float(light_time),
+        light_time_s=light_time,
     )
 
 
