@@ -17,6 +17,7 @@ from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, position_of_center
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.align import align_template
+from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
@@ -156,19 +157,23 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | PositionFix | Failure:
         """Find the body of gathered inputs: :func:`match_template` and the flags of its result."""
+        blocks = blocks_of(inputs)
         renderer = TemplateRenderer(
             target=inputs.geometry.body(),
-            plane=inputs.focal_plane(),
+            plane=blocks.plane,
             sun_direction_camera=inputs.geometry.sun_direction_camera,
         )
-        fit = match_template(
-            inputs.pixels,
-            ~inputs.masked,
+        match = match_template(
+            blocks.pixels,
+            blocks.good,
             renderer,
             psf_known=inputs.psf_sigma_px is not None,
-            options=self.options,
+            options=replace(self.options, search_px=math.ceil(self.options.search_px / blocks.size)),
+            block_px=blocks.size,
         )
-        return fit if isinstance(fit, Failure) else _fix(inputs, renderer, fit, self.options)
+        if isinstance(match, Failure):
+            return match
+        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -193,6 +198,7 @@ def match_template(
     *,
     psf_known: bool,
     options: CrossCorrelationOptions,
+    block_px: int = 1,
 ) -> TemplateMatch | Failure:
     """Find a body in an image by correlation with its template, and fit the template to the pixels.
 
@@ -206,6 +212,8 @@ def match_template(
     psf_known : bool
         True if the width of the point spread function is that of the camera, not a guess.
     options : CrossCorrelationOptions
+    block_px : int, px
+        Pixels of the camera along the side of those of the image.
 
     Returns
     -------
@@ -236,7 +244,7 @@ def match_template(
         low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))
         pixels = image.cut(box)
-    fit_options = _fit_options(options, radius_px, psf_known=psf_known)
+    fit_options = _fit_options(options, radius_px, psf_known=psf_known, block_px=block_px)
     fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
         if isinstance(fit, Failure) and fit.reason is Reason.NOT_CONVERGED:
@@ -294,12 +302,14 @@ def _correlated(
     return peak if isinstance(peak, Failure) else _Located(state=state, template=template, peak=peak)
 
 
-def _fit_options(options: CrossCorrelationOptions, radius_px: float, *, psf_known: bool) -> TemplateFitOptions:
+def _fit_options(
+    options: CrossCorrelationOptions, radius_px: float, *, psf_known: bool, block_px: int
+) -> TemplateFitOptions:
     return TemplateFitOptions(
         max_iterations=options.max_iterations,
         clip_sigma=options.clip_sigma,
         log_range_sigma=math.inf if _scaled(options, radius_px) else options.range_sigma,
-        blur_sigma_px2=KNOWN_BLUR_SIGMA_PX2 if psf_known else UNKNOWN_BLUR_SIGMA_PX2,
+        blur_sigma_px2=(KNOWN_BLUR_SIGMA_PX2 if psf_known else UNKNOWN_BLUR_SIGMA_PX2) / block_px**2,
         relief_sigma=options.relief_sigma,
         relief_length_px=options.relief_length_rad * radius_px,
     )
@@ -312,7 +322,7 @@ def _scaled(options: CrossCorrelationOptions, radius_px: float) -> bool:
 
 
 def _fix(
-    inputs: EstimatorInputs, renderer: TemplateRenderer, match: TemplateMatch, options: CrossCorrelationOptions
+    inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch, options: CrossCorrelationOptions
 ) -> CenterFix | PositionFix:
     """Return the fix of a match, with its flags."""
     fit, model = match.fit, inputs.camera.model
@@ -326,7 +336,7 @@ def _fix(
         n_used=int(fit.used.sum()),
         n_rejected=fit.n_rejected,
         score=fit.score,
-        flags=_flags(inputs, match, lit, options),
+        flags=_flags(inputs, blocks, match, lit, options),
         parts={cause: part[:2, :2] for cause, part in fit.parts.items()},
     )
     if not _scaled(options, inputs.radius_px):
@@ -334,7 +344,10 @@ def _fix(
     range_km = inputs.geometry.range_km * math.exp(fit.state.log_range)
     position, covariance = position_of_center(model, fit.state.center_px, range_km, fit.covariance)
     outline = trace_silhouette(
-        renderer.body(fit.state), model, _OUTLINE_RAD, sun_direction_camera=renderer.sun_direction_camera
+        inputs.geometry.body(position),
+        model,
+        _OUTLINE_RAD,
+        sun_direction_camera=inputs.geometry.sun_direction_camera,
     )
     return PositionFix(
         **{field.name: getattr(center, field.name) for field in fields(center)} | {"parts": fit.parts},
@@ -344,11 +357,13 @@ def _fix(
     )
 
 
-def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, options: CrossCorrelationOptions) -> Quality:
-    """Flags of a match whose light falls on the pixels ``lit`` (h, w) of its box."""
+def _flags(
+    inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch, lit: Mask, options: CrossCorrelationOptions
+) -> Quality:
+    """Flags of a match whose light falls on the blocks ``lit`` (h, w) of its box."""
     fit, box = match.fit, match.box
-    area = np.zeros_like(inputs.usable)
-    within = box.cut(np.ones_like(inputs.usable))
+    area = np.zeros_like(blocks.good)
+    within = box.cut(np.ones_like(blocks.good))
     rows, columns = np.nonzero(lit & within)
     area[rows + box.y, columns + box.x] = True
     seen = lit & fit.used
@@ -365,18 +380,19 @@ def _flags(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask, options: Cr
         n_used=n_used,
         n_offered=n_used + fit.n_rejected,
         residuals=min(fit.chi / _LARGE_CHI, unexplained / _LARGE_RESIDUAL),
-        weakness=max(_LOW_SCORE / fit.score, _overexposure(inputs, match, lit & within) / _MOST_OVEREXPOSED),
+        weakness=max(_LOW_SCORE / fit.score, _overexposure(blocks, match, lit & within) / _MOST_OVEREXPOSED),
         cut_by_frame=bool((lit & ~within).any()),
     )
-    return inputs.flags_at(area) | checks.flags
+    return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
 
 
-def _overexposure(inputs: EstimatorInputs, match: TemplateMatch, lit: Mask) -> float:
+def _overexposure(blocks: Blocks, match: TemplateMatch, lit: Mask) -> float:
     """Largest signal of the model over the level at which its pixels saturate; 0 where none does."""
-    clipped = lit & match.box.cut(inputs.saturated)
-    if not clipped.any():
+    pixels = blocks.pixels.cut(match.box)
+    clipped = None if pixels.censored is None else lit & pixels.censored
+    if clipped is None or not clipped.any():
         return 0.0
-    limit_dn = float(match.box.cut(inputs.pixels_dn)[clipped].min()) - match.fit.offset_dn
+    limit_dn = float(pixels.values_dn[clipped].min()) - match.fit.offset_dn
     return float(match.fit.signal_dn.max()) / max(limit_dn, 1e-12)
 
 
