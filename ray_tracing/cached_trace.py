@@ -17,7 +17,7 @@ from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, gathered, ray_grid, shade_tile, unless_dark
-from giantlike.ray_tracing.sampling import Tile
+from giantlike.ray_tracing.sampling import Cells, Tile
 from giantlike.ray_tracing.trace import TracedRays, View, in_order, sunlight, trace_rays, view_of
 
 
@@ -68,8 +68,17 @@ class Trace(Value):
         shaded = (shade_tile(footprint, tile, traced, law) for tile, traced in pairs)
         return unless_dark(gathered(self.view, footprint, shaded))
 
-    def cell_brightness(self) -> Float:
+    @property
+    def cells(self) -> tuple[Cells, Cells]:
+        """Columns and rows of the cells."""
+        return self.footprint.cells
+
+    def cell_brightness(self, law: Reflectance) -> Float:
         """Shade the rays and leave them as they are.
+
+        Parameters
+        ----------
+        law : Reflectance
 
         Returns
         -------
@@ -80,7 +89,7 @@ class Trace(Value):
         brightness = np.zeros((x.count, y.count))
         for tile, traced in zip(self.footprint.tiles, self.tiles, strict=True):
             part = brightness[tile.left : tile.right, tile.start : tile.stop]
-            part[:] = traced.brightness(self.body.reflectance).reshape(part.shape)
+            part[:] = traced.brightness(law).reshape(part.shape)
         return brightness
 
     def with_reflectance(self, reflectance: Reflectance) -> Trace:

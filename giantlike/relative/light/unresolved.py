@@ -22,8 +22,8 @@ from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
+from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2, UNKNOWN_BLUR_SIGMA_PX2, TemplateRenderer
-from giantlike.relative.template.small_body import SmallBody
 
 _BACKGROUND_PX = 12  # px, width of the ring around the search region for the background and its noise
 _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the centroid
@@ -149,7 +149,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         if isinstance(offset, Failure):
             return offset
         start_px = measured.point_px + offset
-        fit = _fitted(inputs, renderer, SmallBody(trace=trace, state=renderer.start), template, start_px, options)
+        fit = _fitted(inputs, renderer, MovedBody(trace=trace, state=renderer.start), template, start_px, options)
         if isinstance(fit, Failure):
             return fit
         rendered_px = template.center_px - template.photocenter_px
@@ -228,7 +228,7 @@ def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedO
 def _fitted(
     inputs: EstimatorInputs,
     renderer: TemplateRenderer,
-    traced: SmallBody,
+    traced: MovedBody,
     template: Template,
     center_px: Float,
     options: UnresolvedOptions,

@@ -16,8 +16,8 @@ from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.template.fit import TemplateFit
 
 _DIAMETER_PX = 62.5
-"""Diameter over the square of the size of a block, px: the work so grows with the limb and not with the area. Blocks of 2
-px for a body of 300 px and of 4 px for one of 1,000 px leave the errors of rocks as they are; twice these sizes widen
+"""Diameter over the square of the size of a block, px: the work so grows with the limb and not with the area. Blocks of
+2 px for a body of 300 px and of 4 px for one of 1,000 px leave the errors of rocks as they are; twice these sizes widen
 them by a fifth. What noise alone allows on a body without any error of its model is wider by a tenth with blocks of 2
 px where the point spread function is 0.7 px wide, and by a third with 4 px."""
 _MOST_LOST = 0.2

@@ -19,6 +19,7 @@ from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
+from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
     ROUGH,
@@ -224,7 +225,7 @@ def match_template(
     located = _located(image, good, renderer, options)
     if isinstance(located, Failure):
         return located
-    start, template, peak = located.state, located.template, located.peak
+    start, template, peak = located.traced.state, located.template, located.peak
     shift = np.rint(peak.offset_px).astype(np.int64)
     low, high = _lit_part(template)
     box = renderer.box(low + shift, high + shift, _BOX_MARGIN_PX + math.ceil(_BOX_MARGIN * radius_px))
@@ -249,7 +250,9 @@ def match_template(
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
         if isinstance(fit, Failure) and fit.reason is Reason.NOT_CONVERGED:
             # Real images may not hold all laws apart; what those left out would change is in the covariance.
-            synthesis = renderer.synthesis(box, other_law=options.free_reflectance, most_laws=most_laws)
+            synthesis = renderer.synthesis(
+                box, other_law=options.free_reflectance, most_laws=most_laws, traced=located.traced
+            )
             fit = fit_template(pixels, synthesis, state, options=fit_options)
     if isinstance(fit, Failure):
         return fit
@@ -261,9 +264,9 @@ def match_template(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Located(Value):
-    """A template rendered for a state, and its place in the image."""
+    """A template rendered of a traced body, and its place in the image."""
 
-    state: TemplateState
+    traced: MovedBody
     template: Template
     peak: CorrelationPeak
 
@@ -288,7 +291,10 @@ def _correlated(
     image: BoxPixels, good: Mask, renderer: TemplateRenderer, state: TemplateState, search_px: int, min_score: float
 ) -> _Located | Failure:
     """Find the template of a state by correlation, clipped like the image."""
-    template = renderer.render(state, renderer.sampling(search_px, spacing=ROUGH))
+    trace = renderer.trace(state, renderer.sampling(search_px, spacing=ROUGH))
+    if isinstance(trace, Failure):
+        return trace
+    template = trace.template()
     if isinstance(template, Failure):
         return template
     light = template.brightness
@@ -299,7 +305,11 @@ def _correlated(
     peak = locate_template(
         image.values_dn, good, light, corner, options=CorrelationOptions(search_px=search_px, min_score=min_score)
     )
-    return peak if isinstance(peak, Failure) else _Located(state=state, template=template, peak=peak)
+    return (
+        peak
+        if isinstance(peak, Failure)
+        else _Located(traced=MovedBody(trace=trace, state=state), template=template, peak=peak)
+    )
 
 
 def _fit_options(

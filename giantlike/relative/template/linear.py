@@ -73,12 +73,17 @@ class Problem:
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
         rendered = images.derivatives
-        by_pixels = self.signal if rendered is None else np.tensordot(photometry[body[1:]], basis[body[1:]], 1)
+        by_pixels = self.signal
+        if rendered is not None:  # wings of the point spread function are wide enough for differences of pixels
+            wings = slice(len(basis) - (len(_WING_WIDTHS) if images.winged else 0), None)
+            by_pixels = np.tensordot(photometry[wings], basis[wings] + images.light, 1)
         slope_x, slope_y, curvature = _derivatives(by_pixels)
         radial = x * slope_x + y * slope_y + spread * curvature
         moved = np.stack([-slope_x, -slope_y, radial, 0.5 * curvature])
         if rendered is not None:
-            moved += self.gain_dn * rendered
+            shares = photometry[LAWS - GAIN :]
+            scales = [total / max(float(other.sum()), 1e-300) for other in images.others]
+            moved += rendered(np.array([photometry[0] - shares.sum(), *(shares[: self.n_laws] * scales)]))
         self._slope2 = moved[X] ** 2 + moved[Y] ** 2
         self._places = np.stack(np.broadcast_arrays(x, y))
         self.columns = np.concatenate([moved, basis])

@@ -27,8 +27,9 @@ from giantlike.ray_tracing import (
     render,
     trace_body,
 )
+from giantlike.ray_tracing.refined import refined
 from giantlike.relative.estimator import apparent_radius_px
-from giantlike.relative.template.small_body import SmallBody
+from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.state import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState
 
 UNKNOWN_BLUR_SIGMA_PX2 = 1.0
@@ -39,15 +40,21 @@ KNOWN_BLUR_SIGMA_PX2 = 0.15
 _POINT_PX = 1e-3  # px: smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_across`` samples them finely enough
 _NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it: bodies are rarely more elongated
-_LIMB_PX, _TURNED_PX = 1.0, 0.006
-"""Motion, px, of the limb of a small body up to which it is not traced anew, and of its surface because it is seen from
-elsewhere: its light moves a third as far at most, which is a fifth of the noise of bright bodies."""
+_LIMB_PX, _TURNED_PX = 1.0, (0.006, 0.1)
+"""Motion, px, of the limb up to which a body is not traced anew, and of its surface because it is seen from elsewhere,
+in the last renders and on the way: its light moves a third as far at most, which is a fifth of the noise of
+small bright bodies."""
+_CUT_PX = 2.0
+"""Motion, px, of a body that the frame cuts up to which it is not traced anew: as much is traced beyond the frame, the
+point spread function included."""
+_AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
 ROUGH = 2.0
 """Times the distance between rays: on the way to the solution, which needs no fine edges."""
-_FINE = 0.5
-"""Times the distance between rays in the last renders: crescents of 120 px are then right to 0.007 px, not 0.02."""
+_PARTS = 2
+"""Parts along the side of a cell in the last renders, where light is uneven: crescents of 120 px are then right to
+0.007 px, not 0.02, and rocks of 300 px on blocks of 2 px to 0.009 px, not 0.02."""
+_FINE_RAYS = 2  # along the side of a pixel, at least, before uneven ones get more
 _COARSE_RADIUS_PX = 20.0  # px, from which renders on the way are rough; smaller bodies are all edge
-_FINE_RAYS = 2  # along the side of a pixel, at least: one a pixel leaves 0.02 px of a 300 px body, two 0.003
 _OTHER_LAWS: tuple[Reflectance, ...] = (Hapke(w=0.9), Minnaert(k=0.6))
 """Laws that are mixed in besides the one that contrasts: light scattered many times, and a limb brighter than that of
 any mixture of the others. Against truths of Hapke (w = 0.3 and 0.8) and Minnaert (k = 0.6) these two keep errors at
@@ -56,8 +63,7 @@ _UNTRIED_LAW: Reflectance = Minnaert(k=0.8)
 """Law that is not mixed in: what it would change says how much laws outside of the mixture matter. Its limb lies
 between those of the others, where sums of laws follow a power law worst."""
 _SMALL_RADIUS_PX = 10.0
-"""Radius, px, below which a body is a :class:`SmallBody`, with derivatives in closed form, and only one other law is
-mixed in."""
+"""Radius, px, below which a body has one sampling for all of a fit, and only one other law is mixed in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,12 +158,12 @@ class TemplateRenderer(Value):
         return box.limited(self.plane.columns, self.plane.rows, FIT_BORDER_PX)
 
     def synthesis(
-        self, box: PixelBox, *, other_law: bool, most_laws: int | None = None, traced: SmallBody | None = None
+        self, box: PixelBox, *, other_law: bool, most_laws: int | None = None, traced: MovedBody | None = None
     ) -> Synthesis:
         """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
-        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else.
-        Small bodies are traced once, and anew only where they are seen from elsewhere.
+        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else. The
+        body is traced once roughly and once finely, and anew only where it is seen from elsewhere.
 
         Parameters
         ----------
@@ -165,76 +171,66 @@ class TemplateRenderer(Value):
         other_law : bool
         most_laws : int, optional
             Other laws at most; by default as many as a body of that size can show.
-        traced : SmallBody, optional
-            Trace of a small body that is there already.
+        traced : MovedBody, optional
+            A rough trace that is there already.
 
         Returns
         -------
         callable
         """
-        most = most_laws if self.radius_px >= _SMALL_RADIUS_PX else 1
-        others = contrasting_laws(self.target.reflectance)[:most] if other_law else ()
+        small = self.radius_px < _SMALL_RADIUS_PX
+        others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
         laws = (self.target.reflectance, *others)
-        if self.radius_px < _SMALL_RADIUS_PX:
-            return self._small_synthesis(box, laws, traced)
+        kept: dict[bool, tuple[MovedBody, Float]] = {}
+        if traced is not None:
+            kept[False] = traced, traced.shaded(laws)
 
         def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
-            sampling = self.sampling(FIT_BORDER_PX, spacing=self._spacing(fine), min_rays=_FINE_RAYS if fine else 1)
-            extra = (_UNTRIED_LAW,) if fine and other_law else ()
-            lights = self._lights(box, state, laws + extra, sampling)
-            if isinstance(lights, Failure):
-                return lights
-            light, *differing = lights[: len(laws)]
-            return TemplateImages(light=light, others=differing, winged=fine, untried=lights[-1] if extra else None)
+            fine = fine and not small
+            untried = fine and other_law
+            if fine not in kept or not self._near(kept[fine][0].state, state, fine=fine or small):
+                made = self._traced(state, (*laws, _UNTRIED_LAW) if untried else laws, fine=fine)
+                if isinstance(made, Failure):
+                    return made
+                kept[fine] = made
+            body, cells = kept[fine]
+            lights, derivatives = body.lights(box, state, cells)
+            return TemplateImages(
+                light=lights[0],
+                others=list(lights[1 : len(laws)]),
+                winged=fine,
+                untried=lights[-1] if untried else None,
+                derivatives=derivatives,
+            )
 
         return images
 
-    def _small_synthesis(self, box: PixelBox, laws: tuple[Reflectance, ...], traced: SmallBody | None) -> Synthesis:
-        """Return the function that moves a body, traced once, to states in a box."""
-        latest = [] if traced is None else [traced]
-
-        def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
-            if not (latest and self._near(latest[0].state, state)):
-                trace = self.trace(state, self.sampling(FIT_BORDER_PX + math.ceil(2.0 * self.radius_px)))
-                if isinstance(trace, Failure):
-                    return trace
-                if not trace.lit:
-                    return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
-                latest[:] = [SmallBody(trace=trace, state=state)]
-            (light, *differing), derivatives = latest[0].lights(box, state, laws)
-            return TemplateImages(light=light, others=differing, derivatives=derivatives)
-
-        return images
-
-    def _spacing(self, fine: bool) -> float:
-        """Distance between rays over that of ``rays_across``, on the way of a fit or in its last renders."""
-        if fine:
-            return _FINE
-        return ROUGH if self.radius_px >= _COARSE_RADIUS_PX else 1.0
-
-    def _lights(
-        self, box: PixelBox, state: TemplateState, laws: tuple[Reflectance, ...], sampling: RenderOptions
-    ) -> list[Float] | Failure:
-        """Light (h, w) predicted for a state under each law, on the pixels of a box, all from the same rays."""
+    def _traced(
+        self, state: TemplateState, laws: tuple[Reflectance, ...], *, fine: bool
+    ) -> tuple[MovedBody, Float] | Failure:
+        """Trace the body at a state, and shade it under some laws."""
+        margin_px = FIT_BORDER_PX + (math.ceil(2.0 * self.radius_px) if self.radius_px < _SMALL_RADIUS_PX else 0)
+        rough = not fine and self.radius_px >= _COARSE_RADIUS_PX
+        sampling = self.sampling(margin_px, spacing=ROUGH if rough else 1.0, min_rays=_FINE_RAYS if fine else 1)
         trace = self.trace(state, sampling)
         if isinstance(trace, Failure):
             return trace
-        lights = []
-        for law in laws:
-            template = trace.with_reflectance(law).template()
-            if isinstance(template, Failure):
-                return template
-            lights.append(placed(template, box))
-        return lights
+        if not trace.lit:
+            return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
+        body = MovedBody(trace=refined(trace, _PARTS) if fine else trace, state=state)
+        return body, body.shaded(laws)
 
-    def _near(self, first: TemplateState, second: TemplateState) -> bool:
-        """Return True if rays of one state serve for another: no part of the body is cut, or seen from elsewhere."""
+    def _near(self, first: TemplateState, second: TemplateState, *, fine: bool) -> bool:
+        """Return True if the rays of a state serve for another: the same surface is seen, and not from elsewhere."""
         size = np.array([self.plane.columns, self.plane.rows])
-        past_px = float(np.max(np.abs(first.center_px - 0.5 * (size - 1)) - 0.5 * size))
-        limb_px = abs(first.log_range - second.log_range) * self.radius_px
+        growth = first.log_range - second.log_range
+        ends = np.clip(first.center_px + self.radius_px * _AROUND, 0.0, size - 1.0) - first.center_px
+        moved_px = float(np.abs(second.center_px - first.center_px + growth * ends).max())
+        past_px = float(np.max(np.abs(first.center_px - 0.5 * (size - 1)) + self.radius_px - 0.5 * size))
         sights = self.plane.model.unproject(np.stack([first.center_px, second.center_px]))
-        turned_rad = float(np.linalg.norm(sights[1] - sights[0]))
-        return past_px < FIT_BORDER_PX and limb_px < _LIMB_PX and turned_rad * self.radius_px < _TURNED_PX
+        turned_px = float(np.linalg.norm(sights[1] - sights[0])) * self.radius_px
+        untraced = past_px > 0.0 and moved_px > _CUT_PX
+        return not untraced and abs(growth) * self.radius_px < _LIMB_PX and turned_px < _TURNED_PX[not fine]
 
 
 def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:

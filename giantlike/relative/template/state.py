@@ -49,18 +49,19 @@ class TemplateImages(Value):
         Estimate the share of the light that lies in wings of the point spread function.
     untried : (h, w) float64, optional
         Brightness under a law that the fit does not mix in; what it would change enters the covariance.
-    derivatives : (4, h, w) float64, optional
-        Of ``light``, by x and y of the center in px, the logarithm of the range and the variance of the point spread
-        function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
-        sharp as a point spread function, which does not matter on wide bodies. On small ones, shift, range, blur and
-        law nearly do the same to the image, and with such errors they seem to be distinguishable.
+    derivatives : callable, optional
+        Takes weights (1 + k,) and returns the derivatives (4, h, w) of the sum of ``light`` and ``others`` with these,
+        by x and y of the center in px, the logarithm of the range and the variance of the point spread function in
+        px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as sharp as a
+        point spread function. With such errors shift, range, blur and law, which do nearly the same to the image of a
+        small body, seem to be distinguishable, and steps on coarse pixels end beside the solution.
     """
 
     light: Float
     others: Sequence[Float] = ()
     winged: bool = False
     untried: Float | None = None
-    derivatives: Float | None = None
+    derivatives: Callable[[Float], Float] | None = None
 
 
 Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]

@@ -13,8 +13,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing import Body, FocalPlane, Lambert, McEwen, Template, Trace
+from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import TemplateRenderer, placed
-from giantlike.relative.template.small_body import SmallBody
 from giantlike.relative.template.state import TemplateImages, TemplateState
 from giantlike.shapes import Ellipsoid, Shape
 from tests.numerical import numerical_jacobian
@@ -70,15 +70,20 @@ def test_a_moved_body_looks_as_if_rendered_anew(renderer: TemplateRenderer, step
 def test_the_derivatives_are_those_of_the_image(renderer: TemplateRenderer) -> None:
     trace = renderer.trace(renderer.start, renderer.sampling(4))
     assert isinstance(trace, Trace)
-    small = SmallBody(trace=trace, state=renderer.start)
+    small = MovedBody(trace=trace, state=renderer.start)
     box = renderer.box(np.array([15.0, 18.0]), np.array([45.0, 48.0]), 0)
 
-    def light(step: Float) -> Float:
-        return small.lights(box, moved(renderer.start, step), (McEwen(),))[0][0].ravel()
+    cells = small.shaded((McEwen(), Lambert()))
 
-    (first, second), derivatives = small.lights(box, renderer.start, (McEwen(), Lambert()))
+    weights = np.array([0.7, 0.4])
+
+    def light(step: Float) -> Float:
+        return np.tensordot(weights, small.lights(box, moved(renderer.start, step), cells)[0], 1).ravel()
+
+    (first, second), derivatives = small.lights(box, renderer.start, cells)
     numerical = numerical_jacobian(light, np.zeros(4), 1e-4)
-    assert_allclose(derivatives.reshape(4, -1).T, numerical, rtol=0, atol=DERIVATIVE * float(first.max()))
+    analytic = derivatives(weights).reshape(4, -1).T
+    assert_allclose(analytic, numerical, rtol=0, atol=DERIVATIVE * float(first.max()))
     assert float(np.abs(second - first).max()) > RENDERED * float(first.max())  # another law is another image
 
 

@@ -1,0 +1,106 @@
+"""A traced body with more rays where its light is uneven: along the limb, the terminator, shadows and rims."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.values import Value
+from giantlike.ray_tracing.cached_trace import Trace
+from giantlike.ray_tracing.reflectance import Reflectance
+from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.trace import TracedRays, trace_rays
+from giantlike.ray_tracing.tracer import Indices
+
+_UNEVEN = 0.1
+"""Range of the light of neighboring cells over that of the brightest, from which a cell is refined."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RefinedTrace(Value):
+    """A trace whose uneven cells are split into ``factor`` by ``factor``, one ray each; from :func:`refined`.
+
+    Parameters
+    ----------
+    trace : Trace
+        Of all cells.
+    factor : int
+    columns, rows : (n,) int64
+        Cells that are split.
+    rays : TracedRays
+        Of their parts, column after column in each cell.
+    """
+
+    trace: Trace
+    factor: int
+    columns: Indices
+    rows: Indices
+    rays: TracedRays = field(repr=False)
+
+    @property
+    def cells(self) -> tuple[Cells, Cells]:
+        """Columns and rows of the parts of all cells."""
+        x, y = (
+            Cells(self.factor * cells.first, self.factor * cells.count, self.factor * cells.per_px)
+            for cells in self.trace.cells
+        )
+        return x, y
+
+    @property
+    def lit(self) -> int:
+        """Number of rays that end on a point in sunlight."""
+        return self.trace.lit + self.rays.lit
+
+    def cell_brightness(self, law: Reflectance) -> Float:
+        """Shade the rays and leave them as they are.
+
+        Parameters
+        ----------
+        law : Reflectance
+
+        Returns
+        -------
+        (columns, rows) float64
+            Brightness of the parts of all cells: alike in those that are not split.
+        """
+        size = self.factor
+        whole = self.trace.cell_brightness(law).repeat(size, axis=0).repeat(size, axis=1)
+        parts = whole.reshape(whole.shape[0] // size, size, whole.shape[1] // size, size)
+        parts[self.columns, :, self.rows, :] = self.rays.brightness(law).reshape(-1, size, size)
+        return whole
+
+
+def refined(trace: Trace, factor: int) -> RefinedTrace:
+    """Split the cells of a trace where its light is uneven, and trace the parts.
+
+    Parameters
+    ----------
+    trace : Trace
+    factor : int
+        Parts along the side of a cell.
+
+    Returns
+    -------
+    RefinedTrace
+    """
+    columns, rows = np.nonzero(_uneven(trace.cell_brightness(trace.body.reflectance)))
+    (x, y), model = trace.cells, trace.footprint.plane.model
+    centers = np.stack([x.centers_px[columns], y.centers_px[rows]], axis=-1)
+    axes = [model.unproject(centers), *np.moveaxis(model.unproject_jacobian(centers), -1, 0)]
+    middle, by_x, by_y = (trace.body.to_body(axis) for axis in axes)
+    steps = ((np.arange(factor) + 0.5) / factor - 0.5) / x.per_px
+    directions = np.zeros((columns.size, factor, factor, 4))
+    directions[..., :3] = unit(
+        middle[:, None, None] + steps[:, None, None] * by_x[:, None, None] + steps[None, :, None] * by_y[:, None, None]
+    )
+    rays = trace_rays(trace.view, directions.reshape(-1, 4))
+    return RefinedTrace(trace=trace, factor=factor, columns=columns, rows=rows, rays=rays)
+
+
+def _uneven(light: Float) -> Mask:
+    """Return True for cells that differ from those around, or that have such neighbors."""
+    around, image = np.ones((3, 3), np.uint8), light.astype(np.float32)
+    return np.asarray(cv2.dilate(image, around) - cv2.erode(image, around) > _UNEVEN * float(image.max()))

@@ -1,0 +1,60 @@
+"""Cells split where light is uneven: nearly the image of rays as fine everywhere, for a fraction of them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import unit
+from giantlike.ray_tracing import Body, Lambert, McEwen, RenderOptions, Trace, trace_body
+from giantlike.ray_tracing.refined import RefinedTrace, refined
+from giantlike.shapes import irregular_body
+
+MODEL = PinholeModel(fx_px=1000.0, fy_px=1000.0, cx_px=63.5, cy_px=63.5)
+UNEVEN_LEFT = 0.3  # of the squared difference between coarse and fine rays
+RAYS = 0.5  # of those that are as fine everywhere
+
+
+def traced(rays: int) -> Trace:
+    shape = irregular_body(3, facets=5000)
+    body = Body(
+        shape=shape,
+        camera_from_body=Rotation.from_rotvec([0.4, -0.9, 0.3]),
+        position_camera_km=np.array([0.02, -0.01, 25.0]) * shape.circumscribing_radius_km,
+    )
+    trace = trace_body(
+        body,
+        MODEL,
+        sun_direction_camera=unit(np.array([0.8, 0.1, -0.6])),
+        columns=128,
+        rows=128,
+        options=RenderOptions(rays_per_pixel_side=rays, min_rays_across=1),
+    )
+    assert isinstance(trace, Trace)
+    return trace
+
+
+@pytest.fixture(scope="module")
+def split() -> RefinedTrace:
+    return refined(traced(2), 3)
+
+
+@pytest.mark.parametrize("law", [McEwen(), Lambert()])
+def test_split_cells_bring_the_light_of_fine_rays(split: RefinedTrace, law: McEwen | Lambert) -> None:
+    fine = traced(6).cell_brightness(law)
+    coarse = traced(2).cell_brightness(law).repeat(3, axis=0).repeat(3, axis=1)
+    found = split.cell_brightness(law)
+    (x, y), (fine_x, fine_y) = split.cells, traced(6).cells
+    assert (x.per_px, y.per_px) == (fine_x.per_px, fine_y.per_px)
+    within = (
+        slice(fine_x.first - x.first, fine_x.first - x.first + fine_x.count),
+        slice(fine_y.first - y.first, fine_y.first - y.first + fine_y.count),
+    )
+    left, without = (float(np.sum((one[within] - fine) ** 2)) for one in (found, coarse))
+    assert left < UNEVEN_LEFT * without
+
+
+def test_even_cells_are_not_split(split: RefinedTrace) -> None:
+    x, y = split.cells
+    rays = split.rays.directions.shape[0] + x.count * y.count / 9
+    assert 0 < rays < RAYS * x.count * y.count
