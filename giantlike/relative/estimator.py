@@ -21,6 +21,7 @@ from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
+from giantlike.processing.detection.dead_lines import dead_lines
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import place_jacobian, with_budget
 from giantlike.relative.verification import verified
@@ -192,7 +193,7 @@ class EstimatorInputs(Value):
         At or above the saturation level of the detector, the largest value that the pixel type holds, or the value at
         which the image itself shows that it was clipped.
     masked : (rows, columns) bool
-        Bad pixels of the image.
+        Bad pixels of the image, and lines without signal that it shows.
     flags : Quality
         What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
     provenance : mapping of str to str
@@ -344,6 +345,7 @@ def gather(
     camera = replace(camera, detector=camera.detector.of_image(image.pixels, image.mask))
     limit_dn = min(camera.detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, camera.detector))
     saturated = image.pixels >= limit_dn
+    masked = _bad_pixels(image, camera.detector)
     predicted_px = camera.model.project(geometry.position_camera_km)
     inputs = EstimatorInputs(
         estimator=estimator,
@@ -353,14 +355,21 @@ def gather(
         camera=camera,
         predicted_px=predicted_px,
         pixels_dn=image.pixels.astype(np.float64) - camera.detector.bias_dn,
-        usable=~(image.mask | saturated),
-        saturated=saturated & ~image.mask,
-        masked=image.mask,
+        usable=~(masked | saturated),
+        saturated=saturated & ~masked,
+        masked=masked,
         flags=_ATTITUDE_FLAGS[image.attitude_source] | image.attitude_errors.flags,
         provenance=_provenance(image, camera, geometry, options),
     )
     problem = _problem(inputs)
     return inputs if problem is None else inputs.fail(*problem)
+
+
+def _bad_pixels(image: Image, detector: Detector) -> Mask:
+    """The mask of an image, with the dead rows and columns that it shows."""
+    noise_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
+    dead = dead_lines(image.pixels, bias_dn=detector.bias_dn, noise_dn=noise_dn)
+    return image.mask if dead is None else image.mask | dead
 
 
 def apparent_radius_px(camera: Camera | FocalPlane, center_px: ArrayLike, radius_km: float, range_km: float) -> float:

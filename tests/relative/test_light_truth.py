@@ -237,6 +237,20 @@ def test_a_hot_column_from_body_to_frame_does_not_cut_the_body_for_the_moment() 
     assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
 
 
+@pytest.mark.parametrize(("seed", "estimator"), [(3, Moment()), (5, Moment()), (5, CrossCorrelation())])
+def test_a_dead_column_across_a_small_body_is_left_out_though_nobody_told_of_it(
+    seed: int, estimator: Estimator
+) -> None:
+    each = shot(seed, phase_deg=40.0, diameter_px=30.0)
+    pixels = each.image.pixels.copy()
+    pixels[:, round(float(each.center_px[0])) + 5] = 0
+    pixels[round(float(each.center_px[1])) - 3] = 0
+    fix = replace(each, image=replace(each.image, pixels=pixels)).fix(estimator)
+    assert Quality.MASKED in fix.flags
+    assert not fix.flags.suspect
+    assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
+
+
 @pytest.mark.parametrize("turn_deg", [60.0, 90.0])
 def test_light_where_the_template_has_none_gives_the_moment_large_residuals(turn_deg: float) -> None:
     each = shot(4, phase_deg=130.0, diameter_px=60.0)

@@ -26,6 +26,7 @@ TRACE = 0.002
 """Share of the brightest pixel of a template above which light of the body counts."""
 _MIN_BACKGROUND_PX = 100  # px: their median is then known to an eighth of the noise
 _VISIBLE, _MOST_VISIBLE = 0.02, 0.5  # of the brightest pixel of a template: its expected blob, by the noise of the sky
+_MOST_AREA = 2.0  # over that expected: light of a larger area that touches the frame is no body that the frame cuts
 _REGION_MARGIN, _REGION_MARGIN_PX = 0.05, 3  # of the radius and px, for errors of range and law
 _OTSU_MARGIN = 0.25  # of the radius, for enough dark pixels
 _MAX_SATURATED = 0.95
@@ -254,7 +255,8 @@ def _blob_of(signal: Float, sky: SkyPlane, prediction: Prediction) -> tuple[Mask
     if isinstance(chosen, Failure) and chosen.reason is Reason.NO_SIGNAL and others:
         chosen = identify_blobs(blobs, [own], search_px=search_px)  # another body may be too faint, or hidden
     if isinstance(chosen, Failure):
-        cut = chosen.reason is Reason.NO_SIGNAL and bool(blobs.touch_frame.any())
+        part = blobs.touch_frame & (blobs.areas_px <= _MOST_AREA * own.area_px)
+        cut = chosen.reason is Reason.NO_SIGNAL and bool(part.any())
         return _cut_by_frame() if cut and _may_be_cut(template, signal.shape, search_px) else chosen
     blob = int(chosen[0])
     pixels, foreign = blobs.labels == blob + 1, np.isin(blobs.labels, chosen[1:] + 1)

@@ -1,0 +1,63 @@
+"""Rows and columns of a detector that gave no signal, found in the image: optics draw no line that sharp."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask
+
+_DARK = 0.5
+"""Signal over that of the darker neighbor below which a pixel may be dead: a point spread function of 0.7 px fills even
+a black line of one pixel to that."""
+_LEAST_SIGMAS = 16.0
+"""Signal of neighbors, standard deviations of the noise without light, from which on a pixel between them tells."""
+_LEAST_LENGTH, _LEAST_SHARE = 8, 0.9
+"""Pixels between bright neighbors that a dead line has at least, and the share of them that are dark."""
+
+
+def dead_lines(pixels_dn: Float, *, bias_dn: float, noise_dn: float) -> Mask | None:
+    """Find rows and columns without signal by their neighbors on both sides, in front of something bright.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns), DN
+        As the detector gives them.
+    bias_dn : float, DN
+        Value without signal.
+    noise_dn : float, DN
+        Standard deviation of the noise without light.
+
+    Returns
+    -------
+    (rows, columns) bool, or None
+        True on whole lines; None where there are none.
+
+    Notes
+    -----
+    Of each line the largest value is compared first. Two dead lines side by side are not found, nor are lines that
+    no bright body crosses: these do no harm.
+    """
+    rows, columns = (_dead_rows(image, bias_dn, noise_dn) for image in (pixels_dn, pixels_dn.T))
+    if not rows.size and not columns.size:
+        return None
+    result = np.zeros(pixels_dn.shape, dtype=bool)
+    result[rows] = True
+    result[:, columns] = True
+    return result
+
+
+def _dead_rows(image: Float, bias_dn: float, noise_dn: float) -> np.ndarray:
+    """Numbers of rows without signal."""
+    if len(image) < 3:
+        return np.zeros(0, dtype=np.int64)
+    largest = image.max(axis=1).astype(np.float64) - bias_dn
+    beside = np.minimum(largest[:-2], largest[2:])
+    suspects = 1 + np.flatnonzero((beside > _LEAST_SIGMAS * noise_dn) & (largest[1:-1] < _DARK * beside))
+    dead = []
+    for row in suspects:
+        before, here, after = image[row - 1 : row + 2].astype(np.float64) - bias_dn
+        darker = np.minimum(before, after)
+        lit = darker > _LEAST_SIGMAS * noise_dn
+        if lit.sum() >= _LEAST_LENGTH and np.mean(here[lit] < _DARK * darker[lit]) >= _LEAST_SHARE:
+            dead.append(int(row))
+    return np.array(dead, dtype=np.int64)
