@@ -73,6 +73,13 @@ Of one target in one image take one row, the one with `preferred`: other estimat
 of `auto` where it was run (which checks its choice by an independent estimator), else the smallest error ellipse of the
 fixes that agree with most others; suspect fixes are never preferred, and `preferred_reason` says why.
 
+## Other formats
+`giantlike export RUN --format tdm` writes the preferred fixes as a CCSDS Tracking Data Message 2.0: right ascension and
+declination in ICRF at the time of reception in UTC, without stellar aberration (`--angles apparent`: with it), and the
+light-time range where one was measured; what is removed is said in comments. `--format sumfile` writes a SUMFILE of
+stereophotoclinometry for each preferred position, with its landmarks (`giantlike.io.spc_sumfile.read_sumfile` reads
+them): the pose is the apparent one, places are those in the image as it is, distorted, and counted from 1.
+
 """
 _TYPES: Mapping[Any, str] = types.MappingProxyType(
     {str: "text", int: "integer", float: "number", bool: "true or false", Any: "any", dict: "table"}

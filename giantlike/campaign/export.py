@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.observables import write_run_observables
+from giantlike.campaign.store.observables import run_observables, write_run_observables
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
@@ -19,8 +20,12 @@ from giantlike.core.frames import require_same_frame
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
 from giantlike.io.camera_sip import PosedModel
 from giantlike.io.ccsds_aem import AemNames, write_aem
+from giantlike.io.ccsds_tdm import write_tdm
+from giantlike.io.observables_file import ObservableRow
+from giantlike.io.spc_sumfile import write_sumfile
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import write_wcs
+from giantlike.observables.exchange import Angles, sumfile_of, tracking_segments
 
 
 class ExportFormat(StrEnum):
@@ -29,13 +34,17 @@ class ExportFormat(StrEnum):
     CSV = "csv"
     """Quaternions and covariances."""
     CK = "ck"
-    """SPICE C-kernel of type 3."""
+    """SPICE C-kernel of type 3 or 1."""
     AEM = "aem"
     """CCSDS Attitude Ephemeris Message."""
     WCS = "wcs"
     """A FITS header with TAN-SIP world coordinates for each image, in a folder."""
     OBSERVABLES = "observables"
     """Observables of bodies, landmarks and stars: JSON lines or, by the name of the output, Parquet."""
+    TDM = "tdm"
+    """CCSDS Tracking Data Message: right ascension, declination and range of the preferred fixes."""
+    SUMFILE = "sumfile"
+    """SUMFILEs of stereophotoclinometry, one for each target in an image, in a folder."""
 
 
 EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
@@ -45,6 +54,8 @@ EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
         ExportFormat.AEM: "attitudes_export.aem",
         ExportFormat.WCS: "attitudes_export.wcs",
         ExportFormat.OBSERVABLES: "observables.jsonl",
+        ExportFormat.TDM: "observables.tdm",
+        ExportFormat.SUMFILE: "sumfiles",
     }
 )
 """Names of the files in the run folder that an export writes where no other is given."""
@@ -68,8 +79,12 @@ class ExportOptions:
         CK and AEM: name of the camera frame; default: that of the mission's frame or of the camera.
     sclk : Path, optional
         CK: clock kernel of the spacecraft; without it, one is made.
+    ck_type : int
+        CK: 3, continuous, or 1, discrete.
     object_name, object_id, originator : str
-        AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`.
+        AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM: the spacecraft, and who writes the message.
+    angles : Angles
+        TDM: what is removed of the angles.
     sip_order : int
         WCS: order of the polynomials, 2 to 9.
     """
@@ -80,12 +95,15 @@ class ExportOptions:
     instrument_id: int | None = None
     frame_name: str | None = None
     sclk: Path | None = None
+    ck_type: int = 3
     object_name: str = "UNKNOWN"
     object_id: str = "UNKNOWN"
     originator: str = "UNKNOWN"
+    angles: Angles = Angles.ASTROMETRIC
     sip_order: int = 5
 
     def __post_init__(self) -> None:
+        require(self.ck_type in (1, 3), f"C-kernels are written of type 1 or 3, got {self.ck_type}")
         require(self.max_gap_s >= 0, f"max_gap_s must be >= 0, got {self.max_gap_s}")
 
 
@@ -138,6 +156,10 @@ def export_run(
         make_folder(output.parent)
         return Exported(files=(output,), n_observations=write_run_observables(result, output))
     camera = camera_of_run(folder)
+    if format_name is ExportFormat.TDM:
+        return _tdm(output, run_observables(result, camera), options)
+    if format_name is ExportFormat.SUMFILE:
+        return _sumfiles(output, run_observables(result, camera), camera)
     chosen, left_out = _chosen(result, options, needs_epoch=format_name is not ExportFormat.WCS)
     require(bool(chosen), f"{folder}: no attitude to write ({_said(left_out)})")
     make_folder(output if format_name is ExportFormat.WCS else output.parent)
@@ -199,9 +221,8 @@ def _ck(job: _Job) -> tuple[Path, ...]:
     target = CkTarget(instrument_id=code, frame_name=_frame_name(job.camera, job.options))
     _require_label(series, target.frame_name, job.camera)
     comments = [f"{job.camera.name}, {len(job.records)} attitudes from star images", "axes: " + target.frame_name]
-    return write_ck(
-        job.output, series, target, sclk=job.options.sclk, max_gap_s=job.options.max_gap_s, comments=comments
-    )
+    max_gap_s = job.options.max_gap_s if job.options.ck_type == 3 else None
+    return write_ck(job.output, series, target, sclk=job.options.sclk, max_gap_s=max_gap_s, comments=comments)
 
 
 def _aem(job: _Job) -> tuple[Path, ...]:
@@ -242,6 +263,36 @@ def _wcs(job: _Job) -> tuple[Path, ...]:
         )
         files.append(path)
     return tuple(files)
+
+
+def _tdm(output: Path, rows: Iterable[ObservableRow], options: ExportOptions) -> Exported:
+    tracked = tracking_segments(rows, angles=options.angles, spacecraft=options.object_name)
+    require(bool(tracked.segments), f"{output}: no observation to write ({_said(tracked.left_out)})")
+    make_folder(output.parent)
+    write_tdm(output, tracked.segments, originator=options.originator)
+    count = sum(len(segment.points) for segment in tracked.segments)
+    return Exported(files=(output,), n_observations=count, left_out=tracked.left_out)
+
+
+def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera) -> Exported:
+    """Write a SUMFILE for each preferred position, with the landmarks of any fix of that target in that image."""
+    make_folder(output)
+    files, left_out = list[Path](), 0
+    for (file, target), group in groupby(rows, key=lambda row: (row.file, row.target)):
+        members = list(group)
+        body = next((row for row in members if row.kind == "body" and row.preferred), None)
+        if target is None:
+            continue
+        if body is None or body.apparent_position_icrf_km is None or body.epoch_et_s is None:
+            left_out += 1
+            continue
+        path = output / f"{'_'.join(Path(file).with_suffix('').parts)}_{target}.SUM"
+        write_sumfile(path, sumfile_of(camera, body, [row for row in members if row.kind == "landmark"]))
+        files.append(path)
+    require(bool(files), f"{output}: no position to write ({left_out} targets in images without one that is preferred)")
+    return Exported(
+        files=tuple(files), n_observations=len(files), left_out={"no preferred position": left_out} if left_out else {}
+    )
 
 
 def _require_label(series: AttitudeSeries, label: str, camera: Camera) -> None:

@@ -18,6 +18,7 @@ from giantlike.campaign.store.run_folder import REPORT_PAGE
 from giantlike.cli.arguments import Json, Overwrite, Resume, Run, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
+from giantlike.observables.exchange import Angles
 
 
 def run(
@@ -68,17 +69,20 @@ def export(
     sclk: Annotated[
         Path | None, typer.Option(help="ck: clock kernel of the spacecraft; default: one is made.", metavar="FILE.tsc")
     ] = None,
-    object_name: Annotated[str, typer.Option(help="aem: spacecraft.")] = "UNKNOWN",
+    ck_type: Annotated[int, typer.Option(help="ck: 3, continuous, or 1, discrete.", min=1, max=3)] = 3,
+    object_name: Annotated[str, typer.Option(help="aem, tdm: spacecraft.")] = "UNKNOWN",
     object_id: Annotated[str, typer.Option(help="aem: its international designator.")] = "UNKNOWN",
-    originator: Annotated[str, typer.Option(help="aem: creator of the message.")] = "UNKNOWN",
+    originator: Annotated[str, typer.Option(help="aem, tdm: creator of the message.")] = "UNKNOWN",
+    angles: Annotated[Angles, typer.Option(help="tdm: what is removed of the angles.")] = Angles.ASTROMETRIC,
     sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 5,
     json: Json = False,
 ) -> ExitCode:
     """Write the attitudes or observables of a run for other programs.
 
-    csv: quaternions and covariances. ck: SPICE C-kernel of type 3. aem: CCSDS attitude ephemeris. wcs: a FITS header
-    with TAN-SIP world coordinates for each image. observables: bodies, landmarks and stars as JSON lines, or as the
-    Parquet file that every run writes.
+    csv: quaternions and covariances. ck: SPICE C-kernel of type 3 or 1. aem: CCSDS attitude ephemeris. wcs: a FITS
+    header with TAN-SIP world coordinates for each image. observables: bodies, landmarks and stars as JSON lines, or as
+    the Parquet file that every run writes. tdm: CCSDS tracking data message of the preferred fixes. sumfile: SUMFILEs
+    of stereophotoclinometry.
     """
     options = ExportOptions(
         suspect=suspect,
@@ -87,9 +91,11 @@ def export(
         instrument_id=instrument,
         frame_name=frame,
         sclk=sclk,
+        ck_type=ck_type,
         object_name=object_name,
         object_id=object_id,
         originator=originator,
+        angles=angles,
         sip_order=sip_order,
     )
     exported = export_run(folder, output or folder / EXPORT_NAMES[kind], kind, options)
@@ -100,11 +106,9 @@ def export(
         typer.echo(f"wrote {file}")
     if len(exported.files) > 10:
         typer.echo(f"and {len(exported.files) - 10} more")
-    if exported.n_observations:
-        typer.echo(f"{exported.n_observations} observations")
-        return ExitCode.DONE
     skipped = "".join(f"; left out: {count} {reason}" for reason, count in exported.left_out.items())
-    typer.echo(f"{exported.n_attitudes} attitudes{skipped}")
+    made = f"{exported.n_observations} observations" if exported.n_observations else f"{exported.n_attitudes} attitudes"
+    typer.echo(f"{made}{skipped}")
     return ExitCode.DONE
 
 

@@ -41,12 +41,12 @@ def time_from_utc(text: str) -> Time:
             raise InputError(f"epoch {text!r} is not ISO 8601 UTC, such as 2018-12-01T10:07:11.123") from error
 
 
-def utc_text(epoch: Time) -> str:
-    """Return the ISO 8601 UTC text of an epoch, to the microsecond."""
+def utc_text(epoch: Time, digits: int = 6) -> str:
+    """Return the ISO 8601 UTC text of an epoch, to the microsecond or to other digits of a second."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        utc = epoch.utc
-        utc.precision = 6
+        utc = epoch.utc.copy()
+        utc.precision = digits
         return str(utc.isot)
 
 

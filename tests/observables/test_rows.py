@@ -77,7 +77,7 @@ CONTEXT = ImageContext(
     attitude_errors=AttitudeErrors(parts={Cause.NOISE: ATTITUDE_RAD2}),
     attitude_shares={"s1.fits": 0.25, "s2.fits": 0.75},
     epoch_utc="2024-01-01T00:00:00.000000",
-    et=757382469.184,
+    et=757339269.184,
     exposure_s=0.1,
 )
 APPARENT_KM = np.array([32.0, -21.0, 1203.0])

