@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-MODULES = ("speed_bodies",)
+MODULES = ("speed_bodies", "speed_stars")
 """Modules beside this one with a function ``jobs()`` that returns a list of :class:`Job`."""
 
 IMAGES = "GIANTLIKE_BENCHMARK_IMAGES"
@@ -93,6 +93,11 @@ def measured(job: Job, bare: Callable[[], None]) -> dict[str, Any]:
     return row
 
 
+def least_cpu_ms(function: Callable[[], Any], runs: int) -> float:
+    """Least CPU time of some runs, ms."""
+    return min(_cpu_ms(function)[0] for _ in range(runs))
+
+
 def _cpu_ms(function: Callable[[], Any]) -> tuple[float, Any]:
     began = time.process_time()
     answer = function()
@@ -140,6 +145,7 @@ def table(rows: Sequence[dict[str, Any]], before: dict[str, dict[str, Any]]) -> 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", nargs="*", default=[""], help="parts of the names of jobs to run; all by default")
+    parser.add_argument("--growth", action="store_true", help="costs over numbers, and of other tools, instead of jobs")
     parser.add_argument("--before", type=Path, help="rows of an earlier run, to stand beside these")
     parser.add_argument("--table", type=Path, help="file for the table")
     parser.add_argument("--images", type=Path, help="folder that keeps images of the truth from run to run")
@@ -151,6 +157,11 @@ def main() -> None:
 
     _, bare = bare_calls(body_of(irregular_body(1, facets=FACETS)))
     rows = []
+    if chosen.growth:
+        for module in map(importlib.import_module, MODULES):
+            for row in module.growth(bare) if hasattr(module, "growth") else ():
+                print(json.dumps(row), flush=True)
+        return
     for module in MODULES:
         for job in importlib.import_module(module).jobs():
             if any(part in job.name for part in chosen.jobs):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
-from giantlike.catalogs import MemoryCatalog
+from giantlike.catalogs import MemoryCatalog, StarCatalog, apparent_directions
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.time import time_from_et
@@ -46,11 +46,7 @@ class RichField:
     image: Image
     catalog: MemoryCatalog
     attitude: Rotation
-
-    def error_px(self, fixed: Rotation) -> Float:
-        """Error (3,) of an attitude about the camera axes, px: two at the center of the image, the roll at its edge."""
-        turn: Float = (fixed * self.attitude.inv()).as_rotvec()
-        return turn * [FOCAL_PX, FOCAL_PX, SIZE / 2]
+    places_px: Float
 
 
 def rich_field(seed: int, stars: int = 2000) -> RichField:
@@ -60,7 +56,7 @@ def rich_field(seed: int, stars: int = 2000) -> RichField:
     axis = attitude.inv().as_matrix()[:, 2]
     reach = 1.1 * math.atan(SIZE / FOCAL_PX / math.sqrt(2.0))
     field = random_stars(rng, math.ceil(SPARE * stars), axis=axis, radius_rad=reach, magnitudes=(2.0, FAINTEST))
-    signal, _ = star_image(field, VIEW, attitude)
+    signal, places = star_image(field, VIEW, attitude)
     shot = record(signal + background(signal.shape, constant_dn=LEVEL_DN), rng, Recorder(read_noise_e=READ_NOISE_DN))
     known = field.magnitudes <= FAINTEST - UNKNOWN_MAGNITUDES
     image = Image(
@@ -71,4 +67,15 @@ def rich_field(seed: int, stars: int = 2000) -> RichField:
         name=f"{stars} stars, seed {seed}",
     )
     catalog = catalog_of(StarField(directions=field.directions[known], magnitudes=field.magnitudes[known]))
-    return RichField(image=image, catalog=catalog, attitude=attitude)
+    return RichField(image=image, catalog=catalog, attitude=attitude, places_px=places[np.isfinite(places).all(axis=1)])
+
+
+def real_field(seed: int, catalog: StarCatalog) -> tuple[Image, Rotation]:
+    """Draw an image of the stars of a catalog in a random direction, without an a priori attitude."""
+    rng = np.random.default_rng([seed, 17])
+    attitude = Rotation.random(rng=rng)
+    stars = catalog.cone(attitude.inv().as_matrix()[:, 2], 0.2)
+    field = StarField(directions=apparent_directions(stars, 5.05e8), magnitudes=stars.magnitude)
+    signal, _ = star_image(field, VIEW, attitude)
+    shot = record(signal + background(signal.shape, constant_dn=LEVEL_DN), rng, Recorder(read_noise_e=READ_NOISE_DN))
+    return Image(pixels=np.clip(shot.pixels, 0, 65535).astype(np.uint16), epoch=EPOCH, name=f"real {seed}"), attitude

@@ -124,11 +124,13 @@ def fit_stars(
     problem = _Problem(patches, psf, width_prior)
     solution = problem.solve(start)
     pairs = neighbor_pairs(patches.centers_px.astype(np.float64), patches.reach_px)
-    for _ in range(0 if isolated else _NEIGHBOR_ROUNDS):
+    for done in range(0 if isolated else _NEIGHBOR_ROUNDS):
         near = pairs[solution.good[pairs[:, 1]]]  # a fit that ran away must not be subtracted from its neighbors
         if not len(near):
             break
         blended = np.unique(near[:, 0])
+        if done:
+            blended = blended[solution.good[blended]]  # what did not converge without its neighbors never will
         alone = _without_neighbors(patches, solution.parameters, near).select(blended)
         again = np.where(solution.good[blended, None], solution.parameters[blended], start[blended])
         solution.replace(blended, replace(problem, patches=alone).solve(again))

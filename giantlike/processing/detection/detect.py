@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,8 +62,8 @@ _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 
 _LEAST_MEASURED = 100
 """Sources measured at least: 100 bright stars give the attitude that 2,000 do to 0.0013 px (``max_sources``)."""
-_GROWTH = 1.5
-"""Least growth of their number where they hold too little: bounds the work done twice."""
+_GROWTH = 1.1
+"""Least growth of their number where they hold too little: bounds the number of rounds."""
 
 _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
@@ -241,23 +241,33 @@ def _measure_enough(
     worth = np.where(found.extended | found.plateau, 0.0, 1.0 / variance)
     beyond = np.append(np.cumsum(worth[::-1])[::-1], 0.0)  # what those from the n-th on hold
     pairs = neighbor_pairs(found.peaks_px.astype(np.float64), neighbor_reach_px(_half_patch_px(psf_sigma_px)))
-    least, known = (1.0 - information) * beyond[0], 0.0
+    least, known, number = (1.0 - information) * beyond[0], 0, np.arange(len(found))
+    measured: Detections | None = None
     while True:
         count = max(int(np.argmax(beyond <= least)), _LEAST_MEASURED, math.ceil(_GROWTH * known))
-        if count >= len(found):
-            return _measure(frame, found, psf_sigma_px, noise_dn)
-        chosen = np.arange(len(found)) < count
+        chosen = (number >= known) & (number < count)
         fitted = chosen.copy()
         fitted[pairs[chosen[pairs[:, 0]], 1]] = True  # a star is fitted with the neighbors that overlap it
-        measured = _measure(frame, found.select(fitted), psf_sigma_px, noise_dn).select(chosen[fitted])
+        usual = None if measured is None else _usual_of(measured)
+        more = _measure(frame, found.select(fitted), psf_sigma_px, noise_dn, usual).select(chosen[fitted])
+        measured = more if measured is None else measured.joined(more)
+        if count >= len(found):
+            return measured
         stars = measured.select(measured.clean)
         expected = _expected_variance_px2(stars.snr, stars.flux_dn, psf_sigma_px, gain)
         scale = float(np.median(stars.sigma_px**2 / expected)) if len(stars) else 1.0
         held = float(np.sum(stars.sigma_px**-2)) * scale
         least, known = (1.0 - information) * (held + beyond[count]), count
         if beyond[count] <= least:
-            left = UnmeasuredSources(peaks_px=found.peaks_px[~chosen], sigma_px=np.sqrt(scale * variance[~chosen]))
+            rest = number >= count
+            left = UnmeasuredSources(peaks_px=found.peaks_px[rest], sigma_px=np.sqrt(scale * variance[rest]))
             return replace(measured, left_out=left)
+
+
+def _usual_of(measured: Detections) -> float | None:
+    """Usual width of the stars measured so far, px; None for few of them."""
+    widths = measured.width_px[measured.clean][:_PSF_STARS]
+    return min(measured.psf_sigma_px, float(np.median(widths))) if widths.size >= _USUAL_MIN_STARS else None
 
 
 def _expected_variance_px2(snr: Float, flux_dn: Float, psf_sigma_px: float, gain_e_per_dn: float) -> Float:
@@ -267,8 +277,10 @@ def _expected_variance_px2(snr: Float, flux_dn: Float, psf_sigma_px: float, gain
     return result
 
 
-def _measure(frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float) -> Detections:
-    """Fit all candidates as stars and flag them."""
+def _measure(
+    frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float, usual_px: float | None = None
+) -> Detections:
+    """Fit all candidates as stars and flag them; the usual width of stars is theirs, unless it is given."""
     patches = frame.patches(found.peaks_px, _half_patch_px(psf_sigma_px), found.noise_dn)
     fits = fit_stars(patches, points_px=found.points_px, flux_dn=found.flux_dn, psf_sigma_px=psf_sigma_px)
     width = recorded_width_px(psf_sigma_px)
@@ -292,7 +304,7 @@ def _measure(frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: flo
         area_px=found.area_px,
         background_dn=fits.background_dn,
         width_px=fits.width_px,
-        flags=_flags(frame, found, patches, fits, core, psf_sigma_px),
+        flags=_flags(frame, found, _Fitted(patches, fits, core), psf_sigma_px, usual_px),
         psf_sigma_px=psf_sigma_px,
         noise_dn=noise_dn,
     )
@@ -347,15 +359,20 @@ def _measure_lines(frame: Frame, found: Candidates, streak: CommonStreak, noise_
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """Patches without the slopes of their backgrounds, the stars fitted to them, and the cores (n, w, w) of these."""
+
+    patches: Patches
+    fits: StarFits
+    core: Mask
+
+
 def _flags(
-    frame: Frame,
-    found: Candidates,
-    patches: Patches,
-    fits: StarFits,
-    core: Mask,
-    psf_sigma_px: float,
+    frame: Frame, found: Candidates, fitted: _Fitted, psf_sigma_px: float, usual_px: float | None
 ) -> NDArray[np.uint16]:
     """Combine :class:`DetectionFlag` values (n,)."""
+    patches, fits, core = fitted.patches, fitted.fits, fitted.core
     rows, columns = frame.pixels.shape
     width = recorded_width_px(psf_sigma_px)
     points_px, failed = fits.points_px, ~fits.converged
@@ -371,7 +388,7 @@ def _flags(
     wide = relative_width > np.where(saturated, _EXTENDED_WIDTH_SATURATED, _EXTENDED_WIDTH)
     long = patches.elongation(points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
     long &= ~saturated  # a plateau has no shape
-    usual = _usual_width_px(fits, ~saturated & ~wide & ~long, psf_sigma_px)
+    usual = _usual_width_px(fits, ~saturated & ~wide & ~long, psf_sigma_px) if usual_px is None else usual_px
     few = find_few_pixels(patches, points_px, np.full(len(points_px), usual), fits.background_dn, psf_sigma_px)
     sharp = (few.not_star | (fits.width_px < _SHARP_WIDTH * usual)) & (usual >= _SHARP_MIN_PSF_PX) & ~saturated
     blended = np.zeros(len(points_px), dtype=bool)

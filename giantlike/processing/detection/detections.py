@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,6 +168,26 @@ class Detections(Value):
             In the order of the indices.
         """
         return select_rows(self, which)
+
+    def joined(self, other: Detections) -> Detections:
+        """Detections of two parts of the sources of an image.
+
+        Parameters
+        ----------
+        other : Detections
+            Of sources that are not among these, and no streaks.
+
+        Returns
+        -------
+        Detections
+            These, then the others; nothing is left out.
+        """
+        parts: dict[str, Any] = {
+            field.name: np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+            for field in fields(self)
+            if isinstance(getattr(self, field.name), np.ndarray)
+        }
+        return replace(self, **parts, left_out=None)
 
     @classmethod
     def empty(cls, *, psf_sigma_px: float, noise_dn: float) -> Detections:

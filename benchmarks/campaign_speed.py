@@ -1,0 +1,166 @@
+"""Throughput of campaigns: images a CPU second, wall time over workers, memory of a worker, cost of the report; JSON.
+
+Images are those of ``giantlike demo`` for as many visits as asked for, each a body between two star images: 85 visits
+are 255 images, 170 of stars and 85 of the body, which three estimators measure. ``--copies`` lists every image several
+times, under names of their own, for campaigns larger than is worth rendering. Each run is a process of its own,
+``giantlike run``, from start to end; CPU is that of all its processes.
+
+Usage: python benchmarks/campaign_speed.py FOLDER [--visits 85] [--copies 1 4] [--workers 1 2]
+
+The images stay in FOLDER and are not made again. With Linux the memory of processes is sampled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from giantlike.catalogs import load_catalog
+from giantlike.simulation.approach import ApproachOptions, Visit, plan_approach
+from giantlike.simulation.write import write_approach
+
+SAMPLE_S = 0.2  # between looks at the memory of processes
+DIAMETERS_PX, PHASES_DEG = (1.0, 300.0), (20.0, 110.0)
+
+
+def visits(count: int) -> tuple[Visit, ...]:
+    """Visits of growing size, even in its logarithm, at all phases."""
+    sizes = np.geomspace(*DIAMETERS_PX, count)
+    phases = PHASES_DEG[0] + (PHASES_DEG[1] - PHASES_DEG[0]) * (np.arange(count) * 0.618034 % 1.0)
+    return tuple(
+        Visit(day=0.2 * number, diameter_px=float(size), phase_deg=float(phase))
+        for number, (size, phase) in enumerate(zip(sizes, phases, strict=True))
+    )
+
+
+def made(folder: Path, count: int) -> Path:
+    """Campaign file of so many visits; written unless it is there."""
+    campaign = folder / f"visits-{count}" / "campaign.toml"
+    if not campaign.is_file():
+        options = ApproachOptions(approach=visits(count), moon=())
+        write_approach(plan_approach(options), campaign.parent, load_catalog())
+    return campaign
+
+
+def enlarged(campaign: Path, copies: int) -> Path:
+    """Campaign with every image that many times: links to the files, and rows of the geometry."""
+    if copies == 1:
+        return campaign
+    folder = campaign.parent.with_name(f"{campaign.parent.name}-{copies}")
+    if folder.is_dir():
+        return folder / campaign.name
+    (folder / "images").mkdir(parents=True)
+    for name in ("shapes", "camera.toml", "campaign.toml"):
+        source = campaign.parent / name
+        shutil.copytree(source, folder / name) if source.is_dir() else shutil.copy(source, folder / name)
+    with (campaign.parent / "geometry.csv").open(newline="") as file:
+        head, *rows = csv.reader(file)
+    column = head.index("file")
+    with (folder / "geometry.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(head)
+        for number in range(copies):
+            for row in rows:
+                writer.writerow([*row[:column], f"{number}_{row[column]}", *row[column + 1 :]])
+    for number in range(copies):
+        for image in sorted((campaign.parent / "images").iterdir()):
+            (folder / "images" / f"{number}_{image.name}").hardlink_to(image)
+    return folder / campaign.name
+
+
+def measured(campaign: Path, workers: int) -> dict[str, Any]:
+    """Run a campaign and its report."""
+    run = campaign.parent / "run"
+    shutil.rmtree(run, ignore_errors=True)
+    cost = _cost("run", str(campaign), "--workers", str(workers))
+    report = _cost("report", str(run))
+    images = len(list((campaign.parent / "images").iterdir()))
+    size = sum(path.stat().st_size for path in run.rglob("*") if path.is_file())
+    return {
+        "images": images,
+        "workers": workers,
+        **{name: round(value, 2) for name, value in cost.items()},
+        "images_a_cpu_s": round(images / cost["cpu_s"], 2),
+        "images_a_wall_s": round(images / cost["wall_s"], 2),
+        "report_again_cpu_s": round(report["cpu_s"], 2),
+        "run_folder_mb": round(size / 1e6, 1),
+        **_steps(run),
+    }
+
+
+def _cost(*arguments: str) -> dict[str, float]:
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "giantlike", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+    most_mb: dict[int, float] = {}
+    while process.poll() is None:
+        for pid in _descendants(process.pid):
+            most_mb[pid] = max(most_mb.get(pid, 0.0), _memory_mb(pid))
+        time.sleep(SAMPLE_S)
+    wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    _, errors = process.communicate()
+    if process.returncode > 1:  # 1: some images have no fix
+        raise RuntimeError(f"giantlike {' '.join(arguments)}: {errors.decode()[-2000:]}")
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    parent_mb = most_mb.pop(process.pid, 0.0)
+    return {"cpu_s": cpu, "wall_s": wall, "parent_mb": parent_mb, "worker_mb": max(most_mb.values(), default=0.0)}
+
+
+def _descendants(pid: int) -> list[int]:
+    found = [pid]
+    for one in found:
+        for path in Path(f"/proc/{one}/task").glob("*/children"):
+            try:
+                found += [int(child) for child in path.read_text().split()]
+            except OSError:  # it ended
+                continue
+    return found
+
+
+def _memory_mb(pid: int) -> float:
+    """Largest memory of a process so far that is its own: without mapped files, MB."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return sum(float(line.split()[1]) for line in lines if line.startswith("RssAnon")) / 1024.0
+
+
+def _steps(run: Path) -> dict[str, Any]:
+    """Wall seconds from event to event of the log of a run."""
+    log = run / "log.jsonl"
+    if not log.is_file():
+        return {}
+    events = [json.loads(line) for line in log.read_text().splitlines()]
+    return {"events": len(events)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--visits", type=int, nargs="*", default=[85])
+    parser.add_argument("--copies", type=int, nargs="*", default=[1])
+    parser.add_argument("--workers", type=int, nargs="*", default=[1, 2])
+    chosen = parser.parse_args()
+    os.environ["OMP_NUM_THREADS"] = "1"
+    for count in chosen.visits:
+        for copies in chosen.copies:
+            campaign = enlarged(made(chosen.folder, count), copies)
+            for workers in chosen.workers:
+                print(json.dumps(measured(campaign, workers)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
