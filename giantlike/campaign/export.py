@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import groupby
@@ -157,9 +157,9 @@ def export_run(
         return Exported(files=(output,), n_observations=write_run_observables(result, output))
     camera = camera_of_run(folder)
     if format_name is ExportFormat.TDM:
-        return _tdm(output, run_observables(result, camera), options)
+        return _tdm(output, _single_rows(result, camera), options)
     if format_name is ExportFormat.SUMFILE:
-        return _sumfiles(output, run_observables(result, camera), camera)
+        return _sumfiles(output, _single_rows(result, camera), camera)
     chosen, left_out = _chosen(result, options, needs_epoch=format_name is not ExportFormat.WCS)
     require(bool(chosen), f"{folder}: no attitude to write ({_said(left_out)})")
     make_folder(output if format_name is ExportFormat.WCS else output.parent)
@@ -263,6 +263,11 @@ def _wcs(job: _Job) -> tuple[Path, ...]:
         )
         files.append(path)
     return tuple(files)
+
+
+def _single_rows(result: RunResult, camera: Camera) -> Iterator[ObservableRow]:
+    """Rows of bodies and landmarks."""
+    return (row for row in run_observables(result, camera) if isinstance(row, ObservableRow))
 
 
 def _tdm(output: Path, rows: Iterable[ObservableRow], options: ExportOptions) -> Exported:

@@ -11,13 +11,16 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from giantlike.core.atomic import replacing
 from giantlike.core.causes import Cause
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.values import Value
 from giantlike.io.tables import arrow_schema, arrow_table, column, columns_of
 
 FORMAT, FORMAT_VERSION = "giantlike observables", "1"
@@ -219,7 +222,37 @@ class ObservableRow:
     n_rejected: int | None = column("Number of pixels or points rejected.")
 
 
-def write_observables(path: Path, rows: Iterable[ObservableRow], metadata: Mapping[str, str]) -> int:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObservableBlock(Value):
+    """Rows of which many cells are the same, column by column: the stars of an image.
+
+    Parameters
+    ----------
+    count : int
+        Number of rows, n.
+    shared : mapping of str to value
+        Cells that all rows have.
+    columns : mapping of str to (n,) or (n, size) array
+        Cells that differ.
+    """
+
+    count: int
+    shared: Mapping[str, Any]
+    columns: Mapping[str, NDArray[Any]]
+
+    def rows(self) -> Iterator[ObservableRow]:
+        """Yield the rows one by one.
+
+        Yields
+        ------
+        ObservableRow
+        """
+        lists = {name: values.tolist() for name, values in self.columns.items()}
+        for k in range(self.count):
+            yield ObservableRow(**self.shared, **{name: values[k] for name, values in lists.items()})
+
+
+def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:
     """Write observables: Parquet, or JSON lines where the file name ends in ``.jsonl``.
 
     Rows are written as they come, so that no more than some thousand are in memory.
@@ -228,7 +261,7 @@ def write_observables(path: Path, rows: Iterable[ObservableRow], metadata: Mappi
     ----------
     path : Path
         New file, ``.parquet`` or ``.jsonl``; an existing one is replaced.
-    rows : iterable of ObservableRow
+    rows : iterable of ObservableRow or ObservableBlock
     metadata : mapping of str to str
         Of the Parquet file, beside format and version.
 
@@ -284,26 +317,59 @@ def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
     return [ObservableRow(**row) for row in table.to_pylist()], metadata
 
 
-def _write_parquet(path: Path, rows: Iterator[ObservableRow], metadata: Mapping[str, str]) -> int:
+def _write_parquet(path: Path, rows: Iterator[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:
+    import pyarrow as pa
     from pyarrow import parquet
 
     named = {"format": FORMAT, "format_version": FORMAT_VERSION, **metadata}
     schema, count = arrow_schema(columns_of(ObservableRow), named), 0
     with parquet.ParquetWriter(path, schema) as writer:
-        while group := list(islice(rows, _GROUP)):
-            writer.write_table(arrow_table(schema, group))
-            count += len(group)
+        while group := list(_group(rows)):
+            tables = [
+                _block_table(schema, one) if isinstance(one, ObservableBlock) else arrow_table(schema, [one])
+                for one in group
+            ]
+            table = pa.concat_tables(tables)
+            writer.write_table(table.combine_chunks())
+            count += table.num_rows
     return count
 
 
-def _write_json_lines(path: Path, rows: Iterator[ObservableRow], metadata: Mapping[str, str]) -> int:
+def _group(rows: Iterator[ObservableRow | ObservableBlock]) -> Iterator[ObservableRow | ObservableBlock]:
+    """Yield items until they have the rows of a group."""
+    count = 0
+    while count < _GROUP and (item := next(rows, None)) is not None:
+        count += item.count if isinstance(item, ObservableBlock) else 1
+        yield item
+
+
+def _block_table(schema: Any, block: ObservableBlock) -> Any:
+    """Rows of a block as a table of a schema."""
+    import pyarrow as pa
+
+    arrays = []
+    for field in schema:
+        values, shared = block.columns.get(field.name), block.shared.get(field.name)
+        if values is None:
+            arrays.append(pa.repeat(pa.scalar(shared, type=field.type), block.count))
+        elif values.ndim == 2:
+            flat = pa.array(np.ascontiguousarray(values).ravel())
+            arrays.append(pa.FixedSizeListArray.from_arrays(flat, values.shape[1]).cast(field.type))
+        else:
+            arrays.append(pa.array(values, type=field.type))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _write_json_lines(path: Path, rows: Iterator[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:
     """Write one object a line; values that are not known are left out."""
     count = 0
     with path.open("w", encoding="utf-8") as file:
-        for row in rows:
-            cells = {name: _json(value) for name, value in dataclasses.asdict(row).items() if value is not None}
-            file.write(json.dumps(cells, allow_nan=False) + "\n")
-            count += 1
+        for item in rows:
+            for row in item.rows() if isinstance(item, ObservableBlock) else (item,):
+                cells = ((field.name, getattr(row, field.name)) for field in dataclasses.fields(row))
+                known = {name: _json(value) for name, value in cells if value is not None}
+                file.write(json.dumps(known, allow_nan=False) + "\n")
+                count += 1
     return count
 
 

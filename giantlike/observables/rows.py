@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,7 @@ from giantlike.core.outcomes import AttitudeErrors, CenterFix, PositionFix
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER
-from giantlike.io.observables_file import ObservableRow
+from giantlike.io.observables_file import ObservableBlock, ObservableRow
 from giantlike.observables.apparent import apparent_by_position, removed
 from giantlike.relative.budget import attitude_parts_rad2, position_covariance
 from giantlike.scene import Circumstances, TargetUncertainty
@@ -297,7 +297,7 @@ def row_of_landmark(
 
 def rows_of_stars(
     context: ImageContext, stars: StarsSeen, observer: ObserverState | None, *, status: str
-) -> Iterator[ObservableRow]:
+) -> ObservableBlock:
     """Rows of the stars of an image.
 
     Parameters
@@ -309,63 +309,60 @@ def rows_of_stars(
     status : str
         That of the attitude.
 
-    Yields
-    ------
-    ObservableRow
-        Its covariance is the noise alone, for the attitude follows from the stars; the geometric direction is the
+    Returns
+    -------
+    ObservableBlock
+        Its covariances are the noise alone, for the attitude follows from the stars; the geometric direction is the
         astrometric one, for the catalog is of where the stars are seen.
     """
     model, turn = context.camera.model, context.camera_from_inertial.inv()
     in_camera = unit(model.unproject(stars.observed_px))
     apparent = rotate(turn, in_camera)
-    vectors, common = {"apparent": apparent}, context.cells() | {"kind": "star", "status": status, "preferred": False}
+    shared = context.cells() | {"kind": "star", "status": status, "preferred": False}
+    vectors = {"apparent": apparent}
     if observer is not None:
         still = unit(aberrate(apparent, -observer.velocity_km_s))
         vectors |= {"astrometric": still, "geometric": still}
-        common |= {
+        shared |= {
             "states_origin": BARYCENTER,
             "observer_position_icrf_km": observer.position_km.tolist(),
             "observer_velocity_icrf_km_s": observer.velocity_km_s.tolist(),
         }
-    sky = {name: _SkyColumns.of(vector) for name, vector in vectors.items()}
-    by_attitude = -model.project_jacobian(in_camera) @ skew(in_camera)
-    by_focal_length = _by_focal_length(model, in_camera)
+    columns: dict[str, NDArray[Any]] = {
+        "feature": stars.numbers.astype(str).astype(object),
+        "magnitude": stars.magnitudes,
+        "sigma_pixel_px": stars.sigma_px,
+        "sigma_line_px": stars.sigma_px,
+        "correlation_pixel_line": np.zeros_like(stars.sigma_px),
+    }
+    for k, name in enumerate(("pixel", "line")):
+        columns[f"observed_{name}_px"] = stars.observed_px[:, k]
+        columns[f"computed_{name}_px"] = stars.predicted_px[:, k]
+        columns[f"o_minus_c_{name}_px"] = stars.observed_px[:, k] - stars.predicted_px[:, k]
+    for name, vector in vectors.items():
+        columns[f"{name}_direction_icrf"] = vector
+        columns[f"{name}_ra_deg"], columns[f"{name}_dec_deg"] = radec_from_direction(vector)
+    noise = np.full((len(stars.numbers), 3, 3), np.nan)
+    noise[:, :2, :2] = stars.sigma_px[:, None, None] ** 2 * np.eye(2)
+    columns["covariance"] = columns["part_noise"] = noise.reshape(-1, 9)
     by_px = _sky_by_px(turn, apparent, model.unproject_jacobian(stars.observed_px))
-    for k in range(len(stars.numbers)):
-        noise = _padded(stars.sigma_px[k] ** 2 * np.eye(2))
-        cells = common | _measured(stars.observed_px[k], stars.predicted_px[k]) | _covariance_cells(noise)
-        for name, columns in sky.items():
-            cells |= columns.cells(name, k)
-        yield ObservableRow(
-            **cells,
-            **_sky_cells(by_px[k] @ noise[:2, :2] @ by_px[k].T),
-            feature=str(stars.numbers[k]),
-            magnitude=float(stars.magnitudes[k]),
-            part_noise=_flat(noise),
-            partial_attitude=_flat(_padded_rows(by_attitude[k])),
-            partial_focal_length=[*by_focal_length[k].tolist(), np.nan],
-        )
+    sky = by_px @ noise[:, :2, :2] @ np.swapaxes(by_px, 1, 2)
+    sigmas = np.sqrt(np.diagonal(sky, axis1=1, axis2=2))
+    columns["sigma_ra_cos_dec_arcsec"], columns["sigma_dec_arcsec"] = (ARCSEC_PER_RAD * sigmas).T
+    columns["correlation_ra_dec"] = sky[:, 0, 1] / sigmas.prod(axis=1)
+    by_attitude = np.full((len(stars.numbers), 3, 3), np.nan)
+    by_attitude[:, :2] = -model.project_jacobian(in_camera) @ skew(in_camera)
+    columns["partial_attitude"] = by_attitude.reshape(-1, 9)
+    by_focal_length = np.full((len(stars.numbers), 3), np.nan)
+    by_focal_length[:, :2] = _by_focal_length(model, in_camera)
+    columns["partial_focal_length"] = by_focal_length
+    return ObservableBlock(count=len(stars.numbers), shared=shared, columns=columns)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _SkyColumns(Value):
-    """Directions (n, 3), inertial axes, and their right ascensions and declinations (n,), deg."""
-
-    vectors: Float
-    ra_deg: Float
-    dec_deg: Float
-
-    @classmethod
-    def of(cls, vectors: Float) -> _SkyColumns:
-        return cls(vectors, *radec_from_direction(vectors))
-
-    def cells(self, name: str, k: int) -> dict[str, Any]:
-        """Cells of one of them."""
-        return {
-            f"{name}_direction_icrf": self.vectors[k].tolist(),
-            f"{name}_ra_deg": float(self.ra_deg[k]),
-            f"{name}_dec_deg": float(self.dec_deg[k]),
-        }
+def _direction_cells(name: str, direction: Float) -> dict[str, Any]:
+    """Cells of a direction (3,), inertial axes."""
+    ra, dec = radec_from_direction(direction)
+    return {f"{name}_direction_icrf": direction.tolist(), f"{name}_ra_deg": float(ra), f"{name}_dec_deg": float(dec)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -395,7 +392,7 @@ class _Point(Value):
             et = self.context.et
             cells["emission_et_s"] = None if et is None else et - found.light_time_s
         for name, vector in vectors.items():
-            cells |= _SkyColumns.of(unit(vector)[None]).cells(name, 0)
+            cells |= _direction_cells(name, unit(vector))
             if self.ranged:
                 cells[f"{name}_position_icrf_km"] = vector.tolist()
         return cells

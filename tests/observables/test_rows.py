@@ -297,7 +297,7 @@ def test_a_star_is_where_it_is_without_the_motion_of_the_spacecraft() -> None:
         predicted_px=observed_px[None] - 0.1,
         sigma_px=np.array([0.2]),
     )
-    (row,) = rows_of_stars(CONTEXT, stars, observer, status="ok")
+    (row,) = rows_of_stars(CONTEXT, stars, observer, status="ok").rows()
     assert (row.kind, row.feature, row.target, row.preferred) == ("star", "42", None, False)
     assert_allclose(vector(row.geometric_direction_icrf), catalog, rtol=0, atol=1e-12)
     assert_allclose(vector([row.o_minus_c_pixel_px, row.o_minus_c_line_px]), vector([0.1, 0.1]), rtol=0, atol=1e-12)
@@ -357,6 +357,29 @@ def test_parquet_holds_what_each_column_means_and_comes_back(tmp_path: Path) -> 
     assert metadata["format_version"] == "1"
     assert rows[0] == _rows()[0]
     assert np.isnan(rows[1].covariance[8])  # type: ignore[index]
+
+
+def test_stars_are_the_same_row_by_row_and_column_by_column(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    places = rng.uniform(50.0, 400.0, (30, 2))
+    stars = StarsSeen(
+        numbers=np.arange(30),
+        magnitudes=np.linspace(4.0, 8.0, 30),
+        observed_px=places,
+        predicted_px=places + rng.normal(0.0, 0.1, (30, 2)),
+        sigma_px=np.full(30, 0.1),
+    )
+    block = rows_of_stars(CONTEXT, stars, None, status="ok")
+    body = _rows()[0]
+    counts = [
+        write_observables(tmp_path / "blocks.parquet", [body, block, body], {}),
+        write_observables(tmp_path / "rows.parquet", [body, *block.rows(), body], {}),
+    ]
+    assert counts == [32, 32]
+    both = [parquet.read_table(tmp_path / name) for name in ("blocks.parquet", "rows.parquet")]
+    assert both[0].schema.equals(both[1].schema, check_metadata=True)
+    for name in both[0].column_names:
+        np.testing.assert_equal(both[0][name].to_pylist(), both[1][name].to_pylist())
 
 
 def test_json_lines_hold_the_same_without_what_is_unknown(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import CenterFix, PositionFix, Quality
 from giantlike.core.version import VERSION
-from giantlike.io.observables_file import ObservableRow, write_observables
+from giantlike.io.observables_file import ObservableBlock, ObservableRow, write_observables
 from giantlike.observables import (
     ImageContext,
     LandmarkSeen,
@@ -63,7 +63,7 @@ def write_run_observables(result: RunResult, path: Path | None = None) -> int:
     return write_observables(path, run_observables(result, camera), observables_metadata(result.name, camera))
 
 
-def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow]:
+def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow | ObservableBlock]:
     """Rows of all images of a run; lists of stars and landmarks are read one image at a time.
 
     Parameters
@@ -74,7 +74,8 @@ def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow
 
     Yields
     ------
-    ObservableRow
+    ObservableRow or ObservableBlock
+        A block for the stars of an image.
     """
     folder = RunFolder.open(result.folder)
     with_body = {record.file for record in result.bodies}
@@ -119,7 +120,7 @@ def observables_metadata(name: str, camera: Camera) -> dict[str, str]:
 
 def observable_rows(
     camera: Camera, attitude: AttitudeRecord, bodies: ObservationsRecord | None
-) -> Iterator[ObservableRow]:
+) -> Iterator[ObservableRow | ObservableBlock]:
     """Rows of one image: fixes of bodies, their landmarks, and stars.
 
     Parameters
@@ -131,7 +132,7 @@ def observable_rows(
 
     Yields
     ------
-    ObservableRow
+    ObservableRow or ObservableBlock
     """
     if bodies is not None:
         yield from _body_rows(camera, attitude, bodies)
@@ -151,7 +152,7 @@ def observable_rows(
         predicted_px=np.array(stars.predicted_px).reshape(-1, 2),
         sigma_px=np.array(stars.sigma_px),
     )
-    yield from rows_of_stars(context, seen, observer, status=attitude.status)
+    yield rows_of_stars(context, seen, observer, status=attitude.status)
 
 
 def _body_rows(camera: Camera, attitude: AttitudeRecord, bodies: ObservationsRecord) -> Iterator[ObservableRow]:
