@@ -12,8 +12,9 @@ from giantlike.core.values import Value
 
 _ITERATIONS = 20
 """Most iterations of robust weights; they end earlier when the residuals come to rest."""
-_REST = 0.01
-"""Motion of the residuals, over the least sigma, below which robust weights need no more iterations."""
+_START_REST, _REST = 0.5, 0.01
+"""Motion of the residuals, over a tenth of their median sigma, below which robust weights need no more iterations: on
+the way to a start, and from there."""
 _TUKEY_LIMIT = 1.5
 """Residual at which a weight reaches zero, over the limit for outliers: what is kept has some weight."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e6, 22)])
@@ -103,7 +104,7 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
     for _ in range(_ITERATIONS):
         solution, before = _weighted(residuals, design, weights), left
         left = residuals - design @ solution
-        if _same(left, before, floor):
+        if _same(left, before, _START_REST * floor):
             break
         weights = 1.0 / np.maximum(np.abs(left), floor + robust_sigma(left))
     for _ in range(_ITERATIONS):
@@ -113,7 +114,7 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
             break
         solution, before = _weighted(residuals, design, biweight / total**2), left
         left = residuals - design @ solution
-        if _same(left, before, floor):
+        if _same(left, before, _REST * floor):
             break
     keep: Mask = np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + robust_sigma(left) ** 2)
     return solution, keep
@@ -283,6 +284,6 @@ def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
     return result
 
 
-def _same(left: Float, before: Float, floor: float) -> bool:
+def _same(left: Float, before: Float, rest: float) -> bool:
     """True if the residuals have come to rest."""
-    return float(np.max(np.abs(left - before))) < _REST * floor
+    return float(np.max(np.abs(left - before))) < rest

@@ -91,8 +91,8 @@ class OutlineErrors(Value):
         first = self.lengths.size * _RATIOS.size
         return float(np.sqrt(self.chance[first:] @ self.shared_variance[first:]))
 
-    def noise(self, sigma: Float, points: Float) -> Float:
-        """Covariance of points without relief: independent noise, and what near neighbors share.
+    def covariances(self, sigma: Float, points: Float) -> PointCovariances:
+        """Covariances of points.
 
         Parameters
         ----------
@@ -102,54 +102,56 @@ class OutlineErrors(Value):
 
         Returns
         -------
-        (n, n) float64
-        """
-        return np.diag(float(self.chance @ self.noise_scale2) * sigma**2) + self._shared(points, relief=False)
+        PointCovariances
 
-    def relief(self, points: Float) -> Float:
-        """Covariance of points by relief.
-
-        Parameters
-        ----------
-        points : (n, 2) float64
-
-        Returns
-        -------
-        (n, n) float64
-        """
-        return self._shared(points, relief=True)
-
-    def for_weights(self, sigma: Float, points: Float) -> Float:
-        """Covariance of points from which weights are made: without smooth relief.
-
-        Weights by smooth relief trust that neighbors err alike to the last digit, and fit a position to how residuals
-        bend: on bodies with relief of 1 % such positions scatter by 0.6 px, with these weights by 0.3 px.
-
-        Parameters
-        ----------
-        sigma : (n,) float64
-            Independent noise as predicted.
-        points : (n, 2) float64
-
-        Returns
-        -------
-        (n, n) float64
+        Notes
+        -----
+        Weights by smooth relief would trust that neighbors err alike to the last digit, and fit a position to how
+        residuals bend: on bodies with relief of 1 % such positions scatter by 0.6 px, without them by 0.3 px.
         """
         smooth = np.arange(self.log_likelihood.size) >= self.log_likelihood.size - _SMOOTH * _RATIOS.size
         rough = replace(self, log_likelihood=np.where(smooth, -np.inf, self.log_likelihood))
-        return rough.noise(sigma, points) + rough.relief(points)
+        x, y = points.T
+        apart = np.hypot(x[:, None] - x, y[:, None] - y)
+        shared = [(each._shared_variances[: self.lengths.size], each._relief_table) for each in (self, rough)]
+        relief, rough_relief = _looked_up(np.stack([table for _, table in shared]), apart / self.radius)
+        noise, rough_noise = (float(each.chance @ each.noise_scale2) * np.diag(sigma**2) for each in (self, rough))
+        for number, length in enumerate(self.lengths):
+            near = np.exp(apart / -length)
+            noise += shared[0][0][number] * near
+            rough_noise += shared[1][0][number] * near
+        return PointCovariances(noise=noise, relief=relief, for_weights=rough_noise + rough_relief)
 
-    def _shared(self, points: Float, *, relief: bool) -> Float:
-        """Covariance (n, n) of points (n, 2) by the kinds of shared error that are relief, or by the others."""
-        apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
-        weights = (self.chance * self.shared_variance).reshape(-1, _RATIOS.size).sum(axis=1)
-        first = self.lengths.size
-        if relief:
-            return _looked_up(weights[first:] @ _relief_tables(), apart / self.radius)
-        result: Float = np.zeros_like(apart)
-        for weight, length in zip(weights[:first], self.lengths, strict=True):
-            result += weight * np.exp(-apart / length)
+    @property
+    def _shared_variances(self) -> Float:
+        """Variance of each kind of shared error."""
+        result: Float = (self.chance * self.shared_variance).reshape(-1, _RATIOS.size).sum(axis=1)
         return result
+
+    @property
+    def _relief_table(self) -> Float:
+        """Covariance by relief, by the angle."""
+        result: Float = self._shared_variances[self.lengths.size :] @ _relief_tables()
+        return result
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointCovariances:
+    """Covariances (n, n) of points along an outline, unit of the residuals squared.
+
+    Parameters
+    ----------
+    noise : (n, n) float64
+        Without relief: independent noise, and what near neighbors share.
+    relief : (n, n) float64
+        By relief.
+    for_weights : (n, n) float64
+        From which weights are made: without smooth relief.
+    """
+
+    noise: Float
+    relief: Float
+    for_weights: Float
 
 
 def outline_errors(
@@ -203,7 +205,7 @@ def outline_errors(
     longest = max(_LEAST_LENGTH * radius, 2.0 * least_length)
     lengths = np.exp(np.arange(np.log(least_length), np.log(longest), np.log(_LENGTH_STEP)))
     kinds = [np.exp(-apart / length) for length in lengths]
-    kinds += [_looked_up(table, apart / radius) for table in _relief_tables()]
+    kinds += list(_looked_up(_relief_tables(), apart / radius))
     typical2 = float(np.mean(sigma**2))
     kernels = np.stack(kinds) * (typical2 / np.outer(sigma, sigma))
     likelihood, scale2 = _restricted_likelihoods(values, kernels)
@@ -289,8 +291,10 @@ def _relief_tables() -> Float:
     return result
 
 
-def _looked_up(table: Float, chords: Float) -> Float:
-    """Covariance at chords of any shape, over the radius, by a table in even steps of the angle to pi."""
-    angles = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
-    result: Float = np.interp(angles, np.linspace(0.0, np.pi, _ANGLES), table)
+def _looked_up(tables: Float, chords: Float) -> Float:
+    """Covariances (k, ...) at chords (...), over the radius, by tables (k, m) in even steps of the angle to pi."""
+    place = np.arcsin(np.minimum(0.5 * chords, 1.0)) * (2.0 / np.pi * (_ANGLES - 1))
+    index = np.minimum(place.astype(np.int64), _ANGLES - 2)
+    share = place - index
+    result: Float = (1.0 - share) * tables[:, index] + share * tables[:, index + 1]
     return result

@@ -31,8 +31,9 @@ def fitted(shift: Float, points: Float, design: Float) -> tuple[Float, Float, Ou
     """Solution and its covariance."""
     sigma = np.full(len(points), NOISE_PX)
     errors = outline_errors(shift, design, sigma, points, radius=RADIUS_PX, least_length=1.5)
-    gain = solution_gain(design, errors.for_weights(sigma, points))
-    covariance = gain @ (errors.noise(sigma, points) + errors.relief(points)) @ gain.T
+    own = errors.covariances(sigma, points)
+    gain = solution_gain(design, own.for_weights)
+    covariance = gain @ (own.noise + own.relief) @ gain.T
     return gain @ shift, covariance, errors
 
 

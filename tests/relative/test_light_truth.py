@@ -21,12 +21,13 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder, Sampling
 from giantlike.ray_tracing import Lambert
-from giantlike.relative.estimator import Estimator
+from giantlike.relative.estimator import Estimator, gather
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA
 from giantlike.relative.light.moment import Moment
-from giantlike.relative.light.unresolved import Unresolved
+from giantlike.relative.light.unresolved import Unresolved, rays_across
 from giantlike.relative.limb.limb_matching import LimbMatching
 from giantlike.relative.template.cross_correlation import CrossCorrelation
+from giantlike.relative.template.rendering import TemplateRenderer
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 from tests.tolerances import RARE
@@ -277,13 +278,28 @@ def test_thin_crescents_of_a_few_pixels_are_within_the_covariance(psf_sigma_px: 
 
 
 def test_the_rays_of_the_template_do_not_limit_thin_crescents() -> None:
-    """Light without end: across the Sun, where neither range nor law counts, rays are what is left."""
-    across = []
-    for seed in range(5):
-        each = shot(seed, phase_deg=150.0, diameter_px=4.0, peak_dn=3e6)
-        error = each.fix(Unresolved()).center_px - each.center_px
-        across.append(each.toward_sun[0] * error[1] - each.toward_sun[1] * error[0])
-    assert np.sqrt(np.mean(np.square(across))) < 0.01  # px; 0.017 with as few rays as for a full disk
+    """Across the Sun, where neither range nor law counts, rays are what moves the light of the template."""
+    shots = [shot(seed, phase_deg=150.0, diameter_px=4.0, peak_dn=3e6) for seed in range(5)]
+    chosen = rays_across(4.0, np.radians(150.0))
+    fine, taken, few = ([across_sun(each, rays) for each in shots] for rays in (1400, chosen, 96))
+    assert np.sqrt(np.mean(np.square(np.subtract(taken, fine)))) < 0.004  # px
+    assert np.sqrt(np.mean(np.square(np.subtract(few, fine)))) > 0.02  # with as few rays as for a full disk
+
+
+def across_sun(each: Shot, rays: int) -> float:
+    """Distance across the Sun from the center of light of a template to its body, px."""
+    inputs = gather(each.image, each.camera, each.scene, None, estimator="test", options=None)
+    assert not isinstance(inputs, Failure)
+    renderer = TemplateRenderer(
+        target=inputs.geometry.body(),
+        plane=inputs.focal_plane(),
+        sun_direction_camera=inputs.geometry.sun_direction_camera,
+        rays_across=rays,
+    )
+    template = renderer.render(renderer.start, renderer.sampling(0))
+    assert not isinstance(template, Failure)
+    offset = template.center_px - template.photocenter_px
+    return float(each.toward_sun[0] * offset[1] - each.toward_sun[1] * offset[0])
 
 
 @pytest.mark.parametrize("estimator", [Moment(), CrossCorrelation(), LimbMatching(), EllipsoidCRA(), Unresolved()])

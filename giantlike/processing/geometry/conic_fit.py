@@ -179,20 +179,20 @@ def _hyper(points: Float, sigma: Float) -> Float:
     variance = sigma**2 / np.mean(sigma**2)
     weights = 1.0 / variance
     for _ in range(_ROUNDS):
-        second = np.einsum("n,ni,nj->ij", weights, xi, xi) / count
+        second = (xi * weights[:, None]).T @ xi / count
         values, vectors = np.linalg.eigh(second)
         inverse = (vectors[:, 1:] / values[1:]) @ vectors[:, 1:].T
         pulled = xi @ inverse
-        first = np.einsum("n,nij->ij", weights * variance, spread)
-        mixed = np.einsum("n,ni,j->ij", weights * variance, xi, _SECOND_ORDER)
-        length = weights**2 * variance * np.einsum("ni,ni->n", pulled, xi)
-        absorbed = np.einsum("n,nij->ij", length, spread)
-        turned = np.einsum("n,nij,nj,nk->ik", weights**2 * variance, spread, pulled, xi)
+        first = np.tensordot(weights * variance, spread, 1)
+        mixed = np.outer((weights * variance) @ xi, _SECOND_ORDER)
+        shares = weights**2 * variance
+        absorbed = np.tensordot(shares * np.sum(pulled * xi, axis=1), spread, 1)
+        turned = ((spread @ pulled[:, :, None])[:, :, 0] * shares[:, None]).T @ xi
         metric = (first + mixed + mixed.T) / count - (absorbed + turned + turned.T) / count**2
         ratios, solutions = np.linalg.eig(np.linalg.solve(second + 1e-15 * np.trace(second) * np.eye(6), metric))
         theta = np.real(solutions[:, np.argmax(np.abs(ratios))])
         theta = theta / np.linalg.norm(theta)
-        weights = 1.0 / (variance * np.einsum("i,nij,j->n", theta, spread, theta))
+        weights = 1.0 / (variance * (spread @ theta @ theta))
         weights = weights / weights.mean()
     return theta
 
@@ -202,7 +202,7 @@ def _statistics(
 ) -> tuple[Float, Float]:
     """Distances (n,) from the conic, positive outside, and covariance (6, 6) of its coefficients."""
     xi, spread = _monomials(points)
-    slope = np.sqrt(np.einsum("i,nij,j->n", theta, spread, theta))
+    slope = np.sqrt(spread @ theta @ theta)
     residuals = -(xi @ theta) / slope
     across = np.linalg.svd(theta[None])[2][1:].T  # (6, 5)
     design = (xi @ across) / slope[:, None]  # the ellipse moves outward

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.arrays import Float, Mask, as_finite, require
@@ -63,6 +62,20 @@ class EdgePoints(Value):
     def __len__(self) -> int:
         return len(self.points_px)
 
+    def moved(self, corner_px: tuple[int, int]) -> EdgePoints:
+        """Return the edges of a part of an image in the pixels of the whole.
+
+        Parameters
+        ----------
+        corner_px : (int, int), px
+            Column and row of the first pixel of the part.
+
+        Returns
+        -------
+        EdgePoints
+        """
+        return replace(self, pixels_px=self.pixels_px + corner_px, points_px=self.points_px + corner_px)
+
 
 def scan_edges(
     pixels_dn: Float, usable: Mask, sunlight: ArrayLike, *, threshold_dn: float, blur_sigma_px: float = 0.0
@@ -100,36 +113,57 @@ def scan_edges(
     along = as_finite(sunlight, (2,), "sunlight")
     length = float(np.linalg.norm(along))
     require(length > 0.0, "sunlight must have a direction in the image")
-    values, places = _lines(np.where(usable, pixels_dn, -np.inf), along / length)
-    lit = values > threshold_dn
-    started = np.all(sliding_window_view(np.pad(lit, ((0, 0), (0, _MIN_RUN - 1))), _MIN_RUN, axis=1), axis=-1)
-    lines = np.flatnonzero(started.any(axis=1))
-    if lines.size == 0:
+    lines = _Lines.across(np.where(usable, pixels_dn, -np.inf), along / length)
+    lit = lines.values > threshold_dn
+    run = lit.shape[1] - _MIN_RUN + 1
+    started = np.logical_and.reduce([lit[:, first : first + run] for first in range(_MIN_RUN)])
+    found = np.flatnonzero(started.any(axis=1))
+    if found.size == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    first = np.argmax(started[lines], axis=1)
-    finite = np.where(np.isfinite(values[lines]), values[lines], threshold_dn)
-    rise = np.zeros_like(finite)
-    rise[:, 1:-1] = finite[:, 2:] - finite[:, :-2]
     reach = math.ceil(_STEEPEST_WITHIN_PX + 2.0 * blur_sigma_px)
-    columns = np.clip(first[:, None] + np.arange(-2, reach + 1), 0, finite.shape[1] - 1)
-    steepest = columns[np.arange(lines.size), np.argmax(np.take_along_axis(rise, columns, axis=1), axis=1)]
-    found = places[lines, steepest]
-    inside = np.all((found >= 0) & (found < [pixels_dn.shape[1], pixels_dn.shape[0]]), axis=1)
-    unique: Pixels = np.unique(found[inside], axis=0)
+    last = lit.shape[1] - 2
+    columns = np.clip(np.argmax(started[found], axis=1)[:, None] + np.arange(-2, reach + 1), 1, last)
+    after, before = (lines.values[found[:, None], columns + step] for step in (1, -1))
+    after, before = (np.where(np.isfinite(each), each, threshold_dn) for each in (after, before))
+    steepest = columns[np.arange(found.size), np.argmax(after - before, axis=1)]
+    places = lines.places(found, steepest)
+    inside = np.all((places >= 0) & (places < [pixels_dn.shape[1], pixels_dn.shape[0]]), axis=1)
+    unique: Pixels = np.unique(places[inside], axis=0)
     return unique
 
 
-def _lines(values: Float, along: Float) -> tuple[Float, Pixels]:
-    """Nearest pixels on parallel lines one pixel apart: values (k, m), -inf outside, and their places (k, m, 2)."""
-    rows, columns = values.shape
-    reach = math.ceil(0.5 * math.hypot(rows, columns)) + 1
-    across = np.array([-along[1], along[0]])
-    steps = np.arange(-reach, reach + 1, dtype=np.float64)
-    middle = 0.5 * np.array([columns - 1, rows - 1])
-    places = np.floor(middle + 0.5 + steps[:, None, None] * across + steps[None, :, None] * along).astype(np.int64)
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    x, y = np.clip(places[..., 0] + 1, 0, columns + 1), np.clip(places[..., 1] + 1, 0, rows + 1)
-    return padded[y, x], places
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Lines(Value):
+    """Nearest pixels of an image on parallel lines one pixel apart.
+
+    Parameters
+    ----------
+    values : (k, m) float64
+        Of m pixels along each of k lines; -inf outside.
+    onto : (2, 3) float64
+        Place (x, y) in the image of (m, k, 1).
+    """
+
+    values: Float
+    onto: Float
+
+    @classmethod
+    def across(cls, image: Float, along: Float) -> _Lines:
+        """Lay lines in a direction (2,) over an image."""
+        rows, columns = image.shape
+        reach = math.ceil(0.5 * math.hypot(rows, columns)) + 1
+        across = np.array([-along[1], along[0]])
+        middle = np.array([columns // 2, rows // 2])  # whole pixels, where lines go along rows or columns
+        onto = np.stack([along, across, middle - reach * (along + across)], axis=1)
+        size = (2 * reach + 1, 2 * reach + 1)
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        values = cv2.warpAffine(image, onto, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=-math.inf)
+        return cls(values=np.asarray(values, dtype=np.float64), onto=onto)
+
+    def places(self, lines: Pixels, steps: Pixels) -> Pixels:
+        """Pixels (n, 2) that lines have at steps along them."""
+        places = np.stack([steps, lines], axis=1) @ self.onto[:, :2].T + self.onto[:, 2]
+        return np.floor(places + 0.5).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,6 +14,7 @@ from giantlike.core.arrays import Float, Mask, require, require_number, unit
 from giantlike.core.causes import Cause
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, PositionFix, Reason
+from giantlike.core.pixel_box import PixelBox
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.correlated_fit import robust_solution
@@ -36,8 +37,14 @@ _ROUNDS = 3
 """Rounds of fit and rejection; the points used stand still after two."""
 _LIGHT_SIGMAS, _LIGHT_SHARE = 5.0, 0.1
 """Light is what exceeds the background by so many sigmas and by so much of the brightness of the body."""
-_SKY_STEP, _MIN_SKY = 4, 60
-"""Pixels from one sample of the sky to the next; and least number of samples for its level and noise."""
+_SKY_SAMPLE, _LEAST_SKY_STEP, _MIN_SKY = 16_000, 4, 60
+"""Pixels that are looked at for the sky, about, which tell its level to a hundredth of its noise; least step from one
+to the next; and least number of samples for its level and noise."""
+_BOX_MARGIN_PX = 8
+"""Room around all places where the predicted limb is searched, px, for the windows of edges."""
+_STRETCH = 1.5
+"""Apparent size of a body by a camera model that stretches it, over that by its scale at the center, at most; farther
+limb is not measured."""
 _MIN_COSINE = 0.2
 """Cosine between sunlight and the normal of an edge below which the limb goes over into the terminator."""
 _MAX_TURN_RAD = 0.5
@@ -198,19 +205,22 @@ def limb_edges(
     background, body_dn = sky
     threshold = background.level_dn + max(_LIGHT_SIGMAS * background.sigma_dn, _LIGHT_SHARE * body_dn)
     blur_px = UNKNOWN_PSF_SIGMA_PX if view.psf_sigma_px is None else view.psf_sigma_px
-    seeds = scan_edges(view.pixels_dn, view.usable, sunlight, threshold_dn=threshold, blur_sigma_px=blur_px)
+    box = _search_box(view, stand_in, options)
+    pixels_dn, usable = view.pixels_dn[box.slices] - background.level_dn, view.usable[box.slices]
+    threshold_dn = threshold - background.level_dn
+    seeds = scan_edges(pixels_dn, usable, sunlight, threshold_dn=threshold_dn, blur_sigma_px=blur_px)
     both = []
     for size in (5, 7):
         found = zernike_edges(
-            view.pixels_dn - background.level_dn,
-            view.usable,
+            pixels_dn,
+            usable,
             seeds,
             variance_dn2=view.detector.variance_dn2,
             blur_sigma_px=blur_px,
             size=size,
             curvature_px=1.0 / view.radius_px,
         )
-        both.append(_near_prediction(view, found, stand_in, sunlight, options))
+        both.append(_near_prediction(view, found.moved(box.corner_px), stand_in, sunlight, options))
     small, large = _paired(*both)
     if len(small) < options.min_edges:
         light = (view.usable & (view.pixels_dn > threshold)) | view.clipped
@@ -283,7 +293,8 @@ def fit_limb_ellipse(
 
 def _sky(view: LimbView, stand_in: EllipsoidStandIn, search_px: float) -> tuple[Background, float] | Failure:
     """Background beside the predicted body, and brightness of the body above it (upper quartile)."""
-    rows, columns = (np.arange(0, size, _SKY_STEP) for size in view.usable.shape)
+    step = max(math.isqrt(view.usable.size // _SKY_SAMPLE), _LEAST_SKY_STEP)
+    rows, columns = (np.arange(0, size, step) for size in view.usable.shape)
     x, y = (part.ravel() for part in np.meshgrid(columns, rows))
     directions = view.model.unproject(np.stack([x, y], axis=-1).astype(np.float64))
     keep = view.usable[y, x] & np.isfinite(directions).all(axis=1)
@@ -314,6 +325,22 @@ def _horizon_angle(directions: Float, figure: Figure, center_km: Float) -> Float
     return result
 
 
+def _search_box(view: LimbView, stand_in: EllipsoidStandIn, options: EllipseFitOptions) -> PixelBox:
+    """Part of the frame that holds the limb wherever it may be; all of it where the center has no image."""
+    rows, columns = view.usable.shape
+    center_px = view.model.project(stand_in.position_camera_km)
+    if not np.isfinite(center_px).all():
+        return PixelBox(x=0, y=0, width=columns, height=rows)
+    radius_px = _longest_px(view, stand_in.figure)
+    reach = _STRETCH * (1.0 + options.search_range) * radius_px + options.search_px + _BOX_MARGIN_PX
+    return PixelBox.spanning(center_px - reach, center_px + reach + 1.0).limited(columns, rows)
+
+
+def _longest_px(view: LimbView, figure: Figure) -> float:
+    """Apparent length of the longest semi-axis, px."""
+    return view.radius_px * float(figure.radii_km.max() / np.cbrt(np.prod(figure.radii_km)))
+
+
 def _near_prediction(
     view: LimbView, found: EdgePoints, stand_in: EllipsoidStandIn, sunlight: Float, options: EllipseFitOptions
 ) -> EdgePoints:
@@ -324,8 +351,7 @@ def _near_prediction(
     known = np.isfinite(model.unproject(found.points_px)).all(axis=1)
     found = select_rows(found, np.flatnonzero(known))
     away_px, _, normals = horizon_residuals(found.points_px, model, figure, stand_in.position_camera_km)
-    longest_px = view.radius_px * float(figure.radii_km.max() / np.cbrt(np.prod(figure.radii_km)))
-    reach = options.search_px + options.search_range * longest_px
+    reach = options.search_px + options.search_range * _longest_px(view, figure)
     good: Mask = np.isfinite(away_px) & (np.abs(away_px) < reach)
     good &= found.normals_px @ -sunlight > _MIN_COSINE
     turn = _MAX_TURN_RAD + reach / view.radius_px

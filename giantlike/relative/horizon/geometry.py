@@ -428,8 +428,8 @@ def _own_errors(measured: LimbMeasurement, residuals: Float, design: Float) -> t
     spacing_px = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     radius_px = measured.perimeter_px / (2.0 * np.pi)
     errors = outline_errors(residuals, design, sigma, points, radius=radius_px, least_length=spacing_px)
-    own = {Cause.NOISE: errors.noise(sigma, points), Cause.RELIEF: errors.relief(points)}
-    return own, errors.for_weights(sigma, points)
+    own = errors.covariances(sigma, points)
+    return {Cause.NOISE: own.noise, Cause.RELIEF: own.relief}, own.for_weights
 
 
 def _points(points_px: ArrayLike) -> Float:

@@ -13,7 +13,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Template
-from giantlike.relative.light.separation import BodyLight
+from giantlike.relative.light.separation import BodyLight, seen_from
 
 _WEIGHT_SIGMA = 1.0 / math.sqrt(6.0)
 """A priori standard deviation of the weight.
@@ -34,8 +34,9 @@ _FITTED = 4
 """Parameters that take markings out of the residuals: brightness, place (two) and law."""
 _MOST_FITTED = 0.75
 """Part of the variance of markings that these take, at most, so that what is left says something of them."""
-_ROUNDS, _STEP = 5, 0.1
-"""Rounds of the fit, which is nearly linear, and step of its numerical derivative, a tenth of the way between laws."""
+_ROUNDS, _SETTLED, _STEP = 5, 0.02, 0.1
+"""Rounds of the fit, which is nearly linear; change, over its standard deviation, that ends them; and step of its
+numerical derivative, a tenth of the way between laws."""
 _MOST = 1.0
 """Largest weight: from one of the laws to the other."""
 
@@ -55,6 +56,10 @@ class LawMixture(Value):
     own: Template
     flat: Float
     dark: Float
+
+    def seen_from(self, corner_px: NDArray[np.int64]) -> LawMixture:
+        """Return the same in coordinates that start at a pixel (2,)."""
+        return replace(self, own=seen_from(self.own, corner_px))
 
     def at(self, weight: float) -> Template:
         """Return the body under the law assumed plus a share of the difference from the flat law to the dark one.
@@ -134,6 +139,11 @@ class _Blocks(Value):
         """Sums (blocks,) of the values (rows, columns) of an image."""
         return np.bincount(self.number, values[self.rows, self.columns]).astype(np.float64)
 
+    def photon(self, light: BodyLight) -> Float:
+        """Variance (blocks,), DN^2, of the light of the blocks by the noise of the pixels."""
+        signal = light.signal_dn[self.rows, self.columns]
+        return np.bincount(self.number, light.variance_dn2(signal)).astype(np.float64)
+
 
 def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     """Fit the weight of a mixture of laws to the brightness of blocks of the body.
@@ -154,23 +164,26 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     Each block has its photon noise and an albedo of its own, whose scatter is that of the residuals. The body is
     placed by its center of light under each law, so that no limb is needed.
     """
-    center = light.centroid(light.threshold_dn)[0]
+    center = light.center_px(light.threshold_dn)
     blocks = _blocks_of(light, laws.own, center, radius_px)
     weight, variance = 0.0, _WEIGHT_SIGMA**2
-    photon = blocks.sums(light.variance_dn2(light.signal_dn))
+    photon = blocks.photon(light)
+    first, other = (_placed(light, laws.at(each), center) for each in (0.0, _STEP))
+    by_weight = blocks.sums(other - first) / _STEP
     for number in range(_ROUNDS):
-        expected = _placed(light, laws.at(weight), center)
+        expected = first if weight == 0.0 else _placed(light, laws.at(weight), center)
         left, level = blocks.sums(light.signal_dn - expected), np.maximum(blocks.sums(expected), np.sqrt(photon))
-        slope = blocks.sums(_placed(light, laws.at(weight + _STEP), center) - expected) / _STEP
         # The range, and with it the brightness, is not exact.
-        left, slope = (each - float(each.sum()) / float(level.sum()) * level for each in (left, slope))
+        left, slope = (each - float(each.sum()) / float(level.sum()) * level for each in (left, by_weight))
         marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
         errors = photon + marked * blocks.clustering(left / level) * level**2
         # First without the prior: what a wrong law leaves over looks like markings, with which the law counts little.
         prior = 0.0 if number == 0 else 1.0 / _WEIGHT_SIGMA**2
         information = max(float(np.sum(slope**2 / errors)) + prior, 1e-12)
         change = (float(np.sum(slope * left / errors)) - weight * prior) / information
-        weight, variance = float(np.clip(weight + change, -_MOST, _MOST)), 1.0 / information
+        before, weight, variance = weight, float(np.clip(weight + change, -_MOST, _MOST)), 1.0 / information
+        if number > 0 and abs(weight - before) < _SETTLED * math.sqrt(variance):
+            break
     template = laws.at(weight)
     expected = _placed(light, template, center)
     moved = light.offset_px(laws.at(weight + _STEP), light.threshold_dn) - light.offset_px(template, light.threshold_dn)
@@ -207,8 +220,16 @@ def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:
     """Blocks of some pixels (rows, columns) of an image."""
     rows, columns = np.nonzero(pixels)
     places = np.stack([columns, rows], axis=1)
-    cells, number = np.unique(np.floor((places - center_px) / side_px).astype(np.int64), axis=0, return_inverse=True)
-    return _Blocks(rows=rows, columns=columns, number=number.ravel(), cells=cells)
+    places = np.floor((places - center_px) / side_px).astype(np.int64)
+    low = places.min(axis=0)
+    along, down = (places - low).T
+    height = int(down.max()) + 1
+    key = along * height + down
+    count = np.bincount(key)
+    present = np.flatnonzero(count)
+    ranks = np.cumsum(count > 0) - 1
+    cells, number = low + np.stack(np.divmod(present, height), axis=1), ranks[key]
+    return _Blocks(rows=rows, columns=columns, number=number, cells=cells)
 
 
 def _placed(light: BodyLight, template: Template, center_px: Float) -> Float:
@@ -242,6 +263,6 @@ def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks:
     outside = math.sqrt(float((lever**2).sum()) / max(float((held**2).sum()), 1e-300))
     shared = blocks.clustering(marks)
     fitted = min(_FITTED * shared / len(marks), _MOST_FITTED)
-    photon = blocks.sums(light.variance_dn2(light.signal_dn)) / whole**2
+    photon = blocks.photon(light) / whole**2
     scatter = math.sqrt(max(float(np.mean(marks**2 - photon)), 0.0))
     return np.asarray(shared * outside**2 / (1.0 - fitted) * pulls.T @ pulls), scatter

@@ -50,7 +50,10 @@ pixel and some percent of the range."""
 _MOST_UNEXPLAINED = 0.25
 """Part of the light, as a norm, that differs from the template: exact models leave 0.01-0.08, another law 0.11, albedo
 of 15 % and relief of 1 % 0.05-0.28, unmasked columns of a body of 30 px 0.23-0.32; the covariance holds up to here."""
-_RAYS_ACROSS = 300  # over the body: see _SAMPLING_PX
+_LEAST_LIT = 0.05  # of the disk, as of ``unresolved``
+_RAYS_ACROSS, _RAYS_SIZE_PX = (96, 300), 40.0
+"""Rays across a full disk, and its size up to which the least number will do: what they leave of its light grows with
+the size and falls with the power 3/2 of their number. A crescent gets as many. See ``_SAMPLING_PX``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +129,7 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
         """Find the body of gathered inputs."""
         geometry, search_px = inputs.geometry, self.options.search_px
-        laws = _laws(geometry, inputs.focal_plane(), margin_px=math.ceil(search_px))
+        laws = _laws(geometry, inputs.focal_plane(), diameter_px=2.0 * inputs.radius_px, margin_px=math.ceil(search_px))
         if isinstance(laws, Failure):
             return laws
         prediction = Prediction(
@@ -144,6 +147,7 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
 def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: MomentOptions) -> CenterFix:
     """Center of light and the correction, with all that is known of their errors."""
     psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
+    laws = laws.seen_from(light.corner_px)
     share = wing_share(light, laws.own, psf_sigma_px=psf_sigma_px, radius_px=inputs.radius_px)
     threshold_dn, without = light.threshold_dn, laws.own
     laws = with_wings(laws, share, psf_sigma_px) if share > 0.0 else laws
@@ -153,7 +157,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     center_px, noise_px2, background_px2 = light.centroid(threshold_dn)
     rendered = light.offset_px(template, threshold_dn)
     low_dn = _LOWER_THRESHOLD * threshold_dn
-    by_threshold = light.centroid(low_dn)[0] - center_px + light.offset_px(template, low_dn) - rendered
+    by_threshold = light.center_px(low_dn) - center_px + light.offset_px(template, low_dn) - rendered
     kind, model = Correction(options.correction), inputs.camera.model
     offset = phase_correction_px(kind, rendered, inputs.geometry, model, radius_px=inputs.radius_px)
     size = _measured_size(light, laws, law, options.range_sigma, max(TRACE, share))
@@ -179,14 +183,14 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     )
     return CenterFix(
         **inputs.identity,
-        center_px=center_px + size.scale * offset,
+        center_px=light.corner_px + center_px + size.scale * offset,
         covariance_px2=summed(parts),
         parts=parts,
         residuals=law.residuals,
         n_used=n_used,
         n_rejected=0,
         score=size.area_ratio,
-        flags=inputs.flags_at(bright) | checks.flags,
+        flags=inputs.flags_at(bright, (int(light.corner_px[0]), int(light.corner_px[1]))) | checks.flags,
     )
 
 
@@ -247,8 +251,10 @@ def _edge_error(light: BodyLight, template: Template, level: float) -> float:
     return min(math.hypot(_SETTLED_EDGE_PX, shown_px), _EDGE_PX)
 
 
-def _laws(geometry: TargetGeometry, plane: FocalPlane, *, margin_px: int) -> LawMixture | Failure:
+def _laws(geometry: TargetGeometry, plane: FocalPlane, *, diameter_px: float, margin_px: int) -> LawMixture | Failure:
     """The body at its predicted place under its own law, a flat one and that of Lambert."""
+    lit = max(0.5 * (1.0 + math.cos(geometry.phase_angle_rad)), _LEAST_LIT)
+    rays_across = _RAYS_ACROSS[0] * max(diameter_px / _RAYS_SIZE_PX, 1.0) ** (2.0 / 3.0) / math.sqrt(lit)
     trace = trace_body(
         geometry.body(),
         plane.model,
@@ -256,7 +262,9 @@ def _laws(geometry: TargetGeometry, plane: FocalPlane, *, margin_px: int) -> Law
         psf=plane.psf,
         columns=plane.columns,
         rows=plane.rows,
-        options=RenderOptions(rays_per_pixel_side=1, min_rays_across=_RAYS_ACROSS, margin_px=margin_px),
+        options=RenderOptions(
+            rays_per_pixel_side=1, min_rays_across=math.ceil(min(rays_across, _RAYS_ACROSS[1])), margin_px=margin_px
+        ),
     )
     if isinstance(trace, Failure):
         return trace

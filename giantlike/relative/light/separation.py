@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,9 +14,9 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
-from giantlike.processing.limb.segmentation import ExpectedBlob, connected_blobs, identify_blobs, otsu_threshold
+from giantlike.processing.limb.segmentation import Blobs, ExpectedBlob, connected_blobs, identify_blobs, otsu_threshold
 from giantlike.ray_tracing import Template
-from giantlike.relative.light.sky import SkyPlane
+from giantlike.relative.light.sky import SKY_SAMPLE, SkyPlane
 
 LIGHT_SIGMAS = 5.0
 """Standard deviations of the sky above which a pixel is light: noise is as bright once in 3.5 million."""
@@ -31,6 +31,7 @@ _REGION_MARGIN, _REGION_MARGIN_PX = 0.05, 3  # of the radius and px, for errors 
 _OTSU_MARGIN = 0.25  # of the radius, for enough dark pixels
 _MAX_SATURATED = 0.95
 """Of the bright pixels: above, the rim of the body that is left says nothing of its brightness."""
+_WINDOW_MARGIN_PX = 16  # around all that is searched: the point spread function, and dark beside it
 _SETTLING, _SETTLED_PX = 4, 2
 """Rounds in which the region follows its light, and motion, px, that ends them: less than the margin of the region."""
 _FILL_SIDES_PX, _FILL_SHARE = (65, 17, 5), 0.1
@@ -51,13 +52,55 @@ class Prediction(Value):
     template: Template
     others: list[ExpectedBlob]
 
+    def seen_from(self, corner_px: NDArray[np.int64]) -> Prediction:
+        """Return the same in coordinates that start at a pixel (2,)."""
+        others = [
+            replace(one, center_px=(one.center_px[0] - int(corner_px[0]), one.center_px[1] - int(corner_px[1])))
+            for one in self.others
+        ]
+        return replace(
+            self, center_px=self.center_px - corner_px, template=seen_from(self.template, corner_px), others=others
+        )
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BodyLight(Value):
-    """The light of one body in the image.
+    def window(self, columns: int, rows: int) -> PixelBox:
+        """Part of a frame within which the light of all targets is searched, and dark around that of the body."""
+        margin = (1.0 + _REGION_MARGIN + _OTSU_MARGIN) * self.reach_px + self.search_px + _WINDOW_MARGIN_PX
+        low, high = self.center_px - margin, self.center_px + margin
+        for one in self.others:
+            reach = math.sqrt(one.area_px) + self.search_px + _WINDOW_MARGIN_PX
+            center = np.array(one.center_px)
+            low, high = np.minimum(low, center - reach), np.maximum(high, center + reach)
+        return PixelBox.spanning(low, high).limited(columns, rows)
+
+
+def seen_from(template: Template, corner_px: NDArray[np.int64]) -> Template:
+    """Return a template in coordinates that start at a pixel.
 
     Parameters
     ----------
+    template : Template
+    corner_px : (2,) int64, px
+
+    Returns
+    -------
+    Template
+    """
+    return replace(
+        template,
+        corner_px=template.corner_px - corner_px,
+        center_px=template.center_px - corner_px,
+        photocenter_px=template.photocenter_px - corner_px,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BodyLight(Value):
+    """The light of one body in a window of the image; places are counted from the first pixel of the window.
+
+    Parameters
+    ----------
+    corner_px : (2,) int64, px
+        That pixel in the image.
     signal_dn : (rows, columns) float64, DN
         Sky subtracted, bad pixels filled.
     region : (rows, columns) bool
@@ -77,6 +120,7 @@ class BodyLight(Value):
         Pixels that were filled.
     """
 
+    corner_px: NDArray[np.int64]
     signal_dn: Float
     region: Mask
     expected: Mask
@@ -91,6 +135,27 @@ class BodyLight(Value):
     def bright(self) -> Mask:
         """Pixels of the body above threshold."""
         return np.asarray(self.region & (self.signal_dn > self.threshold_dn))
+
+    def trimmed(self) -> BodyLight:
+        """Return the same in the least window that holds the region and some dark around."""
+        columns, rows = (np.flatnonzero(self.region.any(axis=axis)) for axis in (0, 1))
+        low = np.array([columns[0], rows[0]], dtype=np.float64)
+        high = np.array([columns[-1], rows[-1]], dtype=np.float64) + 1.0
+        box = PixelBox.spanning(low, high, _WINDOW_MARGIN_PX).limited(*self.region.shape[::-1])
+        corner = np.array(box.corner_px)
+        return replace(
+            self,
+            corner_px=self.corner_px + corner,
+            signal_dn=self.signal_dn[box.slices],
+            region=self.region[box.slices],
+            expected=self.expected[box.slices],
+            bad=self.bad[box.slices],
+            sky=self.sky.seen_from(corner),
+        )
+
+    def center_px(self, threshold_dn: float) -> Float:
+        """Center (2,), px, of the light above a threshold, DN."""
+        return _center_of(np.where(self.region & (self.signal_dn > threshold_dn), self.signal_dn, 0.0))
 
     def variance_dn2(self, signal_dn: Float) -> Float:
         """Variance of the noise of pixels (n,), DN^2: shot noise, and the noise of the sky as it is."""
@@ -173,10 +238,14 @@ class BodyLight(Value):
         kept = np.where(expected > threshold_dn, expected, 0.0)
         if not kept.any():
             kept = expected
-        by_column, by_row = kept.sum(axis=0), kept.sum(axis=1)
-        along = np.array([by_column @ np.arange(by_column.size), by_row @ np.arange(by_row.size)])
-        center = along / float(by_column.sum())
-        return np.asarray(template.center_px - center - template.corner_px)
+        return np.asarray(template.center_px - _center_of(kept) - template.corner_px)
+
+
+def _center_of(light: Float) -> Float:
+    """Center (2,), px, of an image (h, w)."""
+    by_column, by_row = light.sum(axis=0), light.sum(axis=1)
+    along = np.array([by_column @ np.arange(by_column.size), by_row @ np.arange(by_row.size)])
+    return np.asarray(along / float(by_column.sum()))
 
 
 def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> BodyLight | Failure:
@@ -196,54 +265,117 @@ def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Predictio
         ``NO_SIGNAL``; ``AMBIGUOUS``, also where light at the edge of the image is joined to that of a body that is
         predicted inside; ``SATURATED``; and ``OUT_OF_FRAME`` where the edge cuts the light of the body.
     """
-    template = prediction.template
     sky = _sky(image, prediction)
     if isinstance(sky, Failure):
         return sky
-    signal = _filled(image.values_dn, bad) - sky.levels_dn(image.usable.shape)
-    chosen = _blob_of(signal, sky, prediction)
-    if isinstance(chosen, Failure):
+    rows, columns = image.usable.shape
+    frame = PixelBox(x=0, y=0, width=columns, height=rows)
+    for box in (prediction.window(columns, rows), frame):
+        window = _Window(
+            image=image.cut(box),
+            bad=box.cut(bad),
+            saturated=box.cut(saturated),
+            frame=replace(frame, x=-box.x, y=-box.y),
+        )
+        corner = np.array(box.corner_px)
+        light = _light_in(window, sky.seen_from(corner), prediction.seen_from(corner))
+        if light is not None:
+            return light
+    return Failure(Reason.NO_SIGNAL, "the light that was taken for the body leads out of the image")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Window(Value):
+    """Part of an image; ``frame`` is the whole of it in coordinates of the part."""
+
+    image: BoxPixels
+    bad: Mask
+    saturated: Mask
+    frame: PixelBox
+
+    def meets_frame(self, pixels: Mask) -> bool:
+        """Return True if a pixel on the edge of the image is set."""
+        return self._meets(pixels, self.frame)
+
+    def touch_frame(self, blobs: Blobs) -> Mask:
+        """Find the blobs (n,) that lie on an edge of the image."""
+        frame, low, size = self.frame, blobs.boxes_px[:, :2], blobs.boxes_px[:, 2:]
+        first = np.array(frame.corner_px)
+        touch = (low <= first) | (low + size >= first + np.array([frame.width, frame.height]))
+        return np.asarray(touch.any(axis=1))
+
+    def cuts(self, pixels: Mask) -> bool:
+        """Return True if a pixel on the edge of the part is set which is not on that of the image."""
+        return self._meets(pixels, None)
+
+    def _meets(self, pixels: Mask, frame: PixelBox | None) -> bool:
+        rows, columns = pixels.shape
+        of_frame = (
+            self.frame.x == 0,
+            self.frame.y == 0,
+            self.frame.x + self.frame.width == columns,
+            self.frame.y + self.frame.height == rows,
+        )
+        edges = (pixels[:, 0], pixels[0], pixels[:, -1], pixels[-1])
+        return any(bool(edge.any()) for edge, its in zip(edges, of_frame, strict=True) if its == (frame is not None))
+
+
+def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> BodyLight | Failure | None:
+    """Light of the body in a window, all in its coordinates; None where it reaches beyond it."""
+    template, bad, saturated = prediction.template, window.bad, window.saturated
+    signal = _filled(window.image.values_dn, bad) - sky.levels_dn(bad.shape)
+    chosen = _blob_of(signal, sky, prediction, window)
+    if chosen is None or isinstance(chosen, Failure):
         return chosen
     blob, foreign, place_px = chosen
     ceiling = float(signal[saturated].min()) if saturated.any() else math.inf
     shift = np.rint(place_px - template.photocenter_px).astype(np.int64)
     for _ in range(_SETTLING):
         region, expected, around = _regions(template, shift, blob, prediction.radius_px)
+        if window.cuts(region) or not region.any():
+            return None
         light = BodyLight(
+            corner_px=np.array(window.image.corner_px),
             signal_dn=signal,
             region=region & ~foreign,
             expected=expected,
-            threshold_dn=otsu_threshold(signal[around & ~foreign]),
+            threshold_dn=otsu_threshold(signal[around][~foreign[around]]),
             ceiling_dn=ceiling,
             sky=sky,
-            noise_variance_dn2=image.noise_variance_dn2,
+            noise_variance_dn2=window.image.noise_variance_dn2,
             shift_px=shift,
             bad=bad,
         )
         bright = light.bright
         if not bright.any():
             return Failure(Reason.NO_SIGNAL, f"no pixel is above {light.threshold_dn:.4g} DN over background")
-        center = light.centroid(light.threshold_dn)[0] + light.offset_px(template, light.threshold_dn)
+        center = light.center_px(light.threshold_dn) + light.offset_px(template, light.threshold_dn)
         before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
         if np.abs(shift - before).max() <= _SETTLED_PX:
             break
-    if not blob.any() and _may_be_cut(template, signal.shape, 0.0, shift):
+    if not blob.any() and _may_be_cut(template, window.frame, 0.0, shift):
         return _cut_by_frame()
     clipped = float(saturated[bright].mean())
     if clipped > _MAX_SATURATED:
         return Failure(
             Reason.SATURATED, f"{clipped:.0%} of the bright pixels are saturated, allowed {_MAX_SATURATED:.0%}"
         )
-    return light
+    return light.trimmed()
 
 
-def _blob_of(signal: Float, sky: SkyPlane, prediction: Prediction) -> tuple[Mask, Mask, Float] | Failure:
-    """Pixels of the blob of the body, those of other bodies, and the center of its light (2,), px."""
+def _blob_of(
+    signal: Float, sky: SkyPlane, prediction: Prediction, window: _Window
+) -> tuple[Mask, Mask, Float] | Failure | None:
+    """Pixels of the blob of the body, those of other bodies, and the center of its light (2,), px.
+
+    None where the blob reaches beyond the window.
+    """
     template, others, search_px = prediction.template, prediction.others, prediction.search_px
     light = signal > LIGHT_SIGMAS * sky.sigma_dn
     blobs = connected_blobs(signal, light, min_area_px=MIN_AREA_PX)
     rows, columns = np.ogrid[: signal.shape[0], : signal.shape[1]]
-    near = np.hypot(columns - prediction.center_px[0], rows - prediction.center_px[1]) < prediction.reach_px + search_px
+    reach_px = prediction.reach_px + search_px
+    near = (columns - prediction.center_px[0]) ** 2 + (rows - prediction.center_px[1]) ** 2 < reach_px**2
     peak_dn = float(signal[near & light].max(initial=0.0))
     least = LIGHT_SIGMAS * sky.sigma_dn / peak_dn if peak_dn > 0.0 else 0.0
     visible = template.brightness > min(max(least, _VISIBLE), _MOST_VISIBLE) * float(template.brightness.max())
@@ -255,16 +387,20 @@ def _blob_of(signal: Float, sky: SkyPlane, prediction: Prediction) -> tuple[Mask
     if isinstance(chosen, Failure) and chosen.reason is Reason.NO_SIGNAL and others:
         chosen = identify_blobs(blobs, [own], search_px=search_px)  # another body may be too faint, or hidden
     if isinstance(chosen, Failure):
-        part = blobs.touch_frame & (blobs.areas_px <= _MOST_AREA * own.area_px)
+        if window.cuts(light):
+            return None
+        part = window.touch_frame(blobs) & (blobs.areas_px <= _MOST_AREA * own.area_px)
         cut = chosen.reason is Reason.NO_SIGNAL and bool(part.any())
-        return _cut_by_frame() if cut and _may_be_cut(template, signal.shape, search_px) else chosen
+        return _cut_by_frame() if cut and _may_be_cut(template, window.frame, search_px) else chosen
     blob = int(chosen[0])
     pixels, foreign = blobs.labels == blob + 1, np.isin(blobs.labels, chosen[1:] + 1)
-    if not bool(blobs.touch_frame[blob]):
+    if window.cuts(pixels) or window.cuts(foreign):
+        return None
+    if not window.meets_frame(pixels):
         return pixels, foreign, blobs.centroids_px[blob]
     thick = cv2.morphologyEx(pixels.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    if _touches(np.asarray(thick, dtype=bool)):
-        return _cut_by_frame() if _may_be_cut(template, signal.shape, 0.0) else _joined_to_frame()
+    if window.meets_frame(np.asarray(thick, dtype=bool)):
+        return _cut_by_frame() if _may_be_cut(template, window.frame, 0.0) else _joined_to_frame()
     # What reaches the frame is thin, as a hot column: only what is expected counts.
     y, x = np.nonzero(pixels & near)
     place = np.array([np.median(x), np.median(y)]) if x.size else template.photocenter_px
@@ -286,35 +422,36 @@ def _joined_to_frame() -> Failure:
     )
 
 
-def _touches(pixels: Mask) -> bool:
-    """True if a pixel on the edge of the image is set."""
-    return bool(pixels[[0, -1]].any() or pixels[:, [0, -1]].any())
-
-
 def _may_be_cut(
-    template: Template, shape: tuple[int, ...], search_px: float, shift_px: NDArray[np.int64] | None = None
+    template: Template, frame: PixelBox, search_px: float, shift_px: NDArray[np.int64] | None = None
 ) -> bool:
     """True if the predicted light, moved as far as the search allows, would reach over the edge of the image."""
     rows, columns = np.nonzero(template.brightness > _VISIBLE * float(template.brightness.max()))
     corner = template.corner_px if shift_px is None else template.corner_px + shift_px
+    first = np.array(frame.corner_px)
     low, high = np.array([columns.min(), rows.min()]) + corner, np.array([columns.max(), rows.max()]) + corner
-    return bool((low < search_px).any() or (high > np.array(shape[::-1]) - 1 - search_px).any())
+    last = first + np.array([frame.width, frame.height]) - 1
+    return bool((low < first + search_px).any() or (high > last - search_px).any())
 
 
 def _sky(image: BoxPixels, prediction: Prediction) -> SkyPlane | Failure:
-    """Plane through all pixels that the body cannot reach."""
-    rows, columns = np.ogrid[: image.usable.shape[0], : image.usable.shape[1]]
-    (x, y), search_px = prediction.center_px, prediction.search_px
-    away = np.hypot(columns - x, rows - y) > prediction.reach_px + search_px
-    dark = away & image.usable
-    if np.count_nonzero(dark) < _MIN_BACKGROUND_PX:
+    """Plane through pixels, evenly spread, that the body cannot reach; through all of them where these are few."""
+    (x, y), reach_px = prediction.center_px, prediction.reach_px + prediction.search_px
+    for step in (max(math.isqrt(image.usable.size // SKY_SAMPLE), 1), 1):
+        usable, values = image.usable[::step, ::step], image.values_dn[::step, ::step]
+        rows, columns = (step * part for part in np.ogrid[: usable.shape[0], : usable.shape[1]])
+        dark = ((columns - x) ** 2 + (rows - y) ** 2 > reach_px**2) & usable
+        if 4 * np.count_nonzero(dark) > SKY_SAMPLE:
+            break
+    count = int(np.count_nonzero(dark))
+    if count < _MIN_BACKGROUND_PX:
         return Failure(
             Reason.OUT_OF_FRAME,
-            f"{np.count_nonzero(dark)} pixels lie more than {search_px:g} px from the body, needed "
-            f"{_MIN_BACKGROUND_PX} for a background; it fills the image",
+            f"{count} pixels lie more than {prediction.search_px:g} px from the body, needed {_MIN_BACKGROUND_PX} for "
+            "a background; it fills the image",
         )
     floor = math.sqrt(float(image.noise_variance_dn2(np.zeros(1))[0]))
-    return SkyPlane.through(image.values_dn, dark, least_sigma_dn=max(0.1 * floor, 1e-9))
+    return SkyPlane.through(values, dark, step_px=step, least_sigma_dn=max(0.1 * floor, 1e-9))
 
 
 def _filled(values_dn: Float, bad: Mask) -> Float:
@@ -342,8 +479,9 @@ def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius
     region, expected = (
         np.asarray(cv2.dilate(part.astype(np.uint8), disk), dtype=bool) for part in (expected | blob, expected)
     )
-    y, x = np.nonzero(region)
-    more = math.ceil(_OTSU_MARGIN * radius_px)
     around = np.zeros(region.shape, dtype=bool)
-    around[max(y.min() - more, 0) : y.max() + more + 1, max(x.min() - more, 0) : x.max() + more + 1] = True
+    if region.any():
+        more = math.ceil(_OTSU_MARGIN * radius_px)
+        y, x = (np.flatnonzero(region.any(axis=axis)) for axis in (1, 0))
+        around[max(y[0] - more, 0) : y[-1] + more + 1, max(x[0] - more, 0) : x[-1] + more + 1] = True
     return region, expected, around

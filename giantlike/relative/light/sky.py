@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 from giantlike.processing.limb.segmentation import background_of
 
-_SAMPLE = 40_000
-"""Pixels that are fitted: a plane is then known to a hundredth of the noise of a pixel."""
+SKY_SAMPLE = 16_000
+"""Pixels that are fitted: a plane is then known to a sixtieth of the noise of a pixel."""
 _CLIP_SIGMAS, _ROUNDS = 3.0, 6
 """Pixels farther from the fit are stars or other bodies; rounds of clipping, of which three or four change it."""
 _FIRST_CLIP_SIGMAS = 6.0
@@ -47,7 +48,7 @@ class SkyPlane(Value):
     sigma_dn: float
 
     @classmethod
-    def through(cls, pixels_dn: Float, dark: Mask, *, least_sigma_dn: float = 0.0) -> SkyPlane:
+    def through(cls, pixels_dn: Float, dark: Mask, *, step_px: int = 1, least_sigma_dn: float = 0.0) -> SkyPlane:
         """Fit the dark pixels of an image; stars and other bodies among them are clipped away.
 
         Parameters
@@ -55,6 +56,8 @@ class SkyPlane(Value):
         pixels_dn : (rows, columns) float64, DN
         dark : (rows, columns) bool
             Pixels of the sky: at least 6, and less than half of them bright.
+        step_px : int, px
+            From one of these pixels of the image to the next.
         least_sigma_dn : float, DN
             Least noise of a pixel, for skies that were clipped.
 
@@ -68,11 +71,12 @@ class SkyPlane(Value):
             There are fewer than 6 pixels.
         """
         places = np.flatnonzero(dark)
-        places = places[:: max(places.size // _SAMPLE, 1)]
+        places = places[:: max(places.size // SKY_SAMPLE, 1)]
         require(places.size >= _N_BEND, f"a plane and its bend need {_N_BEND} dark pixels, got {places.size}")
         rows, columns = np.divmod(places, dark.shape[1])
         values = pixels_dn[rows, columns]
-        middle = 0.5 * (np.array(dark.shape[::-1], dtype=np.float64) - 1.0)
+        rows, columns = step_px * rows, step_px * columns
+        middle = 0.5 * step_px * (np.array(dark.shape[::-1], dtype=np.float64) - 1.0)
         scale = max(float(np.max(middle)), 1.0)
         basis = _bend_basis((columns - middle[0]) / scale, (rows - middle[1]) / scale)
         first = background_of(values)
@@ -96,6 +100,19 @@ class SkyPlane(Value):
             bend_dn=bend,
             sigma_dn=sigma,
         )
+
+    def seen_from(self, corner_px: NDArray[np.int64]) -> SkyPlane:
+        """Return the same plane in coordinates that start at a pixel.
+
+        Parameters
+        ----------
+        corner_px : (2,) int64, px
+
+        Returns
+        -------
+        SkyPlane
+        """
+        return replace(self, middle_px=self.middle_px - corner_px)
 
     def basis(self, columns: Float, rows: Float) -> Float:
         """Return the terms of the paraboloid at pixels; the first three are those of the plane.
@@ -131,7 +148,7 @@ _N_BEND = 6  # terms of a paraboloid
 
 def _fitted(basis: Float, values: Float) -> Float:
     """Least-squares coefficients (k,) of a basis (n, k)."""
-    return np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0], dtype=np.float64)
+    return np.asarray(np.linalg.lstsq(basis.T @ basis, basis.T @ values, rcond=None)[0], dtype=np.float64)
 
 
 def _bend_basis(x: Float, y: Float) -> Float:

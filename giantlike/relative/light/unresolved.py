@@ -36,10 +36,10 @@ _FIT_MARGIN_PX = 4  # px around the template: derivatives take so many, and the 
 _RAYS_PER_PIXEL, _RAYS_ACROSS = 10, (96, 240)
 """Over a body that is lit all over: centers of 2, 5 and 10 px are then right to 0.001-0.003 px up to 120 degrees."""
 _LEAST_LIT, _MOST_RAYS = 0.05, 720
-"""Least lit share of the disk that rays are added for, as many lit ones as on a full disk, and most of them across.
-
-At 150 degrees a crescent of 4 px is 0.3 px thick, and 96 rays across move its center by 0.02 px; 372 by 0.005 px.
-"""
+"""Least lit share of the disk that rays are added for, as many lit ones as on a full disk, and most of them across."""
+_RAYS_THROUGH_PER_PIXEL, _RAYS_THROUGH = 12, 48
+"""Rays through the lit part of a disk: to a pixel of the diameter, and at most. At 150 degrees a crescent of 4 px is
+0.3 px thick, and 96, 372 and 720 rays across move its center by 0.02, 0.005 and 0.003 px."""
 _LARGE_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid and fit: then one sees something else
 
 
@@ -128,7 +128,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
             target=inputs.geometry.body(),
             plane=inputs.focal_plane(),
             sun_direction_camera=inputs.geometry.sun_direction_camera,
-            rays_across=_rays_across(diameter, inputs.geometry.phase_angle_rad),
+            rays_across=rays_across(diameter, inputs.geometry.phase_angle_rad),
         )
         trace = renderer.trace(renderer.start, renderer.sampling(math.ceil(options.search_px)))
         if isinstance(trace, Failure):
@@ -188,10 +188,22 @@ def _excess(total: Float, part: Float) -> Float:
     return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
 
-def _rays_across(diameter_px: float, phase_rad: float) -> int:
-    """Rays over a body: as many on the lit part of its disk at any phase."""
+def rays_across(diameter_px: float, phase_rad: float) -> int:
+    """Rays over a body: as many on the lit part of its disk at any phase, and enough through it.
+
+    Parameters
+    ----------
+    diameter_px : float, px
+    phase_rad : float, rad
+
+    Returns
+    -------
+    int
+    """
     lit = max(0.5 * (1.0 + math.cos(phase_rad)), _LEAST_LIT)
-    return min(round(float(np.clip(_RAYS_PER_PIXEL * diameter_px, *_RAYS_ACROSS)) / math.sqrt(lit)), _MOST_RAYS)
+    across = float(np.clip(_RAYS_PER_PIXEL * diameter_px, *_RAYS_ACROSS)) / math.sqrt(lit)
+    through = min(_RAYS_THROUGH_PER_PIXEL * diameter_px, _RAYS_THROUGH) / lit
+    return min(round(max(across, through)), _MOST_RAYS)
 
 
 def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedOptions) -> tuple[Float, bool] | Failure:

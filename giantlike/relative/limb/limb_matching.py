@@ -120,11 +120,12 @@ def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: fl
     errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=min_length_px)
     means = averages(points, sigma_px)
     sigma_px, points = np.sqrt(means**2 @ sigma_px**2), means @ points
-    gain = solution_gain(means @ design, errors.for_weights(sigma_px, points))
+    by_points = errors.covariances(sigma_px, points)
+    gain = solution_gain(means @ design, by_points.for_weights)
     step_km = gain @ (means @ shift_px)
     own = {
-        Cause.NOISE: gain @ errors.noise(sigma_px, points) @ gain.T,
-        Cause.RELIEF: gain @ errors.relief(points) @ gain.T,
+        Cause.NOISE: gain @ by_points.noise @ gain.T,
+        Cause.RELIEF: gain @ by_points.relief @ gain.T,
     }
     return LimbSolution(
         position_camera_km=measured.position_camera_km + step_km,
