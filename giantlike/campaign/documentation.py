@@ -73,6 +73,13 @@ Of one target in one image take one row, the one with `preferred`: other estimat
 of `auto` where it was run (which checks its choice by an independent estimator), else the smallest error ellipse of the
 fixes that agree with most others; suspect fixes are never preferred, and `preferred_reason` says why.
 
+## Pointing from bodies
+`giantlike export RUN --format ck --instrument ID --pointing bodies` (also `csv`, `aem`, `wcs`) trusts the ephemeris and
+turns the camera until bodies and landmarks lie where they were seen. The attitude of the run with its covariance is the
+a priori one, so that stars and bodies count together where both are known; errors of ephemeris, size, pole, spin and
+camera are common to the places on a body. Two bodies, or landmarks, give all three angles; one body leaves the roll
+about it to the a priori attitude, and without one (`images.attitude_sigma_deg`) the image is left out and counted.
+
 ## Other formats
 `giantlike export RUN --format tdm` writes the preferred fixes as a CCSDS Tracking Data Message 2.0: right ascension and
 declination in ICRF at the time of reception in UTC, without stellar aberration (`--angles apparent`: with it), and the

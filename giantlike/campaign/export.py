@@ -11,12 +11,13 @@ from types import MappingProxyType
 
 from giantlike.camera import Camera
 from giantlike.campaign.store.observables import run_observables, write_run_observables
-from giantlike.campaign.store.records import AttitudeRecord
+from giantlike.campaign.store.records import Attitude, AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
-from giantlike.core.frames import require_same_frame
+from giantlike.core.frames import quaternion_xyzw, require_same_frame
+from giantlike.core.outcomes import Failure
 from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
 from giantlike.io.camera_sip import PosedModel
 from giantlike.io.ccsds_aem import AemNames, write_aem
@@ -26,6 +27,7 @@ from giantlike.io.spc_sumfile import write_sumfile
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import write_wcs
 from giantlike.observables.exchange import Angles, sumfile_of, tracking_segments
+from giantlike.observables.pointing import pointing_from_bodies
 
 
 class ExportFormat(StrEnum):
@@ -45,6 +47,16 @@ class ExportFormat(StrEnum):
     """CCSDS Tracking Data Message: right ascension, declination and range of the preferred fixes."""
     SUMFILE = "sumfile"
     """SUMFILEs of stereophotoclinometry, one for each target in an image, in a folder."""
+
+
+class PointingSource(StrEnum):
+    """What exported attitudes are from."""
+
+    STARS = "stars"
+    """The attitudes of the run: stars, or transferred from them."""
+    BODIES = "bodies"
+    """The ephemeris: the camera is turned until bodies and landmarks lie where they were seen, weighted against the
+    attitude of the run with its covariance."""
 
 
 EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
@@ -67,6 +79,7 @@ class ExportOptions:
 
     Parameters
     ----------
+    pointing : PointingSource
     suspect : bool
         Write suspect attitudes as well.
     stars_only : bool
@@ -89,6 +102,7 @@ class ExportOptions:
         WCS: order of the polynomials, 2 to 9.
     """
 
+    pointing: PointingSource = PointingSource.STARS
     suspect: bool = False
     stars_only: bool = False
     max_gap_s: float = 600.0
@@ -160,7 +174,11 @@ def export_run(
         return _tdm(output, _single_rows(result, camera), options)
     if format_name is ExportFormat.SUMFILE:
         return _sumfiles(output, _single_rows(result, camera), camera)
-    chosen, left_out = _chosen(result, options, needs_epoch=format_name is not ExportFormat.WCS)
+    needs_epoch = format_name is not ExportFormat.WCS
+    if options.pointing is PointingSource.BODIES:
+        chosen, left_out = _by_bodies(result, camera, needs_epoch=needs_epoch)
+    else:
+        chosen, left_out = _chosen(result, options, needs_epoch=needs_epoch)
     require(bool(chosen), f"{folder}: no attitude to write ({_said(left_out)})")
     make_folder(output if format_name is ExportFormat.WCS else output.parent)
     job = _Job(output=output, camera=camera, records=chosen, options=options, bottom_up=result.bottom_up)
@@ -188,6 +206,28 @@ def _chosen(
             chosen.append(record)
         else:
             left_out[reason] = left_out.get(reason, 0) + 1
+    return chosen, left_out
+
+
+def _by_bodies(result: RunResult, camera: Camera, *, needs_epoch: bool) -> tuple[list[AttitudeRecord], dict[str, int]]:
+    """Records of the images whose attitude follows from bodies, with that attitude."""
+    records = {record.file: record for record in result.attitudes}
+    chosen, left_out = list[AttitudeRecord](), dict[str, int]()
+    for file, group in groupby(_single_rows(result, camera), key=lambda row: row.file):
+        found, record = pointing_from_bodies(camera, list(group)), records.pop(file)
+        if isinstance(found, Failure):
+            left_out[str(found.reason)] = left_out.get(str(found.reason), 0) + 1
+        elif needs_epoch and record.et is None:
+            left_out["no epoch"] = left_out.get("no epoch", 0) + 1
+        else:
+            attitude = Attitude(
+                source=str(PointingSource.BODIES),
+                quaternion_xyzw=quaternion_xyzw(found.camera_from_inertial).tolist(),
+                covariance_rad2=found.covariance_rad2.tolist(),
+            )
+            chosen.append(record.replace(attitude=attitude))
+    if records:
+        left_out["no body"] = len(records)
     return chosen, left_out
 
 
@@ -220,7 +260,10 @@ def _ck(job: _Job) -> tuple[Path, ...]:
         series = series.turned(frame.mission_from_camera(job.camera))
     target = CkTarget(instrument_id=code, frame_name=_frame_name(job.camera, job.options))
     _require_label(series, target.frame_name, job.camera)
-    comments = [f"{job.camera.name}, {len(job.records)} attitudes from star images", "axes: " + target.frame_name]
+    comments = [
+        f"{job.camera.name}, {len(job.records)} attitudes from {job.options.pointing}",
+        "axes: " + target.frame_name,
+    ]
     max_gap_s = job.options.max_gap_s if job.options.ck_type == 3 else None
     return write_ck(job.output, series, target, sclk=job.options.sclk, max_gap_s=max_gap_s, comments=comments)
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from giantlike.campaign import Campaign, RunResult, load_result, run_campaign, write_report
-from giantlike.campaign.export import EXPORT_NAMES, ExportFormat, ExportOptions, export_run
+from giantlike.campaign.export import EXPORT_NAMES, ExportFormat, ExportOptions, PointingSource, export_run
 from giantlike.campaign.interlock import interlock_of, write_interlock
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.render.run import RenderedImage, render_images
@@ -59,6 +59,7 @@ def export(
     output: Annotated[
         Path | None, typer.Option(help="New file; for wcs a folder. Default: in the run folder.", metavar="FILE|DIR")
     ] = None,
+    pointing: Annotated[PointingSource, typer.Option(help="What attitudes are from.")] = PointingSource.STARS,
     suspect: Annotated[bool, typer.Option("--suspect", help="Suspect attitudes as well.")] = False,
     stars_only: Annotated[
         bool, typer.Option("--stars-only", help="Leave out attitudes transferred from neighbors.")
@@ -85,6 +86,7 @@ def export(
     of stereophotoclinometry.
     """
     options = ExportOptions(
+        pointing=pointing,
         suspect=suspect,
         stars_only=stars_only,
         max_gap_s=max_gap,
