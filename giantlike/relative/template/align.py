@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float
+from giantlike.core.blocks import block_sums
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.relative.template.linear import RANGE, Problem, X, Y
 from giantlike.relative.template.state import TemplateImages, TemplateState, warped
@@ -92,8 +93,7 @@ def _mean_over(image: Float, factor: int) -> Float:
     height, width = image.shape[0] // factor, image.shape[1] // factor
     if height == 0 or width == 0:
         return np.zeros((1, 1))
-    squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor)
-    return np.asarray(squares.mean(axis=(1, 3)))
+    return block_sums(image, factor) / factor**2
 
 
 def _softened(image: Float) -> Float:

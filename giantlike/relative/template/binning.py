@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Mask, Scalar
+from giantlike.core.arrays import Mask
+from giantlike.core.blocks import block_sums, whole_blocks
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
 from giantlike.ray_tracing import FocalPlane
@@ -78,14 +78,14 @@ def blocks_of(inputs: EstimatorInputs) -> Blocks:
     wanted = max(round(math.sqrt(2.0 * inputs.radius_px / _DIAMETER_PX)), 1)
     sound = float(np.count_nonzero(inputs.usable))
     for size in range(min(wanted, *inputs.usable.shape), 1, -1):
-        usable = _all(inputs.usable, size)
+        usable = whole_blocks(inputs.usable, size)
         if size**2 * np.count_nonzero(usable) >= (1.0 - _MOST_LOST) * sound:
             return _blocks(inputs, size, usable)
     return Blocks(size=1, pixels=inputs.pixels, good=~inputs.masked, plane=inputs.focal_plane())
 
 
 def _blocks(inputs: EstimatorInputs, size: int, usable: Mask) -> Blocks:
-    whole, good = inputs.pixels, _all(~inputs.masked, size)
+    whole, good = inputs.pixels, whole_blocks(~inputs.masked, size)
     camera = inputs.camera.binned(size, detector=inputs.camera.detector)
     noise = whole.noise_variance_dn2
     limits = None if whole.censored is None else good & ~usable
@@ -93,7 +93,7 @@ def _blocks(inputs: EstimatorInputs, size: int, usable: Mask) -> Blocks:
     return Blocks(
         size=size,
         pixels=BoxPixels(
-            values_dn=_means(whole.values_dn, size),
+            values_dn=block_sums(whole.values_dn, size) / size**2,
             usable=usable,
             censored=limits,
             noise_variance_dn2=lambda signal: noise(signal) / size**2,
@@ -106,21 +106,3 @@ def _blocks(inputs: EstimatorInputs, size: int, usable: Mask) -> Blocks:
             psf=None if psf is None else replace(psf, sigma_px=psf.sigma_px / size),
         ),
     )
-
-
-def _split(image: NDArray[Scalar], size: int) -> NDArray[Scalar]:
-    """Blocks (rows, size, columns, size) of an image; what fills none at its end is left out."""
-    rows, columns = (length // size for length in image.shape)
-    return image[: rows * size, : columns * size].reshape(rows, size, columns, size)
-
-
-def _means(image: Float, size: int) -> Float:
-    """Means over blocks."""
-    parts = _split(image, size)
-    total = sum(parts[:, i, :, j] for i in range(size) for j in range(size))
-    return np.asarray(total / size**2, dtype=np.float64)
-
-
-def _all(mask: Mask, size: int) -> Mask:
-    """Return True for blocks of nothing but True."""
-    return np.asarray(_split(mask, size).all(axis=(1, 3)))

@@ -1,0 +1,46 @@
+"""Images in blocks of pixels: sums over them, and masks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, Mask, Scalar
+
+
+def block_sums(image: NDArray[Scalar], size: int) -> Float:
+    """Sums over blocks of pixels.
+
+    Parameters
+    ----------
+    image : (h, w)
+    size : int
+        Pixels along the side of a block; what fills none at the end of the image is left out.
+
+    Returns
+    -------
+    (h // size, w // size) float64
+    """
+    rows, columns = (length // size for length in image.shape)
+    strips = image[: rows * size, : columns * size].reshape(rows, size, columns * size).sum(axis=1, dtype=np.float64)
+    return np.asarray(strips.reshape(rows, columns, size).sum(axis=2))
+
+
+def whole_blocks(mask: Mask, size: int) -> Mask:
+    """Return True for blocks of nothing but True.
+
+    Parameters
+    ----------
+    mask : (h, w) bool
+    size : int
+        As for :func:`block_sums`.
+
+    Returns
+    -------
+    (h // size, w // size) bool
+    """
+    rows, columns = (length // size for length in mask.shape)
+    if mask.all():
+        return np.ones((rows, columns), bool)
+    strips = mask[: rows * size, : columns * size].reshape(rows, size, columns * size).all(axis=1)
+    return np.asarray(strips.reshape(rows, columns, size).all(axis=2))
