@@ -18,9 +18,11 @@ from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 
 Faces = NDArray[np.int64]
 Indices = NDArray[np.int64]
+Float32 = NDArray[np.float32]
 
 FLAT = 1e-20
 """Facets with less area, over the square of the extent of the body, count as without area: rounding of float64."""
+_BEND_ROUNDING = 1e-6  # of unit vectors: float32 rounds products of them by a third of that
 _OPEN = 0.2  # sum of area vectors over area: above it a surface counts as a sheet, which has no inside
 
 
@@ -150,6 +152,28 @@ class TriangleMesh(Value):
             total += np.bincount(leave, weights=draws[arrive], minlength=draws.size)
             total -= np.bincount(arrive, weights=draws[leave], minlength=draws.size)
         return np.flatnonzero(total)
+
+    @cached_property
+    def bends(self) -> tuple[Float32, Float32, Float32]:
+        """Normals (3, m) and plane offsets (m,), km, in single precision, and the bends (m,) of the surface.
+
+        A bend bounds how much the normals of the facets at the corners of a facet differ from its own, as a length: by
+        way of the mean normal at each corner, with room for rounding. It is infinite at borders.
+        """
+        count = len(self.vertices_km)
+        sums = np.zeros((count, 3))
+        for corner in range(3):
+            at = self.faces[:, corner]
+            for axis in range(3):
+                sums[:, axis] += np.bincount(at, weights=self.normals[:, axis], minlength=count)
+        means = sums / np.maximum(np.bincount(self.faces.ravel(), minlength=count), 1)[:, None]
+        apart = np.stack([np.linalg.norm(self.normals - means[at], axis=1) for at in self.faces.T], axis=1)
+        largest = np.zeros(count)
+        np.maximum.at(largest, self.faces.ravel(), apart.ravel())
+        largest[self.border_vertices] = np.inf
+        bends = (apart + largest[self.faces]).max(axis=1) + _BEND_ROUNDING
+        normals = np.ascontiguousarray(self.normals.T, dtype=np.float32)
+        return normals, self.plane_offsets_km.astype(np.float32), bends.astype(np.float32)
 
     @cached_property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
