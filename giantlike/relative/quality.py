@@ -42,11 +42,12 @@ come to 1.3-20.
 UNEXPLAINED = 0.005
 """Area with unexplained light over the lit area beyond which something else is in the image: one of the same 860 fixes
 had more, a second body beside the first gives 0.5, a ring 3."""
-LEAST_CHANCE = 1e-6
+LEAST_CHANCE = 6e-6
 """Probability below which the place, the figure or the blur that a coarse render asks for contradicts a fix.
 
-Errors of markings and relief have longer tails than a Gaussian. Of 80 right fixes without markings, of five laws told
-as one, 0.1 is the least. Real limbs of Jupiter came to 6.5e-6. Above it fixes grow in their sigmas, by up to 3.
+Of three degrees of freedom it is that of 9 each: sigmas that would have to grow threefold, as they do above it. Errors
+of markings and relief have longer tails than a Gaussian. Of 80 right fixes without markings, of five laws told as one,
+0.1 is the least. Real limbs of Jupiter came to 6.5e-6.
 """
 LEAST_PREDICTION_CHANCE = 1e-4
 """Probability below which a fix contradicts the declared errors of its prediction: the rate of false alarms."""

@@ -126,7 +126,7 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         return None
     values, noise = cells.cropped(cells.values), cells.cropped(cells.variance)
     gain = _first_gain(values, design.own, fresh)
-    relative_sigma = _model_sigma(design, turn_rad, cells)
+    relative_sigma, edge = _model_sigma(design, turn_rad, cells)
     for _ in range(_ITERATIONS):
         model_sigma = gain * relative_sigma
         weights = 1.0 / (noise + model_sigma**2)
@@ -144,8 +144,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         return None
     normalized = np.where(fresh, normalized, 0.0)
     misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
-    scale = max(misfit, _LEAST_SCALE)
-    covariance = _covariance(design.columns, np.where(fresh, weights, 0.0), noise, scale * model_sigma, normal, cells)
+    shown_sigma = _scale(normalized, lit, edge) * model_sigma
+    covariance = _covariance(design.columns, np.where(fresh, weights, 0.0), noise, shown_sigma, normal, cells)
     by_law = _OTHER_LAW * (solution - _without_laws(normal, weighted @ values[fresh]))
     covariance = covariance + np.outer(by_law, by_law)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
@@ -218,14 +218,27 @@ def _scattered(light: Float, cells: Cells) -> Float:
     return np.asarray(gaussian_filter(light, _WING_RADIUS * cells.radius))
 
 
-def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> Float:
-    """Standard deviation (n, n) of the errors of the model in each cell over the gain: markings, edges, and wings."""
+def _scale(normalized: Float, lit: Mask, edge: Mask) -> Float:
+    """Scatter (n, n) that the residuals show over that of the errors of the model: of the face, and of its edges.
+
+    Relief moves the edges and leaves the face as it is, which has many more cells.
+    """
+    face, rim = (
+        max(float(np.sqrt(np.mean(normalized[part] ** 2))) if part.any() else 0.0, _LEAST_SCALE)
+        for part in (lit & ~edge, lit & edge)
+    )
+    return np.where(edge, rim, face)
+
+
+def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
+    """Standard deviation (n, n) of the errors of the model over the gain by cell, and where edges are most of it."""
     from scipy.ndimage import gaussian_filter
 
     markings = ALBEDO * gaussian_filter(design.own, _AROUND * cells.radius)
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
     wings, floor = _WINGS * _scattered(design.own, cells), _FLOOR * float(design.own.max())
-    return np.asarray(np.sqrt(markings**2 + edges**2 + wings**2 + floor**2))
+    face = markings**2 + wings**2 + floor**2
+    return np.asarray(np.sqrt(face + edges**2)), np.asarray(edges**2 > face)
 
 
 def _nothing_alike() -> CoarseFit:
