@@ -48,6 +48,10 @@ _ISOLATED = 3
 """Side, cells, of the median that takes stars, cosmic rays and single rows out of what is not explained."""
 _LIT = 0.05
 """Of the brightest cell: fainter ones are not counted as lit."""
+_LONG_WAVES = 1.3
+"""Effect of relief over that of errors of the same scatter that are alike over parts of a face. With 1.0 the variances
+of eight right limbs with relief of 1 % that no shape holds grew threefold, with 1.7 by a half, but rows that are two
+pixels off were no other figure any more."""
 _LEAST_SCALE = 0.1
 """Least scatter, over that of the errors of the model, that the residuals of the lit cells are taken to show. Of 80
 right fixes of the independent renderer without markings none was then off by more than 1.1 standard deviations in place
@@ -221,13 +225,13 @@ def _scattered(light: Float, cells: Cells) -> Float:
 def _scale(normalized: Float, lit: Mask, edge: Mask) -> Float:
     """Scatter (n, n) that the residuals show over that of the errors of the model: of the face, and of its edges.
 
-    Relief moves the edges and leaves the face as it is, which has many more cells.
+    Relief moves the edges and leaves the face, which has many more cells; and it is alike over longer parts of them.
     """
     face, rim = (
         max(float(np.sqrt(np.mean(normalized[part] ** 2))) if part.any() else 0.0, _LEAST_SCALE)
         for part in (lit & ~edge, lit & edge)
     )
-    return np.where(edge, rim, face)
+    return np.where(edge, _LONG_WAVES * rim, face)
 
 
 def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
