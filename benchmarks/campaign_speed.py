@@ -95,7 +95,6 @@ def measured(campaign: Path, workers: int) -> dict[str, Any]:
         "images_a_wall_s": round(images / cost["wall_s"], 2),
         "report_again_cpu_s": round(report["cpu_s"], 2),
         "run_folder_mb": round(size / 1e6, 1),
-        **_steps(run),
     }
 
 
@@ -105,9 +104,11 @@ def _cost(*arguments: str) -> dict[str, float]:
         [sys.executable, "-m", "giantlike", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     most_mb: dict[int, float] = {}
+    parent_cpu = 0.0
     while process.poll() is None:
         for pid in _descendants(process.pid):
             most_mb[pid] = max(most_mb.get(pid, 0.0), _memory_mb(pid))
+        parent_cpu = max(parent_cpu, _own_cpu_s(process.pid))
         time.sleep(SAMPLE_S)
     wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     _, errors = process.communicate()
@@ -115,7 +116,13 @@ def _cost(*arguments: str) -> dict[str, float]:
         raise RuntimeError(f"giantlike {' '.join(arguments)}: {errors.decode()[-2000:]}")
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     parent_mb = most_mb.pop(process.pid, 0.0)
-    return {"cpu_s": cpu, "wall_s": wall, "parent_mb": parent_mb, "worker_mb": max(most_mb.values(), default=0.0)}
+    return {
+        "cpu_s": cpu,
+        "parent_cpu_s": parent_cpu,
+        "wall_s": wall,
+        "parent_mb": parent_mb,
+        "worker_mb": max(most_mb.values(), default=0.0),
+    }
 
 
 def _descendants(pid: int) -> list[int]:
@@ -138,13 +145,13 @@ def _memory_mb(pid: int) -> float:
     return sum(float(line.split()[1]) for line in lines if line.startswith("RssAnon")) / 1024.0
 
 
-def _steps(run: Path) -> dict[str, Any]:
-    """Wall seconds from event to event of the log of a run."""
-    log = run / "log.jsonl"
-    if not log.is_file():
-        return {}
-    events = [json.loads(line) for line in log.read_text().splitlines()]
-    return {"events": len(events)}
+def _own_cpu_s(pid: int) -> float:
+    """CPU of a process without its children, s."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
 
 
 def main() -> None:
