@@ -28,7 +28,7 @@ from giantlike.stars import StarNavigation, StarOptions
 from giantlike.stars.tetra import pattern_database
 
 NUMBERS = (10, 30, 100, 300, 1000, 2000, 5000)
-IMAGES_EACH = 3
+IMAGES_EACH = 2
 SCALE = np.array([FOCAL_PX, FOCAL_PX, SIZE / 2])  # px per rad
 INFORMATION = 0.95  # that of ``StarNavigation.detect_and_solve``
 
