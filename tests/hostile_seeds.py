@@ -17,7 +17,8 @@ import trimesh
 import giantlike as gl
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.render.plan import RenderPlan
-from giantlike.campaign.store.records import ObservationRecord, ObservationsRecord, TargetView
+from giantlike.campaign.store.edits import Edit, Edited, add_edits
+from giantlike.campaign.store.records import ObservationRecord, TargetView, TargetRecord
 from giantlike.campaign.store.results import camera_of_run, load_result
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import load_catalog
@@ -134,7 +135,7 @@ def _campaign(path: Path) -> None:
 
 def _run(path: Path) -> None:
     """A run folder with one attitude and one observation, around the file."""
-    folder = path.parent if path.name == "provenance.json" else path.parents[1]
+    folder = path.parent
     run_files._run(folder, [run_files._record(0)])
     seen = ObservationRecord(
         index=0, file="image_0.fits", target="ROCK", estimator="limb_matching", status="ok",
@@ -145,14 +146,15 @@ def _run(path: Path) -> None:
     view = TargetView(
         target="ROCK", predicted_px=[10.0, 20.0], radius_px=3.0, outline_px=[[9.0, 9.0]], outline_lit=[True]
     )
-    record = ObservationsRecord(index=0, file="image_0.fits", observations=[seen], views=[view])
-    RunFolder(folder).save(record, "stamp")
+    RunFolder(folder).save(seen, "key")
+    RunFolder(folder).save(TargetRecord(index=0, file="image_0.fits", target="ROCK", view=view), "key")
+    edit = Edit(action="reject", what=Edited.IMAGE, file="image_0.fits", who="ann", when_utc="2026", why="smear")
+    add_edits(folder, [edit])
 
 
 def _read_run(path: Path) -> None:
-    folder = path.parent if path.name == "provenance.json" else path.parents[1]
-    load_result(folder)
-    camera_of_run(folder)
+    load_result(path.parent)
+    camera_of_run(path.parent)
 
 
 PIXELS = (np.arange(24 * 20).reshape(20, 24) * 37 % 251).astype(np.uint8)
@@ -248,8 +250,8 @@ KINDS: dict[str, Kind] = {
     "attitudes": Kind("attitudes.csv", _with(_table("qx,qy,qz,qw", "0,0,0,1")), read_attitude_csv),
     "campaign": Kind("campaign.toml", _campaign, Campaign.load),
     "scene": Kind("scene.toml", lambda path: path.write_text(tomli_w.dumps(scene_table())), RenderPlan.load),
-    "run attitude": Kind("parts/000000.attitude.json", _run, _read_run),
-    "run observations": Kind("parts/000000.observations.json", _run, _read_run),
+    "run results": Kind("results.sqlite", _run, _read_run),
+    "run edits": Kind("edits.jsonl", _run, _read_run),
     "run provenance": Kind("provenance.json", _run, _read_run),
     "kernel pck": Kind("k.tpc", lambda path: kernel_files.write_pck(path), _read_kernel),
     "kernel lsk": Kind("k.tls", _with(LEAPSECONDS), _read_kernel),

@@ -17,7 +17,8 @@ from typing import Any
 from scipy.stats import chi2
 
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.runner import Progress, run_campaign, silent
+from giantlike.campaign.run.making import Progress
+from giantlike.campaign.run.runner import run_campaign, silent
 from giantlike.campaign.store.results import grouped
 from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import finite_or_none, require

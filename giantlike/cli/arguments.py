@@ -11,7 +11,7 @@ import typer
 Images = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of any readable format.")]
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that exist.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Accepted; a run always goes on with its folder.")]
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]
 Sequence = Annotated[
     bool,

@@ -35,7 +35,7 @@ def run(
     for warning in campaign.warnings:
         say(f"giantlike: {warning}")
     with progress_bar() as progress:
-        result = run_campaign(campaign, workers=workers, resume=resume, progress=progress)
+        result = run_campaign(campaign, workers=workers, progress=progress, announce=_announce)
     if json:
         print_json(result.summary())
     else:
@@ -183,6 +183,10 @@ def demo(
         done = run_demo(output, workers=workers, progress=progress)
     typer.echo(done.to_json() if json else done.text())
     return ExitCode.DONE if done.met else ExitCode.GOALS_MISSED
+
+
+def _announce(text: str) -> None:
+    say(f"giantlike: {text}")
 
 
 def _print_tables(result: RunResult) -> None:

@@ -45,6 +45,7 @@ class Reason(StrEnum):
     LARGE_RESIDUALS = "large_residuals"
     WRONG_SHAPE = "wrong_shape"
     NOT_UNRESOLVED = "not_unresolved"
+    REJECTED = "rejected"
     INTERNAL_ERROR = "internal_error"
 
 

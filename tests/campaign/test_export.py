@@ -260,7 +260,7 @@ def _record(index: int, *, status: Status = "ok", source: str = "stars", et: flo
 
 
 def _run(folder: Path, records: list[AttitudeRecord], camera: Camera = CAMERA) -> Path:
-    run = RunFolder.start(folder, {"camera": camera.to_mapping()}, {}, resume=False)
+    run = RunFolder.start(folder, {"camera": camera.to_mapping()}, {})
     for record in records:
         run.save(record, "stamp")
     content = run.provenance()

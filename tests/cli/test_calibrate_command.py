@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from typer.testing import CliRunner, Result
 from giantlike.calibration.field_map import map_difference
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, model_to_mapping
+from giantlike.campaign.store.run_folder import RESULTS_FILE
 from giantlike.cli.app import app
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError
@@ -164,8 +167,9 @@ def test_a_run_goes_on_from_a_calibration_that_was_killed_and_gives_the_same(don
     path, _ = done
     folder = path.parent / "done"
     before, camera = attitudes(folder), (folder / "camera.toml").read_text()
-    for part in ("000001.calibration.json", "000001.attitude.json", "000003.attitude.json"):
-        (folder / "parts" / part).unlink()
+    with contextlib.closing(sqlite3.connect(folder / RESULTS_FILE)) as connection, connection:
+        for step, file in (("calibration", "sky1.fits"), ("attitude", "sky1.fits"), ("attitude", "sky3.fits")):
+            connection.execute("DELETE FROM records WHERE step = ? AND file = ?", (step, file))
     (folder / "attitudes.csv").unlink()
     result = giantlike("run", path, "--workers", "1", "--resume")
     assert result.exit_code == 0, result.stderr

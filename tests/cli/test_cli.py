@@ -18,6 +18,8 @@ import tomli_w
 from typer.testing import CliRunner, Result
 
 from giantlike import __version__
+from giantlike.campaign.store.records import AttitudeRecord
+from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
 from giantlike.cli.app import app
 from giantlike.core.frames import direction_from_radec, pointing_deg
 from giantlike.io import write_fits
@@ -77,7 +79,8 @@ def test_a_campaign_runs_and_prints_its_summary_as_json_and_nothing_else(small: 
         "cross_correlation": 1,
         "limb_matching": 1,
     }
-    assert "not empty" in line_on_stderr(giantlike("run", path, "--workers", "1"))
+    kept = json.loads(giantlike("run", path, "--workers", "1", "--json").stdout)["steps"]
+    assert kept["PEBBLE: limb_matching"] == {"redone": 0, "kept": 1}
     again = giantlike("run", path, "--workers", "1", "--resume")
     assert again.exit_code == 0
     assert "limb_matching" in again.stdout
@@ -199,9 +202,14 @@ def start(path: Path, *arguments: str) -> subprocess.Popen[str]:
         signal.signal(signal.SIGINT, before)
 
 
-def wait_for_parts(run: Path, count: int, process: subprocess.Popen[str]) -> None:
+def images_done(run: Path) -> int:
+    """Number of images whose attitude the run folder holds, read while the run writes."""
+    return len(RunFolder(run).keys(AttitudeRecord)) if (run / RESULTS_FILE).exists() else 0
+
+
+def wait_for_images(run: Path, count: int, process: subprocess.Popen[str]) -> None:
     deadline = time.monotonic() + 60
-    while len(list((run / "parts").glob("*.json"))) < count:
+    while images_done(run) < count:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -238,7 +246,7 @@ def test_a_run_killed_without_warning_leaves_no_process_behind_and_can_be_contin
     path, _ = write_campaign(tmp_path / "killed", visits=4)
     run = path.parent / "run"
     process = start(path, "--workers", "2")
-    wait_for_parts(run, 2, process)
+    wait_for_images(run, 2, process)
     children = children_of(process.pid)
     assert children
     process.kill()
@@ -248,7 +256,7 @@ def test_a_run_killed_without_warning_leaves_no_process_behind_and_can_be_contin
         assert time.monotonic() < deadline, "worker processes live on after the run was killed"
         time.sleep(0.05)
     assert not (run / "attitudes.csv").exists()
-    done = len(list((run / "parts").glob("*.json")))
+    done = images_done(run)
     assert giantlike("run", path, "--workers", "1", "--resume").exit_code == 0
     log = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
     starts = [number for number, line in enumerate(log) if line["event"] == "run_started"]
@@ -265,7 +273,7 @@ def test_a_run_killed_without_warning_leaves_no_process_behind_and_can_be_contin
 def test_an_interrupted_run_ends_with_one_line_and_exit_code_130(tmp_path: Path) -> None:
     path, _ = write_campaign(tmp_path / "interrupted", visits=4)
     process = start(path, "--workers", "1")
-    wait_for_parts(path.parent / "run", 1, process)
+    wait_for_images(path.parent / "run", 1, process)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 130

@@ -29,6 +29,7 @@ from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
+from giantlike.core.reading import file_sha256
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.image import Image
@@ -271,37 +272,79 @@ def _alignment(solution: CalibrationResult, records: Sequence[CalibrationRecord]
     return None if isinstance(found, Failure) else found
 
 
-def write_calibration(folder: Path, result: CampaignCalibration) -> bool:
+def write_calibration(folder: Path, result: CampaignCalibration, inputs: str = "") -> None:
     """Write ``camera.toml`` (if accepted), ``calibration.json`` and the table of residuals.
 
     Parameters
     ----------
     folder : Path
     result : CampaignCalibration
-
-    Returns
-    -------
-    bool
-        True if this changed what an earlier run left there, so that the page must be written again.
+    inputs : str, optional
+        Hash of everything that it was made from, for :func:`kept_calibration`.
 
     Raises
     ------
     DataError
         A file cannot be written.
     """
+    for name in (CALIBRATION_FILE, CALIBRATION_PAGE, CAMERA_FILE, RESIDUALS_FILE):
+        (folder / name).unlink(missing_ok=True)
     if result.camera is not None:
         result.camera.save(folder / CAMERA_FILE)
-    else:
-        (folder / CAMERA_FILE).unlink(missing_ok=True)
-    content = json.dumps(calibration_summary(result), indent=1, default=str) + "\n"
-    path = folder / CALIBRATION_FILE
-    if (folder / CALIBRATION_PAGE).exists() and path.exists() and path.read_text(encoding="utf-8") == content:
-        return False
-    (folder / CALIBRATION_PAGE).unlink(missing_ok=True)
-    write_text_atomic(path, content)
     if isinstance(result.outcome, StarCalibration):
         write_csv_rows(folder / RESIDUALS_FILE, _COLUMNS, _residual_rows(result.outcome.result))
-    return True
+    content = calibration_summary(result) | {"made_from": {"inputs": inputs, "camera": _camera_hash(folder)}}
+    write_text_atomic(folder / CALIBRATION_FILE, json.dumps(content, indent=1, default=str) + "\n")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeptCalibration:
+    """A calibration as the run folder holds it.
+
+    Parameters
+    ----------
+    camera : Camera or None
+        None if it was not accepted.
+    summary : dict
+        Content of ``calibration.json``.
+    """
+
+    camera: Camera | None
+    summary: dict[str, Any]
+
+    @property
+    def problem(self) -> str | None:
+        """Reason why the campaign keeps the camera it had; None if it has a calibrated one."""
+        return None if self.summary["problem"] is None else str(self.summary["problem"])
+
+
+def kept_calibration(folder: Path, inputs: str) -> KeptCalibration | None:
+    """Read the calibration that a run folder holds.
+
+    Parameters
+    ----------
+    folder : Path
+    inputs : str
+        Hash of everything that a calibration of today would be made from.
+
+    Returns
+    -------
+    KeptCalibration or None
+        None if there is none, if it was made from something else, or if a file of it was changed since.
+    """
+    try:
+        summary = json.loads((folder / CALIBRATION_FILE).read_text(encoding="utf-8"))
+        if summary["made_from"] != {"inputs": inputs, "camera": _camera_hash(folder)}:
+            return None
+        camera = Camera.load(folder / CAMERA_FILE) if summary["problem"] is None else None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, DataError):
+        return None
+    return KeptCalibration(camera=camera, summary=summary)
+
+
+def _camera_hash(folder: Path) -> str:
+    path = folder / CAMERA_FILE
+    return file_sha256(path) if path.is_file() else ""
 
 
 def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:

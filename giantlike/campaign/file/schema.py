@@ -50,7 +50,7 @@ class CampaignSection(Section):
     name: str = Field(min_length=1)
     """Name of the campaign, for the report."""
     output: str = Field(min_length=1)
-    """Run folder; a folder in use is only continued, with `--resume`."""
+    """Run folder; a run goes on with the results that it holds ([runs](runs.md))."""
 
 
 class ImagesSection(Section):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.campaign.report.templates import PageFigure
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, TargetView
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetView, TargetRecord
 from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
@@ -156,15 +156,18 @@ def overlay(result: RunResult, record: AttitudeRecord) -> Overlay:
     Overlay
     """
     folder = RunFolder(result.folder)
-    full = folder.load(AttitudeRecord, record.index, record.file)
-    body = folder.load(ObservationsRecord, record.index, record.file)
-    observations = [] if body is None else body.observations
+    full = folder.load(AttitudeRecord, record.file)
+    observations = [one for image in result.bodies if image.file == record.file for one in image.observations]
+    targets = dict.fromkeys(one.target for one in observations)
+    kept = [folder.load(TargetRecord, record.file, (target, "")) for target in targets]
+    views = [one.view for one in kept if one is not None and one.view is not None]
+    observations = [folder.with_points(one) for one in observations]
     try:
         pixels = Image.open(result.folder / record.path, hdu=result.hdu, bottom_up=result.bottom_up).pixels
     except OpNavError as error:
         return Overlay(record=record, observations=observations, problem=str(error))
     colors = center_colors(result)
-    marks = [] if body is None else [_body_marks(view, observations, colors) for view in body.views]
+    marks = [_body_marks(view, observations, colors) for view in views]
     panels = overlay_panels(pixels, record.file, stars=None if full is None else _star_marks(full), bodies=marks)
     return Overlay(record=record, observations=observations, picture=overlay_svg(panels, f"image-{record.index}"))
 
@@ -281,7 +284,7 @@ def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> PageFi
     parts = [
         full.stars
         for record in records[::step]
-        if (full := folder.load(AttitudeRecord, record.index, record.file)) is not None and full.stars is not None
+        if (full := folder.load(AttitudeRecord, record.file)) is not None and full.stars is not None
     ]
     observed = np.concatenate([_points(part.observed_px) for part in parts])
     predicted = np.concatenate([_points(part.predicted_px) for part in parts])

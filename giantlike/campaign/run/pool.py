@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for_end
-from typing import Any, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import cv2
 from threadpoolctl import threadpool_limits
 
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.worker import Workbench
+from giantlike.campaign.run.bench import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 
@@ -27,6 +27,37 @@ Answer = TypeVar("Answer")
 _QUEUED_PER_WORKER = 2
 """Jobs handed out per worker: one at work and one waiting, so that few are lost when a process dies."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Pool(Protocol):
+    """What the work of a run is handed to; used in a ``with`` block."""
+
+    def __enter__(self) -> Self:
+        """Start what is needed."""
+        ...
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        ...
+
+    def run(
+        self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]
+    ) -> Iterator[tuple[int, Answer | None]]:
+        """Yield the position of each job and its answer, in the order in which they are done.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module, taking the workbench and a job; it must not raise.
+        jobs : sequence
+
+        Yields
+        ------
+        position : int
+        answer : object or None
+            None if the process died of the job.
+        """
+        ...
 
 
 class WorkerPool:
@@ -57,7 +88,7 @@ class WorkerPool:
         self._variables: list[str] = []
         self._limits: threadpool_limits | None = None
 
-    def __enter__(self) -> WorkerPool:
+    def __enter__(self) -> Self:
         if self._workers == 1:
             self._limits = threadpool_limits(1)  # the last bits of sums depend on the number of threads
         else:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.worker import Workbench
+from giantlike.campaign.run.bench import Workbench
 from giantlike.core import reading
 from giantlike.core.errors import DataError
 from giantlike.core.version import VERSION
@@ -19,7 +19,7 @@ from giantlike.core.version import VERSION
 def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
     """Everything that decides the results of a run but the images, as plain values.
 
-    A run is only continued when none of it has changed. The hashes of the images are added at the end of the run.
+    What of it changed is said before a run goes on. The hashes of the images are added at the end of the run.
 
     Parameters
     ----------

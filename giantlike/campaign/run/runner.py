@@ -2,73 +2,47 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Generic, TypeAlias, TypeVar
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
-from giantlike.camera import Camera
-from giantlike.campaign.calibration.page import write_calibration_page
-from giantlike.campaign.calibration.solve import (
-    CampaignCalibration,
-    calibrate_campaign,
-    calibration_summary,
-    write_calibration,
-)
-from giantlike.campaign.file.config import Campaign, ImageEntry
+from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.run_page import write_report
-from giantlike.campaign.run.attitude_transfer import attitude_to_use, transfer_attitudes
-from giantlike.campaign.run.image_loading import targets_in
-from giantlike.campaign.run.pool import WorkerPool
+from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.identities import Identities
+from giantlike.campaign.run.making import Announce, Progress, Run
+from giantlike.campaign.run.pool import Pool, WorkerPool
 from giantlike.campaign.run.provenance import environment_of, inputs_of
-from giantlike.campaign.run.worker import (
-    ImageJob,
-    Workbench,
-    estimate_image,
-    failed_image,
-    failed_observations,
-    failed_stars,
-    find_first_stars,
-    solve_image,
-)
+from giantlike.campaign.run.steps import digest
+from giantlike.campaign.store.edits import EDITS_FILE, read_edits
+from giantlike.campaign.store.lock import locked
 from giantlike.campaign.store.log import RunLog
-from giantlike.campaign.store.observables import write_run_observables
-from giantlike.campaign.store.records import (
-    AttitudeRecord,
-    CalibrationRecord,
-    ImageRecord,
-    ObservationRecord,
-    ObservationsRecord,
-    Problem,
-    RunSummary,
-)
+from giantlike.campaign.store.observables import OBSERVABLES_FILE, write_run_observables
+from giantlike.campaign.store.records import RunSummary
 from giantlike.campaign.store.results import RunResult
-from giantlike.campaign.store.run_folder import Record, RunFolder, stamp_of
-from giantlike.campaign.store.tables import write_tables
-from giantlike.core.outcomes import Reason
+from giantlike.campaign.store.run_folder import REPORT_PAGE, RunFolder, changes
+from giantlike.campaign.store.tables import TABLE_FILES, write_tables
+from giantlike.core.atomic import make_folder
+from giantlike.core.errors import DataError, InputError
 from giantlike.core.processes import process_count
 
-Made = TypeVar("Made", bound=ImageRecord)
-Progress: TypeAlias = Callable[[str, int, int], None]
-"""Called with the name of the step, the number of images done, and of all."""
-
-_DIED = Problem(
-    reason=Reason.INTERNAL_ERROR,
-    detail="the worker process died twice on this image (killed from outside, out of memory, or a crash in a library)",
-)
+PoolMaker: TypeAlias = Callable[[Workbench, int], Pool]
+"""Called with the workbench and the number of images; makes what work is handed to."""
 
 
 def run_campaign(
     campaign: Campaign,
     *,
     workers: int | None = None,
-    resume: bool = False,
+    resume: bool = True,
     bodies: bool = True,
     progress: Progress | None = None,
+    announce: Announce | None = None,
+    pool: PoolMaker | None = None,
 ) -> RunResult:
     """Run a campaign and write its run folder.
+
+    Results that the folder holds and that nothing has changed for are kept; all others are made.
 
     With a ``[calibration]`` section the camera is calibrated first, and everything else uses the calibrated camera.
     If calibration fails or is not accepted, the run goes on with the given camera and a warning.
@@ -79,11 +53,15 @@ def run_campaign(
     workers : int, optional
         Number of processes; default one per CPU, never more than images.
     resume : bool
-        Continue a run that was interrupted.
+        Accepted and without effect: a run always goes on with what its folder holds.
     bodies : bool
         Run the estimators of bodies too; without them the run ends with the attitudes (and can be continued).
     progress : callable, optional
         Called with the name of the step, the number of images done, and of all.
+    announce : callable, optional
+        Called with lines that say what changed, what will be done and what is kept, before it is done.
+    pool : callable, optional
+        Makes what work is handed to, from the workbench and the number of images; default: processes on this machine.
 
     Returns
     -------
@@ -92,50 +70,107 @@ def run_campaign(
     Raises
     ------
     InputError
-        The run folder holds another run.
+        The run folder holds something else, or another run is at work in it.
     DataError
         A kernel, shape or catalog is damaged, or the run folder cannot be written.
     """
     start = time.perf_counter()
+    RunFolder(campaign.output).check_usable()
     bench = Workbench.load(campaign)
+
+    def processes(bench: Workbench, jobs: int) -> Pool:
+        return WorkerPool(bench, process_count(workers, jobs))
+
     try:
-        folder = RunFolder.start(campaign.output, inputs_of(campaign, bench), environment_of(campaign), resume=resume)
-        with RunLog(folder.path):
-            folder.log("run_started", resume=resume, images=len(campaign.images))
+        make_folder(campaign.output)
+        with locked(campaign.output) as dead, RunLog(campaign.output):
+            folder = RunFolder(campaign.output)
+            before = _provenance(folder)
+            inputs = inputs_of(campaign, bench)
+            changed = changes(before.get("inputs", {}), inputs) if before else []
+            RunFolder.start(campaign.output, inputs, environment_of(campaign))
+            folder.log("run_started", images=len(campaign.images), changed=changed, taken_over_from=dead)
             for warning in campaign.warnings:
                 folder.log("warning", detail=warning)
-            # Taken before any image is read: a file that changes later is noticed when the run is continued.
-            stamps = tuple(stamp_of(entry.path) for entry in campaign.images)
-            run = _Run(bench, folder, progress or silent, stamps)
-            processes = process_count(workers, len(campaign.images))
-            calibration = None
-            if campaign.calibration is not None:
-                with WorkerPool(bench, processes) as pool:
-                    calibration = run.calibrate(pool)
-                run = run.with_calibration(calibration)
-            with WorkerPool(run.bench, processes) as pool:
-                attitudes = run.transfer_attitudes(run.solve_images(pool))
-                records = run.estimate_images(attitudes, pool) if bodies else []
-            result = RunResult(
-                folder=folder.path,
-                name=campaign.name,
-                attitudes=tuple(attitudes),
-                bodies=tuple(records),
-                hdu=campaign.hdu,
-                bottom_up=campaign.bottom_up,
-                max_overlays=campaign.max_overlays,
-                warnings=run.bench.campaign.warnings,
-                time_s=time.perf_counter() - start,
-                calibration=None if calibration is None else calibration_summary(calibration),
-            )
-            _finish(folder, result)
+            with folder.writing():
+                _require_same_images(campaign, folder)
+                folder.set_images([(entry.key, campaign.path_from_output(entry.path)) for entry in campaign.images])
+                run = Run(
+                    bench=bench,
+                    folder=folder,
+                    progress=progress or silent,
+                    announce=announce or _unheard,
+                    edits=read_edits(folder.path),
+                    identities=Identities(folder),
+                    goes_on=bool(before),
+                )
+                if before:
+                    run.announce(_what_changed(campaign, changed, dead))
+                with (pool or processes)(bench, len(campaign.images)) as workforce:
+                    run, calibration = run.calibrate(workforce)
+                    run.make_all(workforce, bodies=bodies)
+                result = RunResult(
+                    folder=folder.path,
+                    name=campaign.name,
+                    attitudes=tuple(run.edits.attitudes(folder.attitudes())),
+                    bodies=tuple(run.edits.bodies(folder.bodies())),
+                    hdu=campaign.hdu,
+                    bottom_up=campaign.bottom_up,
+                    max_overlays=campaign.max_overlays,
+                    warnings=run.bench.campaign.warnings,
+                    time_s=time.perf_counter() - start,
+                    calibration=calibration,
+                    steps=run.counts,
+                )
+                _finish(folder, result, as_before=_as_before(before, inputs, folder, run))
     finally:
         bench.close()
     return result
 
 
-def _finish(folder: RunFolder, result: RunResult) -> None:
-    write_tables(folder.path, result.attitudes, result.observations)
+def _provenance(folder: RunFolder) -> dict[str, Any]:
+    """Provenance of the run that the folder holds; empty for a new one."""
+    try:
+        return folder.provenance()
+    except DataError:
+        return {}
+
+
+def _require_same_images(campaign: Campaign, folder: RunFolder) -> None:
+    """Raise if the folder holds the results of quite other images: a name given twice by mistake."""
+    known = folder.images()
+    if known and not any(entry.key in known for entry in campaign.images):
+        raise InputError(
+            f"{folder.path}: holds a run of other images ({next(iter(known))!r}, ...), none of which is in this "
+            "campaign; choose another output"
+        )
+
+
+def _what_changed(campaign: Campaign, changed: list[str], dead: str | None) -> str:
+    names = ", ".join(changed[:8]) + (f" and {len(changed) - 8} more" if len(changed) > 8 else "")
+    text = f"{campaign.output}: goes on with the run that is there; changed: {names or 'no option'}"
+    return text if dead is None else f"{text}; taken over from {dead}, which died"
+
+
+def _as_before(before: dict[str, Any], inputs: dict[str, Any], folder: RunFolder, run: Run) -> bool:
+    """True if tables and report of the last run still hold."""
+    return (
+        not any(count.redone for count in run.counts.values())
+        and before.get("run") is not None
+        and before.get("edits") == _edits_digest(folder)
+        and not changes(before.get("inputs", {}), folder.provenance().get("inputs", {}))
+        and all((folder.path / name).is_file() for name in (*TABLE_FILES, OBSERVABLES_FILE, REPORT_PAGE))
+    )
+
+
+def _edits_digest(folder: RunFolder) -> str:
+    path = folder.path / EDITS_FILE
+    return digest(path) if path.is_file() else ""
+
+
+def _finish(folder: RunFolder, result: RunResult, *, as_before: bool) -> None:
+    if not as_before:
+        write_tables(folder.path, result.attitudes, result.observations)
     run = RunSummary(
         name=result.name,
         hdu=result.hdu,
@@ -145,138 +180,17 @@ def _finish(folder: RunFolder, result: RunResult) -> None:
         time_s=round(result.time_s, 3),
     )
     images = {record.file: record.sha256 for record in result.attitudes}
-    folder.write_provenance(folder.provenance() | {"images_sha256": images, "run": run.model_dump()})
-    write_run_observables(result)
-    write_report(result)
+    more = {"images_sha256": images, "run": run.model_dump(), "edits": _edits_digest(folder)}
+    if not as_before:
+        write_run_observables(result)
+        write_report(result)
+    folder.write_provenance(folder.provenance() | more)
     folder.log("run_finished", failed_images=len(result.failed_images), time_s=run.time_s)
-
-
-@dataclass(frozen=True, slots=True)
-class _Step(Generic[Made]):
-    """Work on every image: its name, the function of the workers, and the record of an image whose worker died."""
-
-    name: str
-    function: Callable[[Workbench, ImageJob], Made]
-    record_of_lost: Callable[[ImageEntry], Made]
-
-
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """The steps of a run; a record that the run folder holds with the stamp of today is not made again."""
-
-    bench: Workbench
-    folder: RunFolder
-    progress: Progress
-    stamps: tuple[str, ...]
-
-    @property
-    def campaign(self) -> Campaign:
-        return self.bench.campaign
-
-    def with_calibration(self, calibration: CampaignCalibration) -> _Run:
-        """Return the run with the calibrated camera, and stamps that no record made with another camera has."""
-        bench, stamps = self.bench, self.stamps
-        if calibration.problem is not None:
-            bench = bench.with_warning(calibration.problem)
-        if calibration.camera is not None:
-            bench, digest = bench.with_camera(calibration.camera), _digest(calibration.camera)
-            stamps = tuple(f"{stamp} {digest}" for stamp in stamps)
-        return replace(self, bench=bench, stamps=stamps)
-
-    def calibrate(self, pool: WorkerPool) -> CampaignCalibration:
-        """Identify the stars of all star images, calibrate, and write camera, summary, residuals and page."""
-        campaign, setup, navigation = self.campaign, self.campaign.calibration, self.bench.navigation
-        assert setup is not None
-        assert navigation is not None
-        step = _Step("finding stars", find_first_stars, lambda entry: failed_stars(entry, _DIED))
-        records = self._make(pool, step, self._done(CalibrationRecord))
-        result = calibrate_campaign(campaign, setup, records, navigation.catalog)
-        if write_calibration(self.folder.path, result):
-            write_calibration_page(self.folder.path, campaign.name, campaign.camera, result)
-        self.folder.log("calibrated", accepted=result.camera is not None, problem=result.problem)
-        return result
-
-    def solve_images(self, pool: WorkerPool) -> list[AttitudeRecord]:
-        """Read all images and solve the stars of star images."""
-        name = "reading images" if self.campaign.stars is None else "solving stars"
-        step = _Step(name, solve_image, lambda entry: failed_image(self.campaign, entry, _DIED))
-        return self._make(pool, step, self._done(AttitudeRecord))
-
-    def transfer_attitudes(self, solved: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
-        """Give short exposures the attitudes of their neighbors in time."""
-        transferred = transfer_attitudes(self.campaign, solved)
-        for before, record in zip(solved, transferred, strict=True):
-            if record != before:
-                self._save(record)
-                self._log("attitude_carried", record)
-        return transferred
-
-    def estimate_images(self, attitudes: Sequence[AttitudeRecord], pool: WorkerPool) -> list[ObservationsRecord]:
-        """Run the estimators on all images of bodies."""
-        records: dict[int, ObservationsRecord] = {}
-        jobs: list[ImageJob] = []
-        for entry, image in zip(self.campaign.images, attitudes, strict=True):
-            if not image.body_image or not targets_in(self.campaign, entry.key):
-                self.folder.drop_observations(entry.index)
-                continue
-            attitude = attitude_to_use(self.campaign, image)
-            done = self._load(ObservationsRecord, entry)
-            if not image.readable and image.problem is not None:
-                record = failed_observations(self.campaign, entry, image.problem, epoch_utc=image.epoch_utc)
-                self._save(record)
-                records[entry.index] = record
-            elif done is not None and all(record.attitude == attitude for record in done.observations):
-                records[entry.index] = done.light()
-            else:
-                jobs.append(ImageJob(entry, attitude))
-        step = _Step("finding bodies", estimate_image, lambda entry: failed_observations(self.campaign, entry, _DIED))
-        return self._make(pool, step, records, jobs)
-
-    def _make(
-        self, pool: WorkerPool, step: _Step[Made], records: dict[int, Made], jobs: Sequence[ImageJob] | None = None
-    ) -> list[Made]:
-        """Run the jobs of a step, by default all images without a record; save and log; records in input order."""
-        if jobs is None:
-            jobs = [ImageJob(entry) for entry in self.campaign.images if entry.index not in records]
-        total = len(records) + len(jobs)
-        if jobs:
-            self.progress(step.name, len(records), total)
-        for position, answer in pool.run(step.function, jobs):
-            entry = jobs[position].entry
-            record = answer or step.record_of_lost(entry)
-            self._save(record)
-            if isinstance(record, AttitudeRecord):
-                self._log("image", record)
-            elif isinstance(record, ObservationsRecord):
-                for observation in record.observations:
-                    self._log("observation", observation)
-            records[entry.index] = record.light()
-            self.progress(step.name, len(records), total)
-        return [records[index] for index in sorted(records)]
-
-    def _load(self, kind: type[Record], entry: ImageEntry) -> Record | None:
-        return self.folder.load(kind, entry.index, entry.key, stamp=self.stamps[entry.index])
-
-    def _done(self, kind: type[Record]) -> dict[int, Record]:
-        """Records of a step that need not be made again, by index."""
-        found = {entry.index: self._load(kind, entry) for entry in self.campaign.images}
-        return {index: record.light() for index, record in found.items() if record is not None}
-
-    def _save(self, record: ImageRecord) -> None:
-        self.folder.save(record, self.stamps[record.index])
-
-    def _log(self, event: str, record: AttitudeRecord | ObservationRecord) -> None:
-        names = ("file", "status", "target", "estimator", "notes", "time_s")
-        values = {name: value for name in names if (value := getattr(record, name, None)) not in (None, [])}
-        if record.problem is not None:
-            values |= record.problem.model_dump(mode="json", exclude_none=True)
-        self.folder.log(event, **values)
-
-
-def _digest(camera: Camera) -> str:
-    """Short hash of a camera."""
-    return hashlib.sha256(json.dumps(camera.to_mapping(), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def silent(stage: str, done: int, total: int) -> None:
     """Report nothing."""
+
+
+def _unheard(text: str) -> None:
+    """Tell nobody."""

@@ -78,11 +78,12 @@ def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow
         A block for the stars of an image.
     """
     folder = RunFolder.open(result.folder)
-    with_body = {record.file for record in result.bodies}
+    bodies = {record.file: record for record in result.bodies}
     for light in result.attitudes:
-        image = folder.load(AttitudeRecord, light.index, light.file) or light
-        bodies = folder.load(ObservationsRecord, light.index, light.file) if light.file in with_body else None
-        yield from observable_rows(camera, image, bodies)
+        seen = bodies.get(light.file)
+        if seen is not None:
+            seen = seen.model_copy(update={"observations": [folder.with_points(one) for one in seen.observations]})
+        yield from observable_rows(camera, folder.with_points(light), seen)
 
 
 def observables_metadata(name: str, camera: Camera) -> dict[str, str]:

@@ -143,7 +143,7 @@ class Attitude(PlainRecord):
 
 
 class ImageRecord(PlainRecord):
-    """Base of what is kept of one image by one step of a run; one file in the run folder.
+    """Base of what one step of a run makes of an image, or of a target in it; one row in the run folder.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ class ImageRecord(PlainRecord):
     """
 
     part: ClassVar[str]
-    """Name of the step in the names of files."""
+    """Name of the step."""
 
     index: int
     file: str
@@ -163,6 +163,11 @@ class ImageRecord(PlainRecord):
     @abstractmethod
     def problems(self) -> list[Problem]:
         """Everything that went wrong."""
+
+    @property
+    def of(self) -> tuple[str, str]:
+        """Target and estimator that it is of; empty where the step has none."""
+        return "", ""
 
     def light(self) -> Self:
         """Return the record without its lists of points: what is kept in memory of thousands of images.
@@ -286,6 +291,8 @@ class CalibrationRecord(ImageRecord):
 
     Parameters
     ----------
+    sha256 : str
+        Hash of the image file; empty where it could not be read.
     problem : Problem, optional
         The reason why there are none.
     apriori_xyzw : (4,) list of float, optional
@@ -296,6 +303,7 @@ class CalibrationRecord(ImageRecord):
 
     part: ClassVar[str] = "calibration"
 
+    sha256: str = ""
     problem: Problem | None = None
     et: float | None = None
     observer_position_km: Triple | None = None
@@ -316,8 +324,18 @@ class CalibrationRecord(ImageRecord):
         """The problem of the image, if there is one."""
         return [] if self.problem is None else [self.problem]
 
+    def light(self) -> Self:
+        """Return the record without its lists of sources and stars.
 
-class ObservationRecord(PlainRecord):
+        Returns
+        -------
+        CalibrationRecord
+        """
+        lists = ("points_px", "covariance_px2", "snr", "star_ids", "source_indices", "sigma_px")
+        return self.model_copy(update={name: [] for name in lists})
+
+
+class ObservationRecord(ImageRecord):
     """Result of one estimator for one target in one image; units and frames as in the tables.
 
     Covariances are (2, 2) and (3, 3), partials (2, 3); see :class:`~giantlike.io.run_tables.ObservationRow`.
@@ -342,8 +360,8 @@ class ObservationRecord(PlainRecord):
     time_s : float, s
     """
 
-    index: int
-    file: str
+    part: ClassVar[str] = "observation"
+
     epoch_utc: str | None = None
     target: str
     estimator: str
@@ -374,6 +392,25 @@ class ObservationRecord(PlainRecord):
     limb_px: list[Pair] = Field(default_factory=list)
     time_s: float = 0.0
 
+    @property
+    def problems(self) -> list[Problem]:
+        """The problem of the observation, if there is one."""
+        return [] if self.problem is None else [self.problem]
+
+    @property
+    def of(self) -> tuple[str, str]:
+        """Target and estimator."""
+        return self.target, self.estimator
+
+    def light(self) -> Self:
+        """Return the record without limb points and landmarks.
+
+        Returns
+        -------
+        ObservationRecord
+        """
+        return self.model_copy(update={"limb_px": [], "landmarks": None})
+
 
 class TargetView(PlainRecord):
     """Predicted place of a target in an image, for overlays.
@@ -396,37 +433,62 @@ class TargetView(PlainRecord):
     outline_lit: list[bool]
 
 
-class ObservationsRecord(ImageRecord):
+class TargetRecord(ImageRecord):
+    """What was known of a target in an image beforehand: its geometry, and its outline for the report.
+
+    Parameters
+    ----------
+    target : str
+    sighting : SightingRecord, optional
+        None if the geometry is not known.
+    view : TargetView, optional
+        None if no picture is wanted, if the target cannot be imaged, or for the reason in ``note``.
+    note : str, optional
+    """
+
+    part: ClassVar[str] = "target"
+
+    target: str
+    sighting: SightingRecord | None = None
+    view: TargetView | None = None
+    note: str | None = None
+
+    @property
+    def problems(self) -> list[Problem]:
+        """Nothing: estimators say why there is no geometry, and a picture without outline is no failure."""
+        return []
+
+    @property
+    def of(self) -> tuple[str, str]:
+        """The target."""
+        return self.target, ""
+
+    def light(self) -> Self:
+        """Return the record without the outline.
+
+        Returns
+        -------
+        TargetRecord
+        """
+        return self.model_copy(update={"view": None})
+
+
+class ObservationsRecord(PlainRecord):
     """All observations of one image.
 
     Parameters
     ----------
+    index, file
+        As in :class:`ImageRecord`.
     observations : list of ObservationRecord
     sightings : list of SightingRecord
         Of the targets whose geometry is known.
-    views : list of TargetView
     notes : list of str
         Oddities.
     """
 
-    part: ClassVar[str] = "observations"
-
+    index: int
+    file: str
     observations: list[ObservationRecord] = Field(default_factory=list)
     sightings: list[SightingRecord] = Field(default_factory=list)
-    views: list[TargetView] = Field(default_factory=list)
     notes: list[str] = Field(default_factory=list)
-
-    @property
-    def problems(self) -> list[Problem]:
-        """Problems of the observations that failed."""
-        return [record.problem for record in self.observations if record.problem is not None]
-
-    def light(self) -> Self:
-        """Return the record without limb points, landmarks and outlines.
-
-        Returns
-        -------
-        ObservationsRecord
-        """
-        observations = [record.model_copy(update={"limb_px": [], "landmarks": None}) for record in self.observations]
-        return self.model_copy(update={"observations": observations, "views": []})

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
+from giantlike.campaign.store.edits import read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, RunSummary
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
 from giantlike.core.errors import DataError
@@ -56,6 +57,32 @@ class StatusCounts:
         return cls(ok=statuses["ok"], suspect=statuses["suspect"], failed=statuses["failed"], reasons=dict(reasons))
 
 
+@dataclass(frozen=True, slots=True)
+class StepCount:
+    """Number of results of a step that a run made, and of those that it found made.
+
+    Parameters
+    ----------
+    redone, kept : int
+    """
+
+    redone: int = 0
+    kept: int = 0
+
+    def plus(self, *, redone: int = 0, kept: int = 0) -> StepCount:
+        """Return the count with more results.
+
+        Parameters
+        ----------
+        redone, kept : int
+
+        Returns
+        -------
+        StepCount
+        """
+        return StepCount(self.redone + redone, self.kept + kept)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RunResult(Value):
     """A finished run.
@@ -81,6 +108,8 @@ class RunResult(Value):
         Of the last part of the run.
     calibration : dict, optional
         Content of ``calibration.json``, if the campaign calibrates.
+    steps : mapping of str to StepCount
+        What this run made and kept, by step; empty for a run that was read back.
     """
 
     folder: Path
@@ -93,6 +122,7 @@ class RunResult(Value):
     warnings: tuple[str, ...]
     time_s: float
     calibration: dict[str, Any] | None = None
+    steps: Mapping[str, StepCount] = field(default_factory=dict)
 
     @property
     def observations(self) -> tuple[ObservationRecord, ...]:
@@ -133,6 +163,7 @@ class RunResult(Value):
                 for (target, estimator), records in self.by_estimator.items()
             ],
             "calibration": self.calibration,
+            "steps": {name: asdict(count) for name, count in self.steps.items()},
             "warnings": list(self.warnings),
             "time_s": round(self.time_s, 3),
         }
@@ -177,15 +208,16 @@ def load_result(path: Path) -> RunResult:
     folder = RunFolder.open(path)
     run = folder.provenance().get("run")
     if not isinstance(run, dict):
-        raise DataError(path, "the run in this folder is not finished: continue it with giantlike run --resume")
+        raise DataError(path, "the run in this folder is not finished: go on with giantlike run")
     try:
         summary = RunSummary.model_validate(run)
     except ValidationError as error:
         raise DataError(path, f"provenance.json is damaged: {' '.join(str(error).split())[:200]}") from error
+    edits = read_edits(path)
     return RunResult(
         folder=path,
-        attitudes=tuple(folder.load_all(AttitudeRecord)),
-        bodies=tuple(folder.load_all(ObservationsRecord)),
+        attitudes=tuple(edits.attitudes(folder.attitudes())),
+        bodies=tuple(edits.bodies(folder.bodies())),
         name=summary.name,
         hdu=summary.hdu,
         bottom_up=summary.bottom_up,
@@ -262,4 +294,4 @@ def _calibration(path: Path) -> dict[str, Any] | None:
     try:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError) as error:
-        raise DataError(path, "is damaged: continue the run with giantlike run --resume") from error
+        raise DataError(path, "is damaged: delete it, and giantlike run calibrates again") from error

@@ -1,21 +1,25 @@
-"""The run folder while a run is going on: one small file, a part, for each finished image and step.
-
-Parts are written whole or not at all, so a kill at any moment loses the images in flight and nothing else.
-The first line of a part is its stamp: the state of the inputs it was made from. A part whose stamp differs from that of
-today is made again, so that what a change invalidates is decided by what goes into the stamp.
-"""
+"""The run folder: results, provenance and log of a run, while it is going on and after."""
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from giantlike.campaign.store.database import Database, KnownImage, Row, Unit
 from giantlike.campaign.store.log import log_event
-from giantlike.campaign.store.records import ImageRecord, ObservationsRecord
+from giantlike.campaign.store.packing import packed, unpacked
+from giantlike.campaign.store.records import (
+    AttitudeRecord,
+    ImageRecord,
+    ObservationRecord,
+    ObservationsRecord,
+    TargetRecord,
+)
 from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Reason
@@ -25,6 +29,9 @@ Record = TypeVar("Record", bound=ImageRecord)
 CAMERA_FILE, CALIBRATION_FILE, RESIDUALS_FILE = "camera.toml", "calibration.json", "calibration_residuals.csv"
 """What a calibration writes into the run folder: the camera, the summary, every residual."""
 CALIBRATION_PAGE, REPORT_PAGE = "calibration.html", "report.html"
+RESULTS_FILE = "results.sqlite"
+TRANSFER = "transfer"
+"""Step whose records, attitudes from neighbors in time, stand for those of the step ``attitude``."""
 _PROVENANCE = "provenance.json"
 _PARTS = "parts"
 _TRIED_AGAIN = frozenset({Reason.UNREADABLE_IMAGE, Reason.INTERNAL_ERROR})
@@ -40,21 +47,18 @@ class RunFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._results = Database(path / RESULTS_FILE)
 
     @classmethod
-    def start(cls, path: Path, inputs: Mapping[str, Any], environment: Mapping[str, Any], *, resume: bool) -> RunFolder:
-        """Create a run folder, or continue with one.
+    def start(cls, path: Path, inputs: Mapping[str, Any], environment: Mapping[str, Any]) -> RunFolder:
+        """Create a run folder, or go on with one.
 
         Parameters
         ----------
         path : Path
-            Must not exist or be empty, unless ``resume`` is set.
-        inputs : mapping
-            Everything that decides the results; a run that is continued must have the same.
-        environment : mapping
-            Written to ``provenance.json`` as well.
-        resume : bool
-            Continue a run.
+            Must not exist, or be empty or a run folder.
+        inputs, environment : mapping
+            Versions, options and hashes for ``provenance.json``.
 
         Returns
         -------
@@ -63,22 +67,14 @@ class RunFolder:
         Raises
         ------
         InputError
-            The folder is not empty and ``resume`` is not set, or the inputs changed.
+            The folder holds something else.
         DataError
-            The folder cannot be made, or it is to be continued and is not a run folder.
+            The folder cannot be made, or holds the run of an older version.
         """
         folder = cls(path)
+        folder.check_usable()
         make_folder(path)
-        used = any(not item.name.startswith(".") for item in path.iterdir())
-        if used and not resume:
-            raise InputError(
-                f"{path}: the run folder is not empty; continue that run with --resume, or choose another output"
-            )
-        if used:
-            folder._check_same(inputs)
-        else:
-            folder.write_provenance({"inputs": inputs, "environment": environment})
-        make_folder(path / _PARTS)
+        folder.write_provenance({"inputs": inputs, "environment": environment})
         return folder
 
     @classmethod
@@ -96,11 +92,42 @@ class RunFolder:
         Raises
         ------
         DataError
-            There is no run in it.
+            There is no run in it, or that of an older version.
         """
         folder = cls(path)
         folder.provenance()
+        folder._check_version()
         return folder
+
+    def check_usable(self) -> None:
+        """Raise unless a run can be made here: nothing is there yet, or a run.
+
+        Raises
+        ------
+        InputError
+            The folder holds something else.
+        DataError
+            The run in it is of an older version.
+        """
+        if not self.path.exists():
+            return
+        if not self.path.is_dir():
+            raise InputError(f"{self.path}: is a file, and a run needs a folder: choose another output")
+        self._check_version()
+        others = [item.name for item in self.path.iterdir() if not item.name.startswith(".")]
+        if others and not (self.path / _PROVENANCE).is_file():
+            raise InputError(
+                f"{self.path}: is not empty and is not a run folder (it holds {sorted(others)[0]!r}); "
+                "choose another output"
+            )
+
+    def _check_version(self) -> None:
+        if (self.path / _PARTS).is_dir() and not self._results.exists():
+            raise DataError(
+                self.path,
+                "was made by version 0.2 or older, which kept a file for each image; its tables are still good: for "
+                "report and export read it with that version, or run the campaign again into another folder",
+            )
 
     def provenance(self) -> dict[str, Any]:
         """Read ``provenance.json``.
@@ -134,88 +161,229 @@ class RunFolder:
         """
         write_text_atomic(self.path / _PROVENANCE, json.dumps(content, indent=1, default=str) + "\n")
 
-    def _check_same(self, inputs: Mapping[str, Any]) -> None:
-        before = self.provenance().get("inputs", {})
-        now = json.loads(json.dumps(inputs, default=str))
-        changed = changes(before, now)
-        if changed:
-            names = ", ".join(changed[:5]) + (f" and {len(changed) - 5} more" if len(changed) > 5 else "")
-            raise InputError(
-                f"{self.path}: this run cannot be continued, because {names} changed since it was started; "
-                "undo that, or choose another output"
-            )
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """Context manager that keeps the results open, which makes many writes fast.
 
-    def save(self, record: ImageRecord, stamp: str) -> None:
-        """Write the record of a finished image.
+        Yields
+        ------
+        None
+
+        Raises
+        ------
+        DataError
+            They are damaged or cannot be written.
+        """
+        with self._results.open_for_writing():
+            yield
+
+    def save(self, record: ImageRecord, key: str, *, step: str | None = None) -> None:
+        """Keep a record.
 
         Parameters
         ----------
         record : ImageRecord
-        stamp : str
-            State of the inputs it was made from; one line of ASCII, see :func:`stamp_of`.
+        key : str
+            Hash of everything that it depends on.
+        step : str, optional
+            Default: that of the kind of record.
         """
-        write_text_atomic(self._part(type(record), record.index), f"{stamp}\n{record.model_dump_json()}")
+        light = record.light()
+        if _TRIED_AGAIN & {problem.reason for problem in record.problems}:
+            key = ""
+        points = None if light == record else packed(record.model_dump())
+        self._results.put(_unit(type(record), record.file, record.of, step), key, Row(light.model_dump_json(), points))
 
-    def load(self, kind: type[Record], index: int, file: str, *, stamp: str | None = None) -> Record | None:
-        """Record of an image.
+    def load(
+        self,
+        kind: type[Record],
+        file: str,
+        of: tuple[str, str] = ("", ""),
+        *,
+        step: str | None = None,
+        light: bool = False,
+    ) -> Record | None:
+        """Return a record.
 
         Parameters
         ----------
         kind : type
             Of the record.
-        index : int
         file : str
             Name of the image.
-        stamp : str, optional
-            If given, only a record made from these inputs is returned, and none that says that the image could not be
-            read or of an internal error: that may have been put right.
+        of : (str, str)
+            Target and estimator, where the step has them.
+        step : str, optional
+            Default: that of the kind of record.
+        light : bool
+            Without lists of points.
 
         Returns
         -------
         record or None
-            None if it is not finished, damaged, of another file or not valid any more.
-        """
-        try:
-            made_from, record = _read(kind, self._part(kind, index))
-        except (OSError, ValidationError):
-            return None
-        if record.file != file:
-            return None
-        if stamp is not None and (made_from != stamp or _TRIED_AGAIN & {each.reason for each in record.problems}):
-            return None
-        return record
+            None if there is none.
 
-    def drop_observations(self, index: int) -> None:
-        """Delete the observations of an image, if there are any: it turned out to be one without.
+        Raises
+        ------
+        DataError
+            It is damaged.
+        """
+        row = self._results.get(_unit(kind, file, of, step))
+        if row is None:
+            return None
+        try:
+            if row.points is None or light:
+                return kind.model_validate_json(row.light)
+            return kind.model_validate(unpacked(row.points))
+        except ValueError as error:
+            raise self._damaged(error) from error
+
+    def keys(self, kind: type[ImageRecord], *, step: str | None = None) -> dict[tuple[str, str, str], str]:
+        """Hashes of the records of a kind; empty for one that is to be made again whatever it depends on.
+
+        That is so if it says that the image could not be read, or of an internal error: that may have been put right.
+        Damaged records are left out.
 
         Parameters
         ----------
-        index : int
-        """
-        self._part(ObservationsRecord, index).unlink(missing_ok=True)
+        kind : type
+        step : str, optional
+            Default: that of the kind of record.
 
-    def load_all(self, kind: type[Record]) -> list[Record]:
-        """All records of a kind, in input order, without their lists of points.
+        Returns
+        -------
+        dict of (str, str, str) to str
+            By image, target and estimator.
+        """
+        return self._results.keys(step or kind.part) if self._results.exists() else {}
+
+    def load_all(self, kind: type[Record], *, step: str | None = None) -> Iterator[Record]:
+        """Yield the records of a kind that are part of the run, in input order, without their lists of points.
 
         Parameters
         ----------
         kind : type
             Of the records.
+        step : str, optional
+            Default: that of the kind of record.
 
-        Returns
-        -------
-        list
+        Yields
+        ------
+        record
 
         Raises
         ------
         DataError
             One of them is damaged.
         """
-        parts = self.path / _PARTS
-        try:
-            return [_read(kind, path)[1].light() for path in sorted(parts.glob(f"*.{kind.part}.json"))]
-        except (OSError, ValidationError) as error:
-            raise DataError(parts, f"holds a damaged part: {' '.join(str(error).split())[:200]}") from error
+        for place, path, light in self._results.rows(step or kind.part):
+            try:
+                record = kind.model_validate_json(light)
+            except ValidationError as error:
+                raise self._damaged(error) from error
+            today: dict[str, Any] = {"index": place}
+            if path and isinstance(record, AttitudeRecord):
+                today["path"] = path
+            yield record.model_copy(update=today)
+
+    def with_points(self, record: Record) -> Record:
+        """Record with the lists of points that it was kept with; those of a failure are left out.
+
+        Parameters
+        ----------
+        record : AttitudeRecord or ObservationRecord
+            As it stands after edits and transfer.
+
+        Returns
+        -------
+        record
+        """
+        full = None if record.problems else self.load(type(record), record.file, record.of)
+        if full is None:
+            return record
+        names = {"attitude": ("stars", "detected_px"), "observation": ("limb_px", "landmarks")}[record.part]
+        return record.model_copy(update={name: getattr(full, name) for name in names})
+
+    def attitudes(self) -> list[AttitudeRecord]:
+        """Attitudes of all images, from stars, a priori or transferred, in input order, without lists of stars.
+
+        Returns
+        -------
+        list of AttitudeRecord
+        """
+        transferred = {record.file: record for record in self.load_all(AttitudeRecord, step=TRANSFER)}
+        return [transferred.get(record.file, record) for record in self.load_all(AttitudeRecord)]
+
+    def bodies(self) -> list[ObservationsRecord]:
+        """Observations of all images that show a body, in input order, without limb points and outlines.
+
+        Returns
+        -------
+        list of ObservationsRecord
+        """
+        images: dict[str, ObservationsRecord] = {}
+        for record in self.load_all(ObservationRecord):
+            image = images.setdefault(record.file, ObservationsRecord(index=record.index, file=record.file))
+            image.observations.append(record)
+        for target in self.load_all(TargetRecord):
+            if target.file not in images:
+                continue
+            if target.sighting is not None:
+                images[target.file].sightings.append(target.sighting)
+            if target.note is not None:
+                images[target.file].notes.append(target.note)
+        return list(images.values())
+
+    def drop(self, kind: type[ImageRecord], files: Iterable[str], *, step: str | None = None) -> None:
+        """Delete the records of images.
+
+        Parameters
+        ----------
+        kind : type
+        files : iterable of str
+        step : str, optional
+            Default: that of the kind of record.
+        """
+        self._results.delete(_unit(kind, file, ("", ""), step) for file in files)
+
+    def images(self) -> dict[str, KnownImage]:
+        """Every image that the folder knows, by name.
+
+        Returns
+        -------
+        dict of str to KnownImage
+        """
+        return self._results.images() if self._results.exists() else {}
+
+    def set_images(self, images: Sequence[tuple[str, str]]) -> None:
+        """Say which images are part of the run, in input order: names, and paths relative to the folder.
+
+        Parameters
+        ----------
+        images : sequence of (str, str)
+        """
+        self._results.set_images(images)
+
+    def set_image_state(self, file: str, known: KnownImage) -> None:
+        """Say what the content of an image file was when it was read.
+
+        Parameters
+        ----------
+        file : str
+        known : KnownImage
+        """
+        self._results.set_image_state(file, known)
+
+    def set_places(self, kind: type[ImageRecord], places: dict[tuple[str, str, str], int]) -> None:
+        """Say which records of a kind are part of the run, and in which order those of one image come.
+
+        Parameters
+        ----------
+        kind : type
+        places : dict of (str, str, str) to int
+            By image, target and estimator.
+        """
+        self._results.set_places(kind.part, places)
 
     def log(self, event: str, **values: Any) -> None:
         """Log an event of this run, see :func:`~giantlike.campaign.store.log.log_event`.
@@ -227,8 +395,8 @@ class RunFolder:
         """
         log_event(self.path, event, **values)
 
-    def _part(self, kind: type[ImageRecord], index: int) -> Path:
-        return self.path / _PARTS / f"{index:06d}.{kind.part}.json"
+    def _damaged(self, error: ValueError) -> DataError:
+        return DataError(self._results.path, f"holds a damaged record: {' '.join(str(error).split())[:200]}")
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
@@ -276,7 +444,5 @@ def stamp_of(path: Path) -> str:
     return f"{status.st_size} {status.st_mtime_ns}"
 
 
-def _read(kind: type[Record], path: Path) -> tuple[str, Record]:
-    """Stamp (first line of a part) and record (the rest)."""
-    stamp, _, record = path.read_bytes().partition(b"\n")
-    return stamp.decode("ascii", "replace"), kind.model_validate_json(record)
+def _unit(kind: type[ImageRecord], file: str, of: tuple[str, str], step: str | None) -> Unit:
+    return (step or kind.part, file, *of)

@@ -24,6 +24,10 @@ _TOTAL = tuple(cause for cause in Cause if cause is not Cause.EPHEMERIS)
 """Causes in ``covariance_with_attitude_px2``."""
 
 
+TABLE_FILES = tuple(f"{table}.{form}" for table in ("attitudes", "observations") for form in ("csv", "parquet"))
+"""Names of the tables in the run folder."""
+
+
 def write_tables(folder: Path, attitudes: Sequence[AttitudeRecord], observations: Sequence[ObservationRecord]) -> None:
     """Write ``attitudes`` and ``observations``, each as CSV and as Parquet.
 

@@ -1,0 +1,197 @@
+"""Estimators of bodies on one image, and the outlines for its picture in the report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import TypeAlias
+
+import numpy as np
+
+from giantlike.camera import Camera
+from giantlike.campaign.file.config import Campaign, ImageEntry
+from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.border import attempt
+from giantlike.campaign.run.image_loading import scene_of, targets_in
+from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
+from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetView, TargetRecord
+from giantlike.core.outcomes import CenterFix, Failure
+from giantlike.core.time import utc_text
+from giantlike.image import AttitudeSource, Image
+from giantlike.ray_tracing import trace_silhouette
+from giantlike.relative import Estimator
+from giantlike.relative.estimator import apparent_radius_px
+from giantlike.scene import Scene, TargetGeometry
+
+_OUTLINE_ANGLES = 120
+"""Points of a predicted outline in an overlay: one every 3 deg, drawn as a polygon; no result rests on it."""
+_OUTLINE_MIN_RADIUS_PX = 2.0
+"""Apparent radius, px, below which an overlay shows a cross alone: an outline would be hidden by it."""
+
+Work: TypeAlias = tuple[str, str]
+"""Target and estimator; an empty estimator stands for what is known of the target beforehand."""
+BodyRecord: TypeAlias = ObservationRecord | TargetRecord
+
+
+def work_in(campaign: Campaign, key: str) -> list[Work]:
+    """Everything that is to be made of the bodies in an image, in the order of the tables.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    key : str
+        Of the image.
+
+    Returns
+    -------
+    list of (str, str)
+        Target and estimator.
+    """
+    return [
+        (target.name, name)
+        for target in targets_in(campaign, key)
+        for name in [*(estimator.name for estimator in target.estimators), ""]
+    ]
+
+
+def estimate_bodies(
+    bench: Workbench, entry: ImageEntry, image: Image, attitude: Attitude | None, work: Iterable[Work]
+) -> list[BodyRecord]:
+    """Run estimators on targets of an image.
+
+    Parameters
+    ----------
+    bench : Workbench
+    entry : ImageEntry
+    image : Image
+    attitude : Attitude or None
+        The one to use; None: there is none.
+    work : iterable of (str, str)
+        Targets and estimators.
+
+    Returns
+    -------
+    list of ObservationRecord or TargetRecord
+    """
+    campaign, wanted = bench.campaign, set(work)
+    if attitude is not None:
+        image = image.with_attitude(
+            attitude.rotation,
+            source=AttitudeSource(attitude.source),
+            covariance_rad2=attitude.covariance_rad2,
+            errors=attitude.errors,
+        )
+    epoch_utc = None if image.epoch is None else utc_text(image.epoch)
+    records: list[BodyRecord] = []
+    for target in targets_in(campaign, entry.key):
+        todo = [estimator for estimator in target.estimators if (target.name, estimator.name) in wanted]
+        if not todo and (target.name, "") not in wanted:
+            continue
+        scene = attempt(scene_of, campaign, image, target, bench.shapes[target.name])
+        geometry = attempt(scene.geometry, image) if isinstance(scene, Scene) else scene
+        for estimator in todo:
+            record = unobserved(entry, epoch_utc, target.name, estimator.name).replace(attitude=attitude)
+            if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
+                records.append(_observed(record, estimator, image, campaign.camera, scene, geometry))
+            else:
+                problem = Problem.of(geometry) if isinstance(geometry, Failure) else geometry
+                records.append(record.replace(problem=problem))
+        if (target.name, "") in wanted:
+            record = TargetRecord(index=entry.index, file=entry.key, target=target.name)
+            if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
+                record = record.replace(sighting=sighting_of(scene, image, geometry))
+                record = _outlined(record, campaign, geometry) if campaign.max_overlays > 0 else record
+            records.append(record)
+    return records
+
+
+def failed_bodies(
+    entry: ImageEntry, work: Iterable[Work], problem: Problem, *, epoch_utc: str | None = None
+) -> list[BodyRecord]:
+    """Failed records of an image that could not be worked on.
+
+    Parameters
+    ----------
+    entry : ImageEntry
+    work : iterable of (str, str)
+        Targets and estimators.
+    problem : Problem
+    epoch_utc : str, optional
+
+    Returns
+    -------
+    list of ObservationRecord
+        Of outlines, nothing.
+    """
+    return [
+        unobserved(entry, epoch_utc, target, estimator).replace(problem=problem)
+        for target, estimator in work
+        if estimator
+    ]
+
+
+def unobserved(entry: ImageEntry, epoch_utc: str | None, target: str, estimator: str) -> ObservationRecord:
+    """Record of an estimator that has not run yet.
+
+    Parameters
+    ----------
+    entry : ImageEntry
+    epoch_utc : str or None
+    target, estimator : str
+
+    Returns
+    -------
+    ObservationRecord
+    """
+    return ObservationRecord(
+        index=entry.index, file=entry.key, epoch_utc=epoch_utc, target=target, estimator=estimator, status="failed"
+    )
+
+
+def _outlined(record: TargetRecord, campaign: Campaign, geometry: TargetGeometry) -> TargetRecord:
+    """Record with the outline of the target."""
+    view = attempt(_view, campaign, geometry)
+    if isinstance(view, Problem):
+        return record.replace(note=f"no outline of {record.target}: {view.detail}")
+    return record.replace(view=view)
+
+
+def _observed(
+    record: ObservationRecord,
+    estimator: Estimator,
+    image: Image,
+    camera: Camera,
+    scene: Scene,
+    geometry: TargetGeometry,
+) -> ObservationRecord:
+    """Record with the result of one estimator."""
+    start = time.perf_counter()
+    record = with_prediction(record, camera, geometry)
+    outcome = attempt(estimator.estimate, image, camera, scene, record.target)
+    done = attempt(with_fix, record, camera, geometry, outcome) if isinstance(outcome, CenterFix) else outcome
+    if not isinstance(done, ObservationRecord):
+        done = record.replace(problem=Problem.of(done) if isinstance(done, Failure) else done)
+    return done.replace(time_s=time.perf_counter() - start)
+
+
+def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
+    """Predicted outline of a target; None if its center cannot be imaged."""
+    model = campaign.camera.model
+    predicted_px = model.project(geometry.position_camera_km)
+    if not np.isfinite(predicted_px).all():
+        return None
+    radius_px = apparent_radius_px(
+        campaign.camera, predicted_px, geometry.target.shape.circumscribing_radius_km, geometry.range_km
+    )
+    outline, lit = np.zeros((0, 2)), np.zeros(0, dtype=bool)
+    if radius_px >= _OUTLINE_MIN_RADIUS_PX:
+        angles = np.linspace(0.0, 2 * np.pi, _OUTLINE_ANGLES, endpoint=False)
+        edge = trace_silhouette(geometry.body(), model, angles, sun_direction_camera=geometry.sun_direction_camera)
+        outline, lit = edge.points_px[edge.valid], edge.lit[edge.valid]
+    return TargetView(
+        target=geometry.target.name,
+        predicted_px=predicted_px.tolist(),
+        radius_px=radius_px,
+        outline_px=outline.tolist(),
+        outline_lit=lit.tolist(),
+    )

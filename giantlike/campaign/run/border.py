@@ -1,0 +1,62 @@
+"""The border of a worker: what goes wrong with an image ends in its record, and nothing in it can end a run."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+from giantlike.campaign.store.records import Problem
+from giantlike.core.errors import OpNavError
+from giantlike.core.outcomes import Reason
+from giantlike.io.spice import CoverageError
+
+Answer = TypeVar("Answer")
+Arguments = ParamSpec("Arguments")
+
+
+def reading(
+    function: Callable[Arguments, Answer], *args: Arguments.args, **kwargs: Arguments.kwargs
+) -> Answer | Problem:
+    """Call a function that reads an image; damage becomes a :class:`Problem`.
+
+    Parameters
+    ----------
+    function : callable
+    *args, **kwargs
+        Its arguments.
+
+    Returns
+    -------
+    object or Problem
+    """
+    try:
+        return function(*args, **kwargs)
+    except OpNavError as error:
+        return Problem(reason=Reason.UNREADABLE_IMAGE, detail=str(error))
+
+
+def attempt(
+    function: Callable[Arguments, Answer], *args: Arguments.args, **kwargs: Arguments.kwargs
+) -> Answer | Problem:
+    """Call a function; any exception becomes a :class:`Problem`.
+
+    Parameters
+    ----------
+    function : callable
+    *args, **kwargs
+        Its arguments.
+
+    Returns
+    -------
+    object or Problem
+    """
+    try:
+        return function(*args, **kwargs)
+    except CoverageError as error:
+        return Problem(reason=Reason.NO_GEOMETRY, detail=str(error))
+    except OpNavError as error:
+        return Problem(reason=Reason.INTERNAL_ERROR, detail=str(error))
+    except Exception as error:  # noqa: BLE001 - the border of a worker: one image must never end a run
+        detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return Problem(reason=Reason.INTERNAL_ERROR, detail=detail, traceback=traceback.format_exc())

@@ -1,0 +1,183 @@
+"""Hashes of what each step of a run depends on: a result is kept as long as its hash stays the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.time import Time
+from pydantic import BaseModel
+from scipy.spatial.transform import Rotation
+
+from giantlike.campaign.file.config import ImageEntry
+from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.store.records import Attitude
+from giantlike.core.reading import file_sha256
+from giantlike.core.version import VERSION
+
+_DIGITS = 20
+"""Hexadecimal digits of a hash, 80 bits: two of a million results coincide with a chance of 1e-12."""
+
+
+class Steps:
+    """Hashes of the steps of a campaign.
+
+    What all images share is hashed once; a change of the version of the program, of a kernel or of the way in which
+    image files are read reaches every step.
+
+    Parameters
+    ----------
+    bench : Workbench
+        With the calibrated camera, where there is one.
+    """
+
+    def __init__(self, bench: Workbench) -> None:
+        campaign, navigation = bench.campaign, bench.navigation
+        self._geometry = campaign.geometry
+        self._overlays = digest(campaign.max_overlays > 0)
+        kernels = None if bench.kernels is None else sorted(bench.kernels.sha256().values())
+        setup = campaign.calibration
+        keyword = None if setup is None else setup.temperature_keyword
+        spice = None if campaign.spice is None else (campaign.spice.spacecraft, campaign.spice.camera_from_frame)
+        reading = digest(VERSION, campaign.hdu, campaign.bottom_up, kernels, spice)
+        self._camera = digest(reading, campaign.camera.to_mapping(), keyword)
+        self._apriori = digest(self._camera, campaign.apriori_sigma_rad)
+        stars = campaign.stars
+        self._stars = ""
+        if stars is not None and navigation is not None:
+            self._stars = digest(self._camera, stars.options, stars.detection, navigation.catalog.version)
+        self._targets = {
+            target.name: digest(
+                self._camera,
+                bench.shapes[target.name].sha256,
+                *(target.units, target.reflectance, target.uncertainty, target.spice_body, target.frame, target.name),
+            )
+            for target in campaign.targets
+        }
+        self._options = {
+            (target.name, estimator.name): digest(estimator.options)
+            for target in campaign.targets
+            for estimator in target.estimators
+        }
+
+    def first_stars(self, entry: ImageEntry, sha256: str, limits: object, rejected: Iterable[int]) -> str:
+        """Hash of the first identification of the stars of an image, for calibration.
+
+        Parameters
+        ----------
+        entry : ImageEntry
+        sha256 : str
+            Of the image file.
+        limits : object
+            Error of the focal length and shortest exposure of a star image.
+        rejected : iterable of int
+            Stars that a person took out.
+
+        Returns
+        -------
+        str
+        """
+        return digest(self._stars, sha256, self._pose(entry), limits, sorted(rejected))
+
+    def attitude(self, entry: ImageEntry, sha256: str, rejected: Iterable[int], *, star_image: bool) -> str:
+        """Hash of the attitude of an image, before those of its neighbors are carried to it.
+
+        Parameters
+        ----------
+        entry : ImageEntry
+        sha256 : str
+        rejected : iterable of int
+            Stars that a person took out.
+        star_image : bool
+            True if its own stars are solved; another image depends on no option of stars.
+
+        Returns
+        -------
+        str
+        """
+        if star_image and self._stars:
+            return digest(self._stars, sha256, self._pose(entry), sorted(rejected))
+        return digest(self._apriori, sha256, self._pose(entry))
+
+    def observation(
+        self, entry: ImageEntry, sha256: str, target: str, estimator: str, attitude: Attitude | None
+    ) -> str:
+        """Hash of the result of one estimator, or of what is known of a target beforehand.
+
+        Parameters
+        ----------
+        entry : ImageEntry
+        sha256 : str
+        target, estimator : str
+            An empty estimator stands for what is known beforehand.
+        attitude : Attitude or None
+            The one used.
+
+        Returns
+        -------
+        str
+        """
+        known = self._geometry.get(entry.key)
+        row = None if known is None else known.targets.get(target)
+        row = None if row is None else dataclasses.replace(row, file="", line=0, epoch=None)
+        options = self._options[target, estimator] if estimator else self._overlays
+        return digest(self._targets[target], sha256, self._pose(entry), row, estimator, options, attitude)
+
+    def _pose(self, entry: ImageEntry) -> str:
+        """Hash of what the geometry table says of an image, whatever its targets."""
+        known = self._geometry.get(entry.key)
+        return "" if known is None else digest(dataclasses.replace(known, targets={}))
+
+
+def digest(*values: Any) -> str:
+    """Short hash of values: numbers to the bit, files by their content.
+
+    Parameters
+    ----------
+    *values
+        Plain values, arrays, rotations, times, paths, dataclasses, records, and mappings and sequences of them.
+
+    Returns
+    -------
+    str
+    """
+    text = json.dumps([_plain(value) for value in values], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+
+
+def _plain(value: Any) -> Any:
+    """Value as JSON has it, different for different values."""
+    if isinstance(value, enum.Enum):
+        return [type(value).__name__, value.name]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, BaseModel):
+        return {name: _plain(getattr(value, name)) for name in type(value).model_fields}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        names = [field.name for field in dataclasses.fields(value)]
+        return [type(value).__name__, {name: _plain(getattr(value, name)) for name in names}]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Rotation):
+        return value.as_quat().tolist()
+    if isinstance(value, Time):
+        return [value.scale, float(value.jd1), float(value.jd2)]
+    if isinstance(value, Path):
+        return file_sha256(value) if value.is_file() else [(one.name, file_sha256(one)) for one in _files(value)]
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, set | frozenset):
+        return sorted((_plain(inner) for inner in value), key=json.dumps)
+    return repr(value)
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())

@@ -1,0 +1,102 @@
+"""Records as bytes: lists of numbers become arrays, the rest is JSON, all of it compressed."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+
+_FEWEST_NUMBERS = 16
+"""Numbers from which a list is kept as an array: below, the description of the array is longer than the digits."""
+_KEY = "$array"
+_LEVEL = 1
+"""Of zlib: higher levels gain 1 % on positions of stars and take four times as long."""
+_DTYPES = {"b": np.dtype("bool"), "i": np.dtype("<i8"), "f": np.dtype("<f8")}
+
+
+def packed(values: dict[str, Any]) -> bytes:
+    """Bytes of nested plain values; numbers come back to the bit.
+
+    Parameters
+    ----------
+    values : dict
+        As JSON has them.
+
+    Returns
+    -------
+    bytes
+    """
+    arrays: list[np.ndarray] = []
+    head = json.dumps(_stripped(values, arrays)).encode()
+    parts = [struct.pack("<I", len(head)), head]
+    for array in arrays:
+        parts += [array.dtype.kind.encode(), struct.pack(f"<B{array.ndim}I", array.ndim, *array.shape), array.tobytes()]
+    return zlib.compress(b"".join(parts), _LEVEL)
+
+
+def unpacked(data: bytes) -> Any:
+    """Values of :func:`packed`.
+
+    Parameters
+    ----------
+    data : bytes
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    ValueError
+        The bytes are damaged.
+    """
+    try:
+        content = zlib.decompress(data)
+        (length,) = struct.unpack_from("<I", content)
+        at, arrays = 4 + length, list[Any]()
+        while at < len(content):
+            dtype, n_axes = _DTYPES[chr(content[at])], content[at + 1]
+            shape = struct.unpack_from(f"<{n_axes}I", content, at + 2)
+            count, at = int(np.prod(shape)), at + 2 + 4 * n_axes
+            arrays.append(np.frombuffer(content, dtype, count, at).reshape(shape).tolist())
+            at += count * dtype.itemsize
+        return _filled(json.loads(content[4 : 4 + length]), arrays)
+    except (zlib.error, struct.error, KeyError, IndexError) as error:
+        raise ValueError(f"damaged: {error}") from error
+
+
+def _stripped(value: Any, arrays: list[np.ndarray]) -> Any:
+    """Value with its long lists of numbers moved to ``arrays``."""
+    if isinstance(value, dict):
+        return {key: _stripped(inner, arrays) for key, inner in value.items()}
+    if not isinstance(value, list):
+        return value
+    array = _array(value)
+    if array is None:
+        return [_stripped(inner, arrays) for inner in value]
+    arrays.append(array)
+    return {_KEY: len(arrays) - 1}
+
+
+def _array(value: list[Any]) -> np.ndarray | None:
+    """Array of a long list of numbers of one type, or of lists of equal length of them; None of anything else."""
+    first = value[0] if value else None
+    rows = value if isinstance(first, list) else [value]
+    if not rows[0] or len(rows) * len(rows[0]) < _FEWEST_NUMBERS or {len(row) for row in rows} != {len(rows[0])}:
+        return None
+    types = {type(number) for row in rows for number in row}
+    if len(types) != 1 or next(iter(types)) not in (float, int, bool):
+        return None
+    array = np.array(value)
+    return array.astype(_DTYPES[array.dtype.kind]) if array.dtype.kind in _DTYPES else None
+
+
+def _filled(value: Any, arrays: list[Any]) -> Any:
+    if isinstance(value, dict):
+        if value.keys() == {_KEY}:
+            return arrays[value[_KEY]]
+        return {key: _filled(inner, arrays) for key, inner in value.items()}
+    return [_filled(inner, arrays) for inner in value] if isinstance(value, list) else value
