@@ -18,7 +18,7 @@ import giantlike as gl
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.store.edits import Edit, Edited, add_edits
-from giantlike.campaign.store.records import ObservationRecord, TargetView, TargetRecord
+from giantlike.campaign.store.records import ObservationRecord, TargetRecord, TargetView
 from giantlike.campaign.store.results import camera_of_run, load_result
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import load_catalog

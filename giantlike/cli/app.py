@@ -51,7 +51,11 @@ _SHAPE = {
     "landmarks": Entry("Choose landmarks for surface_features.", "shape_landmarks", "landmarks"),
 }
 _COMMANDS = {
-    "run": Entry("Run a campaign: attitudes from stars, then every estimator.", "campaign_commands", "run"),
+    "init": Entry("Write a commented campaign file for a folder of images.", "check_commands", "init"),
+    "check": Entry("Show all mistakes of a campaign file and its files.", "check_commands", "check"),
+    "run": Entry("Run a campaign: attitudes from stars, then every estimator.", "run_command", "run"),
+    "status": Entry("Show the state of a run, of one at work too.", "status_commands", "status"),
+    "edit": Entry("Reject or restore images, stars and fixes of a run.", "status_commands", "edit"),
     "calibrate": Entry("Calibrate a camera from stars or a checkerboard.", "calibrate_command", "calibrate"),
     "stars": Entry("Solve the attitude of star images, without a campaign file.", "stars_command", "stars"),
     "detect": Entry("Find stars and other point sources.", "detect_command", "detect"),
@@ -110,13 +114,13 @@ def _main(
     pass
 
 
-def _group(name: str, summary: str, table: Mapping[str, Entry]) -> typer.Typer:
+def _group(name: str, summary: str, table: Mapping[str, Entry], *, completion: bool = False) -> typer.Typer:
     return typer.Typer(
         name=name,
         cls=type("Group", (LazyGroup,), {"table": table}),
         help=summary,
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=completion,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -125,6 +129,9 @@ def _group(name: str, summary: str, table: Mapping[str, Entry]) -> typer.Typer:
 
 
 app = _group(
-    "giantlike", "Ground workbench for optical navigation: spacecraft images in, navigation observables out.", _COMMANDS
+    "giantlike",
+    "Ground workbench for optical navigation: spacecraft images in, navigation observables out.",
+    _COMMANDS,
+    completion=True,
 )
 app.callback()(_main)

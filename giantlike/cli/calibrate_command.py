@@ -80,7 +80,7 @@ def calibrate(
     )
     for warning in campaign.warnings:
         say(f"giantlike: {warning}")
-    with progress_bar() as progress:
+    with progress_bar(lines=True) as progress:
         result = run_campaign(campaign, workers=workers, bodies=False, progress=progress)
     summary = result.summary()
     _show(summary, f"{result.folder / CALIBRATION_PAGE} ({result.time_s:.1f} s)", json=json)

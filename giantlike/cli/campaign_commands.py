@@ -1,4 +1,4 @@
-"""Commands on campaigns and scenes: ``run``, ``report``, ``export``, ``interlock``, ``render`` and ``demo``."""
+"""Commands on runs and scenes: ``report``, ``export``, ``interlock``, ``render`` and ``demo``."""
 
 from __future__ import annotations
 
@@ -8,39 +8,15 @@ from typing import Annotated
 
 import typer
 
-from giantlike.campaign import Campaign, RunResult, load_result, run_campaign, write_report
+from giantlike.campaign import load_result, write_report
 from giantlike.campaign.export import EXPORT_NAMES, ExportFormat, ExportOptions, PointingSource, export_run
 from giantlike.campaign.interlock import interlock_of, write_interlock
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.render.run import RenderedImage, render_images
-from giantlike.campaign.store.results import StatusCounts
-from giantlike.campaign.store.run_folder import REPORT_PAGE
-from giantlike.cli.arguments import Json, Overwrite, Resume, Run, Workers
+from giantlike.cli.arguments import Json, Overwrite, Run, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.observables.exchange import Angles
-
-
-def run(
-    path: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.")],
-    workers: Workers = None,
-    resume: Resume = False,
-    json: Json = False,
-) -> ExitCode:
-    """Run a campaign: attitudes from stars, then every estimator on every image.
-
-    Writes the run folder that the campaign names: tables, report.html, provenance.json, log.jsonl.
-    """
-    campaign = Campaign.load(path)
-    for warning in campaign.warnings:
-        say(f"giantlike: {warning}")
-    with progress_bar() as progress:
-        result = run_campaign(campaign, workers=workers, progress=progress, announce=_announce)
-    if json:
-        print_json(result.summary())
-    else:
-        _print_tables(result)
-    return ExitCode.SOME_IMAGES_FAILED if result.failed_images else ExitCode.DONE
 
 
 def report(folder: Run, json: Json = False) -> ExitCode:
@@ -183,30 +159,6 @@ def demo(
         done = run_demo(output, workers=workers, progress=progress)
     typer.echo(done.to_json() if json else done.text())
     return ExitCode.DONE if done.met else ExitCode.GOALS_MISSED
-
-
-def _announce(text: str) -> None:
-    say(f"giantlike: {text}")
-
-
-def _print_tables(result: RunResult) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
-    title = f"{result.name}: {len(result.attitudes)} images"
-    table = Table("", "ok", "suspect", "failed", "reasons", title=escape(title))
-    rows = {"attitude": StatusCounts.of(result.attitudes)}
-    for (target, estimator), records in result.by_estimator.items():
-        rows[f"{target}: {estimator}"] = StatusCounts.of(records)
-    for name, counts in rows.items():
-        reasons = ", ".join(f"{reason} ({count})" for reason, count in counts.reasons.items())
-        table.add_row(escape(name), str(counts.ok), str(counts.suspect), str(counts.failed), reasons)
-    Console().print(table)
-    failed = result.failed_images
-    names = ", ".join(failed[:5]) + (", ..." if len(failed) > 5 else "")
-    typer.echo(f"{len(failed)} images failed" + (f": {names}" if failed else ""))
-    typer.echo(f"{result.folder}/{REPORT_PAGE} ({result.time_s:.1f} s)")
 
 
 def _fields(image: RenderedImage) -> dict[str, object]:

@@ -1,18 +1,31 @@
-"""A progress bar for people: on stderr, and only when that is a terminal."""
+"""Progress for people, on stderr: a bar on a terminal, elsewhere at most a line per so many images."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
+
+from giantlike.cli.outcome import say
 
 Item = TypeVar("Item")
 
 
+_MOST_LINES, _FEWEST_IMAGES = 20, 10
+"""Lines per step in a log file, and images per line: a short run needs none, a long one some that are easy to count."""
+
+
 @contextlib.contextmanager
-def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+def progress_bar(*, lines: bool = False) -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar inside a ``with`` block.
+
+    Parameters
+    ----------
+    lines : bool
+        Where stderr is no terminal, write a line per so many images; otherwise nothing is shown there.
 
     Yields
     ------
@@ -20,7 +33,7 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
         Takes the name of the step, the number of images done, and of all.
     """
     if not sys.stderr.isatty():
-        yield _nothing
+        yield _Lines() if lines else _nothing
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -55,6 +68,42 @@ def with_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
             progress(stage, number, len(items))
             yield item
         progress(stage, len(items), len(items))
+
+
+class _Lines:
+    """A line per N images: 10, 20, 50, 100, ..., so that a step has no more than some 20."""
+
+    def __init__(self) -> None:
+        self._start: dict[str, tuple[float, int]] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Write a line if it is time for one."""
+        begun, before = self._start.setdefault(stage, (time.monotonic(), done))
+        if done % images_per_line(total) or done == before:
+            return
+        spent_s = time.monotonic() - begun
+        left_s = spent_s / (done - before) * (total - done)
+        say(f"giantlike: {stage}: {done} of {total} images, {spent_s:.0f} s, about {left_s:.0f} s left")
+
+
+def images_per_line(total: int) -> int:
+    """Number of images from one line to the next.
+
+    Parameters
+    ----------
+    total : int
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
+    >>> [images_per_line(total) for total in (9, 300, 1000, 30_000)]
+    [10, 20, 50, 2000]
+    """
+    steps = (factor * int(10**power) for power in itertools.count(1) for factor in (1, 2, 5))
+    return next(step for step in steps if step >= _FEWEST_IMAGES and step * _MOST_LINES >= total)
 
 
 def _nothing(stage: str, done: int, total: int) -> None:

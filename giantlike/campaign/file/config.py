@@ -210,7 +210,7 @@ class Campaign:
 
 def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Campaign:
     folder = path.parent
-    images = _images(path, content.images.files)
+    images = images_of(path, content.images.files)
     camera, camera_file = camera_of(path, content.camera)
     preset = preset_of(content.camera)
     geometry_file = None
@@ -243,7 +243,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         camera=camera,
         camera_file=camera_file,
         spice=spice,
-        stars=None if stars is None else _stars(path, stars),
+        stars=None if stars is None else stars_of(path, stars),
         calibration=calibration,
         targets=targets,
         max_overlays=content.report.max_overlays,
@@ -252,8 +252,24 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     )
 
 
-def _images(path: Path, patterns: Sequence[str]) -> tuple[ImageEntry, ...]:
-    """Files of all patterns, each once, in order; a pattern that matches no file is refused."""
+def images_of(path: Path, patterns: Sequence[str]) -> tuple[ImageEntry, ...]:
+    """Image files of a campaign, each once, in order.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign file.
+    patterns : sequence of str
+
+    Returns
+    -------
+    tuple of ImageEntry
+
+    Raises
+    ------
+    InputError
+        A pattern matches no file.
+    """
     folder = path.parent
     found: dict[Path, None] = {}
     for pattern in patterns:
@@ -271,7 +287,24 @@ def _relative(file: Path, folder: Path) -> str:
     return file.relative_to(folder).as_posix() if file.is_relative_to(folder) else file.as_posix()
 
 
-def _stars(path: Path, section: StarsSection) -> StarsSetup:
+def stars_of(path: Path, section: StarsSection) -> StarsSetup:
+    """Star processing of a ``[stars]`` section.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign file.
+    section : StarsSection
+
+    Returns
+    -------
+    StarsSetup
+
+    Raises
+    ------
+    InputError
+        A file is missing, or an option is out of range.
+    """
     with named("[stars]: "):
         options = replace(section.options, max_magnitude=section.max_magnitude, lost_in_space=section.lost_in_space)
         transfer = TransferOptions(

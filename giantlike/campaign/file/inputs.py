@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
+from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.options import options_from_mapping, with_files_found
 from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
 from giantlike.campaign.file.toml_file import named
@@ -422,8 +423,8 @@ def _estimators(path: Path, where: str, section: TargetSection) -> tuple[Estimat
     """Estimators of a target; options of those that do not run are checked as well."""
     for key, names in (("estimators", section.estimators), ("options", section.options)):
         for name in names:
-            known = ", ".join(sorted(ESTIMATORS))
-            require(name in ESTIMATORS, f"{where}.{key}: unknown estimator {name!r}; there are {known}")
+            known, hint = ", ".join(sorted(ESTIMATORS)), nearest(name, ESTIMATORS)
+            require(name in ESTIMATORS, f"{where}.{key}: unknown estimator {name!r}{hint}; there are {known}")
     distinct = len(set(section.estimators)) == len(section.estimators)
     require(distinct, f"{where}.estimators: an estimator is named twice")
     built: dict[str, Estimator] = {}

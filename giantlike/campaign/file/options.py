@@ -10,6 +10,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from pydantic import PlainValidator, TypeAdapter, ValidationError
 
+from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.toml_file import named
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
@@ -45,7 +46,8 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
     known = [field.name for field in dataclasses.fields(kind) if field.init]  # type: ignore[arg-type]
     values = {}
     for name, value in table.items():
-        require(name in known, f"{where}: unknown option {name!r}; options are {', '.join(known) or 'none'}")
+        options = ", ".join(known) or "none"
+        require(name in known, f"{where}: unknown option {name!r}{nearest(name, known)}; options are {options}")
         hint = hints[name]
         if isinstance(hint, type) and dataclasses.is_dataclass(hint):
             values[name] = options_from_mapping(hint, value, f"{where}.{name}")

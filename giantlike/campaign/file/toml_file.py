@@ -11,6 +11,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from giantlike.campaign.file.hints import nearest
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.reading import toml_table
 
@@ -72,14 +73,52 @@ def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dic
     """
     table = toml_table(path, what)
     try:
-        # Strict JSON rules fit TOML: they allow text for an enumeration, but no text for a number.
-        return model.model_validate_json(json.dumps(table, default=_refuse_dates)), table
+        return checked_table(table, model), table
     except ValidationError as error:
         raise DataError(path, _first_problem(error, model)) from error
     except InputError as error:
         raise DataError(path, str(error)) from error
     except RecursionError as error:
         raise DataError(path, "its brackets are nested too deeply") from error
+
+
+def checked_table(table: dict[str, Any], model: type[Content]) -> Content:
+    """Check a plain table by the model of its keys.
+
+    Parameters
+    ----------
+    table : dict
+    model : type
+
+    Returns
+    -------
+    model
+
+    Raises
+    ------
+    ValidationError
+        A key or a value is wrong; :func:`problems_of` has it in words.
+    InputError
+        A value has a type that no key takes.
+    """
+    # Strict JSON rules fit TOML: they allow text for an enumeration, but no text for a number.
+    return model.model_validate_json(json.dumps(table, default=_refuse_dates))
+
+
+def problems_of(error: ValidationError, model: type[BaseModel]) -> list[tuple[str, str]]:
+    """Every problem of a table.
+
+    Parameters
+    ----------
+    error : ValidationError
+    model : type
+
+    Returns
+    -------
+    list of (str, str)
+        Dotted name of the key, and one line.
+    """
+    return [(key_text(problem["loc"]), _one_problem(problem, model)) for problem in error.errors()]
 
 
 def _refuse_dates(value: object) -> Any:
@@ -98,7 +137,8 @@ def _one_problem(problem: ErrorDetails, model: type[BaseModel]) -> str:
     location = problem["loc"]
     key = key_text(location)
     if problem["type"] == "extra_forbidden":
-        return f"unknown key {key}; keys there are {', '.join(_section(location, model).model_fields)}"
+        known = _section(location, model).model_fields
+        return f"unknown key {key}{nearest(str(location[-1]), known)}; keys there are {', '.join(known)}"
     if problem["type"] == "missing":
         return f"key {key} is missing"
     if problem["type"] in {"too_short", "string_too_short"} and not problem["input"]:

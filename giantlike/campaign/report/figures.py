@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.campaign.report.templates import PageFigure
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetView, TargetRecord
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord, TargetView
 from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float

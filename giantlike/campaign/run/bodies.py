@@ -14,7 +14,7 @@ from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.border import attempt
 from giantlike.campaign.run.image_loading import scene_of, targets_in
 from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
-from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetView, TargetRecord
+from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
@@ -97,11 +97,11 @@ def estimate_bodies(
                 problem = Problem.of(geometry) if isinstance(geometry, Failure) else geometry
                 records.append(record.replace(problem=problem))
         if (target.name, "") in wanted:
-            record = TargetRecord(index=entry.index, file=entry.key, target=target.name)
+            known = TargetRecord(index=entry.index, file=entry.key, target=target.name)
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
-                record = record.replace(sighting=sighting_of(scene, image, geometry))
-                record = _outlined(record, campaign, geometry) if campaign.max_overlays > 0 else record
-            records.append(record)
+                known = known.replace(sighting=sighting_of(scene, image, geometry))
+                known = _outlined(known, campaign, geometry) if campaign.max_overlays > 0 else known
+            records.append(known)
     return records
 
 

@@ -88,6 +88,8 @@ def run_campaign(
             before = _provenance(folder)
             inputs = inputs_of(campaign, bench)
             changed = changes(before.get("inputs", {}), inputs) if before else []
+            if before.get("run") is not None and before.get("edits", "") != _edits_digest(folder):
+                changed.append("the edit list")
             RunFolder.start(campaign.output, inputs, environment_of(campaign))
             folder.log("run_started", images=len(campaign.images), changed=changed, taken_over_from=dead)
             for warning in campaign.warnings:

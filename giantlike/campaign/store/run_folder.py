@@ -346,6 +346,15 @@ class RunFolder:
         """
         self._results.delete(_unit(kind, file, ("", ""), step) for file in files)
 
+    def has_results(self) -> bool:
+        """Return True if a run has begun to write here.
+
+        Returns
+        -------
+        bool
+        """
+        return self._results.exists()
+
     def images(self) -> dict[str, KnownImage]:
         """Every image that the folder knows, by name.
 

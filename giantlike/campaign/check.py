@@ -1,0 +1,236 @@
+"""All mistakes of a campaign file and of the files that it names, at once, before anything is run."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from giantlike.calibration.star_images import start_model
+from giantlike.campaign.file.config import Campaign, images_of, stars_of
+from giantlike.campaign.file.inputs import camera_of, geometry_of, spice_of, targets_of
+from giantlike.campaign.file.schema import CampaignFile, TargetSection
+from giantlike.campaign.file.toml_file import checked_table, problems_of
+from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
+from giantlike.core.errors import DataError, InputError, OpNavError
+from giantlike.core.reading import toml_table
+from giantlike.image import Image
+from giantlike.shapes import Shape
+
+_KEY = re.compile(r"\[?((?:campaign|images|camera|spice|stars|calibration|targets|report)\b[\w.\[\]]*?)\]?:? ")
+_ALONE: dict[str, Any] = {"shape": (1.0, 1.0, 1.0), "reflectance": None, "estimators": ["moment"], "options": {}}
+"""Keys of a target that stand in while one of them is checked."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mistake:
+    """Something that is wrong, or probably not meant.
+
+    Parameters
+    ----------
+    file : Path
+    line : int or None
+        In the campaign file; None where it is about another file, or about all of it.
+    key : str
+        Of the campaign file; may be empty.
+    text : str
+        What was found, what was expected, what to do.
+    fatal : bool
+        False where a run would go on.
+    """
+
+    file: Path
+    line: int | None
+    key: str
+    text: str
+    fatal: bool = True
+
+    def __str__(self) -> str:
+        place = str(self.file) if self.line is None else f"{self.file}:{self.line}"
+        return f"{place}: {'' if self.fatal else 'warning: '}{self.text}"
+
+
+def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
+    """Look for mistakes in a campaign file and the files that it names.
+
+    Parameters
+    ----------
+    path : Path
+    all_images : bool
+        Open every image; otherwise the first of each pattern.
+
+    Returns
+    -------
+    list of Mistake
+        In the order of the file; empty if all is well.
+    """
+    check = _Check(path)
+    try:
+        table = toml_table(path, "campaign file")
+        check.lines = lines_of_keys(path.read_text(encoding="utf-8"))
+    except DataError as error:
+        line = re.search(r"at line (\d+)", str(error))
+        check.add("", error, line=None if line is None else int(line.group(1)))
+        return check.found
+    broken = _keys_and_values(check, table)
+    _named_files(check, table, broken)
+    if not check.found:
+        try:
+            campaign = Campaign.load(path)
+        except OpNavError as error:
+            check.add("", error)
+        else:
+            _what_is_meant(check, campaign, all_images=all_images)
+    return sorted(check.found, key=lambda mistake: (not mistake.fatal, mistake.line or 0))
+
+
+class _Check:
+    """Mistakes found so far."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.lines: dict[str, int] = {}
+        self.found: list[Mistake] = []
+
+    def add(self, key: str, problem: object, *, line: int | None = None, fatal: bool = True) -> None:
+        """Add a mistake; a text that begins with a key tells the place better than ``key``."""
+        text = " ".join(str(problem).split()).removeprefix(f"{self.path}: ")
+        named = _KEY.match(text)
+        if named is not None:
+            key = named.group(1)
+        place = line or line_of(key, self.lines)
+        if not any(mistake.text == text for mistake in self.found):
+            self.found.append(Mistake(file=self.path, line=place, key=key, text=text, fatal=fatal))
+
+    def attempt(self, key: str, function: Callable[..., Any], *args: Any) -> Any:
+        """Result of a function; None, and a mistake more, if it refuses its arguments."""
+        try:
+            return function(*args)
+        except (OpNavError, ValidationError) as error:
+            self.add(key, error)
+            return None
+
+
+def _keys_and_values(check: _Check, table: dict[str, Any]) -> set[str]:
+    """Every wrong key and value; the sections that have one."""
+    try:
+        checked_table(table, CampaignFile)
+    except ValidationError as error:
+        problems = problems_of(error, CampaignFile)
+        for key, text in problems:
+            check.add(key, text)
+        return {key.partition(".")[0].partition("[")[0] for key, _ in problems}
+    except InputError as error:
+        check.add("", error)
+        return set(table)
+    return set()
+
+
+def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None:
+    """Files, names and options of every section that has no wrong key."""
+
+    def section(name: str) -> Any:
+        if name in broken or name not in table:
+            return None
+        field = CampaignFile.model_fields[name]
+        annotation: Any = field.annotation
+        return TypeAdapter(annotation).validate_json(json.dumps(table[name]))
+
+    path, images = check.path, section("images")
+    targets = [(number, target) for number, target in _targets(table) if target is not None]
+    for pattern in images.files if images is not None else ():
+        check.attempt("images.files", images_of, path, [pattern])
+    camera = check.attempt("camera", camera_of, path, table["camera"]) if section("camera") is not None else None
+    spice = check.attempt("spice", spice_of, path, section("spice"))
+    if images is not None and images.geometry is not None:
+        bodies = [target for _, target in targets]
+        check.attempt("images.geometry", geometry_of, path, "images.geometry", images.geometry, bodies)
+    stars, calibration = section("stars"), section("calibration")
+    if stars is not None:
+        check.attempt("stars", stars_of, path, stars)
+    if calibration is not None and camera is not None:
+        model = camera[0].model
+        check.attempt("calibration.estimate", start_model, model, calibration.estimate, calibration.model, 1.0)
+    for number, target in targets:
+        for key, alone in _pieces(target):
+            padding = [target.model_copy(update=_ALONE | {"name": f"\0{place}"}) for place in range(number)]
+            check.attempt(f"targets[{number}].{key}", targets_of, path, [*padding, alone], spice)
+    names: set[str] = set()
+    for number, name in ((number, target.name) for number, target in targets):
+        if name in names:
+            check.add(f"targets[{number}].name", f"targets[{number}].name: {name!r} is the name of another target too")
+        names.add(name)
+
+
+def _targets(table: dict[str, Any]) -> Iterator[tuple[int, TargetSection | None]]:
+    """Yield the targets one by one; None for one with a wrong key or value, which leaves the others to be looked at."""
+    tables = table.get("targets")
+    for number, target in enumerate(tables if isinstance(tables, list) else []):
+        try:
+            yield number, TargetSection.model_validate_json(json.dumps(target, default=str))
+        except (ValidationError, InputError):
+            yield number, None
+
+
+def _pieces(target: TargetSection) -> Iterator[tuple[str, TargetSection]]:
+    """Yield a target once for each of its keys that may be wrong, the others replaced by what is right."""
+    kept = {"options": {}, "estimators": ["moment"]}
+    yield "shape", target.model_copy(update=kept | {"reflectance": None})
+    yield "reflectance", target.model_copy(update=_ALONE | {"reflectance": target.reflectance})
+    yield "estimators", target.model_copy(update=_ALONE | {"estimators": target.estimators})
+    for name, options in target.options.items():
+        yield f"options.{name}", target.model_copy(update=_ALONE | {"options": {name: options}})
+
+
+def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> None:
+    """What is allowed, and probably not meant."""
+    for warning in campaign.warnings:
+        named = re.match(r"target '(.*?)'", warning)
+        number = next((k for k, one in enumerate(campaign.targets) if named and one.name == named.group(1)), None)
+        check.add("images.geometry" if number is None else f"targets[{number}].name", warning, fatal=False)
+    for number, section in enumerate(campaign.table.get("targets", [])):
+        for name in section.get("options", {}):
+            if name not in section["estimators"]:
+                text = f"options of {name}, which is not in estimators and does not run: add it there, or delete them"
+                check.add(f"targets[{number}].options.{name}", text, fatal=False)
+    for number, target in enumerate(campaign.targets):
+        shape = check.attempt(f"targets[{number}].shape", target.load_shape)
+        if shape is not None:
+            _units(check, campaign, number, shape)
+    opened = campaign.images if all_images else campaign.images[:1]
+    for entry in opened:
+        image = check.attempt("images.files", _opened, campaign, entry.path)
+        if image is not None:
+            check.attempt("camera", campaign.camera.require_image, image)
+
+
+def _opened(campaign: Campaign, path: Path) -> Image:
+    return Image.open(path, hdu=campaign.hdu, bottom_up=campaign.bottom_up)
+
+
+def _units(check: _Check, campaign: Campaign, number: int, shape: Shape) -> None:
+    """A camera inside of a body says that the unit of one of the two is wrong."""
+    name = campaign.targets[number].name
+    ranges = {
+        key: float(np.linalg.norm(row.target_position_inertial_km))
+        for key, known in campaign.geometry.items()
+        if (row := known.targets.get(name)) is not None and row.target_position_inertial_km is not None
+    }
+    inside = _nearest_inside(ranges, shape.circumscribing_radius_km)
+    if inside:
+        check.add(
+            f"targets[{number}].units",
+            f"{name} has a radius of {shape.circumscribing_radius_km:.4g} km, and the camera is within it in "
+            f'{len(inside)} images ({inside[0]!r}: range {ranges[inside[0]]:.4g} km): is the shape in m (units = "m")?',
+        )
+
+
+def _nearest_inside(ranges: dict[str, float], radius_km: float) -> Sequence[str]:
+    """Images whose range is below the radius, nearest first."""
+    return sorted((key for key, range_km in ranges.items() if range_km < radius_km), key=lambda key: ranges[key])

@@ -1,0 +1,33 @@
+"""Names that are near to a misspelled one."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+_LIKENESS = 0.6
+"""Share of letters in common from which a name is suggested: the default of difflib, one slip in five letters."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return a hint at the name that may be meant.
+
+    Parameters
+    ----------
+    name : str
+    known : iterable of str
+
+    Returns
+    -------
+    str
+        Empty, or with a space before it.
+
+    Examples
+    --------
+    >>> nearest("limb_maching", ["limb_matching", "moment"])
+    " (did you mean 'limb_matching'?)"
+    >>> nearest("x", ["limb_matching"])
+    ''
+    """
+    found = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=_LIKENESS)
+    return f" (did you mean {found[0]!r}?)" if found else ""

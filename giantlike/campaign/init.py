@@ -1,0 +1,171 @@
+"""A commented campaign file for a folder of images, to be completed by a person."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from giantlike.core.arrays import require
+from giantlike.core.atomic import write_text_atomic
+from giantlike.core.errors import DataError, InputError
+from giantlike.image import Image
+
+_LOOKED_AT = 20
+"""Images that are opened, evenly over the folder: enough to see two kinds of exposure and a mixture of sizes."""
+_LONG_S = 1.0
+"""Exposure, s, from which an image is proposed as one of stars, where a folder has shorter ones too."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraChoice:
+    """Camera of a new campaign: a file, a preset, or a rough field of view.
+
+    Parameters
+    ----------
+    file : Path, optional
+    preset : str, optional
+    fov_deg : float, optional, deg
+        Along x.
+    """
+
+    file: Path | None = None
+    preset: str | None = None
+    fov_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in (self.file, self.preset, self.fov_deg) if name is not None]
+        require(len(given) == 1, "give one of --camera FILE, --preset NAME and --fov DEG (rough field of view along x)")
+
+
+def write_campaign_file(images: Path, output: Path, camera: CameraChoice, *, overwrite: bool = False) -> Path:
+    """Look at a folder of images and write a campaign file for them.
+
+    Parameters
+    ----------
+    images : Path
+        Folder; what it holds that is no image is left out by the pattern.
+    output : Path
+        New file.
+    camera : CameraChoice
+    overwrite : bool
+        Replace a file that is there.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        There is no image in the folder, or the file is there.
+    DataError
+        The file cannot be written.
+    """
+    require(images.is_dir(), f"{images}: is no folder")
+    require(overwrite or not output.exists(), f"{output}: is there already; use --overwrite, or --output another file")
+    suffix, opened = _looked_at(images)
+    sizes = Counter((image.columns, image.rows) for image in opened)
+    (size, _), *others = sizes.most_common()
+    pattern = Path(os.path.relpath(images, output.parent), f"*{suffix}").as_posix()
+    text = _TEMPLATE.format(
+        name=json.dumps(images.resolve().name),
+        pattern=json.dumps(pattern),
+        camera=_camera(camera, size, output.parent),
+        sizes="" if not others else f"# Images of other sizes, which this camera refuses: {dict(others)}\n",
+        stars=_stars(opened),
+        found=_found(opened),
+    )
+    write_text_atomic(output, text)
+    return output
+
+
+def _looked_at(folder: Path) -> tuple[str, list[Image]]:
+    """The most frequent suffix of image files, and some of the images."""
+    files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    for suffix, _ in Counter(path.suffix for path in files).most_common():
+        of_kind = [path for path in files if path.suffix == suffix]
+        opened = []
+        for path in of_kind[:: max(1, len(of_kind) // _LOOKED_AT)]:
+            try:
+                opened.append(Image.open(path))
+            except DataError:
+                continue
+        if opened:
+            return suffix, opened
+    raise InputError(f"{folder}: holds no image of a readable format")
+
+
+def _camera(camera: CameraChoice, size: tuple[int, int], base: Path) -> str:
+    if camera.file is not None:
+        return f"file = {json.dumps(Path(os.path.relpath(camera.file, base)).as_posix())}"
+    if camera.preset is not None:
+        return f"preset = {json.dumps(camera.preset)}"
+    return (
+        f"columns = {size[0]}\nrows = {size[1]}\nfov_deg = {camera.fov_deg}        "
+        "# rough, along x: give a camera file, or a [calibration] below"
+    )
+
+
+def _stars(images: Sequence[Image]) -> str:
+    exposures = sorted(image.exposure_s for image in images if image.exposure_s is not None)
+    if exposures and exposures[0] < _LONG_S <= exposures[-1]:
+        return (
+            f"long_exposure_s = {_LONG_S}       # exposures here: {exposures[0]:g} to {exposures[-1]:g} s; longer ones "
+            "are star images,\n                            # shorter ones take their attitude from them"
+        )
+    return "# long_exposure_s = 1.0     # longer exposures are star images, shorter ones take their attitude from them"
+
+
+def _found(images: Sequence[Image]) -> str:
+    counts = {
+        "an epoch": sum(image.epoch is not None for image in images),
+        "an exposure time": sum(image.exposure_s is not None for image in images),
+        "an attitude": sum(image.camera_from_inertial is not None for image in images),
+        "a place of the spacecraft": sum(image.observer is not None for image in images),
+    }
+    found = ", ".join(f"{name} in {count}" for name, count in counts.items())
+    return f"{len(images)} images looked at; headers have {found}"
+
+
+_TEMPLATE = """\
+# Campaign file, made by giantlike init: complete it, then giantlike check, then giantlike run.
+# Every key is described in docs/campaign_file.md. Paths are relative to this file.
+# {found}.
+
+[campaign]
+name = {name}
+output = "run"              # the run folder; running again goes on with what it holds
+
+[images]
+files = [{pattern}]
+{sizes}# geometry = "geometry.csv"  # a priori attitude, position of bodies and of the spacecraft, per image
+# attitude_sigma_deg = 0.1   # one sigma of a priori attitudes
+
+[camera]
+{camera}
+
+# [spice]                    # what table and headers leave out
+# kernels = ["kernels/*.tls", "kernels/*.bsp", "kernels/*.tpc", "kernels/*.bc"]
+# spacecraft = "-64"
+# frame = "CAMERA_FRAME"     # a priori attitudes from a CK
+
+[stars]                      # delete this table if attitudes are not to be solved from stars
+lost_in_space = true         # without a priori attitudes, or where they do not lead to a solution
+# max_magnitude = 9.0
+{stars}
+
+# [calibration]              # estimate the camera from the stars of all images first
+# estimate = ["fx_px", "fy_px", "k1"]
+
+# [[targets]]                # one table per body
+# name = "BODY"
+# shape = "body.obj"         # or {{ radii_km = [1.0, 1.0, 1.0] }}
+# units = "km"               # of the file: km, m or auto
+# estimators = ["auto"]      # giantlike estimators lists them
+# options.auto = {{}}
+"""

@@ -1,0 +1,99 @@
+"""Commands that look at runs and edit them: ``status`` and ``edit``."""
+
+from __future__ import annotations
+
+import getpass
+import time
+from dataclasses import asdict
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from giantlike.campaign.status import status_of_run
+from giantlike.campaign.store.edits import Edit, Edited, add_edits, read_edits
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
+from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.cli.arguments import Json, Run
+from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.core.arrays import require
+
+
+class Action(StrEnum):
+    """What to do with the edit list."""
+
+    LIST = "list"
+    REJECT = "reject"
+    RESTORE = "restore"
+
+
+def status(folder: Run, json: Json = False) -> ExitCode:
+    """Show the state of a run, of one at work too: what is done, what failed and why, and who is at it."""
+    found = status_of_run(folder)
+    if json:
+        print_json(asdict(found))
+        return ExitCode.DONE
+    holder = "" if found.holder is None else f" ({found.holder})"
+    last = "" if found.last_event is None else f", last event {found.last_event}"
+    typer.echo(f"{found.folder}: {found.state}{holder}, {found.images} images{last}")
+    for name, step in found.steps.items():
+        expected = "" if step.expected is None else f" of {step.expected}"
+        counts = ", ".join(f"{count} {status}" for status, count in sorted(step.statuses.items()))
+        typer.echo(f"{name}: {step.done}{expected} done: {counts}")
+        for reason, count in step.reasons.items():
+            typer.echo(f"  {reason} ({count}), such as {step.example[reason]}")
+    if found.edits:
+        typer.echo(f"{found.edits} rejections by hand; giantlike edit {folder} list")
+    return ExitCode.DONE
+
+
+def edit(
+    folder: Run,
+    action: Annotated[Action, typer.Argument(help="list, reject or restore.")],
+    file: Annotated[str | None, typer.Argument(metavar="IMAGE", help="Name of the image in the tables.")] = None,
+    star: Annotated[int | None, typer.Option(help="Number of a star of it, in the catalog.", metavar="ID")] = None,
+    target: Annotated[str | None, typer.Option(help="Target of a fix of it.")] = None,
+    estimator: Annotated[str | None, typer.Option(help="Estimator of that fix.")] = None,
+    why: Annotated[str | None, typer.Option(help="Reason, for those who come after.")] = None,
+    who: Annotated[str | None, typer.Option(help="Default: the user.")] = None,
+    json: Json = False,
+) -> ExitCode:
+    """Reject or restore an image of a run, a star of it or a fix of it.
+
+    The edit list stands beside the results, with who, when and why. Every later run, report and export honors it;
+    results are kept, so that they can be restored.
+    """
+    run = RunFolder.open(folder)
+    if action is Action.LIST:
+        edits = read_edits(folder).edits
+        if json:
+            print_json([one.model_dump(mode="json", exclude_none=True) for one in edits])
+        else:
+            for one in edits:
+                typer.echo(_line(one))
+        return ExitCode.DONE
+    require(file is not None and why is not None, f"{action} needs an IMAGE and --why TEXT")
+    require((target is None) == (estimator is None), "a fix has a --target and an --estimator")
+    require(star is None or target is None, "give either --star or --target and --estimator")
+    known = run.keys(AttitudeRecord)
+    require((file, "", "") in known, f"{folder}: there is no image {file!r} in this run")
+    if target is not None:
+        there = (file, target, estimator) in run.keys(ObservationRecord)
+        require(there, f"{folder}: {file} has no observation of {target!r} by {estimator!r}")
+    what = Edited.STAR if star is not None else Edited.FIX if target is not None else Edited.IMAGE
+    made = Edit.model_validate(
+        {"action": str(action), "what": what, "file": file, "star": star, "target": target, "estimator": estimator,
+         "who": who or getpass.getuser(), "when_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "why": why}
+    )  # fmt: skip
+    add_edits(folder, [made])
+    if json:
+        print_json(made.model_dump(mode="json", exclude_none=True))
+    else:
+        typer.echo(f"{_line(made)}\nrun the campaign again to bring tables and report up to date")
+    return ExitCode.DONE
+
+
+def _line(edit: Edit) -> str:
+    which = "" if edit.star is None else f" star {edit.star}"
+    which += "" if edit.target is None else f" {edit.target}: {edit.estimator}"
+    return f"{edit.when_utc} {edit.who}: {edit.action} {edit.what} {edit.file}{which}: {edit.why}"
