@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any
 
 import pytest
 import tomli_w
+from typer.testing import CliRunner, Result
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.image_loading import open_image
@@ -21,6 +24,7 @@ from giantlike.campaign.store.lock import holder_of, is_locked, locked
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, StepCount, load_result
 from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.cli.app import app
 from giantlike.core.errors import DataError, InputError
 from tests.campaign_files import CAMERA, campaign_table, write_campaign
 
@@ -320,3 +324,40 @@ def test_a_damaged_edit_is_refused_with_its_line(copied: Path) -> None:
     (copied.parent / "run" / "edits.jsonl").write_text('{"action": "reject"}\n')
     with pytest.raises(DataError, match=r"edits\.jsonl: line 1 is no edit, mend or delete it"):
         run_campaign(Campaign.load(copied), workers=1)
+
+
+# --- status and edit at the shell ------------------------------------------------------------------------------------
+
+
+def giantlike(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_status_tells_the_state_of_a_run_and_edit_keeps_who_when_and_why(copied: Path) -> None:
+    run = copied.parent / "run"
+    state = json.loads(giantlike("status", run, "--json").stdout)
+    assert (state["state"], state["images"], state["steps"]["attitudes"]["done"]) == ("finished", 6, 6)
+    with locked(run):
+        assert f"run: running (process {os.getpid()} of " in giantlike("status", run).stdout
+    done = giantlike("edit", run, "reject", "visit0_a_long.fits", "--why", "smear", "--who", "ann")
+    assert "ann: reject image visit0_a_long.fits: smear" in done.stdout
+    assert "rejected (1), such as visit0_a_long.fits: by ann on 20" in giantlike("status", run).stdout
+    assert (
+        "there is no image 'none.fits' in this run"
+        in giantlike("edit", run, "reject", "none.fits", "--why", "x").stderr
+    )
+    fix = ("--target", "PEBBLE", "--estimator", "moment", "--why", "x")
+    assert (
+        "no observation of 'PEBBLE' by 'moment'" in giantlike("edit", run, "reject", "visit0_b_short.fits", *fix).stderr
+    )
+    (listed,) = json.loads(giantlike("edit", run, "list", "--json").stdout)
+    assert (listed["who"], listed["why"], listed["what"]) == ("ann", "smear", "image")
+
+
+def test_a_run_tells_reasons_in_full_and_verbosely_each_image(copied: Path) -> None:
+    (copied.parent / "images" / "visit0_c_long.fits").write_text("no image")
+    shown = giantlike("run", copied, "--workers", "1", "-v")
+    assert shown.exit_code == 1
+    assert re.search(r"^unreadable_image:\n  .*visit0_c_long.fits: .*format", shown.stdout, re.M)
+    assert re.search(r"^visit0_c_long.fits: failed: unreadable_image: ", shown.stderr, re.M)
+    assert re.search(r"^visit0_b_short.fits PEBBLE limb_matching: ok$", shown.stderr, re.M)

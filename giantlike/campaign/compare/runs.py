@@ -1,0 +1,183 @@
+"""One run beside another: the same images with another camera, shape, option or version."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from giantlike.campaign.compare.differences import Comparison, Difference, differences_of
+from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
+from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause, summed
+from giantlike.core.errors import InputError
+from giantlike.core.frames import rotation_between
+from giantlike.core.units import ARCSEC_PER_RAD
+
+_OF_PIXELS = (Cause.NOISE, Cause.BACKGROUND, Cause.ALBEDO)
+"""Causes that two fixes have in common because they come from the same pixels with the same estimator."""
+_OF_BODY = (Cause.RELIEF, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN)
+"""Causes that they have in common because the shape is the same."""
+_OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)
+"""Causes that two attitudes have in common because time and velocity of the spacecraft come from one source."""
+
+
+def compare_runs(first: Path, second: Path) -> Comparison:
+    """Compare two runs, image by image.
+
+    Images are matched by name. A fix is compared with that of the same estimator on the same target. The covariance of
+    a difference is the sum of both, without the causes that both have in common by what their provenance says: the
+    same image file, camera, shape, law.
+
+    Parameters
+    ----------
+    first, second : Path
+        Run folders.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        They have no image in common.
+    DataError
+        One is no finished run.
+    """
+    one, other = load_result(first), load_result(second)
+    inputs = [RunFolder(path).provenance().get("inputs", {}) for path in (first, second)]
+    left, right = _by_file(one), _by_file(other)
+    common = [file for file in left if file in right]
+    if not common:
+        raise InputError(f"{first} and {second}: no image of one is in the other; images are matched by name")
+    shared = _Shared(inputs, one, other)
+    differences: list[Difference] = []
+    for file in common:
+        differences += _attitude(left[file], right[file], shared)
+    fixes, others = _fixes(one), _fixes(other)
+    for key in fixes:
+        if key in others and key[0] in right:
+            differences += _fix(fixes[key], others[key], shared, left[key[0]].sha256 == right[key[0]].sha256)
+    return Comparison(
+        first=str(first),
+        second=str(second),
+        differences=tuple(differences),
+        shared=tuple(shared.said),
+        only_first=len(left) - len(common) + len(set(fixes) - set(others)),
+        only_second=len(right) - len(common) + len(set(others) - set(fixes)),
+    )
+
+
+class _Shared:
+    """Causes that the results of two runs have in common, and their names for people."""
+
+    def __init__(self, inputs: list[Mapping[str, Any]], one: RunResult, other: RunResult) -> None:
+        first, second = inputs
+        calibrated = one.calibration is not None or other.calibration is not None
+        self._camera = first.get("camera") == second.get("camera") and not calibrated
+        self._catalog = first.get("catalog") == second.get("catalog")
+        self._shapes = {
+            name
+            for name, digest in first.get("shapes_sha256", {}).items()
+            if second.get("shapes_sha256", {}).get(name) == digest
+        }
+        laws = [run.get("options", {}).get("targets", {}) for run in inputs]
+        self._laws = {
+            name for name in laws[0] if name in laws[1] and laws[0][name]["reflectance"] == laws[1][name]["reflectance"]
+        }
+        self.said: dict[str, None] = {}
+
+    def of_attitude(self, *, same_image: bool) -> list[Cause]:
+        """Causes that two attitudes have in common."""
+        causes = [*(_OF_PIXELS if same_image else ()), *(_OF_HEADER if same_image else ())]
+        if same_image:
+            self.said["noise of the stars (the same image files), velocity of the spacecraft, epoch"] = None
+        if self._catalog:
+            self.said["catalog (the same)"] = None
+        return self._with_camera(causes)
+
+    def of_fix(self, record: ObservationRecord, other: ObservationRecord, *, same_image: bool) -> list[Cause]:
+        """Causes that two fixes of a target have in common."""
+        causes: list[Cause] = []
+        if same_image:
+            causes += _OF_PIXELS
+            self.said["noise, background and markings of bodies (the same image files)"] = None
+        if record.target in self._shapes:
+            causes += _OF_BODY
+            self.said[f"{record.target}: shape, its scale, pole and spin (the same file)"] = None
+        if record.target in self._laws:
+            causes.append(Cause.REFLECTANCE)
+            self.said[f"{record.target}: reflectance law (the same)"] = None
+        if record.attitude == other.attitude:
+            causes.append(Cause.ATTITUDE)
+            self.said["attitudes of images (the same)"] = None
+        return self._with_camera(causes)
+
+    def _with_camera(self, causes: list[Cause]) -> list[Cause]:
+        if self._camera:
+            self.said["camera model (the same)"] = None
+            return [*causes, Cause.CAMERA, Cause.PSF]
+        return causes
+
+
+def _by_file(result: RunResult) -> dict[str, AttitudeRecord]:
+    return {record.file: record for record in result.attitudes}
+
+
+def _fixes(result: RunResult) -> dict[tuple[str, str, str], ObservationRecord]:
+    return {(r.file, r.target, r.estimator): r for r in result.observations if r.center_px is not None}
+
+
+def _attitude(one: AttitudeRecord, other: AttitudeRecord, shared: _Shared) -> Iterator[Difference]:
+    if one.attitude is None or other.attitude is None:
+        return
+    turn = rotation_between(other.attitude.rotation, one.attitude.rotation)
+    causes = shared.of_attitude(same_image=bool(one.sha256) and one.sha256 == other.sha256)
+    parts = [_attitude_parts(attitude) for attitude in (one.attitude, other.attitude)]
+    covariance = _unshared(parts, causes, 3)
+    scaled = None if covariance is None else covariance * ARCSEC_PER_RAD**2
+    yield from differences_of(one.file, "attitude", ("x", "y", "z"), turn * ARCSEC_PER_RAD, scaled, "arcsec")
+
+
+def _attitude_parts(attitude: Attitude) -> dict[Cause, Float] | None:
+    if attitude.covariance_rad2 is None:
+        return None
+    if not attitude.parts:
+        return {Cause.NOISE: np.array(attitude.covariance_rad2)}
+    return {cause: np.array(part) for cause, part in attitude.parts.items()}
+
+
+def _fix(one: ObservationRecord, other: ObservationRecord, shared: _Shared, same_image: bool) -> Iterator[Difference]:
+    causes = shared.of_fix(one, other, same_image=same_image)
+    what = f"{one.target}: {one.estimator}"
+    parts = [_fix_parts(record) for record in (one, other)]
+    offset = np.subtract(one.center_px or (np.nan,) * 2, other.center_px or (np.nan,) * 2)
+    covariance = _unshared([None if p is None else {c: m[:2, :2] for c, m in p.items()} for p in parts], causes, 2)
+    yield from differences_of(one.file, what, ("x", "y"), offset, covariance, "px")
+    if one.range_km is not None and other.range_km is not None:
+        ranges = [None if p is None else {c: m[2:3, 2:3] for c, m in p.items() if len(m) > 2} for p in parts]
+        covariance = _unshared(ranges, causes, 1)
+        values = np.array([one.range_km - other.range_km])
+        yield from differences_of(one.file, what, ("range",), values, covariance, "km")
+
+
+def _fix_parts(record: ObservationRecord) -> dict[Cause, Float] | None:
+    if record.parts:
+        return {cause: np.array(part) for cause, part in record.parts.items()}
+    return None if record.covariance_px2 is None else {Cause.NOISE: np.array(record.covariance_px2)}
+
+
+def _unshared(both: Iterable[Mapping[Cause, Float] | None], shared: Iterable[Cause], size: int) -> Float | None:
+    """Sum of the covariances of two results, without the causes that both share; None where one is unknown."""
+    causes = [cause for cause in Cause if cause not in set(shared) and cause is not Cause.EPHEMERIS]
+    total = np.zeros((size, size))
+    for parts in both:
+        if not parts:
+            return None
+        total = total + summed(parts, causes)
+    return total
