@@ -56,6 +56,7 @@ _COMMANDS = {
     "run": Entry("Run a campaign: attitudes from stars, then every estimator.", "run_command", "run"),
     "status": Entry("Show the state of a run, of one at work too.", "status_commands", "status"),
     "compare": Entry("Compare a run with another, or with another team's.", "compare_command", "compare"),
+    "merge": Entry("Make one run of runs of parts of a campaign.", "compare_command", "merge"),
     "edit": Entry("Reject or restore images, stars and fixes of a run.", "status_commands", "edit"),
     "calibrate": Entry("Calibrate a camera from stars or a checkerboard.", "calibrate_command", "calibrate"),
     "stars": Entry("Solve the attitude of star images, without a campaign file.", "stars_command", "stars"),

@@ -1,4 +1,4 @@
-"""``giantlike compare``: a run beside another, or beside what another team has."""
+"""Commands on several runs: ``compare`` and ``merge``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 
 from giantlike.campaign.compare.external import ExternalOptions, compare_external
 from giantlike.campaign.compare.runs import compare_runs
+from giantlike.campaign.merge import merge_runs
 from giantlike.cli.arguments import Json, Run
 from giantlike.cli.outcome import ExitCode, print_json
 
@@ -58,6 +59,23 @@ def compare(
         print_json(summary)
     else:
         _show(summary)
+    return ExitCode.DONE
+
+
+def merge(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Finished runs, in the order of the tables.")],
+    output: Annotated[Path, typer.Option(help="New run folder.", metavar="DIR")],
+    json: Json = False,
+) -> ExitCode:
+    """Make one run of several runs of parts of a campaign, from several machines or days.
+
+    Nothing is computed again; the runs must have the same camera, targets and options.
+    """
+    result = merge_runs(runs, output)
+    if json:
+        print_json(result.summary())
+    else:
+        typer.echo(f"{output}: {len(result.attitudes)} images of {len(runs)} runs")
     return ExitCode.DONE
 
 

@@ -5,16 +5,20 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from giantlike.campaign import Campaign, RunResult, run_campaign
+from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.cluster import DaskPool
 from giantlike.campaign.store.log import LOGGER
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import StatusCounts
 from giantlike.campaign.store.run_folder import REPORT_PAGE
+from giantlike.campaign.watch import watch_campaign
 from giantlike.cli.arguments import Json, Resume, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
@@ -30,6 +34,12 @@ def run(
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Say what came of each image, with reasons.")
     ] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Go on as images arrive, until interrupted.")] = False,
+    every: Annotated[float, typer.Option(help="With --watch: seconds between two looks.", min=0.1)] = 10.0,
+    dask: Annotated[
+        str | None,
+        typer.Option(help="Work on a dask.distributed cluster: its scheduler's address or file.", metavar="ADDRESS"),
+    ] = None,
     json: Json = False,
 ) -> ExitCode:
     """Run a campaign: attitudes from stars, then every estimator on every image.
@@ -37,16 +47,28 @@ def run(
     Writes the run folder that the campaign names: tables, report.html, provenance.json, log.jsonl. On a folder that
     holds results, what nothing has changed for is kept; what is redone is said first.
     """
-    campaign = Campaign.load(path)
-    for warning in campaign.warnings:
-        _announce(warning)
-    with _events(verbose), progress_bar(lines=True) as progress:
-        result = run_campaign(campaign, workers=workers, progress=progress, announce=_announce)
+    if dask is not None:
+        path = path.absolute()  # workers have other working folders
+
+    def run_once(campaign: Campaign) -> RunResult:
+        for warning in campaign.warnings:
+            _announce(warning)
+        pool = None if dask is None else partial(_cluster, address=dask)
+        with _events(verbose), progress_bar(lines=True) as progress:
+            return run_campaign(campaign, workers=workers, progress=progress, announce=_announce, pool=pool)
+
+    if watch:
+        watch_campaign(path, run_once, every_s=every, announce=_announce)
+    result = run_once(Campaign.load(path))
     if json:
         print_json(result.summary())
     else:
         _print_tables(result)
     return ExitCode.SOME_IMAGES_FAILED if result.failed_images else ExitCode.DONE
+
+
+def _cluster(bench: Workbench, _: int, *, address: str) -> DaskPool:
+    return DaskPool(bench, address)
 
 
 def _announce(text: str) -> None:

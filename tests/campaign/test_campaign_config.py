@@ -176,9 +176,15 @@ def test_a_camera_may_be_given_inline(tmp_path: Path) -> None:
 
 UNKNOWN_OR_MISSING: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
     (lambda t: t.update(estimators=[]), "unknown key estimators; keys there are campaign, images, camera"),
-    (lambda t: t["images"].update(file="x"), "unknown key images.file; keys there are files, geometry"),
+    (
+        lambda t: t["images"].update(file="x"),
+        "unknown key images.file .did you mean 'files'..; keys there are files, geometry",
+    ),
     (lambda t: t["stars"].update(max_magitude=9.0), "unknown key stars.max_magitude"),
-    (lambda t: t["targets"][0].update(unit="km"), r"unknown key targets\[0\].unit; keys there are name, shape, units"),
+    (
+        lambda t: t["targets"][0].update(unit="km"),
+        r"unknown key targets\[0\].unit .did you mean 'units'..; keys there are name, shape, units",
+    ),
     (lambda t: t.pop("images"), "key images is missing"),
     (lambda t: t["campaign"].pop("output"), "key campaign.output is missing"),
     (lambda t: t.update(calibration={"estimate": []}), "calibration.estimate: must not be empty"),
@@ -213,10 +219,10 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
     (lambda t: t["images"].update(files="images/*.fits"), "images.files: expected a valid array, got 'images/"),
     (lambda t: t["images"].update(hdu=True), "images.hdu: expected a number or a name, got True"),
     (lambda t: t["targets"][0].update(estimators=["cross_corelation"]),
-     r"targets\[0\].estimators: unknown estimator 'cross_corelation'; there are .*cross_correlation"),
+     r"targets\[0\].estimators: unknown estimator 'cross_corelation' .did you mean 'cross_correlation'..; there are .*cross_correlation"),
     (lambda t: t["targets"][0].update(options={"limb": {}}), r"targets\[0\].options: unknown estimator 'limb'"),
     (lambda t: t["targets"][0].update(options={"cross_correlation": {"serch_px": 4}}),
-     r"targets\[0\].options.cross_correlation: unknown option 'serch_px'; options are .*search_px"),
+     r"targets\[0\].options.cross_correlation: unknown option 'serch_px' .did you mean 'search_px'..; options are .*search_px"),
     (lambda t: t["targets"][0].update(options={"cross_correlation": {"search_px": "far"}}),
      r"targets\[0\].options.cross_correlation.search_px: expected a valid \w+, got 'far'"),
     (lambda t: t["targets"][0].update(options={"cross_correlation": {"search_px": -1}}),
@@ -370,7 +376,7 @@ def test_option_tables_fill_enumerations_tuples_and_nested_options() -> None:
     options = options_from_mapping(Outer, table, "here")
     expected = Outer(method=TransferMethod.PROPAGATE, pair=(1, 2.5), inner=Inner(size=3), limit=np.inf)
     assert options == expected
-    with pytest.raises(InputError, match=r"here.inner: unknown option 'sise'; options are size"):
+    with pytest.raises(InputError, match=r"here.inner: unknown option 'sise' .did you mean 'size'..; options are size"):
         options_from_mapping(Outer, {"inner": {"sise": 3}}, "here")
     with pytest.raises(InputError, match=r"here.pair: expected"):
         options_from_mapping(Outer, {"pair": [1.0]}, "here")

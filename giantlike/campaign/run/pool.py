@@ -87,10 +87,13 @@ class WorkerPool:
         self._executors: dict[int, ProcessPoolExecutor] = {}
         self._variables: list[str] = []
         self._limits: threadpool_limits | None = None
+        self._cv2_threads = 0
 
     def __enter__(self) -> Self:
         if self._workers == 1:
             self._limits = threadpool_limits(1)  # the last bits of sums depend on the number of threads
+            self._cv2_threads = cv2.getNumThreads()
+            cv2.setNumThreads(1)
         else:
             # Read when numpy is imported, so they must be there when a process starts.
             self._variables = [name for name in _THREAD_VARIABLES if name not in os.environ]
@@ -104,6 +107,7 @@ class WorkerPool:
             del os.environ[name]
         if self._limits is not None:
             self._limits.restore_original_limits()
+            cv2.setNumThreads(self._cv2_threads)
 
     def run(
         self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -280,6 +280,34 @@ class Database:
                 f"UPDATE records SET place = ? WHERE {_IS_UNIT}",
                 [(place, step, *unit) for unit, place in places.items()],
             )
+
+    def adopt(self, other: Database, path_here: Callable[[str], str]) -> None:
+        """Take over the images that are part of another run, with their records, after those that are here.
+
+        Parameters
+        ----------
+        other : Database
+        path_here : callable
+            From the path of an image relative to the other folder to that relative to this one.
+
+        Raises
+        ------
+        DataError
+            One of the two cannot be read or written.
+        """
+        with other._connected() as source, self._connected(write=True) as connection:
+            here = {file for (file,) in connection.execute("SELECT file FROM images")}
+            images = source.execute(
+                "SELECT file, place, path, stamp, sha256 FROM images WHERE place IS NOT NULL ORDER BY place"
+            )
+            for file, _, path, stamp, sha256 in images.fetchall():
+                if file in here:
+                    continue
+                place = "(SELECT COUNT(*) FROM images)"
+                row = (file, path_here(path or file), stamp, sha256)
+                connection.execute(f"INSERT INTO images VALUES (?, {place}, ?, ?, ?)", row)
+                records = source.execute("SELECT * FROM records WHERE file = ?", (file,))
+                connection.executemany("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", records)
 
     def _checked(self, content: Content, crc: int) -> Content:
         if _crc(content) != crc:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -393,6 +393,22 @@ class RunFolder:
             By image, target and estimator.
         """
         self._results.set_places(kind.part, places)
+
+    def adopt(self, other: RunFolder, path_here: Callable[[str], str]) -> None:
+        """Take over the images of another run, with their records; of images that are here already, nothing.
+
+        Parameters
+        ----------
+        other : RunFolder
+        path_here : callable
+            From the path of an image relative to the other folder to that relative to this one.
+
+        Raises
+        ------
+        DataError
+            One of the two cannot be read or written.
+        """
+        self._results.adopt(other._results, path_here)
 
     def log(self, event: str, **values: Any) -> None:
         """Log an event of this run, see :func:`~giantlike.campaign.store.log.log_event`.

@@ -1,0 +1,174 @@
+"""The work of a run on the workers of a dask.distributed cluster."""
+
+from __future__ import annotations
+
+import threading
+import uuid
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+import cv2
+from threadpoolctl import threadpool_limits
+
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.bench import Workbench
+from giantlike.core.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
+
+_QUEUED_PER_WORKER = 4
+"""Jobs handed out per worker: one at work and some on the way, over networks that are slower than pipes."""
+_CONNECT_S = 30.0
+"""Longest wait for the scheduler to answer, and for its first worker."""
+
+_campaigns: dict[str, Campaign] = {}
+_benches: dict[str, Workbench] = {}
+_one_at_a_time = threading.Lock()
+"""CSPICE, and the caches of tracers, are for one thread: a worker with several takes its jobs in turn."""
+
+
+class DaskPool:
+    """Runs jobs on images on the workers of a cluster; use it in a ``with`` block.
+
+    Each worker loads catalog, shapes and kernels once. Files have the same paths on all of them (a shared file system), and
+    results go back to this process, which alone writes the run folder. The jobs of a worker that dies go to others; a job
+    that kills several in a row is given up.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Of this process; its campaign must have absolute paths.
+    address : str
+        Of the scheduler, such as ``tcp://10.0.0.1:8786``, or the path of its scheduler file (``.json``).
+
+    Raises
+    ------
+    InputError
+        dask.distributed is not installed.
+    """
+
+    def __init__(self, bench: Workbench, address: str) -> None:
+        self._campaign = bench.campaign
+        self._address = address
+        self._token = uuid.uuid4().hex
+        self._client: Client | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            from distributed import Client, WorkerPlugin
+        except ImportError as error:
+            raise InputError("--dask needs dask.distributed: pip install 'giantlike[dask]'") from error
+
+        class Setup(WorkerPlugin):
+            """Gives a worker, one that comes later too, the campaign."""
+
+            def __init__(self, token: str, campaign: Campaign) -> None:
+                self.token, self.campaign = token, campaign
+
+            def setup(self, worker: Any) -> None:
+                """Keep the campaign; it is loaded with the first job."""
+                from giantlike.campaign.run.cluster import keep_campaign
+
+                keep_campaign(self.token, self.campaign)
+
+        known = {"scheduler_file": self._address} if self._address.endswith(".json") else {"address": self._address}
+        try:
+            client = Client(**known, timeout=_CONNECT_S, set_as_default=False)
+            client.wait_for_workers(1, timeout=_CONNECT_S)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"--dask {self._address}: no scheduler with a worker answers there: {error}") from error
+        client.register_plugin(Setup(self._token, self._campaign), name=self._token)
+        self._client = client
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            client.run(forget_campaign, self._token, on_error="ignore")
+            client.unregister_worker_plugin(self._token)
+            client.close()
+
+    def run(
+        self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]
+    ) -> Iterator[tuple[int, Answer | None]]:
+        """Yield the position of each job and its answer, in the order in which they are done.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module, taking the workbench and a job; it must not raise.
+        jobs : sequence
+
+        Yields
+        ------
+        position : int
+        answer : object or None
+            None if workers died of the job.
+        """
+        from distributed import as_completed
+        from distributed.scheduler import KilledWorker
+
+        client = self._client
+        assert client is not None
+        waiting = deque(range(len(jobs)))
+        running: dict[Any, int] = {}
+        done = as_completed()
+
+        def hand_out() -> None:
+            limit = _QUEUED_PER_WORKER * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+            while waiting and len(running) < limit:
+                position = waiting.popleft()
+                future = client.submit(_call, self._token, function, jobs[position], pure=False)
+                running[future] = position
+                done.add(future)
+
+        hand_out()
+        while running:
+            future = next(done)
+            position = running.pop(future)
+            try:
+                answer = future.result()
+            except KilledWorker:
+                answer = None
+            hand_out()
+            yield position, answer
+
+
+def keep_campaign(token: str, campaign: Campaign) -> None:
+    """Keep the campaign that the jobs of a run are of; called on a worker.
+
+    Parameters
+    ----------
+    token : str
+        Of the run.
+    campaign : Campaign
+    """
+    _campaigns[token] = campaign
+
+
+def forget_campaign(token: str) -> None:
+    """Free what was loaded for a run; called on a worker.
+
+    Parameters
+    ----------
+    token : str
+    """
+    with _one_at_a_time:
+        _campaigns.pop(token, None)
+        bench = _benches.pop(token, None)
+        if bench is not None:
+            bench.close()
+
+
+def _call(token: str, function: Callable[[Workbench, Any], Answer], job: Any) -> Answer:
+    with _one_at_a_time:
+        if token not in _benches:
+            cv2.setNumThreads(1)
+            _benches[token] = Workbench.load(_campaigns[token])
+        with threadpool_limits(1):  # the last bits of sums depend on the number of threads
+            return function(_benches[token], job)

@@ -1,0 +1,63 @@
+"""A campaign run again and again as images arrive."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.store.results import RunResult
+from giantlike.campaign.store.run_folder import stamp_of
+from giantlike.core.errors import OpNavError
+
+
+def watch_campaign(
+    path: Path,
+    run: Callable[[Campaign], RunResult],
+    *,
+    every_s: float,
+    announce: Callable[[str], None],
+    wait: Callable[[float], None] = time.sleep,
+) -> None:
+    """Run a campaign, and again whenever its file, an image or the geometry table changed or came; until interrupted.
+
+    Mistakes, such as a pattern that matches no file yet, are told once and waited out. An image that is still being
+    written is unreadable, and tried again by the next run.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign file.
+    run : callable
+        Runs a campaign.
+    every_s : float, s
+        Time between two looks.
+    announce : callable
+        Called with lines for people.
+    wait : callable
+        Sleeps; in tests, another.
+    """
+    seen, told = "", ""
+    while True:
+        try:
+            campaign = Campaign.load(path)
+            now = _state(campaign)
+            if now != seen:
+                result = run(campaign)
+                seen = now
+                announce(
+                    f"{len(result.attitudes)} images, {len(result.failed_images)} failed; waiting for more (Ctrl-C ends it)"
+                )
+            told = ""
+        except OpNavError as error:
+            if str(error) != told:
+                told = str(error)
+                announce(f"waiting: {' '.join(told.split())}")
+        wait(every_s)
+
+
+def _state(campaign: Campaign) -> str:
+    """What tells whether anything changed since the last look."""
+    files = [campaign.path, campaign.geometry_file, campaign.camera_file, *(entry.path for entry in campaign.images)]
+    return " ".join(f"{file.name} {stamp_of(file)}" for file in files if file is not None)
