@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +32,9 @@ _MAY_DIFFER = (
 def merge_runs(runs: Sequence[Path], output: Path) -> RunResult:
     """Make one run folder of several.
 
-    Nothing is computed again. The runs must be of the same camera, catalog, kernels, targets, options and version, and of
-    different images, or of the same files where a name is in two: then the result of the first counts. Edit lists are
-    joined. A campaign file for all images, whose output is the new folder, goes on with it.
+    Nothing is computed again. The runs must be of the same camera, catalog, kernels, targets, options and version, and
+    of different images, or of the same files where a name is in two: then the result of the first counts. Edit lists
+    are joined. A campaign file for all images, whose output is the new folder, goes on with it.
 
     Parameters
     ----------
@@ -74,8 +75,7 @@ def merge_runs(runs: Sequence[Path], output: Path) -> RunResult:
     if cameras != {b""}:
         (output / CAMERA_FILE).write_bytes(cameras.pop())
     for run, folder in zip(runs, folders, strict=True):
-        base = os.path.relpath(run, output)
-        merged.adopt(folder, lambda path, base=base: Path(os.path.normpath(Path(base, path))).as_posix())
+        merged.adopt(folder, partial(_path_from, os.path.relpath(run, output)))
         add_edits(output, read_edits(run).edits)
     hashes = {record.file: record.sha256 for result in results for record in reversed(result.attitudes)}
     warnings = list(dict.fromkeys(text for result in results for text in result.warnings))
@@ -88,12 +88,16 @@ def merge_runs(runs: Sequence[Path], output: Path) -> RunResult:
     return result
 
 
+def _path_from(base: str, path: str) -> str:
+    return Path(os.path.normpath(Path(base, path))).as_posix()
+
+
 def _require_alike(first: Path, before: Mapping[str, Any], other: Path, now: Mapping[str, Any]) -> None:
     differing = [name for name in changes(before, now) if not name.startswith(_MAY_DIFFER)]
     if differing:
         raise InputError(
-            f"{first} and {other} cannot be merged, because they differ in {', '.join(differing[:5])}: run both with the "
-            "same options first"
+            f"{first} and {other} cannot be merged, because they differ in {', '.join(differing[:5])}: run both with "
+            "the same options first"
         )
 
 

@@ -46,9 +46,7 @@ def watch_campaign(
             if now != seen:
                 result = run(campaign)
                 seen = now
-                announce(
-                    f"{len(result.attitudes)} images, {len(result.failed_images)} failed; waiting for more (Ctrl-C ends it)"
-                )
+                announce(f"{len(result.attitudes)} images, {len(result.failed_images)} failed; waiting for more")
             told = ""
         except OpNavError as error:
             if str(error) != told:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -116,8 +117,9 @@ def test_an_image_of_another_size_and_a_file_that_is_no_toml_are_told(folder: Pa
     assert giantlike("check", path).exit_code == 0
     write_fits(folder / "images" / "c.fits", np.zeros((10, 10), np.uint16))
     assert giantlike("check", path).exit_code == 0
-    (small,) = (text for text in json.loads(giantlike("check", path, "--images", "--json").stdout)["found"])
-    assert "10 x 10" in small["text"]
+    answer = json.loads(giantlike("check", path, "--images", "--json").stdout)["found"]
+    (small,) = [mistake["text"] for mistake in answer if mistake["fatal"]]
+    assert re.search(r"c\.fits.*10", small)
     path.write_text("[campaign]\nname = \n")
     assert "line 2" in " ".join(found(path).values())
     assert 2 in found(path)

@@ -35,9 +35,9 @@ _one_at_a_time = threading.Lock()
 class DaskPool:
     """Runs jobs on images on the workers of a cluster; use it in a ``with`` block.
 
-    Each worker loads catalog, shapes and kernels once. Files have the same paths on all of them (a shared file system), and
-    results go back to this process, which alone writes the run folder. The jobs of a worker that dies go to others; a job
-    that kills several in a row is given up.
+    Each worker loads catalog, shapes and kernels once. Files have the same paths on all of them (a shared file system),
+    and results go back to this process, which alone writes the run folder. The jobs of a worker that dies go to others;
+    a job that kills several in a row is given up.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class DaskPool:
         except ImportError as error:
             raise InputError("--dask needs dask.distributed: pip install 'giantlike[dask]'") from error
 
-        class Setup(WorkerPlugin):
+        class Setup(WorkerPlugin):  # type: ignore[misc]  # the package is optional, and unknown to mypy
             """Gives a worker, one that comes later too, the campaign."""
 
             def __init__(self, token: str, campaign: Campaign) -> None:
