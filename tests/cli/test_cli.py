@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 
 from giantlike import __version__
 from giantlike.campaign.store.records import AttitudeRecord
-from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.app import app
 from giantlike.core.frames import direction_from_radec, pointing_deg
 from giantlike.io import write_fits
@@ -204,7 +204,7 @@ def start(path: Path, *arguments: str) -> subprocess.Popen[str]:
 
 def images_done(run: Path) -> int:
     """Number of images whose attitude the run folder holds, read while the run writes."""
-    return len(RunFolder(run).keys(AttitudeRecord)) if (run / RESULTS_FILE).exists() else 0
+    return len(RunFolder(run).keys(AttitudeRecord))
 
 
 def wait_for_images(run: Path, count: int, process: subprocess.Popen[str]) -> None:

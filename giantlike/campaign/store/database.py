@@ -89,13 +89,16 @@ class Database:
         self._open: sqlite3.Connection | None = None
 
     def exists(self) -> bool:
-        """Return True if there is such a file.
+        """Return True if there is such a file; while it is being made, its size is 0.
 
         Returns
         -------
         bool
         """
-        return self.path.is_file()
+        try:
+            return self.path.stat().st_size > 0
+        except OSError:
+            return False
 
     @contextlib.contextmanager
     def open_for_writing(self) -> Iterator[None]:
