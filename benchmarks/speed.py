@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-MODULES = ("speed_bodies", "speed_stars")
+MODULES = ("speed_bodies", "speed_light", "speed_stars")
 """Modules beside this one with a function ``jobs()`` that returns a list of :class:`Job`."""
 
 IMAGES = "GIANTLIKE_BENCHMARK_IMAGES"

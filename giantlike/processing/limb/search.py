@@ -200,19 +200,19 @@ class _ContrastSearch:
 
         Or the largest difference across, which is sharper but rises with every bright edge.
         """
-        x, y = np.meshgrid(shifts_px, shifts_px)
-        shifts = about_px + np.stack([x.ravel(), y.ravel()], axis=-1)
         found = []
         for scale in scales:
-            contrast, difference = self._contrast(center_px + float(scale) * self._arms, shifts)
+            contrast, difference = self._contrast(center_px + about_px + float(scale) * self._arms, shifts_px)
             value = difference if steepest else contrast
             winner = int(np.argmax(value))
             found.append((float(value[winner]), float(scale), winner, float(contrast[winner])))
         _, scale_best, winner, contrast_best = max(found)
-        return CoarseLimb(shift_px=shifts[winner], scale=scale_best, contrast=contrast_best)
+        down, across = divmod(winner, len(shifts_px))
+        shift_px = about_px + shifts_px[[across, down]]
+        return CoarseLimb(shift_px=shift_px, scale=scale_best, contrast=contrast_best)
 
     def _contrast(self, middle: Float, shifts: Float) -> tuple[Float, Float]:
-        """Mean contrast (k,) across points (n, 2) at shifts (k, 2), and mean difference, DN.
+        """Mean contrast (k k,) across points (n, 2) at shifts (k,) along both axes, and mean difference, DN.
 
         Outlines that lie mostly outside the image count as if half inside.
         """
@@ -226,11 +226,11 @@ class _ContrastSearch:
         weight = np.maximum(weight, 0.5 * max(float(weight.max()), 1.0))
         return np.einsum("kn,kn->k", contrast, weights) / weight, np.einsum("kn,kn->k", difference, weights) / weight
 
-    def _index(self, points: Float, shifts: Float) -> NDArray[np.intp]:
-        """Flat index (k, n) of the pixels nearest to points (n, 2) moved by shifts (k, 2), or as near as the border."""
+    def _index(self, points: Float, shifts: Float) -> NDArray[np.int32]:
+        """Flat index (k k, n) of pixels nearest to points (n, 2) moved along both axes, or as near as the border."""
         columns, rows = (
-            np.clip(np.rint(points[:, i] + shifts[:, i, None]).astype(np.intp) + 1, 0, self._size[i] - 1)
-            for i in range(2)
+            np.clip(np.rint(points[:, axis] + shifts[:, None]) + 1.0, 0, self._size[axis] - 1).astype(np.int32)
+            for axis in range(2)
         )
-        index: NDArray[np.intp] = rows * self._size[0] + columns
-        return index
+        index = rows[:, None] * np.int32(self._size[0]) + columns
+        return index.reshape(-1, len(points))

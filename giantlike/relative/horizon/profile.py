@@ -246,12 +246,16 @@ class ProfileTable(Value):
             Brightness and its first two derivatives, 1/px and 1/px^2.
         """
         place = (outward_px - self.first_px) / self.step_px
-        index = np.clip(np.floor(place).astype(np.int64), 0, self.values.shape[2] - 2)
+        nodes, count = self.values.shape[1:3]
+        index = np.clip(np.floor(place).astype(np.int64), 0, count - 2)
         t = (place - index)[:, None]
-        share = places.share[:, None]
+        share = places.share[:, None, None]
+        # One row for each place of the table: rows are taken in a fraction of the time of an index along each axis.
+        rows = np.moveaxis(self.values, 0, 2).reshape(nodes * count, 3, -1)
+        here, beside = (which * count + index for which in (places.nodes, places.beside))
         near, far = (
-            (1.0 - share) * self.values[:, places.nodes, column] + share * self.values[:, places.beside, column]
-            for column in (index, index + 1)
+            np.moveaxis((1.0 - share) * rows.take(here + step, axis=0) + share * rows.take(beside + step, axis=0), 1, 0)
+            for step in (0, 1)
         )
         value = _hermite(near[0], far[0], self.step_px * near[1], self.step_px * far[1], t)
         slope = _hermite(near[1], far[1], self.step_px * near[2], self.step_px * far[2], t)
