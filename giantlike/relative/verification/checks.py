@@ -104,11 +104,11 @@ def tension_of(fix: CenterFix, fit: CoarseFit) -> float:
     """
     own = _own(fix)
     size = len(own)
-    asked = (
-        (fit.moved[:size], fit.covariance[:size, :size] + own),
-        (fit.strain, fit.strain_covariance),
-    )
-    return max(1.0, *(_squared(difference, covariance) / len(difference) for difference, covariance in asked))
+    place = _squared(fit.moved[:size], fit.covariance[:size, :size] + own) / size
+    figure = _squared(fit.strain, fit.strain_covariance) / len(fit.strain)
+    # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
+    room = min(float(np.trace(fit.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
+    return max(1.0, place, 1.0 + room * (figure - 1.0))
 
 
 def _own(fix: CenterFix) -> Float:
