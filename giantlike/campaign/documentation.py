@@ -73,6 +73,10 @@ Of one target in one image take one row, the one with `preferred`: other estimat
 of `auto` where it was run (which checks its choice by an independent estimator), else the smallest error ellipse of the
 fixes that agree with most others; suspect fixes are never preferred, and `preferred_reason` says why.
 
+[examples/orbit_determination.py](../examples/orbit_determination.py) solves an arc from this file alone, with
+attitudes, size, pole and camera considered or estimated; [benchmarks](../benchmarks/README.md) has its errors over
+many draws.
+
 ## Pointing from bodies
 `giantlike export RUN --format ck --instrument ID --pointing bodies` (also `csv`, `aem`, `wcs`) trusts the ephemeris and
 turns the camera until bodies and landmarks lie where they were seen. The attitude of the run with its covariance is the

@@ -39,6 +39,7 @@ from giantlike.simulation.compare import (
     score_observations,
 )
 from giantlike.simulation.write import TRUTH_COLUMNS, TruthRow
+from tests.orbit_arc import orbit_example
 from tests.tolerances import FIVE_DIGITS, FLOAT32_SUM, FLOAT64_SUM, SETTLED
 
 ATTITUDE_COLUMNS = ("file", "status", "reason", "source", "qx", "qy", "qz", "qw", "sigma_x_arcsec", "sigma_y_arcsec",
@@ -349,6 +350,25 @@ def test_geometric_observables_are_where_the_bodies_were_within_their_covariance
     low, high = (float(chi2.ppf(tail, count)) for tail in (1e-3, 0.999))
     assert count >= 24
     assert low < squared < high
+
+
+def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(report: DemoReport) -> None:
+    """A straight path between two visits, in the axes of the moon: its position and velocity at the first."""
+    example = orbit_example()
+    observations = example.read(str(report.output / "run" / "observables.parquet"), "MOON")
+    solution = example.solve(observations)
+    places = dict[float, Float]()
+    for frame in plan_approach().frames:
+        orbit, observer = frame.scene.target().ephemeris, frame.shot.observer
+        assert isinstance(orbit, Ephemeris)
+        assert observer is not None
+        if frame.target == "MOON" and not frame.star_image:
+            et = et_from_time(frame.shot.epoch)
+            places[et] = observer.position_km - orbit.state(et)[0]
+    (first, start), (second, end) = sorted(places.items())
+    assert abs(solution.et - first) < 1e-5
+    error = solution.values[:6] - np.concatenate([start, (end - start) / (second - first)])
+    assert float(error @ np.linalg.solve(solution.covariance[:6, :6], error)) < float(chi2.ppf(0.999, 6))
 
 
 def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(report: DemoReport) -> None:
