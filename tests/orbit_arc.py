@@ -22,7 +22,8 @@ from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER
 from giantlike.io.observables_file import write_observables
 from giantlike.observables import ImageContext, Sighting, row_of_body
-from giantlike.relative.budget import place_jacobian, position_covariance
+from giantlike.relative.budget import position_covariance
+from giantlike.relative.place import place_jacobian
 from giantlike.scene import Circumstances, TargetUncertainty, light_path
 from giantlike.simulation.approach import demo_camera
 from giantlike.simulation.orbits import CircularOrbit

@@ -17,7 +17,7 @@ from giantlike.gauntlet.rule import STARS, Facts, Verdict, facts_of, fits, solva
 from giantlike.gauntlet.stage import Stage
 from giantlike.io.tables import column
 from giantlike.relative import ESTIMATORS
-from giantlike.relative.budget import place_jacobian
+from giantlike.relative.place import place_jacobian
 from giantlike.stars import StarNavigation
 
 RIGHT_SIGMAS, WRONG_SIGMAS = 4.0, 5.0

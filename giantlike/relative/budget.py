@@ -23,6 +23,7 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import AttitudeErrors, CenterFix, Failure, PositionFix, Reason
 from giantlike.image import Image
+from giantlike.relative.place import place_jacobian
 from giantlike.scene import TargetGeometry
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
@@ -132,23 +133,6 @@ def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: I
         added_km2 = position_covariance(model, fix.position_camera_km, added)
         changes["covariance_camera_km2"] = fix.covariance_camera_km2 + added_km2
     return replace(fix, **changes)  # type: ignore[arg-type]
-
-
-def place_jacobian(model: CameraModel, position_camera_km: Float) -> Float:
-    """Derivative of the place of a body by its position.
-
-    Parameters
-    ----------
-    model : CameraModel
-    position_camera_km : (3,) float64, km, camera axes
-
-    Returns
-    -------
-    (3, 3) float64
-        Of x, y in px and of the natural logarithm of the range, per km.
-    """
-    along = position_camera_km / float(position_camera_km @ position_camera_km)
-    return np.vstack([model.project_jacobian(position_camera_km), along])
 
 
 def position_covariance(model: CameraModel, position_camera_km: Float, covariance: Float) -> Float:

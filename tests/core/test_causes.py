@@ -13,7 +13,7 @@ from giantlike.camera_models import BrownModel
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, CenterFix, PositionFix
-from giantlike.relative.estimator import place_covariance, position_of_center
+from giantlike.relative.place import place_covariance, position_of_center
 
 NOISE, RELIEF = np.diag([0.01, 0.02, 1e-8]), np.diag([0.03, 0.01, 4e-8])
 CAMERA = np.array([[0.04, 0.01, 0.0], [0.01, 0.04, 0.0], [0.0, 0.0, 9e-8]])

@@ -35,7 +35,7 @@ from giantlike.observables import (
     row_of_landmark,
     rows_of_stars,
 )
-from giantlike.relative.budget import place_jacobian
+from giantlike.relative.place import place_jacobian
 from giantlike.scene import Circumstances, TargetUncertainty
 
 MODEL = BrownModel(fx_px=3000.0, fy_px=3001.0, cx_px=320.0, cy_px=238.0, k1=-0.5, p1=2e-4)

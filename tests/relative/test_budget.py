@@ -20,8 +20,7 @@ from giantlike.image import AttitudeSource
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
 from giantlike.ray_tracing import Lambert
 from giantlike.relative import Estimator
-from giantlike.relative.budget import place_jacobian
-from giantlike.relative.estimator import place_covariance
+from giantlike.relative.place import place_covariance, place_jacobian
 from giantlike.scene import TargetUncertainty
 from giantlike.shapes import Ellipsoid
 

@@ -27,7 +27,7 @@ from giantlike.core.pixel_box import BoxPixels
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
-from giantlike.relative.estimator import center_of_position
+from giantlike.relative.place import center_of_position
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template

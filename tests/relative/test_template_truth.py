@@ -18,7 +18,7 @@ from giantlike.core.outcomes import PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, Pose, Psf
-from giantlike.relative.estimator import place_covariance
+from giantlike.relative.place import place_covariance
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid

@@ -19,7 +19,8 @@ from giantlike.core.outcomes import Failure, PositionFix, Quality
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
-from giantlike.relative.estimator import EstimatorInputs, gather, place_covariance
+from giantlike.relative.estimator import EstimatorInputs, gather
+from giantlike.relative.place import place_covariance
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid

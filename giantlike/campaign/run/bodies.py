@@ -20,7 +20,7 @@ from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative import Estimator
-from giantlike.relative.estimator import apparent_radius_px
+from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import Scene, TargetGeometry
 
 _OUTLINE_ANGLES = 120

@@ -17,11 +17,12 @@ from giantlike.core.units import RAD_PER_DEG
 from giantlike.core.values import Value
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
 from giantlike.ray_tracing import Body
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, center_of_position
+from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, rays_for
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
+from giantlike.relative.place import center_of_position
 from giantlike.relative.quality import QualityChecks
 from giantlike.shapes import LevelsOfDetail, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks

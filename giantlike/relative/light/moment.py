@@ -23,11 +23,12 @@ from giantlike.ray_tracing import (
     disk_photocenter,
     trace_body,
 )
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, apparent_radius_px
+from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.light.law_mixture import LawFit, LawMixture, fit_law
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.light.separation import LIGHT_SIGMAS, MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
+from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.quality import QualityChecks
 from giantlike.scene import TargetGeometry
 

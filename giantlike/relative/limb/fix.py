@@ -19,7 +19,8 @@ from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import FocalPlane
-from giantlike.relative.estimator import EstimatorInputs, center_of_position, place_covariance
+from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.place import center_of_position, place_covariance
 from giantlike.relative.quality import QualityChecks
 
 _LOG = logging.getLogger("giantlike.relative")

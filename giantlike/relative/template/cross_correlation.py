@@ -14,7 +14,8 @@ from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
 from giantlike.ray_tracing import Template, trace_silhouette
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs, position_of_center
+from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.place import position_of_center
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.binning import Blocks, blocks_of

@@ -28,7 +28,7 @@ from giantlike.ray_tracing import (
     trace_body,
 )
 from giantlike.ray_tracing.refined import refined
-from giantlike.relative.estimator import apparent_radius_px
+from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.state import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState
 

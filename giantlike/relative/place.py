@@ -1,0 +1,113 @@
+"""Place of a body in the image and in space: pixels and range to a position, and back, with covariances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.camera import Camera
+from giantlike.camera_models import CameraModel, ifov_rad
+from giantlike.core.arrays import Float
+from giantlike.ray_tracing import FocalPlane
+
+
+def apparent_radius_px(camera: Camera | FocalPlane, center_px: ArrayLike, radius_km: float, range_km: float) -> float:
+    """Apparent radius of a sphere, px.
+
+    Parameters
+    ----------
+    camera : Camera or FocalPlane
+    center_px : (2,), px
+        Center of the sphere in the image; outside the frame the scale of the nearest pixel is taken.
+    radius_km, range_km : float, km
+
+    Returns
+    -------
+    float
+    """
+    inside = np.clip(center_px, -0.5, [camera.columns - 0.5, camera.rows - 0.5])
+    angle = math.asin(min(radius_km / range_km, 1.0))
+    return angle / float(ifov_rad(camera.model, inside))
+
+
+def position_of_center(model: CameraModel, center_px: Float, range_km: float, covariance: Float) -> tuple[Float, Float]:
+    """Position of a body from its center in the image and its range.
+
+    Parameters
+    ----------
+    model : CameraModel
+    center_px : (2,) float64, px
+    range_km : float, km
+    covariance : (3, 3) float64
+        Of x, y in px and of the natural logarithm of the range.
+
+    Returns
+    -------
+    position_camera_km : (3,) float64, km, camera axes
+    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
+    """
+    line_of_sight = model.unproject(center_px)
+    jacobian = range_km * np.concatenate([model.unproject_jacobian(center_px), line_of_sight[:, None]], axis=1)
+    return range_km * line_of_sight, jacobian @ covariance @ jacobian.T
+
+
+def center_of_position(
+    model: CameraModel, position_camera_km: Float, covariance_camera_km2: Float
+) -> tuple[Float, Float]:
+    """Center of a body in the image from its position.
+
+    Parameters
+    ----------
+    model : CameraModel
+    position_camera_km : (3,) float64, km, camera axes
+    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
+
+    Returns
+    -------
+    center_px : (2,) float64, px
+    covariance_px2 : (2, 2) float64, px^2
+    """
+    jacobian = model.project_jacobian(position_camera_km)
+    return model.project(position_camera_km), jacobian @ covariance_camera_km2 @ jacobian.T
+
+
+def place_covariance(model: CameraModel, position_camera_km: Float, covariance_camera_km2: Float) -> Float:
+    """Covariance of the place of a body, as in the ``parts`` of a fix, from that of its position.
+
+    The inverse of what :func:`position_of_center` does to a covariance.
+
+    Parameters
+    ----------
+    model : CameraModel
+    position_camera_km : (3,) float64, km, camera axes
+    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
+
+    Returns
+    -------
+    (3, 3) float64
+        Of x, y in px and of the natural logarithm of the range.
+    """
+    variances, axes = np.linalg.eigh(covariance_camera_km2)
+    # By its root: where all of a covariance lies along the line of sight, rounding would leave no covariance of pixels.
+    moved = place_jacobian(model, position_camera_km) @ (axes * np.sqrt(np.maximum(variances, 0.0)))
+    result: Float = moved @ moved.T
+    return result
+
+
+def place_jacobian(model: CameraModel, position_camera_km: Float) -> Float:
+    """Derivative of the place of a body by its position.
+
+    Parameters
+    ----------
+    model : CameraModel
+    position_camera_km : (3,) float64, km, camera axes
+
+    Returns
+    -------
+    (3, 3) float64
+        Of x, y in px and of the natural logarithm of the range, per km.
+    """
+    along = position_camera_km / float(position_camera_km @ position_camera_km)
+    return np.vstack([model.project_jacobian(position_camera_km), along])
