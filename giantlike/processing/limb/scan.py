@@ -46,6 +46,7 @@ One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivi
 _MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
 _DARK = 1e-100  # scale of a column below which the expected profile is dark: lines whose limb is not rendered
+_HELD = 1e12  # of a normal matrix scaled to 1: holds a parameter at zero, and leaves the matrix invertible
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
@@ -486,7 +487,8 @@ def _gain(columns: Float, weights: Float, stiffness: Float | None = None) -> Flo
     """The matrices (n, k, w) that give the solutions of weighted least squares, the last parameter held or not."""
     normal, scale = _normal(columns, weights)
     if stiffness is not None:
-        normal[:, -1, -1] += stiffness / scale[:, -1, 0] ** 2
+        with np.errstate(over="ignore"):  # a parameter that nothing depends on
+            normal[:, -1, -1] += np.minimum(stiffness / scale[:, -1, 0] ** 2, _HELD)
     weighted = np.swapaxes(columns * weights[..., None], 1, 2)
     result: Float = (np.linalg.inv(normal) / scale) @ (weighted / scale)
     return result
