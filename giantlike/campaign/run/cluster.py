@@ -6,6 +6,7 @@ import threading
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import cv2
@@ -76,7 +77,10 @@ class DaskPool:
 
                 keep_campaign(self.token, self.campaign)
 
-        known = {"scheduler_file": self._address} if self._address.endswith(".json") else {"address": self._address}
+        by_file = self._address.endswith(".json")
+        if by_file and not Path(self._address).is_file():  # the client would wait for it without end
+            raise InputError(f"--dask {self._address}: there is no such scheduler file; is the scheduler running?")
+        known = {"scheduler_file": self._address} if by_file else {"address": self._address}
         try:
             client = Client(**known, timeout=_CONNECT_S, set_as_default=False)
             client.wait_for_workers(1, timeout=_CONNECT_S)
@@ -117,7 +121,7 @@ class DaskPool:
         assert client is not None
         waiting = deque(range(len(jobs)))
         running: dict[Any, int] = {}
-        done = as_completed()
+        done = as_completed(loop=client.loop)
 
         def hand_out() -> None:
             limit = _QUEUED_PER_WORKER * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
