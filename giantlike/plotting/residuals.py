@@ -20,6 +20,9 @@ _SMALLEST_PX = 1e-6  # a logarithmic axis has no zero
 _MAGNITUDE_BINS = 24  # a third of a magnitude each over the usual eight
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of the length of a vector with two unit Gaussian components
 
+_MARKS_PER_BAR = 4
+"""Marks of a point with an error bar: itself, the bar, two caps."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Series(Value):
@@ -60,13 +63,16 @@ def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str
     Figure
     """
     shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)]
+    bars = sum(int(np.isfinite(part.values[:, shown]).sum()) for part in series)
+    many = bars * _MARKS_PER_BAR > MANY_POINTS
     with drawing():
         rows = max(len(shown), 1)
         figure, axes = new_panels(8.4, 1.1 + 1.7 * rows, rows, sharex=True)
         for axis, quantity in zip(axes, shown, strict=False):
             axis.axhline(0.0, color=GRAY, linewidth=0.9)
             for number, part in enumerate(series):
-                _draw_series(axis, part, quantity, SERIES[number % len(SERIES)], MARKERS[number % len(MARKERS)])
+                looks = (SERIES[number % len(SERIES)], MARKERS[number % len(MARKERS)])
+                _draw_series(axis, part, quantity, looks, rasterized=many)
             axis.set_ylabel(panels[quantity])
         axes[0].set_title(title)
         axes[-1].set_xlabel(at_label)
@@ -75,9 +81,8 @@ def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str
     return figure
 
 
-def _draw_series(axis: Axes, part: Series, quantity: int, color: str, marker: str) -> None:
-    known = np.isfinite(part.values[:, quantity])
-    many = int(known.sum()) > MANY_POINTS
+def _draw_series(axis: Axes, part: Series, quantity: int, looks: tuple[str, str], *, rasterized: bool) -> None:
+    known, (color, marker) = np.isfinite(part.values[:, quantity]), looks
     for which, fill, label in ((known & ~part.suspect, color, part.label), (known & part.suspect, "white", None)):
         sigma = part.sigma[which, quantity]
         axis.errorbar(
@@ -91,7 +96,7 @@ def _draw_series(axis: Axes, part: Series, quantity: int, color: str, marker: st
             elinewidth=1.0,
             capsize=2.0,
             label=label,
-            rasterized=many,
+            rasterized=rasterized,
         )
 
 

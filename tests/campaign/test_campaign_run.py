@@ -579,6 +579,14 @@ def test_figures_are_drawn_of_next_to_nothing() -> None:
     assert "<svg" in svg_text(series_figure([empty], ["x", "y"], "time", "<none>"), "series")
 
 
+def test_the_figure_of_a_thousand_images_is_drawn_as_pixels_and_small() -> None:
+    many = Series(label="a", at=np.arange(1000.0), values=np.random.default_rng(2).normal(size=(1000, 3)),
+                  sigma=np.ones((1000, 3)), suspect=np.zeros(1000, dtype=bool))  # fmt: skip
+    text = svg_text(series_figure([many], ["x", "y", "z"], "time", "many"), "many")
+    assert len(text) < 200_000  # 5 MB of a report have room for 25
+    assert "data:image/png" in text
+
+
 def test_stretching_keeps_single_bright_pixels_of_large_images_and_the_order_of_levels() -> None:
     pixels = np.random.default_rng(1).normal(100.0, 3.0, (2000, 1500)).astype(np.float32)
     pixels[777, 555] = 5000.0
