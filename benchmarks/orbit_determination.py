@@ -6,7 +6,9 @@ KERNEL is the trajectory of OSIRIS-REx relative to Bennu as SPICE has it, a stat
 13 to 19 November 2018 lies between two maneuvers. The truth is the trajectory of the example's own dynamics (the pull
 of Bennu and a constant acceleration) that fits these positions best; its residuals, some meters, are printed. Images
 are at the epochs of the real ones, ten in a row share an attitude and all share the size of the body.
-``examples/orbit_determination.py`` reads the file of each draw and nothing else.
+``examples/orbit_determination.py`` reads the file of each draw and nothing else. With 200 draws (November 2026) the
+mean of squared errors over the covariance is 1.007 per degree of freedom with attitudes and size considered and 0.988
+with them estimated, in the 95 % band of 0.936 to 1.066; 95.6 % and 96.0 % of the components lie within 1.96 sigma.
 """
 
 from __future__ import annotations
@@ -79,12 +81,19 @@ def main() -> None:
     parser.add_argument("kernel", type=Path)
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--output", type=Path)
+    parser.add_argument(
+        "--write", type=Path, help="write one draw of the arc in free fall for other programs, and stop"
+    )
     arguments = parser.parse_args()
     times, places = real_nodes(arguments.kernel)
     first, last = (et_from_time(time_from_utc(text)) for text in (FIRST_UTC, LAST_UTC))
     chosen = (times >= first) & (times <= last)
     truth, left_km = fitted(times[chosen], places[chosen])
     arc = Arc(times=times[chosen], relative_km=trajectory(truth, float(times[chosen][0]), float(np.ptp(times[chosen]))))
+    if arguments.write is not None:
+        fall = trajectory(np.append(truth[:6], np.zeros(3)), float(arc.times[0]), float(np.ptp(arc.times)))
+        write_arc(arguments.write, Arc(times=arc.times, relative_km=fall), np.random.default_rng(3))
+        return
     example, started = orbit_example(), time.process_time()
     squared: dict[str, list[float]] = {"consider": [], "estimate": []}
     normalized: dict[str, list[list[float]]] = {"consider": [], "estimate": []}

@@ -139,13 +139,19 @@ def first_guess(observations: list[Observation]) -> Array:
     return np.concatenate([place, slope, np.zeros(3)])
 
 
-def solve(observations: list[Observation], *, gm: float = 0.0, estimate: bool = False) -> Solution:
+def solve(
+    observations: list[Observation],
+    *,
+    gm: float = 0.0,
+    estimate: bool = False,
+    acceleration_sigma: float = ACCELERATION_KM_S2,
+) -> Solution:
     """Batch least squares; shared errors are considered, or estimated with what is known of them."""
     times = np.array([each.et for each in observations])
     keys = {key: matrix for each in observations for key, (_, matrix) in each.shared.items()}
     starts = dict(zip(keys, np.cumsum([0, *(len(matrix) for matrix in keys.values())]).tolist(), strict=False))
     n_shared = sum(len(matrix) for matrix in keys.values())
-    prior = np.diag(np.array([POSITION_KM] * 3 + [VELOCITY_KM_S] * 3 + [ACCELERATION_KM_S2] * 3) ** -2.0)
+    prior = np.diag(np.array([POSITION_KM] * 3 + [VELOCITY_KM_S] * 3 + [acceleration_sigma] * 3) ** -2.0)
     known = np.zeros((n_shared, n_shared))
     for key, matrix in keys.items():
         known[starts[key] : starts[key] + len(matrix), starts[key] : starts[key] + len(matrix)] = matrix
