@@ -13,6 +13,9 @@ from giantlike.campaign.merge import merge_runs
 from giantlike.cli.arguments import Json, Run
 from giantlike.cli.outcome import ExitCode, print_json
 
+_WIDTH = 140
+"""Columns of a table in a file, which has no width of its own: no number is cut."""
+
 
 def compare(
     folder: Run,
@@ -92,7 +95,8 @@ def _show(summary: dict[str, Any]) -> None:
         table.add_row(
             escape(row["what"]), f"{row['axis']}, {row['unit']}", str(row["n"]), *cells, str(row["beyond_3_sigma"])
         )
-    Console().print(table)
+    console = Console()
+    (console if console.is_terminal else Console(width=_WIDTH)).print(table)
     for name in summary["shared_errors"]:
         typer.echo(f"both share: {name}")
     for note in summary["notes"]:

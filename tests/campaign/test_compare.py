@@ -120,7 +120,9 @@ def test_runs_of_the_same_images_with_another_shape_share_the_noise_and_not_the_
     found = compare_runs(one, run_with(tmp_path / "two", sha256="same", shapes_sha256={"ROCK": "b"}))
     center = rows(found)["ROCK: limb_matching", "x"]
     assert center["median_sigma"] == pytest.approx(np.sqrt(2.0) * SCALE_PX, rel=1e-9)
-    assert "noise, background and markings of bodies (the same image files)" in found.shared
+    assert (
+        "noise, background and markings of bodies (the same image files; in part, where options differ)" in found.shared
+    )
     assert not any("shape" in text for text in found.shared)
     # The attitudes have nothing but noise, which both share: no sigma is left, and no ratio.
     assert rows(found)["attitude", "x"]["rms_over_sigma"] is None

@@ -18,6 +18,9 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import rotation_between
 from giantlike.core.units import ARCSEC_PER_RAD
 
+_ROUNDING = 1e-12
+"""Share of a variance that is rounding: parts come by Jacobians that leave some 1e-16 where there is nothing."""
+_SAME_FILES = "the same image files; in part, where options differ"
 _OF_PIXELS = (Cause.NOISE, Cause.BACKGROUND, Cause.ALBEDO)
 """Causes that two fixes have in common because they come from the same pixels with the same estimator."""
 _OF_BODY = (Cause.RELIEF, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN)
@@ -96,7 +99,7 @@ class _Shared:
         """Causes that two attitudes have in common."""
         causes = [*(_OF_PIXELS if same_image else ()), *(_OF_HEADER if same_image else ())]
         if same_image:
-            self.said["noise of the stars (the same image files), velocity of the spacecraft, epoch"] = None
+            self.said[f"noise of the stars ({_SAME_FILES}), velocity of the spacecraft, epoch"] = None
         if self._catalog:
             self.said["catalog (the same)"] = None
         return self._with_camera(causes)
@@ -106,7 +109,7 @@ class _Shared:
         causes: list[Cause] = []
         if same_image:
             causes += _OF_PIXELS
-            self.said["noise, background and markings of bodies (the same image files)"] = None
+            self.said[f"noise, background and markings of bodies ({_SAME_FILES})"] = None
         if record.target in self._shapes:
             causes += _OF_BODY
             self.said[f"{record.target}: shape, its scale, pole and spin (the same file)"] = None
@@ -175,9 +178,13 @@ def _fix_parts(record: ObservationRecord) -> dict[Cause, Float] | None:
 def _unshared(both: Iterable[Mapping[Cause, Float] | None], shared: Iterable[Cause], size: int) -> Float | None:
     """Sum of the covariances of two results, without the causes that both share; None where one is unknown."""
     causes = [cause for cause in Cause if cause not in set(shared) and cause is not Cause.EPHEMERIS]
-    total = np.zeros((size, size))
+    unshared, total = np.zeros((size, size)), np.zeros((size, size))
     for parts in both:
         if not parts:
             return None
-        total = total + summed(parts, causes)
-    return total
+        unshared = unshared + summed(parts, causes)
+        total = total + summed(parts, Cause)
+    nothing = np.diag(unshared) <= _ROUNDING * np.diag(total)
+    unshared[nothing, :] = 0.0
+    unshared[:, nothing] = 0.0
+    return unshared
