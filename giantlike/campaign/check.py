@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from giantlike.calibration.star_images import start_model
 from giantlike.campaign.file.config import Campaign, images_of, stars_of
+from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.inputs import camera_of, geometry_of, spice_of, targets_of
 from giantlike.campaign.file.schema import CampaignFile, TargetSection
 from giantlike.campaign.file.toml_file import checked_table, problems_of
@@ -21,6 +22,8 @@ from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
 from giantlike.core.errors import DataError, InputError, OpNavError
 from giantlike.core.reading import toml_table
 from giantlike.image import Image
+from giantlike.io.geometry_table import GeometryTable
+from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Shape
 
 _KEY = re.compile(r"\[?((?:campaign|images|camera|spice|stars|calibration|targets|report)\b[\w.\[\]]*?)\]?:? ")
@@ -80,7 +83,7 @@ def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
         return check.found
     broken = _keys_and_values(check, table)
     _named_files(check, table, broken)
-    if not check.found:
+    if not any(mistake.fatal for mistake in check.found):
         try:
             campaign = Campaign.load(path)
         except OpNavError as error:
@@ -124,7 +127,9 @@ def _keys_and_values(check: _Check, table: dict[str, Any]) -> set[str]:
     except ValidationError as error:
         problems = problems_of(error, CampaignFile)
         for key, text in problems:
-            check.add(key, text)
+            name = key.rpartition(".")[2]
+            advice = f"; options of an estimator go into [targets.options.{name}]" if name in ESTIMATORS else ""
+            check.add(key, text + advice)
         return {key.partition(".")[0].partition("[")[0] for key, _ in problems}
     except InputError as error:
         check.add("", error)
@@ -150,7 +155,9 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
     spice = check.attempt("spice", spice_of, path, section("spice"))
     if images is not None and images.geometry is not None:
         bodies = [target for _, target in targets]
-        check.attempt("images.geometry", geometry_of, path, "images.geometry", images.geometry, bodies)
+        rows = check.attempt("images.geometry", geometry_of, path, "images.geometry", images.geometry, bodies)
+        if rows is not None and "spice" not in table:
+            _targets_nowhere(check, table, rows)
     stars, calibration = section("stars"), section("calibration")
     if stars is not None:
         check.attempt("stars", stars_of, path, stars)
@@ -166,6 +173,20 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
         if name in names:
             check.add(f"targets[{number}].name", f"targets[{number}].name: {name!r} is the name of another target too")
         names.add(name)
+
+
+def _targets_nowhere(check: _Check, table: dict[str, Any], geometry: GeometryTable) -> None:
+    """Targets without a row in the geometry table, which are looked for in no image: a misspelled name most often."""
+    known = list(dict.fromkeys(row.target for row in geometry.rows if row.target is not None))
+    for number, target in enumerate(table.get("targets", [])):
+        name = target.get("name") if isinstance(target, dict) else None
+        if isinstance(name, str) and name not in known:
+            names = ", ".join(known) or "none"
+            text = (
+                f"target {name!r}{nearest(name, known)}: no row in {geometry.path} and no [spice], so its position is "
+                f"unknown: it is looked for in no image; targets in the table: {names}"
+            )
+            check.add(f"targets[{number}].name", text, fatal=False)
 
 
 def _targets(table: dict[str, Any]) -> Iterator[tuple[int, TargetSection | None]]:
@@ -190,10 +211,13 @@ def _pieces(target: TargetSection) -> Iterator[tuple[str, TargetSection]]:
 
 def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> None:
     """What is allowed, and probably not meant."""
+    told = {mistake.key for mistake in check.found}
     for warning in campaign.warnings:
         named = re.match(r"target '(.*?)'", warning)
         number = next((k for k, one in enumerate(campaign.targets) if named and one.name == named.group(1)), None)
-        check.add("images.geometry" if number is None else f"targets[{number}].name", warning, fatal=False)
+        key = "images.geometry" if number is None else f"targets[{number}].name"
+        if number is None or key not in told:
+            check.add(key, warning, fatal=False)
     for number, section in enumerate(campaign.table.get("targets", [])):
         for name in section.get("options", {}):
             if name not in section["estimators"]:

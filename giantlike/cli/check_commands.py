@@ -27,7 +27,8 @@ def check(
     else:
         for mistake in found:
             typer.echo(str(mistake))
-        typer.echo(f"{path}: {fatal} mistakes, {len(found) - fatal} warnings")
+        counts = ((fatal, "mistake"), (len(found) - fatal, "warning"))
+        typer.echo(f"{path}: " + ", ".join(f"{count} {word}{'s' * (count != 1)}" for count, word in counts))
     return ExitCode.BAD_INPUT if fatal else ExitCode.DONE
 
 

@@ -108,7 +108,17 @@ def test_what_is_allowed_and_not_meant_is_told(folder: Path) -> None:
     assert "options of ellipse_fit, which is not in estimators and does not run" in texts
     assert "target 'GHOST': no row in" in texts
     assert "images.geometry" not in texts
-    assert "1 mistakes, 3 warnings" in giantlike("check", path).stdout  # the third: no row for b.fits
+    assert "1 mistake, 3 warnings" in giantlike("check", path).stdout  # the third: no row for b.fits
+
+
+def test_a_misspelled_target_is_told_beside_an_unknown_key_with_where_options_belong(folder: Path) -> None:
+    table: dict[str, Any] = campaign_table()
+    table["targets"][0] |= {"name": "PEBLE", "limb_matching": {"max_iterations": 3}}
+    path = folder / "campaign.toml"
+    path.write_text(tomli_w.dumps(table))
+    texts = " ".join(found(path).values())
+    assert "target 'PEBLE' (did you mean 'PEBBLE'?): no row in" in texts
+    assert "options of an estimator go into [targets.options.limb_matching]" in texts
 
 
 def test_an_image_of_another_size_and_a_file_that_is_no_toml_are_told(folder: Path) -> None:

@@ -30,5 +30,5 @@ def nearest(name: str, known: Iterable[str]) -> str:
     >>> nearest("x", ["limb_matching"])
     ''
     """
-    found = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=_LIKENESS)
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=_LIKENESS)
     return f" (did you mean {found[0]!r}?)" if found else ""
