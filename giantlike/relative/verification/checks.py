@@ -27,6 +27,8 @@ AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
 _CHECKED = "checks"
 """Key of the provenance of fixes: the numbers of their checks."""
+_ALTITUDE = "limb_altitude_km"
+"""Key of the provenance of fixes whose limb stands above the shape: haze, an atmosphere."""
 _LINEAR = 0.01
 """Motion over the radius, and change of the range, up to which derivatives of the coarse render tell the residuals: a
 fifth of a cell. The square of a motion that is left looks like a blur."""
@@ -194,9 +196,13 @@ class _Coarse(Value):
 
 
 def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
-    """Render and fit a body where it was found, and again where the image would have it if that is not near by."""
+    """Render and fit a body where it was found, and again where the image would have it if that is not near by.
+
+    A body that is seen larger than its shape, by haze around it, is rendered nearer: the two look the same.
+    """
     geometry, model = inputs.geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
+    range_km /= 1.0 + float(fix.provenance.get(_ALTITUDE, 0.0)) / geometry.target.shape.mean_radius_km
     coarse = _at(geometry.body(range_km * model.unproject(fix.center_px)), inputs, search_px)
     if coarse is None or coarse.fit is None:
         return coarse
