@@ -15,6 +15,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
+from giantlike.ray_tracing.sampling import spread_over
 
 CELLS_PER_RADIUS = 20
 """Cells to a radius of the body, as far as pixels are not larger: two exposures 5 px apart on a body of 140 px show as
@@ -136,6 +137,13 @@ class Cells(Value):
         x, y = template.corner_px.tolist()
         return self.inner.cut(values, (x, y))
 
+    def light(self, trace: Trace) -> Float:
+        """Brightness in :attr:`inner` of a trace, as that of its template and without what else is in one."""
+        across, down = trace.footprint.spread
+        columns = spread_over(across, trace.cell_brightness(trace.body.reflectance))
+        x, y = trace.footprint.corner_px.tolist()
+        return self.inner.cut(spread_over(down, columns.T), (x, y))
+
 
 def cells_around(
     pixels_dn: Float, good: Mask, saturated: Mask, camera: Camera, body: Body, *, room_px: float = 0.0
@@ -177,15 +185,14 @@ def cells_around(
     x, y = np.rint(body.center_px(binned.model)).astype(int).tolist()
     box = PixelBox(x=x - half, y=y - half, width=2 * half + 1, height=2 * half + 1)
     pixels = PixelBox(x=box.x * size, y=box.y * size, width=box.width * size, height=box.height * size)
-    usable, clipped = pixels.cut(good), pixels.cut(saturated)
-    counts = block_sums(usable, size)
-    values = block_sums(np.where(usable, pixels.cut(pixels_dn), 0.0), size) / np.maximum(counts, 1.0)
+    counts, sums, clipped = _sums(pixels, pixels_dn, good, saturated, size)
+    values = sums / np.maximum(counts, 1.0)
     enough = np.asarray(counts >= 0.5 * size**2)
     return Cells(
         values=values,
         variance=camera.detector.variance_dn2(values) / np.maximum(counts, 1.0),
         good=enough,
-        fresh=enough & (block_sums(clipped, size) == 0.0) if clipped.any() else enough,
+        fresh=enough & (clipped == 0.0),
         camera=binned,
         box=box,
         room=room,
@@ -193,3 +200,32 @@ def cells_around(
         size=size,
         center_px=center_px,
     )
+
+
+def _sums(pixels: PixelBox, pixels_dn: Float, good: Mask, saturated: Mask, size: int) -> tuple[Float, Float, Float]:
+    """Number of good pixels, sum of their values and number of clipped pixels in the blocks of a box of whole blocks.
+
+    Only the part of the box in the frame is read, and no mask beyond whether it masks anything.
+    """
+    rows, columns = good.shape
+    x, y = max(pixels.x, 0), max(pixels.y, 0)
+    width, height = min(pixels.x + pixels.width, columns) - x, min(pixels.y + pixels.height, rows) - y
+    sums = np.zeros((3, pixels.height // size, pixels.width // size))
+    if width <= 0 or height <= 0:
+        return sums[0], sums[1], sums[2]
+    read = PixelBox(x=x, y=y, width=-(-width // size) * size, height=-(-height // size) * size)
+    whole = read.width == width and read.height == height
+    values, usable, clipped = (
+        pixels_dn[read.slices] if whole else read.cut(pixels_dn),
+        good[read.slices] if whole else read.cut(good),
+        saturated[read.slices] if whole else read.cut(saturated),
+    )
+    first, left = (y - pixels.y) // size, (x - pixels.x) // size
+    part = sums[:, first : first + read.height // size, left : left + read.width // size]
+    if usable.all():
+        part[0], part[1] = size**2, block_sums(values, size)
+    else:
+        part[0], part[1] = block_sums(usable, size), block_sums(np.where(usable, values, 0.0), size)
+    if clipped.any():
+        part[2] = block_sums(clipped, size)
+    return sums[0], sums[1], sums[2]

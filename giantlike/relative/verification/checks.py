@@ -130,9 +130,9 @@ def chance_of(difference: Float, covariance: Float) -> float:
     -------
     float
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
-    return float(chi2.sf(_squared(difference, covariance), len(difference)))
+    return float(chdtrc(len(difference), max(_squared(difference, covariance), 0.0)))
 
 
 def _squared(difference: Float, covariance: Float) -> float:

@@ -36,6 +36,8 @@ _OTHER_LAW = 0.5
 """Error that laws beyond those leave, over what they change: half of it."""
 _PLACE, _STRAIN, _BLUR = slice(10, 13), slice(13, 16), slice(16, 19)
 """Columns of the design for the place, the strain and the blur."""
+_GEOMETRY, _OF_GEOMETRY = slice(10, 19), (slice(0, 3), slice(3, 6), slice(6, 9))
+"""All of these, and each of them among all."""
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
 _PSF_PX2 = 0.3
@@ -46,6 +48,8 @@ _UNLIKELY = 4.0
 """Standard deviations beyond which a cell is not explained, by noise and errors of the model together."""
 _ISOLATED = 3
 """Side, cells, of the median that takes stars, cosmic rays and single rows out of what is not explained."""
+_DARK = 1e-30
+"""Sum of the light of cells below which a law leaves a body dark."""
 _LIT = 0.05
 """Of the brightest cell: fainter ones are not counted as lit."""
 _LONG_WAVES = 1.3
@@ -149,21 +153,21 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
     normalized = np.where(fresh, normalized, 0.0)
     misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
     shown_sigma = _scale(normalized, lit, edge) * model_sigma
-    covariance = _covariance(design.columns, np.where(fresh, weights, 0.0), noise, shown_sigma, normal, cells)
-    by_law = _OTHER_LAW * (solution - _without_laws(normal, weighted @ values[fresh]))
-    covariance = covariance + np.outer(by_law, by_law)
+    influence = np.tensordot(np.linalg.inv(normal)[_GEOMETRY], design.columns * np.where(fresh, weights, 0.0), axes=1)
+    by_law = _OTHER_LAW * (solution - _without_laws(normal, weighted @ values[fresh]))[_GEOMETRY]
+    covariance = _covariance(influence, noise, shown_sigma, cells) + np.outer(by_law, by_law)
+    place, strain, blur = (covariance[part, part] for part in _OF_GEOMETRY)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
     return CoarseFit(
         gain_dn=gain,
         misfit=misfit,
         unexplained=_unexplained_area(normalized, fresh) / float(np.count_nonzero(lit)),
         moved=per_radius @ solution[_PLACE] / gain,
-        covariance=per_radius @ covariance[_PLACE, _PLACE] @ per_radius / gain**2,
+        covariance=per_radius @ place @ per_radius / gain**2,
         blur=np.asarray(solution[_BLUR] / gain * cells.size**2),
-        blur_covariance=covariance[_BLUR, _BLUR] * (cells.size**2 / gain) ** 2
-        + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0]),
+        blur_covariance=blur * (cells.size**2 / gain) ** 2 + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0]),
         strain=np.asarray(solution[_STRAIN] / gain),
-        strain_covariance=covariance[_STRAIN, _STRAIN] / gain**2 + turn_rad**2 * np.eye(3),
+        strain_covariance=strain / gain**2 + turn_rad**2 * np.eye(3),
     )
 
 
@@ -172,9 +176,8 @@ def _design(cells: Cells, trace: Trace, own: Template) -> _Design:
     light = cells.place(own.brightness, own)
     others = []
     for law in _OTHER_LAWS:
-        template = cells.render(trace.with_reflectance(law))
-        other = light if template is None else cells.place(template.brightness, template)
-        others.append(other * (light.sum() / max(float(other.sum()), 1e-300)) - light)
+        other = cells.light(trace.with_reflectance(law))
+        others.append(other * (light.sum() / max(float(other.sum()), _DARK)) - light)
     rows, columns = np.mgrid[: light.shape[0], : light.shape[1]]
     x = (columns - (own.center_px[0] - cells.inner.x)) / cells.radius
     y = (rows - (own.center_px[1] - cells.inner.y)) / cells.radius
@@ -260,17 +263,18 @@ def _nothing_alike() -> CoarseFit:
     )
 
 
-def _covariance(columns: Float, weights: Float, noise: Float, model_sigma: Float, normal: Float, cells: Cells) -> Float:
-    """Covariance of the solution where errors of the model are alike over a part of the disk."""
+def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells) -> Float:
+    """Covariance (k, k) of unknowns where errors of the model are alike over a part of the disk.
+
+    ``influence`` (k, n, n) is how the unknowns change with the cells.
+    """
     from scipy.ndimage import gaussian_filter
 
     length = 0.5 * BLOCK * cells.radius
     area = max(2.0 * math.pi * length**2, 1.0)
-    weighted = columns * weights
-    spread = gaussian_filter(model_sigma * weighted, (0.0, length, length), mode="constant")
-    errors = noise * weighted + area * model_sigma * spread
-    inverse = np.linalg.inv(normal)
-    covariance = inverse @ np.tensordot(weighted, errors, axes=([1, 2], [1, 2])) @ inverse.T
+    spread = gaussian_filter(model_sigma * influence, (0.0, length, length), mode="constant")
+    errors = noise * influence + area * model_sigma * spread
+    covariance = np.tensordot(influence, errors, axes=([1, 2], [1, 2]))
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
@@ -289,4 +293,4 @@ def _in_patches(odd: Mask) -> Mask:
     """Cells most of whose neighbors are odd too."""
     from scipy.ndimage import median_filter
 
-    return np.asarray(median_filter(odd, size=_ISOLATED))
+    return np.asarray(median_filter(odd, size=_ISOLATED)) if odd.any() else odd

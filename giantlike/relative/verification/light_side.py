@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scipy.spatial.transform import Rotation
 
@@ -17,6 +17,9 @@ _LEAST_SHARE = 0.3
 """Share of the body that must lie in the frame."""
 _OTHER_SIDES_RAD = (0.5 * math.pi, math.pi, 1.5 * math.pi)
 """Angles by which the Sun is turned about the line of sight."""
+_CLEAR = 0.2
+"""Share of the variance that the side of the Sun leaves, over that of the others lit without cast shadows, below which
+no shadows could make these the better ones."""
 _EXACT = 1e-9
 """Share of the variance that rounding leaves of an exact model."""
 
@@ -62,7 +65,8 @@ def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: 
     -----
     Residuals of a body are errors of its law and of its markings: alike over a quarter of a radius, independent beyond.
     With n such parts the likelihood goes with the unexplained variance to the power of -n / 2. At small phase angles
-    all sides match alike, and the odds are even.
+    all sides match alike, and the odds are even. Shadows that the body casts on itself under another Sun are traced
+    where they may matter: not for most images.
     """
     parts = independent_parts(cells, own)
     if parts == 0.0:
@@ -71,9 +75,11 @@ def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: 
     room = math.ceil(cells.radius)
     matches = ShiftedMatches.of(cells, room)
     turned = [rotate(Rotation.from_rotvec(angle * sight), sun_direction_camera) for angle in _OTHER_SIDES_RAD]
-    others = [one for one in (cells.render(trace.with_sun(sun)) for sun in turned) if one is not None]
-    left = max(_least(matches, cells, own), _EXACT)
-    left_by_other = max(min((_least(matches, cells, one) for one in others), default=1.0), _EXACT)
+    left = max(_least(matches, cells.place(own.brightness, own)), _EXACT)
+    for one in (_without_shadows(trace), trace):
+        left_by_other = max(min(_least(matches, cells.light(one.with_sun(sun))) for sun in turned), _EXACT)
+        if left < _CLEAR * left_by_other:
+            break
     odds = 0.5 * parts * math.log(left / left_by_other)
     return LightSide(unexplained=left, unexplained_by_other=left_by_other, log_odds=odds)
 
@@ -97,6 +103,11 @@ def independent_parts(cells: Cells, template: Template) -> float:
     return seen / (BLOCK * cells.radius) ** 2 if enough else 0.0
 
 
-def _least(matches: ShiftedMatches, cells: Cells, template: Template) -> float:
-    """Share of the variance of the cells that a template leaves at its best shift."""
-    return float(matches.unexplained(cells.place(template.brightness, template)).min())
+def _without_shadows(trace: Trace) -> Trace:
+    """Return a trace whose body shades itself no more, so that another Sun costs no rays."""
+    return replace(trace, view=replace(trace.view, options=replace(trace.view.options, shadows=False)))
+
+
+def _least(matches: ShiftedMatches, light: Float) -> float:
+    """Share of the variance of the cells that light leaves at its best shift."""
+    return float(matches.unexplained(light).min())
