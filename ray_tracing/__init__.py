@@ -8,7 +8,7 @@ from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.ray_tracing.disk import disk_integrated, disk_photocenter
 from giantlike.ray_tracing.footprint import FocalPlane
-from giantlike.ray_tracing.near_outline import outline_brightness, render_near
+from giantlike.ray_tracing.near_outline import NearRender, outline_brightness, render_near
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import (
     REFLECTANCES,
@@ -55,6 +55,7 @@ __all__ = [
     "outline_brightness",
     "reflectance_from_mapping",
     "render",
+    "NearRender",
     "render_near",
     "render_scene",
     "surface_albedo",

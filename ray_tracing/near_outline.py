@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.pixel_box import PixelBox
+from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.footprint import FocalPlane, visible_box
 from giantlike.ray_tracing.options import RenderOptions
@@ -31,6 +32,22 @@ _PSF_REACH_SIGMA = 3.5  # beyond and half a pixel lies a ten-thousandth of the l
 _OPTIONS = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NearRender(Value):
+    """Part of a frame in which a body was rendered near some points.
+
+    Parameters
+    ----------
+    images : (laws, h, w) float64
+        Brightness under each reflectance law; the part may reach beyond the frame.
+    corner_px : (2,) float64, px
+        Column and row of the first pixel in the frame.
+    """
+
+    images: Float
+    corner_px: Float
+
+
 def render_near(
     points_px: Float,
     body: Body,
@@ -39,8 +56,8 @@ def render_near(
     sun_direction_camera: Float,
     rays_per_pixel_side: int,
     other_laws: Sequence[Reflectance] = (),
-) -> Float | Failure:
-    """Brightness of a body in a frame, rendered only near given points, under one or several reflectance laws.
+) -> NearRender | Failure:
+    """Brightness of a body, rendered only near given points, under one or several reflectance laws.
 
     Parameters
     ----------
@@ -58,9 +75,9 @@ def render_near(
 
     Returns
     -------
-    (1 + len(other_laws), rows, columns) float64 or Failure
-        Under the law of the body, then under the others. ``NOT_LIT`` or ``OUT_OF_FRAME`` when no light falls near any
-        of the points, ``DEGENERATE_GEOMETRY`` when the camera lies inside the body.
+    NearRender or Failure
+        ``NOT_LIT`` or ``OUT_OF_FRAME`` when no light falls near any of the points, ``DEGENERATE_GEOMETRY`` when the
+        camera lies inside the body.
 
     Raises
     ------
@@ -82,22 +99,19 @@ def render_near(
     pixels = _pixels_near(points_px.reshape(-1, 2), size, reach)
     if len(pixels) == 0:
         return Failure(Reason.OUT_OF_FRAME, "none of the points to render lies in the frame")
-    rays = _ray_axes(plane.model, pixels) @ view.body.camera_from_body.as_matrix()
+    axes = _ray_axes(plane.model, pixels) @ view.body.camera_from_body.as_matrix()
     laws = (body.reflectance, *other_laws)
-    coarse = _light(view, rays, math.ceil(rays_per_pixel_side / _COARSER), laws)
-    uneven = np.any([_uneven(pixels, light) for light in coarse], axis=0)
+    coarse = _light(view, axes, math.ceil(rays_per_pixel_side / _COARSER), laws)
     if not coarse[0].any():
         return Failure(Reason.NOT_LIT, "the body is dark at all points that were rendered")
+    uneven = np.any([_uneven(pixels, light) for light in coarse], axis=0)
+    fine = _light(view, axes[uneven], rays_per_pixel_side, laws)
     first = pixels.min(axis=0) - reach
     columns, rows = (pixels.max(axis=0) + reach + 1 - first).tolist()
-    fine = _light(view, rays[uneven], rays_per_pixel_side, laws)
-    frame, shape = PixelBox(x=0, y=0, width=plane.columns, height=plane.rows), (rows, columns)
-    images = []
-    for few, many in zip(coarse, fine, strict=True):
-        patch = _spread(pixels[~uneven] - first, few[~uneven], shape, sigma_px, reach)
-        patch += _spread(pixels[uneven] - first, many, shape, sigma_px, reach)
-        images.append(frame.cut(patch, tuple(first.tolist())))
-    return np.stack(images)
+    images = np.zeros((rows, columns, len(laws)))
+    _spread(images, pixels[~uneven] - first, coarse[:, ~uneven], sigma_px, reach)
+    _spread(images, pixels[uneven] - first, fine, sigma_px, reach)
+    return NearRender(images=np.ascontiguousarray(np.moveaxis(images, -1, 0)), corner_px=first.astype(np.float64))
 
 
 def outline_brightness(
@@ -183,8 +197,8 @@ def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:
     return np.stack([model.unproject(centers), *np.moveaxis(model.unproject_jacobian(centers), -1, 0)], axis=1)
 
 
-def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) -> list[Float]:
-    """Brightness of ``per_side`` squared rays to each pixel (n, rays), under each of the laws.
+def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) -> Float:
+    """Brightness of ``per_side`` squared rays to each pixel, under each of the laws, (laws, n, rays).
 
     ``axes`` (n, 3, 3) are those of :func:`_ray_axes` in body axes. Rays count the cells of a pixel row by row.
     """
@@ -192,24 +206,32 @@ def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) 
     turn = (np.argsort(np.argsort(np.arange(per_side) * _GOLDEN % 1.0)) + 0.5) / per_side**2 - 0.5 / per_side
     x, y = place[None, :] + turn[:, None], place[:, None] + turn[None, :]
     steps = np.stack([np.ones(per_side**2), x.ravel(), y.ravel()], axis=-1)
-    directions = np.zeros((len(axes) * per_side**2, 4))
-    directions[:, :3] = unit(np.einsum("rk,nkc->nrc", steps, axes).reshape(-1, 3))
-    traced = trace_rays(view, directions)
-    return [traced.brightness(law).reshape(-1, per_side**2) for law in laws]
+    directions = np.zeros((len(axes), per_side**2, 4))
+    length = np.zeros(directions.shape[:2])
+    for axis in range(3):
+        part = axes[:, :, axis] @ steps.T
+        length += part**2
+        directions[..., axis] = part
+    directions /= np.sqrt(length)[..., None]
+    traced = trace_rays(view, directions.reshape(-1, 4))
+    return np.stack([traced.brightness(law).reshape(-1, per_side**2) for law in laws])
 
 
-def _spread(pixels: NDArray[np.int64], light: Float, shape: tuple[int, int], sigma_px: float, reach: int) -> Float:
-    """The light (n, rays) of pixels (n, 2), each of them once and ``reach`` from the border, as an image of a shape."""
-    image = np.zeros(shape)
-    per_side, width = math.isqrt(light.shape[1]), 2 * reach + 1
+def _spread(images: Float, pixels: NDArray[np.int64], light: Float, sigma_px: float, reach: int) -> None:
+    """Add light (laws, n, rays) of pixels (n, 2) to images (rows, columns, laws).
+
+    Each of the pixels comes once and lies ``reach`` from the border.
+    """
+    rows, columns, count = images.shape
+    per_side, width = math.isqrt(light.shape[2]), 2 * reach + 1
     share = Cells(0, per_side, per_side).spread(-reach, width, sigma_px).toarray()  # (width, per_side)
-    rows = light.reshape(-1, per_side, per_side) @ share.T  # by rows of rays and pixels across
-    corner = pixels[:, 1] * shape[1] + pixels[:, 0] - reach
+    by_rays = np.moveaxis(light, 0, -1).reshape(len(pixels), per_side, per_side, count)
+    corner = pixels[:, 1] * columns + pixels[:, 0] - reach
     for number in range(per_side):
-        sideways = np.zeros(shape)
-        flat = sideways.reshape(-1)
-        for across in range(width):
-            flat[corner + across] += rows[:, number, across]
+        sideways = np.zeros((rows, columns, count))
+        flat = sideways.reshape(-1, count)
+        along = np.ascontiguousarray(np.moveaxis(by_rays[:, number], 1, 0)).reshape(per_side, -1)
+        for across, moved in enumerate((share @ along).reshape(width, len(pixels), count)):
+            flat[corner + across] += moved
         down = np.ascontiguousarray(share[::-1, number])
-        image += cv2.sepFilter2D(sideways, -1, np.ones(1), down, borderType=cv2.BORDER_CONSTANT)
-    return image
+        images += cv2.sepFilter2D(sideways, -1, np.ones(1), down, borderType=cv2.BORDER_REPLICATE).reshape(images.shape)

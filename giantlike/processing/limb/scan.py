@@ -194,15 +194,39 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     never beyond the pixels' range, and the same for an image and a template, so that what it blurs cancels.
     """
     require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
-    places = points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
-    coordinates = np.moveaxis(places[..., ::-1], -1, 0)
-    values = map_coordinates(pixels_dn, coordinates, order=3, mode="nearest", prefilter=False)
+    places = _places(points_px, normals_px, offsets_px)
+    values = values_on_lines(pixels_dn, points_px, normals_px, offsets_px)
     clean = usable
     if not usable.all():
         clean = cv2.erode(usable.view(np.uint8), np.ones((5, 5), np.uint8), borderValue=1).view(np.bool_)
     return Scans(
         points_px, normals_px, offsets_px, values, in_frame(places, usable.shape, margin_px=1.5) & _at(clean, places)
     )
+
+
+def values_on_lines(image: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
+    """Values of an image along lines, as :func:`scan_lines` samples them.
+
+    Parameters
+    ----------
+    image : (rows, columns) float64
+    points_px, normals_px : (n, 2) float64
+    offsets_px : (m,) float64, px
+
+    Returns
+    -------
+    (n, m) float64
+        Outside the image those of its border.
+    """
+    coordinates = np.moveaxis(_places(points_px, normals_px, offsets_px)[..., ::-1], -1, 0)
+    values: Float = map_coordinates(image, coordinates, order=3, mode="nearest", prefilter=False)
+    return values
+
+
+def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
+    """Places (n, m, 2) on lines."""
+    places: Float = points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
+    return places
 
 
 def step_profile(offsets_px: Float, width_px: float) -> Float:

@@ -17,7 +17,7 @@ from scipy.special import ndtr
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import pixels_near
-from giantlike.processing.limb.scan import Scans, match_profiles, scan_lines
+from giantlike.processing.limb.scan import Scans, match_profiles, values_on_lines
 from giantlike.processing.limb.view import LimbView
 
 _GAINS = np.geomspace(1.03, 16.0, 13)
@@ -90,7 +90,7 @@ def clipped_profiles(
     images : sequence of (rows, columns) float64
         The body under its law, then under others in the same unit.
     scans : Scans
-        The image along the lines.
+        The image along the lines, whose points are those of the rendered images.
     level_dn : float, DN
     view : LimbView
     window_px, search_px : float, px
@@ -101,10 +101,9 @@ def clipped_profiles(
     ClippedProfiles
     """
     variance = view.detector.variance_dn2
-    everywhere = np.ones(images[0].shape, dtype=bool)
 
     def sampled(image: Float) -> Float:
-        return scan_lines(image, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn
+        return values_on_lines(image, scans.points_px, scans.normals_px, scans.offsets_px)
 
     few = Scans(
         scans.points_px[::_EACH_LINE],

@@ -21,12 +21,12 @@ from giantlike.processing.limb.scan import (
     ProfileMatch,
     Scans,
     match_profiles,
-    scan_lines,
     step_profile,
+    values_on_lines,
 )
 from giantlike.processing.limb.shared import SharedEstimate, estimate_shared, smooth_places
 from giantlike.processing.limb.view import LimbView
-from giantlike.ray_tracing import Body, render_near
+from giantlike.ray_tracing import Body, NearRender, render_near
 from giantlike.ray_tracing.reflectance import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.limb.clipped import LOG_GAIN_SIGMA, clipped_profiles, clipping_level_dn
 from giantlike.relative.limb.fix import EdgeModel, ScanOptions
@@ -57,6 +57,9 @@ The shares of laws multiply the gain of each line, so that one linear step from 
 """
 _FIRST_RAYS = 2
 """Rays along a pixel for the first measurement, which only needs to be good to the width of a profile."""
+_SKY_PX = 4.0
+"""How much less far lines are rendered outward than inward, px: what lies there is sky, and what is not, in a hollow of
+the outline, is rendered as far as the light of other pixels may come from, 5 px and more."""
 _FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12
 """Radius below which bodies get more rays to a pixel, as few pixels average few rays; and the most they get."""
 _MIN_CORRELATION, _MIN_CORRELATION_LOOSE = 0.9, 0.8
@@ -201,14 +204,12 @@ def expected_profiles(
         return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
     others = () if first else tuple(law for law in OTHER_LAWS if law != body.reflectance)
     rays = _FIRST_RAYS if first else options.rays_per_pixel_side
-    images = _rendered(view, body, scans, psf_px2, options, others, rays=rays)
-    if isinstance(images, Failure):
-        return images
-    everywhere = np.ones(images[0].shape, dtype=bool)
+    rendered = _rendered(view, body, scans, psf_px2, options, others, rays=rays)
+    if isinstance(rendered, Failure):
+        return rendered
+    images, there = rendered.images, replace(scans, points_px=scans.points_px - rendered.corner_px)
     beyond = np.zeros(len(scans.points_px))
-    values, *laws = (
-        scan_lines(image, everywhere, scans.points_px, scans.normals_px, scans.offsets_px).values_dn for image in images
-    )
+    values, *laws = (values_on_lines(image, there.points_px, there.normals_px, there.offsets_px) for image in images)
     height = np.ptp(values, axis=1)
     scales = [float(np.median(height / np.maximum(np.ptp(law, axis=1), 1e-300))) for law in laws]
     nominal, psf_sigma = _nominal_psf(view, psf_px2, options.psf_error)
@@ -226,7 +227,7 @@ def expected_profiles(
     else:
         scaled = [images[0], *(scale * image for scale, image in zip(scales, images[1:], strict=True))]
         reach_px = scans.offsets_px[-1] - options.window_px
-        clipped = clipped_profiles(scaled, scans, level_dn, view, window_px=options.window_px, search_px=reach_px)
+        clipped = clipped_profiles(scaled, there, level_dn, view, window_px=options.window_px, search_px=reach_px)
         values, beyond = clipped.values, clipped.beyond
         changes = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness, clipped.blur]
         count, prior, causes = count + 1, [*prior, LOG_GAIN_SIGMA**-2], [*causes, Cause.EDGE]
@@ -391,9 +392,10 @@ def _rendered(
     others: Sequence[Reflectance],
     *,
     rays: int,
-) -> Float | Failure:
-    """Images (laws, rows, columns) of the body under its law and under others."""
-    compared = np.abs(scans.offsets_px) <= options.window_px + 4.0 * scans.step_px
+) -> NearRender | Failure:
+    """Images of the body under its law and under others, where lines are compared."""
+    reach_px = options.window_px + 4.0 * scans.step_px
+    compared = (scans.offsets_px >= -reach_px) & (scans.offsets_px <= reach_px - _SKY_PX)
     per_side = _rays_for(view.radius_px, rays)
     return render_near(
         scans.points_px[:, None] + scans.offsets_px[compared, None] * scans.normals_px[:, None],
