@@ -21,6 +21,7 @@ from scipy.special import ndtr
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.statistics import MAD_TO_SIGMA, robust_sigma
 from giantlike.core.values import Value
+from giantlike.processing.limb.batched import moved, scaled_normal, solution_operators, solved
 from giantlike.processing.limb.view import in_frame
 
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
@@ -46,7 +47,6 @@ One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivi
 _MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
 _DARK = 1e-100  # scale of a column below which the expected profile is dark: lines whose limb is not rendered
-_HELD = 1e12  # of a normal matrix scaled to 1: holds a parameter at zero, and leaves the matrix invertible
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
@@ -312,17 +312,16 @@ def match_profiles(
     far = np.abs(np.arange(2 * most + 1)[None] - lag[:, None]) * step > _RIVAL_PX
     rival = np.max(np.where(far & _local_maxima(correlation), correlation, -1.0), axis=1)
     data = windows[lines, lag]
-    columns = _design(_moved(expected, shift / step), offsets, part, step)
+    columns = _design(moved(expected, shift / step), offsets, part, step)
     variance, weights = _weights(data, columns, variance_dn2)
     for _ in range(_REFINEMENTS):
-        solution = _solve(columns, data, weights)
+        solution = solved(columns, data, weights)
         shift = np.where(fixed, shift, np.clip(shift + _quotient(solution), -step, step))
-        columns = _design(_moved(expected, shift / step), offsets, part, step)
-    operator = _gain(columns, weights, _stiffness(columns, weights, _solve(columns, data, weights)))
+        columns = _design(moved(expected, shift / step), offsets, part, step)
+    operator = solution_operators(columns, weights, _stiffness(columns, weights, solved(columns, data, weights)))
     solution = np.asarray(np.einsum("nkw,nw->nk", operator, data), dtype=np.float64)
     others = np.zeros((*expected.shape, 0)) if shared is None else shared
-    moved = [_moved(others[..., i], shift / step)[:, part] * solution[:, :1] for i in range(others.shape[-1])]
-    changes = np.stack(moved, axis=-1) if moved else np.zeros((*data.shape, 0))
+    changes = moved(others, shift / step, part) * solution[:, :1, None]
     shift = shift + np.clip(_quotient(solution), -2.0 * step, 2.0 * step)
     left = data - np.einsum("nwk,nk->nw", columns, solution)
     taken, information, pull = _about_shared(columns, changes, operator, weights, left)
@@ -415,22 +414,6 @@ def _local_maxima(values: Float) -> Mask:
     return result
 
 
-def _moved(values: Float, steps: Float) -> Float:
-    """Rows (n, m) moved towards larger indices by fractions of a sample (n,), by cubics through four samples."""
-    padded = np.pad(values, ((0, 0), (2, 2)), mode="edge")
-    near = np.floor(-steps).astype(np.intp)
-    t = (-steps - near)[:, None]
-    index = np.arange(values.shape[1]) + 2 + near[:, None]
-    a, b, c, d = (np.take_along_axis(padded, np.clip(index + k, 0, padded.shape[1] - 1), axis=1) for k in range(-1, 3))
-    result: Float = (
-        -a * t * (t - 1) * (t - 2) / 6
-        + b * (t + 1) * (t - 1) * (t - 2) / 2
-        - c * (t + 1) * t * (t - 2) / 2
-        + d * (t + 1) * t * (t - 1) / 6
-    )
-    return result
-
-
 def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
     """Columns (n, w, 4) of the match: profile, offset, outward shift, slope."""
     profile = expected[:, part]
@@ -440,7 +423,7 @@ def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
 
 def _weights(data: Float, columns: Float, variance_dn2: Callable[[Float], Float]) -> tuple[Float, Float]:
     """Noise variance (n, w) of data (n, w), DN^2, from an unweighted fit, and weights that allow for model error."""
-    first = _solve(columns, data, np.ones_like(data))
+    first = solved(columns, data, np.ones_like(data))
     bright = np.maximum(np.einsum("nwk,nk->nw", columns[..., :2], first[:, :2]), 0.0)
     variance = variance_dn2(bright)
     return variance, 1.0 / (variance + (_MODEL_ERROR * bright.max(axis=1, keepdims=True)) ** 2)
@@ -459,7 +442,7 @@ def _noise_px(operator: Float, solution: Float, offsets: Float, variance: Float)
 
 def _without_slope_px(columns: Float, data: Float, weights: Float) -> Float:
     """Further shift (n,), px, of a fit by columns (n, w, 4) whose slope is held at nothing over one with free slope."""
-    return _quotient(_solve(columns[..., :3], data, weights)) - _quotient(_solve(columns, data, weights))
+    return _quotient(solved(columns[..., :3], data, weights)) - _quotient(solved(columns, data, weights))
 
 
 def _about_shared(
@@ -482,7 +465,7 @@ def _stiffness(columns: Float, weights: Float, free: Float) -> Float:
     ``free`` (n, 4) are solutions with free slopes. What these scatter by more than noise is how far slopes are from
     nothing: where the expected brightness holds that is little, and a slope that is free only adds noise to the shift.
     """
-    normal, scale = _normal(columns, weights)
+    normal, scale = scaled_normal(columns, weights)
     told = (free[:, 0] > 0.0) & (scale[:, 3, 0] > _DARK)
     if not told.any():
         return np.full(len(free), _LEAST_SLOPE**-2)
@@ -499,27 +482,3 @@ def _quotient(solution: Float) -> Float:
     """Shift (n,), px, of solutions (n, k): that of the outward column over the gain; 0 where there is no gain."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.nan_to_num(solution[:, 2] / solution[:, 0], posinf=0.0, neginf=0.0)
-
-
-def _solve(columns: Float, data: Float, weights: Float) -> Float:
-    """Batched weighted least squares (n, k)."""
-    result: Float = np.einsum("nkw,nw->nk", _gain(columns, weights), data)
-    return result
-
-
-def _gain(columns: Float, weights: Float, stiffness: Float | None = None) -> Float:
-    """The matrices (n, k, w) that give the solutions of weighted least squares, the last parameter held or not."""
-    normal, scale = _normal(columns, weights)
-    if stiffness is not None:
-        with np.errstate(over="ignore"):  # a parameter that nothing depends on
-            normal[:, -1, -1] += np.minimum(stiffness / scale[:, -1, 0] ** 2, _HELD)
-    weighted = np.swapaxes(columns * weights[..., None], 1, 2)
-    result: Float = (np.linalg.inv(normal) / scale) @ (weighted / scale)
-    return result
-
-
-def _normal(columns: Float, weights: Float) -> tuple[Float, Float]:
-    """Normal matrices (n, k, k) of weighted least squares scaled to a diagonal of 1, and the scales (n, k, 1)."""
-    normal = np.swapaxes(columns * weights[..., None], 1, 2) @ columns
-    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))[..., None]
-    return normal / (scale * np.swapaxes(scale, 1, 2)) + 1e-12 * np.eye(normal.shape[1]), scale
