@@ -29,6 +29,8 @@ class ShiftedMatches(Value):
         Transforms of the good cells and of their values.
     number, total, variance : (shifts, shifts) float64
         Good cells in the window, their sum and the sum of squares about their mean.
+    whole : bool
+        True where all cells are good: no sum of a template alone depends on the shift then.
     """
 
     size: tuple[int, int]
@@ -37,6 +39,7 @@ class ShiftedMatches(Value):
     number: Float
     total: Float
     variance: Float
+    whole: bool
 
     @classmethod
     def of(cls, cells: Cells, room: int) -> ShiftedMatches:
@@ -66,7 +69,15 @@ class ShiftedMatches(Value):
         number, total, squares = _products(spectra, window, size, shifts)
         number = np.maximum(np.rint(number), 1.0)
         variance = squares - total**2 / number
-        return cls(size=size, shifts=shifts, spectra=spectra[:2], number=number, total=total, variance=variance)
+        return cls(
+            size=size,
+            shifts=shifts,
+            spectra=spectra[:2],
+            number=number,
+            total=total,
+            variance=variance,
+            whole=bool(good.all()),
+        )
 
     def unexplained(self, model: Float) -> Float:
         """Share of the variance of the image that a template leaves, with its gain and a level fitted.
@@ -96,8 +107,12 @@ class ShiftedMatches(Value):
         gain : (shifts, shifts) float64, DN
             Zero where it would be negative or where nothing is to be seen.
         """
-        light, product = _products(self.spectra, model, self.size, self.shifts)
-        light_squares = _products(self.spectra[:1], model**2, self.size, self.shifts)[0]
+        if self.whole:
+            product = _products(self.spectra[1:], model, self.size, self.shifts)[0]
+            light, light_squares = (np.full_like(product, float(one.sum())) for one in (model, model**2))
+        else:
+            light, product = _products(self.spectra, model, self.size, self.shifts)
+            light_squares = _products(self.spectra[:1], model**2, self.size, self.shifts)[0]
         light_variance = light_squares - light**2 / self.number
         covariance = np.maximum(product - self.total * light / self.number, 0.0)
         seen = (self.variance > _EXACT * self.variance.max()) & (light_variance > _EXACT * light_variance.max())
