@@ -136,7 +136,7 @@ class OutlineErrors(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PointCovariances:
+class PointCovariances(Value):
     """Covariances (n, n) of points along an outline, unit of the residuals squared.
 
     Parameters

@@ -311,10 +311,13 @@ def test_one_file_does_not_hold_two_images(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"color": "red"}, "unknown key color; keys there are render, camera"),
-        ({"render": {"sed": 1}}, "unknown key render.sed; keys there are output, seed"),
+        ({"render": {"sed": 1}}, "unknown key render.sed \\(did you mean 'seed'\\?\\); keys there are output, seed"),
         ({"camera": {"file": "gone.toml"}}, r"camera.file: there is no file 'gone.toml'"),
         ({"images": []}, r"either \[\[images\]\] or render.geometry"),
-        ({"images.0.exposure": 1.0}, r"unknown key images\[0\].exposure; keys there are file, epoch_utc"),
+        (
+            {"images.0.exposure": 1.0},
+            r"unknown key images\[0\].exposure \(did you mean 'exposure_s'\?\); keys there are file, epoch_utc",
+        ),
         ({"images.0.exposure_s": 0}, r"images\[0\].exposure_s: expected greater than 0, got 0"),
         ({"images.0.epoch_utc": "yesterday"}, r"images\[0\].epoch_utc: epoch 'yesterday' is not ISO 8601"),
         ({"images.0.file": "first.png"}, r"images\[0\]: images are written as FITS"),

@@ -211,9 +211,12 @@ def _blocks_of(light: BodyLight, template: Template, center_px: Float, radius_px
     x, y = (template.corner_px + light.shift_px).tolist()
     rows, columns = light.region.shape
     core = light.bright & PixelBox(x=0, y=0, width=columns, height=rows).cut(inside, (x, y))
-    found = _in_blocks(core, center_px, max(_BLOCK * radius_px, 1.0))
-    enough = len(found.cells) >= _LEAST_BLOCKS
-    return found if enough else _in_blocks(light.bright, center_px, max(_BLOCK * radius_px, 1.0))
+    side_px = max(_BLOCK * radius_px, 1.0)
+    if core.any():
+        found = _in_blocks(core, center_px, side_px)
+        if len(found.cells) >= _LEAST_BLOCKS:
+            return found
+    return _in_blocks(light.bright, center_px, side_px)
 
 
 def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypedDict, TypeVar, runtime_checkable
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, Cause, summed
@@ -185,6 +186,14 @@ def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers
     )
 
 
+@runtime_checkable
+class _Oriented(Protocol):
+    """A fix with the orientation of the body as it was estimated."""
+
+    @property
+    def camera_from_body(self) -> Rotation: ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Coarse(Value):
     """A body rendered where it was found and fitted to the image; ``fit`` is None where too few cells hold its face."""
@@ -203,15 +212,17 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     geometry, model = inputs.geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
     range_km /= 1.0 + float(fix.provenance.get(_ALTITUDE, 0.0)) / geometry.target.shape.mean_radius_km
-    coarse = _at(geometry.body(range_km * model.unproject(fix.center_px)), inputs, search_px)
+    known = geometry.body(range_km * model.unproject(fix.center_px))
+    body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
+    coarse = _at(body, inputs, search_px)
     if coarse is None or coarse.fit is None:
         return coarse
     moved, cells = coarse.fit.moved, coarse.cells
     steps = float(np.hypot(*moved[:2])) / cells.size / cells.radius, abs(float(moved[2]))
     if max(steps) < _LINEAR or max(steps) > _BELIEVED:
         return coarse
-    body = geometry.body(range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2]))
-    again = _at(body, inputs, search_px)
+    position_km = range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2])
+    again = _at(replace(body, position_camera_km=position_km), inputs, search_px)
     if again is None or again.fit is None or not again.fit.misfit < coarse.fit.misfit:
         return coarse
     return replace(again, fit=replace(again.fit, moved=moved + again.fit.moved))
