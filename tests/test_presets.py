@@ -15,6 +15,8 @@ FIELDS_DEG = {
     "galileo_ssi": 0.46,
     "hayabusa2_onc_w2": 69.0,
     "near_msi": 2.93,
+    "osirisrex_mapcam": 4.0,
+    "osirisrex_polycam": 0.8,
     "new_horizons_lorri": 0.2912,
     "voyager1_nac": 0.424,
 }

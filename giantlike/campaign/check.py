@@ -16,6 +16,7 @@ from giantlike.calibration.star_images import start_model
 from giantlike.campaign.file.config import Campaign, images_of, stars_of
 from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.inputs import camera_of, geometry_of, spice_of, targets_of
+from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CampaignFile, TargetSection
 from giantlike.campaign.file.toml_file import checked_table, problems_of
 from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
@@ -23,10 +24,11 @@ from giantlike.core.errors import DataError, InputError, OpNavError
 from giantlike.core.reading import toml_table
 from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryTable
+from giantlike.presets import preset_names
 from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Shape
 
-_KEY = re.compile(r"\[?((?:campaign|images|camera|spice|stars|calibration|targets|report)\b[\w.\[\]]*?)\]?:? ")
+_KEY = re.compile(r"\[?((?:campaign|mission|images|camera|spice|stars|calibration|targets|report)\b[\w.\[\]]*?)\]?:? ")
 _ALONE: dict[str, Any] = {"shape": (1.0, 1.0, 1.0), "reflectance": None, "estimators": ["moment"], "options": {}}
 """Keys of a target that stand in while one of them is checked."""
 
@@ -81,6 +83,11 @@ def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
         line = re.search(r"at line (\d+)", str(error))
         check.add("", error, line=None if line is None else int(line.group(1)))
         return check.found
+    completed = check.attempt("mission", with_mission, path, table)
+    if completed is None:
+        table.setdefault("camera", {"preset": preset_names()[0]})  # the mission, once its name is right, tells it
+    else:
+        table = completed
     broken = _keys_and_values(check, table)
     _named_files(check, table, broken)
     if not any(mistake.fatal for mistake in check.found):

@@ -25,6 +25,7 @@ from giantlike.campaign.file.inputs import (
     spice_of,
     targets_of,
 )
+from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
 from giantlike.campaign.file.toml_file import named, read_toml
 from giantlike.core.arrays import Float, require
@@ -100,6 +101,8 @@ class Campaign:
         FITS extension to read.
     bottom_up : bool
         True if the rows of image files are reversed on reading.
+    label_geometry : bool
+        True if the geometry that labels hold is used.
     geometry_file : Path or None
     geometry : mapping of str to ImageGeometry
         Rows of the geometry table, by image key.
@@ -124,6 +127,7 @@ class Campaign:
     images: tuple[ImageEntry, ...]
     hdu: int | str | None
     bottom_up: bool
+    label_geometry: bool
     geometry_file: Path | None
     geometry: Mapping[str, ImageGeometry]
     camera: Camera
@@ -154,7 +158,7 @@ class Campaign:
             Something is wrong with it; one line that names the file, the key and what was expected.
         """
         path = Path(path)
-        content, table = read_toml(path, CampaignFile, "campaign file")
+        content, table = read_toml(path, CampaignFile, "campaign file", complete=with_mission)
         with resolving(path, "a campaign file"):
             return _resolve(path, content, table)
 
@@ -238,6 +242,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         images=images,
         hdu=content.images.hdu,
         bottom_up=content.images.bottom_up or (preset is not None and preset.bottom_up),
+        label_geometry=content.images.label_geometry,
         geometry_file=geometry_file,
         geometry=geometry,
         camera=camera,

@@ -17,13 +17,15 @@ from giantlike.campaign.file.options import options_from_mapping, with_files_fou
 from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
 from giantlike.campaign.file.toml_file import named
 from giantlike.core.arrays import Float, require
+from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_xyzw
 from giantlike.core.units import RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER
 from giantlike.image import ObserverState
 from giantlike.io.geometry_table import GeometryTable, read_geometry
-from giantlike.io.spice import attitude, ellipsoid_from_pck, find_kernels, orientation, spk_state
+from giantlike.io.spice import ellipsoid_from_pck, find_kernels, orientation, spk_state
+from giantlike.io.spice_pointing import LabelClock, nearest_attitude
 from giantlike.presets import CameraPreset, camera_preset
 from giantlike.ray_tracing import McEwen, Reflectance, reflectance_from_mapping
 from giantlike.relative import ESTIMATORS, Estimator
@@ -45,11 +47,17 @@ class SpiceSetup:
         NAIF name or code.
     camera_from_frame : FrameRotation or None
         From the camera frame of the kernels to camera axes; None: no attitude from SPICE.
+    ck_tolerance_s : float, s
+        Largest distance in time to a single attitude of a CK.
+    clock : LabelClock or None
+        Clock count in labels that have no epoch.
     """
 
     kernels: tuple[Path, ...]
     spacecraft: str
     camera_from_frame: FrameRotation | None
+    ck_tolerance_s: float = 0.0
+    clock: LabelClock | None = None
 
     def camera_from_inertial(self, et: float) -> FrameRotation | None:
         """Attitude of the camera by SPICE.
@@ -71,7 +79,7 @@ class SpiceSetup:
         turn = self.camera_from_frame
         if turn is None:
             return None
-        pointing = attitude(turn.source, et)
+        pointing = nearest_attitude(turn.source, et, self.ck_tolerance_s)
         return turn * FrameRotation(rotation=pointing, target=turn.source, source=INERTIAL_FRAME)
 
     def observer(self, et: float) -> ObserverState:
@@ -268,7 +276,7 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
     path : Path
         The campaign or scene file.
     table : mapping
-        ``file``, ``preset``, or the keys of a camera file.
+        ``file``, ``preset`` (and ``binned``), or the keys of a camera file.
 
     Returns
     -------
@@ -282,7 +290,7 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
     """
     preset = preset_of(table)
     if preset is not None:
-        return preset.camera, None
+        return _binned(preset.camera, table.get("binned", 1)), None
     if "file" not in table:
         with named("[camera]: "):
             return Camera.from_mapping(table), None
@@ -313,9 +321,17 @@ def preset_of(table: Mapping[str, Any]) -> CameraPreset | None:
     """
     if "preset" not in table:
         return None
-    require(len(table) == 1, "[camera]: give either preset, or file, or the keys of a camera")
+    require(set(table) <= {"preset", "binned"}, "[camera]: give either preset, or file, or the keys of a camera")
     with named("camera.preset: "):
         return camera_preset(str(table["preset"]))
+
+
+def _binned(camera: Camera, factor: object) -> Camera:
+    """Camera of summed images; what summing does to noise and saturation is not known."""
+    whole = isinstance(factor, int) and not isinstance(factor, bool) and factor >= 1
+    require(whole, f"camera.binned: expected a whole number from 1, got {factor!r}")
+    assert isinstance(factor, int)
+    return camera if factor == 1 else camera.binned(factor, detector=Detector(estimated=True))
 
 
 def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
@@ -342,7 +358,15 @@ def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
         kernels = find_kernels(section.kernels, path.parent)
     turn = rotation_from_xyzw(section.camera_from_frame_xyzw, "spice.camera_from_frame_xyzw")
     from_frame = None if section.frame is None else FrameRotation(rotation=turn, target="", source=section.frame)
-    return SpiceSetup(kernels=kernels, spacecraft=section.spacecraft, camera_from_frame=from_frame)
+    with named("spice.clock: "):
+        clock = None if section.clock is None else LabelClock(spacecraft=section.spacecraft, **dict(section.clock))
+    return SpiceSetup(
+        kernels=kernels,
+        spacecraft=section.spacecraft,
+        camera_from_frame=from_frame,
+        ck_tolerance_s=section.ck_tolerance_s,
+        clock=clock,
+    )
 
 
 def targets_of(

@@ -53,6 +53,19 @@ class CampaignSection(Section):
     """Run folder; a run goes on with the results that it holds ([runs](runs.md))."""
 
 
+class MissionSection(Section):
+    """``[mission]``: a mission whose camera, frames, labels and kernels the package knows ([list](missions.md)).
+
+    It fills in what `[camera]`, `[images]` and `[spice]` leave out; keys that are there win.
+    """
+
+    name: str
+    """Name of the mission's camera, such as `dawn_fc2`."""
+    kernels: str | None = None
+    """Folder that holds the SPICE kernels of the mission, itself or in folders below; those with names as in the
+    mission file are loaded. `spice.kernels` wins over it."""
+
+
 class ImagesSection(Section):
     """``[images]``: the image files and their a priori geometry."""
 
@@ -64,9 +77,27 @@ class ImagesSection(Section):
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
     """The first stored row is the bottom of the picture: reverse the rows. A camera preset may say so too."""
+    label_geometry: bool = False
+    """Take the place, orientation and Sun of the target from labels of Galileo SSI, and attitude, place and Sun from
+    those of NEAR MSI, where the geometry table has no row."""
     attitude_sigma_deg: float | None = Field(default=None, gt=0, le=30)
     """One sigma of a priori attitudes about each camera axis, deg, for the covariances of fixes made with them; without
     it they hold no uncertainty of the attitude."""
+
+
+class ClockSection(Section):
+    """A count of the spacecraft clock in labels, for the epoch of images whose labels tell no time of the exposure."""
+
+    item: str
+    """Item of the label."""
+    pattern: str
+    """Regular expression that finds the count in the item."""
+    count: str | None = None
+    """Count as SPICE reads it, with the groups of the expression as `{0}`, `{1}`."""
+    zero_utc: str | None = None
+    """In place of `count`, for a clock of seconds that needs no kernel: the UTC at which it read 0."""
+    after_exposure_s: float = 0.0
+    """Time from the closing of the shutter to that count, s."""
 
 
 class SpiceSection(Section):
@@ -77,10 +108,14 @@ class SpiceSection(Section):
     spacecraft: str
     """NAIF name or code of the spacecraft."""
     frame: str | None = None
-    """SPICE frame of the camera; without it SPICE gives no a priori attitude."""
+    """SPICE frame of the camera, or the code of the instrument of a CK that no frame kernel knows; without it SPICE
+    gives no a priori attitude."""
+    ck_tolerance_s: float = Field(default=0.0, ge=0)
+    """Largest distance in time, s, to an attitude of a CK of single (discrete) attitudes; the nearest one counts."""
     camera_from_frame_xyzw: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
     """Quaternion, scalar last, from that frame to camera axes (+x along columns, +y along rows, +z boresight), where
     the two differ."""
+    clock: ClockSection | None = None
 
 
 class StarsSection(Section):
@@ -191,10 +226,12 @@ class CampaignFile(Section):
     """A whole campaign file."""
 
     campaign: CampaignSection
+    mission: MissionSection | None = None
     images: ImagesSection
     camera: dict[str, Any]
     """`file`, the name of a camera file; `preset`, the name of a real camera that comes with the package
-    ([list](camera_presets.md)); or the keys of a camera file."""
+    ([list](camera_presets.md)), and with it `binned`, the pixels along one side of a block that was summed; or the keys
+    of a camera file. A `[mission]` may tell it."""
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None

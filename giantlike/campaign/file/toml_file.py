@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeAlias, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -47,7 +47,13 @@ def named(where: str) -> Iterator[None]:
         raise InputError(f"{where}{error}") from error
 
 
-def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dict[str, Any]]:
+Completion: TypeAlias = Callable[[Path, Mapping[str, Any]], dict[str, Any]]
+"""A function of the file and its table that returns the table with defaults of its own."""
+
+
+def read_toml(
+    path: Path, model: type[Content], what: str, *, complete: Completion | None = None
+) -> tuple[Content, dict[str, Any]]:
     """Parse a TOML file and check keys and types.
 
     Parameters
@@ -58,6 +64,8 @@ def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dic
         Section of the whole file.
     what : str
         Name of the kind of file in error messages.
+    complete : callable, optional
+        Fills in keys before the check.
 
     Returns
     -------
@@ -73,7 +81,7 @@ def read_toml(path: Path, model: type[Content], what: str) -> tuple[Content, dic
     """
     table = toml_table(path, what)
     try:
-        return checked_table(table, model), table
+        return checked_table(table if complete is None else complete(path, table), model), table
     except ValidationError as error:
         raise DataError(path, _first_problem(error, model)) from error
     except InputError as error:

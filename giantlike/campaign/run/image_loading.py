@@ -13,14 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup
+from giantlike.campaign.run.label_rows import attitude_of_label, row_of_label
 from giantlike.core.arrays import unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.time import time_from_et
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.io.spice import CoverageError, spk_state
+from giantlike.io.spice_pointing import LabelClock
 from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape
@@ -79,8 +82,14 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
         if known.camera_from_inertial is not None:
             image = image.with_attitude(known.camera_from_inertial)
     notes: tuple[str, ...] = ()
+    if campaign.spice is not None and campaign.spice.clock is not None and image.epoch is None:
+        image, notes = _with_clock(image, campaign.spice.clock)
+    if campaign.label_geometry and image.camera_from_inertial is None:
+        pointing = attitude_of_label(campaign, image)
+        image = image if pointing is None else image.with_attitude(pointing)
     if campaign.spice is not None:
-        image, notes = _with_spice(image, campaign.spice)
+        image, more = _with_spice(image, campaign.spice)
+        notes += more
     if image.camera_from_inertial is None and has_world_coordinates(image.metadata):
         image, more = _with_world_coordinates(image, campaign)
         notes += more
@@ -97,6 +106,15 @@ def _with_world_coordinates(image: Image, campaign: Campaign) -> tuple[Image, tu
         return image, (f"no a priori attitude from world coordinates: {error}",)
     note = f"a priori attitude from world coordinates, which the camera model fits to {solved.rms_px:.2g} px"
     return image.with_attitude(solved.camera_from_inertial), (note,)
+
+
+def _with_clock(image: Image, clock: LabelClock) -> tuple[Image, tuple[str, ...]]:
+    """The epoch by the count of the spacecraft clock in the label."""
+    try:
+        et = clock.middle_of_exposure(image.metadata, image.exposure_s)
+    except DataError as error:
+        return image, (str(error),)
+    return (image, ()) if et is None else (dataclasses.replace(image, epoch=time_from_et(et)), ())
 
 
 def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]]:
@@ -119,7 +137,7 @@ def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]
 
 
 def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
-    """Targets to look for in an image: those with a row in the geometry table; with SPICE, all.
+    """Targets to look for in an image: those with a row in the geometry table; with SPICE or labels, all.
 
     Parameters
     ----------
@@ -131,7 +149,7 @@ def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
     -------
     tuple of TargetSetup
     """
-    if campaign.spice is not None:
+    if campaign.spice is not None or campaign.label_geometry:
         return campaign.targets
     known = campaign.geometry.get(key)
     return tuple(target for target in campaign.targets if known is not None and target.name in known.targets)
@@ -211,6 +229,8 @@ def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape
     """
     known = campaign.geometry.get(image.name)
     row = None if known is None else known.targets.get(target.name)
+    if row is None and campaign.label_geometry:
+        row = row_of_label(campaign, image, target)
     spice = None if campaign.spice is None else _SpiceGeometry.at(campaign.spice, target, image.et)
     if row is not None:
         apparent = _from_row(row, image, target, shape, spice)

@@ -44,8 +44,8 @@ class Steps:
         kernels = None if bench.kernels is None else sorted(bench.kernels.sha256().values())
         setup = campaign.calibration
         keyword = None if setup is None else setup.temperature_keyword
-        spice = None if campaign.spice is None else (campaign.spice.spacecraft, campaign.spice.camera_from_frame)
-        reading = digest(VERSION, campaign.hdu, campaign.bottom_up, kernels, spice)
+        spice = None if campaign.spice is None else dataclasses.replace(campaign.spice, kernels=())
+        reading = digest(VERSION, campaign.hdu, campaign.bottom_up, campaign.label_geometry, kernels, spice)
         self._camera = digest(reading, campaign.camera.to_mapping(), keyword)
         self._apriori = digest(self._camera, campaign.apriori_sigma_rad)
         stars = campaign.stars

@@ -1,0 +1,74 @@
+"""``[mission]`` of a campaign file: the defaults of a mission put under the keys that are there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from giantlike.campaign.file.hints import nearest
+from giantlike.core.arrays import require
+from giantlike.missions import mission, mission_names
+
+_ADDITIONS = frozenset({"binned"})
+"""Keys of ``[camera]`` that say more of the camera of the mission; with any other, it is another camera."""
+
+
+def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Complete the table of a campaign file by what its mission says; keys that are there win.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign file.
+    table : mapping
+        Its content.
+
+    Returns
+    -------
+    dict
+        The table itself where there is no ``[mission]``, or one whose keys are wrong, which the schema tells.
+
+    Raises
+    ------
+    InputError
+        There is no such mission, or its folder of kernels holds none of them.
+
+    Notes
+    -----
+    ``[spice]`` is completed where the campaign has that table, or where ``mission.kernels`` names a folder.
+    """
+    completed = dict(table)
+    section = table.get("mission")
+    if not isinstance(section, Mapping) or not isinstance(section.get("name"), str):
+        return completed
+    name, folder = section["name"], section.get("kernels")
+    require(
+        name in mission_names(),
+        f"mission.name: there is no mission {name!r}{nearest(name, mission_names())}; there are "
+        f"{', '.join(mission_names())}",
+    )
+    known = mission(name)
+    for key, defaults in known.defaults.items():
+        given = table.get(key, {})
+        if not isinstance(given, Mapping) or (key == "spice" and "spice" not in table and folder is None):
+            continue
+        if key == "camera" and not set(given) <= _ADDITIONS:
+            continue
+        completed[key] = {**defaults, **given}
+    spice = completed.get("spice", {})
+    if isinstance(folder, str) and isinstance(spice, Mapping) and "kernels" not in spice:
+        completed["spice"] = {**spice, "kernels": _kernels(path, folder, known.kernels)}
+    return completed
+
+
+def _kernels(path: Path, folder: str, patterns: tuple[str, ...]) -> list[str]:
+    """Kernels of a mission in a folder and the folders below it, in loading order."""
+    base = path.parent / folder
+    require(base.is_dir(), f"mission.kernels: there is no folder {folder!r} ({base})")
+    found = [str(file.absolute()) for pattern in patterns for file in sorted(base.rglob(pattern)) if file.is_file()]
+    require(
+        bool(found),
+        f"mission.kernels: no file in {base} has a name such as {', '.join(patterns)}; name them in spice.kernels",
+    )
+    return list(dict.fromkeys(found))

@@ -1,0 +1,92 @@
+"""A mission file: defaults of the tables of a campaign, patterns of its kernels, and where the numbers come from.
+
+Each is a TOML file in ``giantlike/missions/data``. It holds what its sources state and nothing else: where the frame of
+a camera or the order of its axes is not known, SPICE gives no attitude, and the campaign has to.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
+
+from giantlike.core.errors import InputError
+
+_FOLDER = files("giantlike.missions") / "data"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mission:
+    """What is known beforehand of the images of one camera.
+
+    Parameters
+    ----------
+    name : str
+    about : str
+        What images it is for, and what it leaves open.
+    sources : tuple of str
+        Where the numbers come from.
+    kernels : tuple of str
+        Patterns of the names of SPICE kernels, in loading order.
+    defaults : mapping of str to mapping
+        Keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none of its own.
+    """
+
+    name: str
+    about: str
+    sources: tuple[str, ...]
+    kernels: tuple[str, ...]
+    defaults: Mapping[str, Mapping[str, Any]]
+
+
+def mission_names() -> tuple[str, ...]:
+    """Names of the missions, sorted.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> "dawn_fc2" in mission_names()
+    True
+    """
+    return tuple(sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml")))
+
+
+def mission(name: str) -> Mission:
+    """Return a mission by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of :func:`mission_names`.
+
+    Returns
+    -------
+    Mission
+
+    Raises
+    ------
+    InputError
+        There is no such mission.
+
+    Examples
+    --------
+    >>> mission("dawn_fc2").defaults["spice"]["frame"]
+    'DAWN_FC2'
+    """
+    if name not in mission_names():
+        raise InputError(f"there is no mission {name!r}; there are {', '.join(mission_names())}")
+    table = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+    head = table.pop("mission")
+    return Mission(
+        name=name,
+        about=head["about"],
+        sources=tuple(head["sources"]),
+        kernels=tuple(head["kernels"]),
+        defaults=MappingProxyType(table),
+    )
