@@ -175,7 +175,7 @@ def test_a_camera_may_be_given_inline(tmp_path: Path) -> None:
 
 
 UNKNOWN_OR_MISSING: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
-    (lambda t: t.update(estimators=[]), "unknown key estimators; keys there are campaign, images, camera"),
+    (lambda t: t.update(estimators=[]), "unknown key estimators; keys there are campaign, mission, images, camera"),
     (
         lambda t: t["images"].update(file="x"),
         "unknown key images.file .did you mean 'files'..; keys",

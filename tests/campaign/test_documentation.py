@@ -18,7 +18,7 @@ def test_a_generated_page_is_up_to_date(name: str) -> None:
     )
 
 
-@pytest.mark.parametrize("name", sorted(set(pages()) - {"camera_presets.md"}))
+@pytest.mark.parametrize("name", sorted(set(pages()) - {"camera_presets.md", "missions.md"}))
 def test_every_key_and_column_is_described(name: str) -> None:
     rows = [line.strip("| \n").split(" | ") for line in pages()[name].splitlines() if line.startswith("| `")]
     assert len(rows) > 10
