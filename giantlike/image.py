@@ -14,12 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, Mask, as_finite, as_image, require, require_number
+from giantlike.core.detector import Detector
+from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix
 from giantlike.core.time import et_from_time
 from giantlike.core.values import Value
 from giantlike.io.image_files import read_image_file
+from giantlike.processing.calibration_frames import CalibrationFrames
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -71,6 +74,8 @@ class Image(Value):
         SHA-256 of the file, for provenance.
     camera_name : str
         Name of the camera that took the image and whose axes the attitude refers to; empty when unknown.
+    detector : Detector, optional
+        Noise and limits of these pixels where they are not those of the camera, as after :meth:`calibrated`.
 
     Raises
     ------
@@ -92,6 +97,7 @@ class Image(Value):
     path: Path | None = None
     sha256: str = ""
     camera_name: str = ""
+    detector: Detector | None = None
 
     def __post_init__(self) -> None:
         pixels = as_image(self.pixels, f"{self.name}: pixels")
@@ -162,6 +168,33 @@ class Image(Value):
     def et(self) -> float | None:
         """Mid-exposure in TDB seconds past J2000; None where the epoch is not known."""
         return None if self.epoch is None else et_from_time(self.epoch)
+
+    def calibrated(self, frames: CalibrationFrames, detector: Detector) -> Image:
+        """Return the image without bias, dark current and differences of response.
+
+        Parameters
+        ----------
+        frames : CalibrationFrames
+        detector : Detector
+            Of the camera.
+
+        Returns
+        -------
+        Image
+            Its ``detector`` knows the noise of the frames; hot and dead pixels are in its mask. Estimators and star
+            navigation use that detector instead of the camera's.
+
+        Raises
+        ------
+        InputError
+            The frames have another size, the exposure is not known, or the image is calibrated already.
+        """
+        require(self.detector is None, f"{self.name}: the image is calibrated already")
+        try:
+            done = frames.apply(self.pixels, detector, exposure_s=self.exposure_s, mask=self.mask)
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from error
+        return dataclasses.replace(self, pixels=done.pixels, mask=done.mask, detector=done.detector)
 
     def with_attitude(
         self,

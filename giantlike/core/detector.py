@@ -23,7 +23,9 @@ Chosen by trial on ellipsoids 160 px wide, blurred by 0.4, 0.7 and 1.2 px. Half 
 0.3-2.6 px where it is wrong by more.
 """
 
-_NOISE, _ESTIMATED = ("gain_e_per_dn", "read_noise_e"), "estimated"
+_NOISE = ("gain_e_per_dn", "read_noise_e")
+_OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise")
+"""Fields that are no keys of a camera file: they follow from images and their calibration frames."""
 _SILENT = 1e-3
 """Noise of floating point numbers whose dark has none, over their range: that of a well exposed image."""
 
@@ -65,6 +67,11 @@ class Detector:
     estimated : bool
         True where gain and read noise are not known and follow from each image (:meth:`of_image`); what they hold then
         serves simulations only. The detector of a camera that states none, or neither of the two.
+    frame_noise_dn : float, DN
+        Standard deviation that calibration frames (bias, dark) and the shot noise of the dark current leave in
+        calibrated pixels.
+    relative_noise : float
+        Standard deviation of the response of a pixel that a flat leaves, relative to the signal.
 
     Raises
     ------
@@ -78,10 +85,14 @@ class Detector:
     bias_dn: float = 0.0
     step_dn: float | None = None
     estimated: bool = False
+    frame_noise_dn: float = 0.0
+    relative_noise: float = 0.0
 
     def __post_init__(self) -> None:
         require_number(self.gain_e_per_dn, "gain_e_per_dn", above=0.0)
         require_number(self.read_noise_e, "read_noise_e", least=0.0)
+        require_number(self.frame_noise_dn, "frame_noise_dn", least=0.0)
+        require_number(self.relative_noise, "relative_noise", least=0.0)
         if self.step_dn is not None:
             require_number(self.step_dn, "step_dn", least=0.0)
         require(self.saturation_dn > 0, f"saturation_dn must be > 0, got {self.saturation_dn}")
@@ -93,7 +104,7 @@ class Detector:
         Parameters
         ----------
         table : mapping
-            Fields by name, without ``estimated``: that is True where there is neither a gain nor a read noise.
+            Fields by name, without those of images; ``estimated`` is True where there is neither a gain nor a read noise.
 
         Returns
         -------
@@ -104,7 +115,7 @@ class Detector:
         InputError
             It is not a table, a key is unknown, or a value is not a number or out of range.
         """
-        keys = [entry.name for entry in fields(cls) if entry.name != _ESTIMATED]
+        keys = [entry.name for entry in fields(cls) if entry.name not in _OF_IMAGES]
         checked = checked_table(table, "[detector]", keys, [])
         for key, value in checked.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -119,7 +130,7 @@ class Detector:
         -------
         dict of str to float
         """
-        left_out = (_ESTIMATED, *_NOISE) if self.estimated else (_ESTIMATED,)
+        left_out = (*_OF_IMAGES, *_NOISE) if self.estimated else _OF_IMAGES
         values = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
         return {key: float(value) for key, value in values.items() if value is not None and math.isfinite(value)}
 
@@ -166,7 +177,7 @@ class Detector:
         )
 
     def variance_dn2(self, signal_dn: Float) -> Float:
-        """Return the noise variance of pixels: shot noise, read noise and quantization.
+        """Return the noise variance of pixels: shot noise, read noise, quantization and calibration frames.
 
         Parameters
         ----------
@@ -177,6 +188,8 @@ class Detector:
         -------
         (...) float64, DN^2
         """
-        shot = np.maximum(signal_dn, 0.0) / self.gain_e_per_dn
+        light = np.maximum(signal_dn, 0.0)
         step_dn = 1.0 if self.step_dn is None else self.step_dn
-        return shot + (self.read_noise_e / self.gain_e_per_dn) ** 2 + step_dn**2 / 12.0
+        dark = (self.read_noise_e / self.gain_e_per_dn) ** 2 + step_dn**2 / 12.0 + self.frame_noise_dn**2
+        variance = light / self.gain_e_per_dn + dark
+        return variance + (self.relative_noise * light) ** 2 if self.relative_noise else variance

@@ -342,7 +342,8 @@ def gather(
     geometry = scene.geometry(image, target)
     if isinstance(geometry, Failure):
         return geometry
-    camera = replace(camera, detector=camera.detector.of_image(image.pixels, image.mask))
+    detector = image.detector or camera.detector
+    camera = replace(camera, detector=detector.of_image(image.pixels, image.mask))
     limit_dn = min(camera.detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, camera.detector))
     saturated = image.pixels >= limit_dn
     masked = _bad_pixels(image, camera.detector)

@@ -158,7 +158,7 @@ class StarNavigation:
         self.camera.require_image(image)
         return detect_sources(
             image.pixels,
-            detector=self.camera.detector,
+            detector=image.detector or self.camera.detector,
             psf_sigma_px=None if self.camera.psf is None else self.camera.psf.sigma_px,
             mask=image.mask,
             options=self.detection if options is None else options,

@@ -39,6 +39,8 @@ class Patches(Value):
         Standard deviation of the background of a pixel.
     gain_e_per_dn : float, electron/DN
         For the shot noise of the source.
+    relative_noise : float
+        Error of the response of a pixel, relative to the light on it (:class:`~giantlike.core.detector.Detector`).
     """
 
     values_dn: Float
@@ -47,6 +49,7 @@ class Patches(Value):
     corner_px: NDArray[np.int64]
     noise_dn: Float
     gain_e_per_dn: float
+    relative_noise: float = 0.0
 
     @property
     def size_px(self) -> int:
@@ -85,8 +88,10 @@ class Patches(Value):
         return down[:, :, None] * across[:, None, :]
 
     def variance_dn2(self, light_dn: Float) -> Float:
-        """Variance (n, w, w), DN^2, of pixels that hold the light (n, w, w), DN: background and shot noise."""
-        return self.noise_dn[:, None, None] ** 2 + np.maximum(light_dn, 0.0) / self.gain_e_per_dn
+        """Variance (n, w, w), DN^2, of pixels with the light (n, w, w), DN: background, shot noise and response."""
+        light = np.maximum(light_dn, 0.0)
+        variance = self.noise_dn[:, None, None] ** 2 + light / self.gain_e_per_dn
+        return variance + (self.relative_noise * light) ** 2 if self.relative_noise else variance
 
     def plane_terms(self) -> Float:
         """Terms (3, w, w) of a background that is a plane: 1, and the distances x, y from the central pixel, px."""
@@ -230,6 +235,7 @@ def cut_patches(
         corner_px=np.asarray(points_px - half_px, dtype=np.int64),
         noise_dn=np.broadcast_to(np.asarray(noise_dn, dtype=np.float64), len(points_px)),
         gain_e_per_dn=detector.gain_e_per_dn,
+        relative_noise=detector.relative_noise,
     )
 
 
