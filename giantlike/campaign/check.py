@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from giantlike.calibration.star_images import start_model
 from giantlike.campaign.file.config import Campaign, images_of, stars_of
+from giantlike.campaign.file.frame_files import frames_of
 from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.inputs import camera_of, geometry_of, spice_of, targets_of
 from giantlike.campaign.file.mission_defaults import with_mission
@@ -28,7 +30,9 @@ from giantlike.presets import preset_names
 from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Shape
 
-_KEY = re.compile(r"\[?((?:campaign|mission|images|camera|spice|stars|calibration|targets|report)\b[\w.\[\]]*?)\]?:? ")
+_KEY = re.compile(
+    r"\[?((?:campaign|mission|images|calibration_frames|camera|spice|stars|calibration|targets|report)\b[\w.\[\]]*?)\]?:? "
+)
 _ALONE: dict[str, Any] = {"shape": (1.0, 1.0, 1.0), "reflectance": None, "estimators": ["moment"], "options": {}}
 """Keys of a target that stand in while one of them is checked."""
 
@@ -155,6 +159,7 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
         return TypeAdapter(annotation).validate_json(json.dumps(table[name]))
 
     path, images = check.path, section("images")
+    check.attempt("calibration_frames", partial(frames_of, path, section("calibration_frames"), bottom_up=False))
     targets = [(number, target) for number, target in _targets(table) if target is not None]
     for pattern in images.files if images is not None else ():
         check.attempt("images.files", images_of, path, [pattern])
@@ -234,6 +239,14 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
         shape = check.attempt(f"targets[{number}].shape", target.load_shape)
         if shape is not None:
             _units(check, campaign, number, shape)
+    frames = None if campaign.frames is None else check.attempt("calibration_frames", campaign.frames.load)
+    if frames is not None:
+        size = (campaign.camera.rows, campaign.camera.columns)
+        if frames.bad.shape != size:
+            text = (
+                f"the frames have {frames.bad.shape} rows and columns, the camera {size}: use frames of the same window"
+            )
+            check.add("calibration_frames", f"calibration_frames: {text}")
     opened = campaign.images if all_images else campaign.images[:1]
     for entry in opened:
         image = check.attempt("images.files", _opened, campaign, entry.path)

@@ -104,7 +104,7 @@ class Detector:
         Parameters
         ----------
         table : mapping
-            Fields by name, without those of images; ``estimated`` is True where there is neither a gain nor a read noise.
+            Fields by name, without those of images; ``estimated`` is True where neither gain nor read noise is given.
 
         Returns
         -------

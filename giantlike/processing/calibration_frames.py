@@ -23,10 +23,12 @@ from giantlike.core.statistics import quartile_sigma
 from giantlike.core.values import Value
 
 _CLIP_SIGMA = 4.0
-"""Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star): white
-noise reaches it once in 16,000 pixels, which changes the variance of the rest by 0.1 %."""
+"""Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star).
+
+White noise reaches it once in 16,000 pixels, which changes the variance of the rest by 0.1 %.
+"""
 _HOT_SIGMA = 8.0
-"""Excess of a dark pixel over its neighbors, in noise of the frame, from which on it is bad: white noise never has it."""
+"""Excess of a dark pixel over its neighbors, in noise of the frame, from which on it is bad: no white noise has it."""
 _DEAD_RESPONSE = 0.5
 """Response over that of its neighbors below which a pixel is bad: dust dims by up to a third."""
 _SAME_EXPOSURE = 0.01
@@ -108,7 +110,8 @@ def combine_frames(
         if normalize:
             level = float(np.median(array[~bad])) if not bad.all() else 0.0
             require(
-                level > 0.0, f"frame {number} has the median {level:g}: a flat must be bright above its bias and dark"
+                level > 0.0,
+                f"frame {number} has the median {level:g}, and a flat must be > 0 once bias and dark are off",
             )
             stack[number] /= np.float32(level)
     if len(frames) == 1:
@@ -213,7 +216,8 @@ class CalibrationFrames(Value):
         for frame in named.values():
             bad |= False if frame is None else frame.mask
         if self.dark is not None:
-            require(self.dark_exposure_s is not None, "the exposure of the dark frames is not known: give it in s")
+            if self.dark_exposure_s is None:
+                raise InputError("the exposure of the dark frames is not known: give it in s")
             require_number(self.dark_exposure_s, "exposure of the dark, s", above=0.0)
             hot = self.dark.pixels - (0.0 if self.bias is None or not self.dark_has_bias else self.bias.pixels)
             noise = math.hypot(self.dark.noise, 0.0 if self.bias is None else self.bias.noise)
@@ -309,8 +313,8 @@ class CalibrationFrames(Value):
         if self.dark_has_bias and self.bias is None:
             if abs(ratio - 1.0) > _SAME_EXPOSURE:
                 raise InputError(
-                    f"a dark of {self.dark_exposure_s:g} s with its bias cannot be scaled to the {exposure_s:g} s of an "
-                    "image: add bias frames, or darks of that exposure"
+                    f"a dark of {self.dark_exposure_s:g} s with its bias cannot be scaled to the {exposure_s:g} s of "
+                    "an image: add bias frames, or darks of that exposure"
                 )
             level = float(np.median(dark[~self.bad])) - bias_dn if not self.bad.all() else 0.0
             return dark, max(level, 0.0), self.dark.noise**2

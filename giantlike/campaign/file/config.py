@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ import numpy as np
 
 from giantlike.calibration.star_images import start_model
 from giantlike.camera import Camera
+from giantlike.campaign.file.frame_files import FrameFiles, frames_of
 from giantlike.campaign.file.inputs import (
     SpiceSetup,
     TargetSetup,
@@ -21,6 +21,7 @@ from giantlike.campaign.file.inputs import (
     catalog_of,
     existing_file,
     geometry_of,
+    matching_files,
     preset_of,
     spice_of,
     targets_of,
@@ -118,6 +119,8 @@ class Campaign:
         Oddities that are not mistakes.
     apriori_sigma_rad : float or None, rad
         Standard deviation of a priori attitudes about each camera axis.
+    frames : FrameFiles or None
+        Calibration frames that are applied to every image.
     """
 
     path: Path
@@ -139,6 +142,7 @@ class Campaign:
     max_overlays: int
     warnings: tuple[str, ...] = field(default=())
     apriori_sigma_rad: float | None = None
+    frames: FrameFiles | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Campaign:
@@ -217,6 +221,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     images = images_of(path, content.images.files)
     camera, camera_file = camera_of(path, content.camera)
     preset = preset_of(content.camera)
+    bottom_up = content.images.bottom_up or (preset is not None and preset.bottom_up)
     geometry_file = None
     geometry: dict[str, ImageGeometry] = {}
     unmatched: list[str] = []
@@ -241,7 +246,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         output=folder / content.campaign.output,
         images=images,
         hdu=content.images.hdu,
-        bottom_up=content.images.bottom_up or (preset is not None and preset.bottom_up),
+        bottom_up=bottom_up,
         label_geometry=content.images.label_geometry,
         geometry_file=geometry_file,
         geometry=geometry,
@@ -254,6 +259,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         max_overlays=content.report.max_overlays,
         warnings=(*guessed, *unmatched, *_oddities(geometry_file, geometry, targets, spice)),
         apriori_sigma_rad=None if sigma_deg is None else sigma_deg * RAD_PER_DEG,
+        frames=frames_of(path, content.calibration_frames, bottom_up=bottom_up),
     )
 
 
@@ -276,13 +282,7 @@ def images_of(path: Path, patterns: Sequence[str]) -> tuple[ImageEntry, ...]:
         A pattern matches no file.
     """
     folder = path.parent
-    found: dict[Path, None] = {}
-    for pattern in patterns:
-        literal = (folder / pattern).is_file()
-        names = [pattern] if literal else sorted(glob.glob(pattern, root_dir=folder, recursive=True))
-        files = [folder / name for name in names if (folder / name).is_file()]
-        require(bool(files), f"images.files: no file matches {pattern!r} (looked in {folder.resolve()})")
-        found.update(dict.fromkeys(files))
+    found = matching_files(path, "images.files", patterns)
     shared = Counter(file.name for file in found)
     keys = [file.name if shared[file.name] == 1 else _relative(file, folder) for file in found]
     return tuple(ImageEntry(index, key, file) for index, (key, file) in enumerate(zip(keys, found, strict=True)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -210,6 +211,38 @@ def existing_file(path: Path, key: str, name: str) -> Path:
     file = path.parent / name
     require(file.is_file(), f"{key}: there is no file {name!r} ({file})")
     return file
+
+
+def matching_files(path: Path, key: str, patterns: Sequence[str]) -> tuple[Path, ...]:
+    """Files that a key of a campaign file names, each once: patterns as given, files of a pattern by name.
+
+    Parameters
+    ----------
+    path : Path
+        The campaign file; names are relative to its folder.
+    key : str
+        For the error message.
+    patterns : sequence of str
+        Names, or glob patterns.
+
+    Returns
+    -------
+    tuple of Path
+
+    Raises
+    ------
+    InputError
+        A pattern matches no file.
+    """
+    folder = path.parent
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        literal = (folder / pattern).is_file()
+        names = [pattern] if literal else sorted(glob.glob(pattern, root_dir=folder, recursive=True))
+        files = [folder / name for name in names if (folder / name).is_file()]
+        require(bool(files), f"{key}: no file matches {pattern!r} (looked in {folder.resolve()})")
+        found.update(dict.fromkeys(files))
+    return tuple(found)
 
 
 def catalog_of(path: Path, name: str) -> str:

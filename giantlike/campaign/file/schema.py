@@ -100,6 +100,31 @@ class ClockSection(Section):
     """Time from the closing of the shutter to that count, s."""
 
 
+class CalibrationFramesSection(Section):
+    """``[calibration_frames]``: exposures that take bias, dark current and response of the pixels off every image.
+
+    `(raw - bias - dark * exposure / dark exposure) / flat`. Each is one file or several, which are averaged without
+    particles; their scatter gives the noise that they add.
+    """
+
+    bias: list[str] = Field(default_factory=list)
+    """Files or patterns of exposures of zero length."""
+    dark: list[str] = Field(default_factory=list)
+    """Files or patterns of exposures in the dark, all of one length."""
+    dark_exposure_s: float | None = Field(default=None, gt=0)
+    """Their exposure, s, where headers do not tell."""
+    dark_has_bias: bool = True
+    """The darks hold the bias, as raw exposures do; false for a dark from which it was taken off."""
+    flat: list[str] = Field(default_factory=list)
+    """Files or patterns of exposures to even light; each is scaled to a median of 1."""
+    flat_has_bias: bool = True
+    """The flats hold bias and dark current, as raw exposures do; false for a flat from which they were taken off."""
+    bad_pixels: str | None = None
+    """Image that is not 0 where a pixel is bad. Hot pixels of the dark and dead ones of the flat are found."""
+    hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
+    """FITS extension of all of these; default: the first with an image. Rows are ordered as those of the images."""
+
+
 class SpiceSection(Section):
     """``[spice]``: kernels, the spacecraft and the frame of the camera."""
 
@@ -235,5 +260,6 @@ class CampaignFile(Section):
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None
+    calibration_frames: CalibrationFramesSection | None = None
     targets: list[TargetSection] = Field(default_factory=list)
     report: ReportSection = ReportSection()

@@ -16,6 +16,7 @@ from giantlike.catalogs import StarCatalog, StarTable, load_catalog
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.io.spice import SpiceKernels, load_kernels
+from giantlike.processing.calibration_frames import CalibrationFrames
 from giantlike.shapes import Shape
 from giantlike.stars import StarNavigation
 
@@ -84,12 +85,15 @@ class Workbench(Value):
     shapes : dict of str to Shape
         By target name.
     kernels : SpiceKernels or None
+    frames : CalibrationFrames or None
+        Applied to every image.
     """
 
     campaign: Campaign
     navigation: StarNavigation | None
     shapes: dict[str, Shape]
     kernels: SpiceKernels | None
+    frames: CalibrationFrames | None = None
 
     @classmethod
     def load(cls, campaign: Campaign, *, trusted: bool = False) -> Workbench:
@@ -120,7 +124,8 @@ class Workbench(Value):
             )
         shapes = {target.name: target.load_shape() for target in campaign.targets}
         kernels = None if campaign.spice is None else load_kernels(campaign.spice.kernels, ".", trusted=trusted)
-        return cls(campaign, navigation, shapes, kernels)
+        frames = None if campaign.frames is None else campaign.frames.load()
+        return cls(campaign, navigation, shapes, kernels, frames)
 
     def with_camera(self, camera: Camera) -> Workbench:
         """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky.

@@ -25,6 +25,7 @@ from giantlike.io.geometry_table import GeometryRow
 from giantlike.io.spice import CoverageError, spk_state
 from giantlike.io.spice_pointing import LabelClock
 from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
+from giantlike.processing.calibration_frames import CalibrationFrames
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape
 
@@ -46,13 +47,15 @@ class PreparedImage(Value):
     notes: tuple[str, ...]
 
 
-def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
-    """Read an image and complete it from geometry table and SPICE.
+def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames | None = None) -> PreparedImage:
+    """Read an image, complete it from geometry table and SPICE, and calibrate its pixels.
 
     Parameters
     ----------
     campaign : Campaign
     entry : ImageEntry
+    frames : CalibrationFrames, optional
+        Bias, dark, flat and bad pixels; without them pixels stay as they are.
 
     Returns
     -------
@@ -63,7 +66,7 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
     DataError
         The file is damaged.
     InputError
-        The image has another size than the camera.
+        The image has another size than the camera or the frames, or no exposure to scale a dark by.
     """
     image = dataclasses.replace(
         Image.open(entry.path, hdu=campaign.hdu, bottom_up=campaign.bottom_up),
@@ -81,6 +84,8 @@ def open_image(campaign: Campaign, entry: ImageEntry) -> PreparedImage:
         )
         if known.camera_from_inertial is not None:
             image = image.with_attitude(known.camera_from_inertial)
+    if frames is not None:
+        image = image.calibrated(frames, campaign.camera.detector)
     notes: tuple[str, ...] = ()
     if campaign.spice is not None and campaign.spice.clock is not None and image.epoch is None:
         image, notes = _with_clock(image, campaign.spice.clock)

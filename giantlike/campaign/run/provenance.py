@@ -44,6 +44,7 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
         "image_files": [image.key for image in campaign.images],
         "camera": campaign.camera.to_mapping(),
         "geometry_sha256": None if campaign.geometry_file is None else file_sha256(campaign.geometry_file),
+        "calibration_frames_sha256": None if campaign.frames is None else campaign.frames.sha256(campaign.path.parent),
         "rates_sha256": None if stars is None or stars.rates is None else file_sha256(stars.rates),
         "kernels_sha256": {Path(path).name: digest for path, digest in kernels.items()},
         "shapes_sha256": {name: shape.sha256 for name, shape in bench.shapes.items()},

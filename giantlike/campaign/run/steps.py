@@ -45,7 +45,8 @@ class Steps:
         setup = campaign.calibration
         keyword = None if setup is None else setup.temperature_keyword
         spice = None if campaign.spice is None else dataclasses.replace(campaign.spice, kernels=())
-        reading = digest(VERSION, campaign.hdu, campaign.bottom_up, campaign.label_geometry, kernels, spice)
+        frames = None if campaign.frames is None else campaign.frames.identity()
+        reading = digest(VERSION, campaign.hdu, campaign.bottom_up, campaign.label_geometry, kernels, spice, frames)
         self._camera = digest(reading, campaign.camera.to_mapping(), keyword)
         self._apriori = digest(self._camera, campaign.apriori_sigma_rad)
         stars = campaign.stars

@@ -159,7 +159,7 @@ def _first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord | Problem
     campaign, setup = bench.campaign, bench.campaign.calibration
     assert setup is not None
     assert bench.navigation is not None
-    prepared = reading(open_image, campaign, entry)
+    prepared = reading(open_image, campaign, entry, bench.frames)
     if isinstance(prepared, Problem):
         return prepared
     image = prepared.image
@@ -212,7 +212,7 @@ def _opened(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedImage] 
     """Image, and the workbench for it: with the calibrated camera, at its temperature, without rejected stars."""
     if job.camera is not None:
         bench = bench.with_camera(job.camera)
-    prepared = reading(open_image, bench.campaign, job.entry)
+    prepared = reading(open_image, bench.campaign, job.entry, bench.frames)
     if isinstance(prepared, Problem):
         return prepared
     fitted = reading(bench.for_image, prepared.image)
