@@ -64,7 +64,7 @@ class CombinedFrame(Value):
 
 
 def combine_frames(
-    frames: Sequence[NDArray[Any]], masks: Sequence[Mask] | None = None, *, normalize: bool = False
+    frames: Sequence[NDArray[Any]] | NDArray[Any], masks: Sequence[Mask] | None = None, *, normalize: bool = False
 ) -> CombinedFrame:
     """Average exposures pixel by pixel, without particles and stars.
 

@@ -198,9 +198,9 @@ def test_without_transfer_an_image_is_opened_once_for_stars_and_bodies(
 ) -> None:
     opened: list[str] = []
 
-    def counted(campaign: Any, entry: Any) -> Any:
+    def counted(campaign: Any, entry: Any, frames: Any) -> Any:
         opened.append(entry.key)
-        return open_image(campaign, entry)
+        return open_image(campaign, entry, frames)
 
     monkeypatch.setattr("giantlike.campaign.run.worker.open_image", counted)
     edit_table(copied, lambda table: table.pop("stars"))

@@ -109,7 +109,7 @@ def test_squared_errors_of_star_centroids_are_in_band_with_few_frames_and_only_w
         told.append(_squared_errors(_centroids(done.pixels, done.detector, done.mask), places))
         untold.append(_squared_errors(_centroids(done.pixels, silent, done.mask), places))
     squares = np.concatenate(told)
-    low, high = chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], 2 * len(squares)) / len(squares)
+    low, high = (chi2.ppf(part, 2 * len(squares)) / len(squares) for part in (FALSE_ALARM / 2, 1 - FALSE_ALARM / 2))
     assert low < squares.mean() < high
     assert np.concatenate(untold).mean() > high
 
@@ -141,7 +141,7 @@ def test_attitudes_hold_in_calibrated_images_and_are_worse_in_raw_ones() -> None
             fix = navigation.solve(image).unwrap()
             error = (attitude * fix.camera_from_inertial.inv()).as_rotvec()
             errors[name].append(float(np.linalg.norm(error[:2])))
-        squares += error @ np.linalg.solve(fix.covariance_rad2, error)
+        squares += float(error @ np.linalg.solve(fix.covariance_rad2, error))
     assert np.mean(errors["calibrated"]) < 0.6 * np.mean(errors["raw"])
     assert chi2.ppf(FALSE_ALARM / 2, 9) < squares < chi2.ppf(1 - FALSE_ALARM / 2, 9)
 
