@@ -30,9 +30,8 @@ from giantlike.presets import preset_names
 from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Shape
 
-_KEY = re.compile(
-    r"\[?((?:campaign|mission|images|calibration_frames|camera|spice|stars|calibration|targets|report)\b[\w.\[\]]*?)\]?:? "
-)
+_SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|targets|report"
+_KEY = re.compile(rf"\[?((?:{_SECTIONS})\b[\w.\[\]]*?)\]?:? ")
 _ALONE: dict[str, Any] = {"shape": (1.0, 1.0, 1.0), "reflectance": None, "estimators": ["moment"], "options": {}}
 """Keys of a target that stand in while one of them is checked."""
 
