@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import runpy
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 import tomli_w
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from giantlike.campaign.check import check_campaign
 from giantlike.campaign.file.config import Campaign
@@ -24,6 +27,7 @@ from giantlike.io.spice_pointing import LabelClock, nearest_attitude
 from giantlike.missions import mission, mission_names
 from giantlike.presets import camera_preset
 
+VESTA_PX = 1.0  # error of the published poses
 POINTING_PX = 90.0
 """Voyager's pointing is good to some 0.5 mrad, 54 px, along each axis: both together, and an error of the limb."""
 
@@ -240,3 +244,21 @@ def test_a_lorri_image_of_four_by_four_pixels_fits_the_binned_camera_of_its_miss
     loaded.camera.require_image(image)
     assert image.epoch is not None
     assert utc_text(image.epoch).startswith("2020-04-2")
+
+
+@pytest.mark.real_data
+def test_vesta_by_dawn_is_found_with_the_camera_of_the_mission(data_dir: Path, tmp_path: Path) -> None:
+    example = Path(__file__).resolve().parents[2] / "examples" / "real_bodies.py"
+    path = runpy.run_path(str(example))["vesta_campaign"](data_dir, tmp_path)  # geometry table of the published poses
+    content = tomllib.loads(path.read_text())
+    (pattern,) = content["images"]["files"]
+    content["images"]["files"] = [str(Path(pattern).with_name("00000002.png"))]
+    content["targets"][0]["estimators"] = ["limb_matching"]
+    del content["camera"]
+    path.write_text(tomli_w.dumps({**content, "mission": {"name": "dawn_fc2"}}))
+    (fix,) = run_campaign(Campaign.load(path), workers=1).observations
+    assert fix.center_px is not None, fix.problem
+    assert fix.predicted_px is not None
+    offset = np.subtract(np.array(fix.center_px), np.array(fix.predicted_px))
+    covariance = np.array(fix.covariance_px2) + VESTA_PX**2 * np.eye(2)
+    assert offset @ np.linalg.solve(covariance, offset) < chi2.ppf(0.95, 2), offset
