@@ -96,6 +96,14 @@ def test_et_is_tdb_seconds_past_j2000() -> None:
         time_from_utc("yesterday")
 
 
+def test_an_epoch_by_the_day_of_the_year_is_that_of_its_calendar_date() -> None:
+    assert utc_text(time_from_utc("2020-061T10:07:11.25Z")) == "2020-03-01T10:07:11.250000"  # a leap year
+    assert utc_text(time_from_utc("2021-060T10:07")) == "2021-03-01T10:07:00.000000"
+    for wrong in ("2021-366T00:00:00", "2021-000T00:00:00", "2021-060T25:00:00", "2021-060"):
+        with pytest.raises(InputError, match="ISO 8601"):
+            time_from_utc(wrong)
+
+
 def test_a_failure_is_false_and_raises_when_unwrapped() -> None:
     failure = Failure(Reason.TOO_FEW_MATCHES, "3 matches, needed 6")
     assert not failure

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import calendar
+import re
 import warnings
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ from giantlike.core.units import SECONDS_PER_DAY
 if TYPE_CHECKING:
     from astropy.time import Time
 
+_ORDINAL = re.compile(r"(\d{4})-(\d{3})T(\d{2}:\d{2}(?::\d{2}(?:\.\d*)?)?)")  # ISO 8601, ordinal date
 _J2000_JD = 2451545.0  # Julian date of J2000, 2000-01-01 12:00 TDB
 
 
@@ -20,7 +23,8 @@ def time_from_utc(text: str) -> Time:
     Parameters
     ----------
     text : str
-        Epoch such as ``2018-12-01T10:07:11.123``; a trailing ``Z`` is allowed.
+        Epoch such as ``2018-12-01T10:07:11.123`` or, by the day of the year, ``2018-335T10:07:11.123``; a trailing
+        ``Z`` is allowed.
 
     Returns
     -------
@@ -36,7 +40,13 @@ def time_from_utc(text: str) -> Time:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # astropy warns of years for which leap seconds are not yet decided
         try:
-            return Time(text.strip().removesuffix("Z").replace(" ", "T"), format="isot", scale="utc")
+            plain = text.strip().removesuffix("Z").replace(" ", "T")
+            ordinal = _ORDINAL.fullmatch(plain)
+            if ordinal is not None:
+                if ordinal[2] == "366" and not calendar.isleap(int(ordinal[1])):  # astropy counts on into the next year
+                    raise ValueError("no leap year")
+                return Time(":".join(ordinal.groups()), format="yday", scale="utc")
+            return Time(plain, format="isot", scale="utc")
         except ValueError as error:
             raise InputError(f"epoch {text!r} is not ISO 8601 UTC, such as 2018-12-01T10:07:11.123") from error
 
