@@ -238,14 +238,9 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
         shape = check.attempt(f"targets[{number}].shape", target.load_shape)
         if shape is not None:
             _units(check, campaign, number, shape)
-    frames = None if campaign.frames is None else check.attempt("calibration_frames", campaign.frames.load)
-    if frames is not None:
-        size = (campaign.camera.rows, campaign.camera.columns)
-        if frames.bad.shape != size:
-            text = (
-                f"the frames have {frames.bad.shape} rows and columns, the camera {size}: use frames of the same window"
-            )
-            check.add("calibration_frames", f"calibration_frames: {text}")
+    if campaign.frames is not None:
+        load = partial(campaign.frames.load, rows=campaign.camera.rows, columns=campaign.camera.columns)
+        check.attempt("calibration_frames", load)
     opened = campaign.images if all_images else campaign.images[:1]
     for entry in opened:
         image = check.attempt("images.files", _opened, campaign, entry.path)

@@ -52,8 +52,13 @@ class FrameFiles:
     hdu: int | str | None
     bottom_up: bool
 
-    def load(self) -> CalibrationFrames:
+    def load(self, *, rows: int, columns: int) -> CalibrationFrames:
         """Read and combine the files.
+
+        Parameters
+        ----------
+        rows, columns : int
+            Of the camera.
 
         Returns
         -------
@@ -64,7 +69,7 @@ class FrameFiles:
         DataError
             A file is damaged.
         InputError
-            Sizes or exposures differ, the exposure of the darks is not known, or a flat is not positive.
+            Sizes (the camera's too) or exposures differ, that of the darks is not known, or a flat is not positive.
         """
         known: dict[str, Any] = {"dark_has_bias": self.dark_has_bias}
         if self.bias:
@@ -86,7 +91,13 @@ class FrameFiles:
             image = self._open([self.bad_pixels])[0]
             known["bad"] = image.mask | (image.pixels != 0)
         with named(f"{_KEY}: "):
-            return CalibrationFrames(**known)
+            frames = CalibrationFrames(**known)
+            require(
+                frames.bad.shape == (rows, columns),
+                f"the frames have {frames.bad.shape} rows and columns, the camera {(rows, columns)}: "
+                "use frames of the same window and binning",
+            )
+        return frames
 
     def sha256(self, folder: Path) -> dict[str, dict[str, str]]:
         """Hash of each file by its kind and its path from a folder.

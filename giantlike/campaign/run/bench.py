@@ -13,6 +13,7 @@ from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import temperature_of
 from giantlike.campaign.file.config import Campaign
 from giantlike.catalogs import StarCatalog, StarTable, load_catalog
+from giantlike.core.reading import resolving
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.io.spice import SpiceKernels, load_kernels
@@ -124,7 +125,10 @@ class Workbench(Value):
             )
         shapes = {target.name: target.load_shape() for target in campaign.targets}
         kernels = None if campaign.spice is None else load_kernels(campaign.spice.kernels, ".", trusted=trusted)
-        frames = None if campaign.frames is None else campaign.frames.load()
+        frames = None
+        if campaign.frames is not None:
+            with resolving(campaign.path, "a campaign file"):
+                frames = campaign.frames.load(rows=campaign.camera.rows, columns=campaign.camera.columns)
         return cls(campaign, navigation, shapes, kernels, frames)
 
     def with_camera(self, camera: Camera) -> Workbench:
