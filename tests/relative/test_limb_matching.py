@@ -431,7 +431,7 @@ def test_the_limb_of_a_mesh_moves_with_it_as_the_design_says() -> None:
         placed = shape.at(position.position_camera_km)
         lines = lay_lines(view, Outline.traced(view, placed), max_lines=400, spacing_px=1.5, margin_px=7.0)
         assert lines is not None
-        scan = LineScan.across(view, placed, lines, options, options.scan)
+        scan = LineScan(view=view, body=shape, lines=lines, search=options, options=options.scan)
         limb = scan.measured(placed.position_camera_km)
         assert not isinstance(limb, Failure)
         measured.append(limb)

@@ -90,6 +90,12 @@ class LimbLines(Value):
     perimeter_px: float
     cut_by_frame: bool
 
+    def thinned(self, count: int) -> LimbLines:
+        """Return about ``count`` of the lines, evenly chosen; all where there are fewer."""
+        step = max(self.angles_rad.size // count, 1)
+        angles, brightness = self.angles_rad[::step], self.brightness[::step]
+        return replace(self, angles_rad=angles, brightness=brightness, spacing_px=step * self.spacing_px)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outline(Value):
@@ -228,7 +234,7 @@ def measure_by_lines(
     )
     if lines is None:
         return _not_seen(view, moved.silhouette, body, options.margin_px)
-    scan = LineScan.across(view, body.at(position), lines, search, options, relief=relief)
+    scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief)
     closest_km = body.shape.circumscribing_radius_km
     start = LimbState(position_camera_km=position, psf_px2=(view.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2)
     return settle_limb(scan, start, search, min_points=options.min_lines, closest_km=closest_km)
@@ -255,11 +261,8 @@ class LineScan(Value):
     ----------
     view : LimbView
     body : Body
-        Within some pixels of where it is measured.
+        Anywhere.
     lines : LimbLines
-    outline : Silhouette
-        Of that body along the lines. It goes with the body: over some pixels only the place of the lines depends on
-        that, and by less than a thousandth of a pixel. What is expected along them is rendered anew.
     search : IteratedSearch
     options : LimbScanOptions
     relief : SmoothError or None
@@ -269,25 +272,9 @@ class LineScan(Value):
     view: LimbView
     body: Body
     lines: LimbLines
-    outline: Silhouette
     search: IteratedSearch
     options: LimbScanOptions
     relief: SmoothError | None = None
-
-    @classmethod
-    def across(
-        cls,
-        view: LimbView,
-        body: Body,
-        lines: LimbLines,
-        search: IteratedSearch,
-        options: LimbScanOptions,
-        *,
-        relief: SmoothError | None = None,
-    ) -> LineScan:
-        """Trace the outline of a body, in place to some pixels, where lines meet it; the arguments as the fields."""
-        outline = trace_silhouette(body, view.model, lines.angles_rad, sun_direction_camera=view.sun_direction_camera)
-        return cls(view=view, body=body, lines=lines, outline=outline, search=search, options=options, relief=relief)
 
     @property
     def relief_px(self) -> float:
@@ -298,8 +285,8 @@ class LineScan(Value):
         """Measure the limb across the body in a state, roughly at first."""
         if state.iteration > 0:
             return self.measured(state.position_camera_km, psf_px2=state.psf_px2)
-        each = max(self.lines.angles_rad.size // _FIRST_LINES, 1)
-        return self.measured(state.position_camera_km, extra_px=_FIRST_SEARCH_PX, each=each)
+        scan = replace(self, lines=self.lines.thinned(_FIRST_LINES))
+        return scan.measured(state.position_camera_km, extra_px=_FIRST_SEARCH_PX)
 
     def step(self, measured: LineMeasurement, state: LimbState) -> LimbStep:
         """Robust least-squares step, and the width of the point spread function as the lines show it."""
@@ -321,7 +308,7 @@ class LineScan(Value):
         return replace(measured, keep=step.keep)
 
     def measured(
-        self, position_camera_km: Float, *, psf_px2: float | None = None, extra_px: float = 0.0, each: int = 1
+        self, position_camera_km: Float, *, psf_px2: float | None = None, extra_px: float = 0.0
     ) -> LineMeasurement | Failure:
         """Measure the limb across the body at a position.
 
@@ -333,8 +320,6 @@ class LineScan(Value):
             Variance of the point spread function; None for a first, rough measurement with what is known of it.
         extra_px : float, px
             How much farther than ``options`` say each line is searched.
-        each : int
-            Every so many lines are used.
 
         Returns
         -------
@@ -343,7 +328,7 @@ class LineScan(Value):
         """
         view, options, body = self.view, self.options, self.body.at(position_camera_km)
         search_px = options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
-        limb = self._limb(body, each)
+        limb = _traced(self.view, body, self.lines, options)
         if isinstance(limb, Failure):
             return limb
         offsets = line_offsets(options.window_px + search_px, options.step_px)
@@ -379,7 +364,7 @@ class LineScan(Value):
             common_px={cause: shared[good] for cause, shared in found.common_px.items()},
             smooth_errors=tuple(errors),
             position_camera_km=body.position_camera_km,
-            spacing_px=each * self.lines.spacing_px,
+            spacing_px=self.lines.spacing_px,
             perimeter_px=self.lines.perimeter_px,
             cut_by_frame=self.lines.cut_by_frame,
             rejected=rejected,
@@ -388,24 +373,24 @@ class LineScan(Value):
             psf_px2=width**2 + found.psf_px2,
         )
 
-    def _limb(self, body: Body, each: int) -> PredictedLimb | Failure:
-        """The limb of a body where lines meet it in the frame; for steps only where no shadow lies along it."""
-        view, margin_px = self.view, self.options.margin_px
-        points_km = self.outline.points_camera_km + (body.position_camera_km - self.body.position_camera_km)
-        outline = replace(self.outline, points_camera_km=points_km, points_px=view.model.project(points_km))
-        seen = outline.valid & view.contains(outline.points_px, margin_px=margin_px)
-        seen &= np.isfinite(outline.normals_px).all(axis=1) & (np.arange(seen.size) % each == 0)
-        if self.options.edges is EdgeModel.STEP:
-            shadow_px = 0.5 * view.radius_px * np.minimum(np.nan_to_num(outline.cos_incidence), 0.0) ** 2
-            seen &= shadow_px < _STEP_SHADOW_PX
-        if not seen.any():
-            return _not_seen(view, outline, body, margin_px)
-        return PredictedLimb(
-            points_px=outline.points_px[seen],
-            points_camera_km=outline.points_camera_km[seen],
-            normals_px=outline.normals_px[seen],
-            brightness=self.lines.brightness[seen],
-        )
+
+def _traced(view: LimbView, body: Body, lines: LimbLines, options: LimbScanOptions) -> PredictedLimb | Failure:
+    """The limb of a body where lines meet it in the frame; for steps only where no shadow lies along it."""
+    margin_px = options.margin_px
+    outline = trace_silhouette(body, view.model, lines.angles_rad, sun_direction_camera=view.sun_direction_camera)
+    seen = outline.valid & view.contains(outline.points_px, margin_px=margin_px)
+    seen &= np.isfinite(outline.normals_px).all(axis=1)
+    if options.edges is EdgeModel.STEP:
+        shadow_px = 0.5 * view.radius_px * np.minimum(np.nan_to_num(outline.cos_incidence), 0.0) ** 2
+        seen &= shadow_px < _STEP_SHADOW_PX
+    if not seen.any():
+        return _not_seen(view, outline, body, margin_px)
+    return PredictedLimb(
+        points_px=outline.points_px[seen],
+        points_camera_km=outline.points_camera_km[seen],
+        normals_px=outline.normals_px[seen],
+        brightness=lines.brightness[seen],
+    )
 
 
 def _not_seen(view: LimbView, outline: Silhouette, body: Body, margin_px: float) -> Failure:
