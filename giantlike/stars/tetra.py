@@ -29,6 +29,7 @@ _MATCH_RADIUS = 0.01  # match radius of tetra3rs over the field of view
 _MATCH_THRESHOLD = 1e-3  # false-match probability accepted by tetra3rs: high, because each candidate is verified
 _MAX_PATTERNS = 2_000_000  # checked in one attempt: bounds the time of failures
 _MANY_PATTERN_STARS = _BRIGHTEST = 40  # detections that form patterns in the last two attempts
+_FEWEST = 12  # brightest detections of an attempt of their own: 495 patterns, of which 5 stars give 5
 _DISTORTED_EDGE_ERROR = 0.004  # tolerance of edge ratios: the distortion by a k1 of -0.4 over 14 degrees
 _HALF_EDGE_ERROR = 0.002  # the same for patterns of half the image
 _MARGIN = 1.3  # half size of the region used over that of the pinhole image: distorted images are larger
@@ -106,7 +107,8 @@ def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
     middle_x, middle_y = camera.center_px
     for half in (x < middle_x, x >= middle_x, y < middle_y, y >= middle_y):
         yield _Attempt(half, edge_error=_HALF_EDGE_ERROR)
-    yield _Attempt(np.arange(len(points_px)) < _BRIGHTEST)
+    for count in (_FEWEST, _BRIGHTEST):
+        yield _Attempt(np.arange(len(points_px)) < count)
     yield _Attempt(everything, pattern_stars=_MANY_PATTERN_STARS)
 
 
