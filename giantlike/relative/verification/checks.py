@@ -211,7 +211,8 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     """
     geometry, model = inputs.geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
-    range_km /= 1.0 + float(fix.provenance.get(_ALTITUDE, 0.0)) / geometry.target.shape.mean_radius_km
+    if _ALTITUDE in fix.provenance:
+        range_km /= 1.0 + float(fix.provenance[_ALTITUDE]) / geometry.target.shape.mean_radius_km
     known = geometry.body(range_km * model.unproject(fix.center_px))
     body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
     coarse = _at(body, inputs, search_px)
