@@ -75,7 +75,7 @@ def test_a_run_killed_at_any_moment_and_continued_gives_the_tables_of_a_quiet_on
     while True:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            code = process.wait(random.uniform(0.5, 12.0) if kills < N_KILLS else LONGEST_RUN_S)
+            code = process.wait(random.uniform(0.5, 3.0) if kills < N_KILLS else LONGEST_RUN_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
