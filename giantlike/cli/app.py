@@ -68,6 +68,7 @@ _COMMANDS = {
     "interlock": Entry("Estimate the rotation between two sensors.", "campaign_commands", "interlock"),
     "demo": Entry("Simulate an approach, run it, and compare with the truth.", "campaign_commands", "demo"),
     "gauntlet": Entry("Put off-nominal images with known truth to every estimator.", "gauntlet_command", "gauntlet"),
+    "replay": Entry("Replay a paper on a flight system, its numbers beside ours.", "replay_command", "replay"),
     "shape": Entry("Measure, convert, decimate and draw shape models.", commands=_SHAPE),
     "camera": Entry("Show camera files, and convert from and to other programs.", commands=_CAMERA),
     "catalog": Entry("Build, join, query and show star catalogs.", commands=_CATALOG),

@@ -1,5 +1,31 @@
-"""Missions as data: what a campaign on their images needs to be told, by one name."""
+"""Missions as data: defaults of campaigns by name, and replays of published results, a folder each."""
 
-from giantlike.missions.mission import Mission, mission, mission_names
+from giantlike.io.mission_files import Mission, mission, mission_names
+from giantlike.missions.replay import (
+    REPLAYS,
+    Comparison,
+    ComparisonKind,
+    Replay,
+    ReplayFigure,
+    ReplaySettings,
+    Section,
+    run_replay,
+    save_replay,
+    summary_of,
+)
 
-__all__ = ["Mission", "mission", "mission_names"]
+__all__ = [
+    "REPLAYS",
+    "Comparison",
+    "ComparisonKind",
+    "Mission",
+    "Replay",
+    "ReplayFigure",
+    "ReplaySettings",
+    "Section",
+    "mission",
+    "mission_names",
+    "run_replay",
+    "save_replay",
+    "summary_of",
+]

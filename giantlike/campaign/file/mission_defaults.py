@@ -8,7 +8,7 @@ from typing import Any
 
 from giantlike.campaign.file.hints import nearest
 from giantlike.core.arrays import require
-from giantlike.missions import mission, mission_names
+from giantlike.io.mission_files import mission, mission_names
 
 _ADDITIONS = frozenset({"binned"})
 """Keys of ``[camera]`` that say more of the camera of the mission; with any other, it is another camera."""

@@ -1,6 +1,6 @@
 """A mission file: defaults of the tables of a campaign, patterns of its kernels, and where the numbers come from.
 
-Each is a TOML file in ``giantlike/missions/data``. It holds what its sources state and nothing else: where the frame of
+Each is a TOML file in ``giantlike/io/missions``. It holds what its sources state and nothing else: where the frame of
 a camera or the order of its axes is not known, SPICE gives no attitude, and the campaign has to.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 
 from giantlike.core.errors import InputError
 
-_FOLDER = files("giantlike.missions") / "data"
+_FOLDER = files("giantlike.io") / "missions"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,69 @@
+"""``giantlike replay``: the results of a paper on a flight system, beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from giantlike.cli.arguments import Json, Overwrite, Workers
+from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.progress import progress_bar
+from giantlike.core.atomic import make_folder
+from giantlike.core.errors import InputError
+from giantlike.core.processes import process_count
+from giantlike.missions import REPLAYS, ReplaySettings, run_replay, save_replay
+
+_MANY_JOBS = 1000
+"""A replay has more jobs than any machine has cores."""
+
+
+def replay(
+    name: Annotated[str, typer.Argument(metavar="NAME", help=f"One of {', '.join(REPLAYS)}.")],
+    output: Annotated[Path, typer.Option(help="Folder for report.html and replay.json.", metavar="DIR")],
+    small: Annotated[bool, typer.Option("--small", help="Fewer images and draws, in seconds.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 1,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder with kernels and shapes of the mission, where you have them.", metavar="DATA"),
+    ] = None,
+    workers: Workers = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> ExitCode:
+    """Replay a paper on a flight system, and compare each of its figures, tables and numbers with ours.
+
+    docs/replays.md tells what each replay does, and what was assumed where its paper is silent.
+    """
+    if (output / "replay.json").exists() and not overwrite:
+        raise InputError(f"{output} holds a replay already: use --overwrite or another folder")
+    make_folder(output)
+    with progress_bar() as progress:
+        settings = ReplaySettings(
+            output=output,
+            small=small,
+            workers=process_count(workers, _MANY_JOBS),
+            seed=seed,
+            data=data,
+            progress=progress,
+        )
+        summary = save_replay(run_replay(name, settings), settings)
+    if json:
+        print_json(summary)
+    else:
+        _show(summary, output)
+    return ExitCode.DONE
+
+
+def _show(summary: Mapping[str, Any], output: Path) -> None:
+    """A line per comparison, for people."""
+    for each in summary["comparisons"]:
+        mark = "agrees" if each["agrees"] else "DIFFERS"
+        typer.echo(
+            f"{mark:<8}{each['kind']:<12}{each['reference']:<10} {each['what']}: {each['paper']} | {each['ours']}"
+        )
+    counts = summary["counts"]
+    told = ", ".join(f"{count['agree']} of {count['comparisons']} {kind}" for kind, count in counts.items())
+    typer.echo(f"agree: {told}; see {output / 'report.html'}")

@@ -1,0 +1,286 @@
+"""Replay of a published flight system: what the paper states beside what the package finds, as values, JSON and a page.
+
+A mission is a package in this folder with a function ``replay(settings) -> Replay``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from giantlike.core.atomic import make_folder, write_text_atomic
+from giantlike.core.errors import InputError
+from giantlike.core.version import VERSION
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+REPLAYS: Mapping[str, str] = MappingProxyType({})
+"""Name of the package of a mission in this folder, and what it replays."""
+
+
+class ComparisonKind(StrEnum):
+    """How a number of ours is related to the paper's."""
+
+    INPUT = "input"
+    """The paper's number was put in and is found again: this is no agreement."""
+    DERIVED = "derived"
+    """Follows from numbers of the paper by its own formulas."""
+    INDEPENDENT = "independent"
+    """Follows from geometry, images and errors that were not fitted to the paper's number."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """A figure, table or number of the paper beside ours.
+
+    Parameters
+    ----------
+    what : str
+        The quantity, with its unit.
+    paper : str or float
+        As the paper states it.
+    ours : str or float
+    kind : ComparisonKind
+    agrees : bool
+        From a rule in the code of the replay.
+    reason : str
+        The rule and, where they differ, why.
+    reference : str
+        Place in the paper, such as "Fig. 7".
+
+    Raises
+    ------
+    InputError
+        A number is not finite, or there is no reason.
+    """
+
+    what: str
+    paper: str | float
+    ours: str | float
+    kind: ComparisonKind
+    agrees: bool
+    reason: str
+    reference: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for name, value in (("paper", self.paper), ("ours", self.ours)):
+            if not isinstance(value, str) and not math.isfinite(value):
+                raise InputError(f"comparison {self.what!r}: {name} must be finite, got {value}")
+        if not self.reason:
+            raise InputError(f"comparison {self.what!r} needs a reason: the rule of agreement, or why the two differ")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayFigure:
+    """A figure of the paper, made again.
+
+    Parameters
+    ----------
+    reference : str
+        Place in the paper, such as "Fig. 7".
+    title, caption : str
+    figure : Figure
+        Of matplotlib, made without pyplot.
+    """
+
+    reference: str
+    title: str
+    caption: str
+    figure: Figure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """Part of a replay, such as a phase of the mission.
+
+    Parameters
+    ----------
+    title : str
+    text : str
+        What was done, in a few sentences.
+    figures : tuple of ReplayFigure
+    comparisons : tuple of Comparison
+    """
+
+    title: str
+    text: str = ""
+    figures: tuple[ReplayFigure, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Replay:
+    """A finished replay.
+
+    Parameters
+    ----------
+    name : str
+        One of ``REPLAYS``.
+    title : str
+    sections : tuple of Section
+        In the order of the paper.
+    assumptions : tuple of str
+        What the paper leaves open and what was assumed instead; a value tuned to meet a table is named as tuned.
+    """
+
+    name: str
+    title: str
+    sections: tuple[Section, ...]
+    assumptions: tuple[str, ...]
+
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """Comparisons of all sections."""
+        return tuple(each for section in self.sections for each in section.comparisons)
+
+
+def _no_progress(stage: str, done: int, total: int) -> None:
+    """Tell nobody."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplaySettings:
+    """How a replay is run.
+
+    Parameters
+    ----------
+    output : Path
+        Folder for what the replay makes on its way, such as images and runs.
+    small : bool
+        Fewer images and draws: shows that it works, in seconds.
+    workers : int
+        Number of processes.
+    seed : int
+        Of all random numbers.
+    data : Path or None
+        Folder with kernels and shapes of the mission; without it, what the paper states is simulated.
+    progress : callable
+        Takes the name of a step, the number done, and of all.
+    """
+
+    output: Path
+    small: bool = False
+    workers: int = 1
+    seed: int = 1
+    data: Path | None = None
+    progress: Callable[[str, int, int], None] = _no_progress
+
+
+def run_replay(name: str, settings: ReplaySettings) -> Replay:
+    """Replay the results of a paper.
+
+    Parameters
+    ----------
+    name : str
+        One of ``REPLAYS``.
+    settings : ReplaySettings
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    InputError
+        There is no such replay.
+    """
+    if name not in REPLAYS:
+        raise InputError(f"there is no replay {name!r}; there are {', '.join(REPLAYS)}")
+    replayed: Replay = import_module(f"giantlike.missions.{name}").replay(settings)
+    return replayed
+
+
+def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
+    """Return what ``replay.json`` holds.
+
+    Parameters
+    ----------
+    replay : Replay
+    settings : ReplaySettings
+
+    Returns
+    -------
+    dict
+        ``comparisons`` is a list of objects with ``what``, ``paper``, ``ours``, ``kind``, ``agrees``, ``reason`` and
+        ``reference``; ``counts`` has, for each kind, their number and how many agree.
+    """
+    comparisons = replay.comparisons
+    return {
+        "replay": replay.name,
+        "title": replay.title,
+        "version": VERSION,
+        "small": settings.small,
+        "seed": settings.seed,
+        "counts": {
+            str(kind): {
+                "comparisons": sum(each.kind is kind for each in comparisons),
+                "agree": sum(each.kind is kind and each.agrees for each in comparisons),
+            }
+            for kind in ComparisonKind
+        },
+        "comparisons": [
+            {
+                "what": each.what,
+                "paper": each.paper,
+                "ours": each.ours,
+                "kind": str(each.kind),
+                "agrees": each.agrees,
+                "reason": each.reason,
+                "reference": each.reference,
+            }
+            for each in comparisons
+        ],
+        "assumptions": list(replay.assumptions),
+    }
+
+
+def save_replay(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
+    """Write ``replay.json`` and ``report.html`` to the folder of the settings.
+
+    Parameters
+    ----------
+    replay : Replay
+    settings : ReplaySettings
+
+    Returns
+    -------
+    dict
+        As :func:`summary_of`.
+    """
+    summary = summary_of(replay, settings)
+    make_folder(settings.output)
+    write_text_atomic(settings.output / "replay.json", json.dumps(summary, indent=1, allow_nan=False) + "\n")
+    write_text_atomic(settings.output / "report.html", _page_of(replay, summary))
+    return summary
+
+
+def _page_of(replay: Replay, summary: Mapping[str, Any]) -> str:
+    """The page: sections in the order of the paper, then what was assumed."""
+    import jinja2
+
+    from giantlike.plotting import svg_text
+
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader(
+            [jinja2.PackageLoader("giantlike.missions", ""), jinja2.PackageLoader("giantlike.campaign.report", "")]
+        ),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    environment.filters["shown"] = lambda value: value if isinstance(value, str) else f"{value:.4g}"
+    return environment.get_template("replay.html.j2").render(
+        version=VERSION,
+        replay=replay,
+        summary=summary,
+        svg=lambda figure, number: svg_text(figure.figure, f"{replay.name}-{number}"),
+    )
