@@ -31,6 +31,7 @@ PACKAGES = (
     "giantlike.core.outcomes",
     "giantlike.core.detector",
     "giantlike.stars.rates",
+    "giantlike.navigation",
 )
 """Modules whose names are promised to users; all other modules may change without notice."""
 

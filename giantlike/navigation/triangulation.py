@@ -264,7 +264,7 @@ def locate(
 
 
 def position_at_emission(ephemeris: Ephemeris, et: float, observer_km: ArrayLike) -> Float:
-    """Where a target was when the light left it that an observer receives.
+    """Position of a target when the light left it that an observer receives.
 
     Parameters
     ----------
