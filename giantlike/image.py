@@ -118,7 +118,7 @@ class Image(Value):
 
     @classmethod
     def open(cls, path: str | Path, *, hdu: int | str | None = None, bottom_up: bool = False) -> Image:
-        """Read a FITS, PNG, TIFF, JPEG or VICAR file.
+        """Read a FITS, PNG, TIFF, JPEG, VICAR, PDS3, PDS4 or ISIS file.
 
         Parameters
         ----------

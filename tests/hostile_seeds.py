@@ -41,6 +41,7 @@ from tests.catalogs import test_catalog_readers as catalog_files
 from tests.cli.test_render_command import scene_table
 from tests.io import test_camera_files as camera_files
 from tests.io import test_image_files as image_files
+from tests.io import test_planetary_files as planetary_files
 from tests.io import test_spice as kernel_files
 from tests.shapes.test_local_maps import _map
 
@@ -183,6 +184,11 @@ FRAME = (
 )
 
 
+def _product(path: Path) -> None:
+    """A PDS4 label; its data file stays as it is beside the damaged one."""
+    planetary_files.save_product(path.parent, planetary_files.ramp())
+
+
 def _image(path: Path) -> object:
     return read_image_file(path)
 
@@ -208,6 +214,8 @@ KINDS: dict[str, Kind] = {
         lambda path: path.write_bytes(image_files.pds3_label("^IMAGE = 8").ljust(630) + image_files.pds3_rows(">i2")),
         _image,
     ),
+    "image isis": Kind("a.cub", _with(planetary_files.cube_bytes(planetary_files.ramp())), _image),
+    "image pds4": Kind("image.xml", lambda path: _product(path), _image),
     "camera": Kind(
         "camera.toml",
         lambda path: gl.Camera(name="c", columns=8, rows=8, model=NAVCAM, psf=gl.GaussianPsf()).save(path),

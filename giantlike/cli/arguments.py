@@ -8,6 +8,13 @@ from typing import Annotated
 
 import typer
 
+Frames = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file with a table [calibration_frames]: bias, dark, flat and bad pixels are applied first.",
+        metavar="FRAMES.toml",
+    ),
+]
 Images = Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files of any readable format.")]
 Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that exist.")]

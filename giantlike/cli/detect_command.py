@@ -12,10 +12,11 @@ import numpy as np
 import typer
 
 from giantlike.camera import Camera
-from giantlike.cli.arguments import Hdu, Images, Json, Sequence
+from giantlike.cli.arguments import Frames, Hdu, Images, Json, Sequence
+from giantlike.cli.frames_input import ImageReader
 from giantlike.cli.outcome import ExitCode, rows_of, show_results
 from giantlike.cli.progress import with_progress
-from giantlike.cli.sequence_input import sequence_pattern, without_pattern
+from giantlike.cli.sequence_input import BOTH_PATTERNS, sequence_pattern, without_pattern
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
@@ -53,6 +54,8 @@ class DetectRequest:
         Detections of a lower signal to noise ratio are left out.
     hdu : int or str, optional
         Of FITS files.
+    reader : ImageReader
+        Opens the images.
     sequence : bool
         The images are of one camera: a fixed pattern is removed, and detections are compared.
     psf : PsfKind, optional
@@ -66,6 +69,7 @@ class DetectRequest:
     psf_sigma_px: float | None = None
     min_snr: float = 0.0
     hdu: int | str | None = None
+    reader: ImageReader
     sequence: bool = False
     psf: PsfKind | None = None
     psf_degree: int = 0
@@ -98,7 +102,7 @@ class DetectRequest:
         sigma = self.psf_sigma_px
         if sigma is None and camera is not None and camera.psf is not None:
             sigma = camera.psf.sigma_px
-        image, detector = without_pattern(image, self.detector, pattern)
+        image, detector = without_pattern(image, image.detector or self.detector, pattern)
         found = detect_sources(
             image.pixels, detector=detector, psf_sigma_px=sigma, mask=image.mask, options=self.options
         )
@@ -137,6 +141,7 @@ def detect(
     ] = None,
     psf_degree: Annotated[int, typer.Option(help="Degree of the variation of that PSF over the field, 0 to 3.")] = 0,
     sequence: Sequence = False,
+    frames: Frames = None,
     hdu: Hdu = None,
     json: Json = False,
 ) -> ExitCode:
@@ -144,11 +149,13 @@ def detect(
 
     With --json all of them are listed, brightest first, with quality flags.
     """
+    require(frames is None or not sequence, BOTH_PATTERNS)
     wanted = DetectRequest(
         camera=None if camera is None else Camera.load(camera),
         psf_sigma_px=psf_sigma,
         min_snr=min_snr,
         hdu=hdu,
+        reader=ImageReader(frames, hdu=hdu),
         sequence=sequence,
         psf=psf,
         psf_degree=psf_degree,
@@ -169,7 +176,7 @@ def _all_searched(images: list[Path], wanted: DetectRequest) -> list[dict[str, A
 
 def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> Found | Failure:
     try:
-        return wanted.search(Image.open(path, hdu=wanted.hdu), pattern)
+        return wanted.search(wanted.reader.open(path, wanted.detector), pattern)
     except OpNavError as error:
         return Failure(Reason.UNREADABLE_IMAGE, str(error))
 

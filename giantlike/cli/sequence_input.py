@@ -15,6 +15,8 @@ from giantlike.image import Image
 from giantlike.processing.detection.frame import saturation_of
 from giantlike.processing.detection.sequence import FixedPattern, enough_images, fixed_pattern
 
+BOTH_PATTERNS = "--frames takes the fixed pattern of the detector off; give it or --sequence, not both"
+
 
 def sequence_pattern(
     paths: Sequence[Path], *, hdu: int | str | None, detector: Detector, bottom_up: bool = False

@@ -12,10 +12,11 @@ import typer
 
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, load_catalog
-from giantlike.cli.arguments import Hdu, Images, Json, Sequence
+from giantlike.cli.arguments import Frames, Hdu, Images, Json, Sequence
+from giantlike.cli.frames_input import ImageReader
 from giantlike.cli.outcome import ExitCode, show_results
 from giantlike.cli.progress import with_progress
-from giantlike.cli.sequence_input import sequence_pattern, without_pattern
+from giantlike.cli.sequence_input import BOTH_PATTERNS, sequence_pattern, without_pattern
 from giantlike.cli.star_review import write_review
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder
@@ -24,7 +25,6 @@ from giantlike.core.errors import OpNavError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import ARCSEC_PER_RAD
-from giantlike.image import Image
 from giantlike.processing import Detections
 from giantlike.processing.detection.sequence import FixedPattern
 from giantlike.stars import StarNavigation, StarOptions
@@ -59,8 +59,7 @@ class StarsRequest:
     fov_deg: float | None
     options: StarOptions
     pattern: FixedPattern | Failure | None
-    hdu: int | str | None
-    bottom_up: bool
+    reader: ImageReader
     review: Path | None
 
 
@@ -79,6 +78,7 @@ def stars(
     max_magnitude: Annotated[float | None, typer.Option(help="Faintest catalog star.")] = None,
     catalog: Annotated[str, typer.Option(help="default, a built catalog, or one in CSV.")] = "default",
     sequence: Sequence = False,
+    frames: Frames = None,
     bottom_up: Annotated[
         bool, typer.Option("--bottom-up", help="The first stored row is the bottom of the picture: turn the rows.")
     ] = False,
@@ -94,6 +94,7 @@ def stars(
     """
     known = None if camera is None else Camera.load(camera)
     _check_fov(known, fov, fov_error / 100)
+    require(frames is None or not sequence, BOTH_PATTERNS)
     options = StarOptions(
         max_magnitude=max_magnitude,
         lost_in_space=lost_in_space,
@@ -110,8 +111,7 @@ def stars(
         fov_deg=fov,
         options=options,
         pattern=sequence_pattern(images, hdu=hdu, detector=detector, bottom_up=bottom_up) if sequence else None,
-        hdu=hdu,
-        bottom_up=bottom_up,
+        reader=ImageReader(frames, hdu=hdu, bottom_up=bottom_up),
         review=review,
     )
     results = [_solve(path, wanted) for path in with_progress("solving stars", images)]
@@ -134,8 +134,8 @@ def _solve(path: Path, wanted: StarsRequest) -> dict[str, Any]:
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None} | dict.fromkeys(_NUMBERS)
     values |= {"detail": "", "flags": []} | dict.fromkeys(_MORE)
     try:
-        image = Image.open(path, hdu=wanted.hdu, bottom_up=wanted.bottom_up)
         camera, options = wanted.camera, wanted.options
+        image = wanted.reader.open(path, Detector() if camera is None else camera.detector)
         if camera is None:
             assert wanted.fov_deg is not None
             counts = Detector()  # a number counts an electron; what cannot be counts is noticed (Detector.of_image)

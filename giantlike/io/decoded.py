@@ -28,7 +28,7 @@ class DecodedImage(Value):
     pixels : (rows, columns) array, DN
         Rows as stored, any byte order; may hold NaN.
     format : str
-        ``fits``, ``png``, ``tiff``, ``jpeg``, ``vicar`` or ``pds3``.
+        ``fits``, ``png``, ``tiff``, ``jpeg``, ``vicar``, ``pds3``, ``pds4`` or ``isis``.
     mask : (rows, columns) bool or None
         True where the format itself declares a pixel missing; None where no pixel is.
     epoch : Time or None

@@ -20,8 +20,10 @@ from giantlike.core.reading import reads, unzipped
 from giantlike.core.values import Value
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.fits import decode_fits
+from giantlike.io.isis_cube import CUBE_START, decode_isis_cube
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.pds3 import LABEL_START, decode_pds3, image_pointer, parse_pds3
+from giantlike.io.pds4 import PRODUCT_START, data_file_of, decode_pds4
 from giantlike.io.raster import decode_raster
 from giantlike.io.vicar import decode_vicar
 
@@ -35,6 +37,8 @@ _MAGIC = {
     "tiff": re.compile(rb"II[*+]\0|MM\0[*+]"),
     "vicar": re.compile(rb"LBLSIZE\s*="),
     "pds3": LABEL_START,
+    "pds4": PRODUCT_START,
+    "isis": CUBE_START,
 }
 """First bytes of the files of each format."""
 
@@ -58,7 +62,7 @@ class ImageFile(Value):
         Spacecraft state with respect to the solar system barycenter.
     header : dict of str to str, int, float or bool
         Header or label items. Empty for PNG, TIFF and JPEG.
-    format : {'fits', 'png', 'tiff', 'jpeg', 'vicar', 'pds3'}
+    format : {'fits', 'png', 'tiff', 'jpeg', 'vicar', 'pds3', 'pds4', 'isis'}
     sha256 : str
         Of the file that holds the pixels.
     path : Path
@@ -83,8 +87,9 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
     Parameters
     ----------
     path : path-like
-        A FITS, PNG, TIFF, JPEG or VICAR file, an image with a PDS3 label attached, a PDS3 label that points to
-        its image, or a raw image with such a label beside it (same name, ``.LBL``). Files may be gzipped.
+        A FITS, PNG, TIFF, JPEG or VICAR file, an ISIS cube, an image with a PDS3 label attached, a PDS3 or PDS4 label
+        that points to its image, or a raw image with such a label beside it (same name, ``.LBL`` or ``.xml``). Files
+        may be gzipped, but for ISIS cubes and PDS4 products, which are read by libraries of the extra ``planetary``.
     hdu : int or str, optional
         For FITS: index or EXTNAME of the HDU; the first with a 2-D image by default.
     bottom_up : bool
@@ -129,20 +134,34 @@ def _read_image(path: Path, hdu: int | str | None) -> ImageFile:
         raise InputError(f"hdu={hdu!r} is for FITS files, but {path} is {kind or 'of no known format'}")
     if kind == "pds3":
         decoded, digest = _decode_labeled(path, data, digest)
+    elif kind == "pds4":
+        decoded, digest = _decode_product(path, data)
     elif kind is not None:
         decoded = _decode(path, data, kind, hdu)
     else:
         label = _label_beside(path)
         if label is None:
-            raise DataError(path, "is of no supported format; supported are FITS, PNG, TIFF, JPEG, VICAR and PDS3")
-        decoded, digest = _decode_labeled(label, _content(label), digest)
+            raise DataError(
+                path, "is of no supported format; supported are FITS, PNG, TIFF, JPEG, VICAR, PDS3, PDS4 and ISIS cubes"
+            )
+        content = _content(label)
+        pds4 = _sniff(content) == "pds4"
+        decoded, digest = _decode_product(label, content) if pds4 else _decode_labeled(label, content, digest)
     return _finish(path, decoded, digest)
 
 
 def _decode(path: Path, data: bytes, kind: str, hdu: int | str | None) -> DecodedImage:
     if kind == "fits":
         return decode_fits(path, data, hdu)
+    if kind == "isis":
+        return decode_isis_cube(path, data)
     return decode_vicar(path, data) if kind == "vicar" else decode_raster(path, data, kind)
+
+
+def _decode_product(label: Path, content: bytes) -> tuple[DecodedImage, str]:
+    """Decode what a PDS4 label describes; the hash is of the file with the pixels."""
+    pixels = label.parent / data_file_of(label, content)
+    return decode_pds4(label), hashlib.sha256(_content(pixels)).hexdigest()
 
 
 def _decode_labeled(path: Path, data: bytes, digest: str) -> tuple[DecodedImage, str]:
@@ -213,12 +232,19 @@ def _sniff(data: bytes) -> str | None:
 
 
 def _label_beside(path: Path) -> Path | None:
-    """A PDS3 label of the same name whose image is this file."""
-    label = _find_beside(path, path.with_suffix(".LBL").name)
-    if label is None or label == path:
-        return None
-    pointer = image_pointer(label, parse_pds3(label, _content(label)))
-    return label if (pointer.file or "").lower() == path.name.lower() else None
+    """A PDS3 or PDS4 label of the same name whose image is this file."""
+    for suffix in (".LBL", ".xml"):
+        label = _find_beside(path, path.with_suffix(suffix).name)
+        if label is None or label == path:
+            continue
+        content = _content(label)
+        if _sniff(content) == "pds4":
+            named: str | None = data_file_of(label, content)
+        else:
+            named = image_pointer(label, parse_pds3(label, content)).file
+        if (named or "").lower() == path.name.lower():
+            return label
+    return None
 
 
 def _find_beside(path: Path, name: str) -> Path | None:

@@ -1,5 +1,7 @@
 """PDS3 labels, attached to an image or in a file of their own, and the raw images they describe.
 
+ISIS cubes have labels in the same language.
+
 References
 ----------
 .. [1] Planetary Data System Standards Reference, version 3.8, JPL D-7669 (label syntax, pointers, IMAGE objects).
@@ -19,13 +21,14 @@ from giantlike.io.raw_image import RawLayout, label_count, read_raw
 LABEL_START = re.compile(rb"\s*(PDS_VERSION_ID|CCSD3ZF|NJPL1I|ODL_VERSION_ID)\b")
 """First word of a PDS3 label, or of its SFDU wrapper."""
 
-_END = re.compile(r"^\s*END\s*$", re.MULTILINE)
+_END = re.compile(r"^\s*(END|End)\s*$", re.MULTILINE)
 _STATEMENT = re.compile(
     r"/\*.*?\*/"
+    r"|^\s*(?P<closing>END_(?:OBJECT|GROUP)|End_(?:Object|Group))\s*$"
     r"|(?P<key>\^?[A-Za-z][A-Za-z0-9_:]*)\s*=\s*"
     r"(?P<value>\"[^\"]*\"|'[^']*'|\([^()]*(?:\([^()]*\)[^()]*)*\)|\{[^{}]*\}|[^\s<]+)"
     r"(?:\s*<(?P<unit>[^>]*)>)?",
-    re.DOTALL,
+    re.DOTALL | re.MULTILINE,
 )
 _POINTER = re.compile(
     r"\(?\s*(?:[\"'](?P<file>[^\"']+)[\"'])?\s*,?\s*(?P<start>\d+)?\s*(?P<bytes><\s*BYTES\s*>)?\s*\)?"
@@ -98,11 +101,13 @@ def parse_pds3(path: Path, data: bytes) -> Pds3Label:
     nesting: list[str] = []
     for match in _STATEMENT.finditer(text, 0, end.start()):
         key, value = match["key"], match["value"]
-        if key is None or key in {"END_OBJECT", "END_GROUP"}:
-            if key is not None and nesting:
-                nesting.pop()
+        opened_or_closed = (match["closing"] or key or "").upper()
+        if opened_or_closed in {"END_OBJECT", "END_GROUP"}:
+            del nesting[-1:]
             continue
-        if key in {"OBJECT", "GROUP"}:
+        if key is None:
+            continue
+        if opened_or_closed in {"OBJECT", "GROUP"}:
             nesting.append(value)
             continue
         name = ".".join([*nesting, key])

@@ -205,3 +205,47 @@ def test_a_users_mistake_is_one_line(tmp_path: Path, arguments: list[str]) -> No
     assert result.exit_code == 2
     assert result.stdout == ""
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_calibration_frames_of_a_file_are_applied_before_the_search(tmp_path: Path) -> None:
+    points = spread_points(SHAPE, 40, 3)
+    light = star_image(points, np.full(len(points), flux_of_snr(30.0, 0.8)), 0.8, SHAPE)
+    hot = np.zeros(SHAPE)
+    hot[tuple(np.random.default_rng(1).integers(0, 200, (2, 300)))] = 30.0 * NOISE_DN
+    write_fits(tmp_path / "stars.fits", exposed(light, 3) + hot, header={"EXPTIME": 1.0})
+    for number in range(5):
+        write_fits(
+            tmp_path / f"dark{number}.fits", exposed(np.zeros(SHAPE), 50 + number) + hot, header={"EXPTIME": 1.0}
+        )
+    frames = tmp_path / "frames.toml"
+    frames.write_text('[campaign]\nname = "other tables do not matter"\n[calibration_frames]\ndark = ["dark*.fits"]\n')
+
+    def stars(*options: str | Path) -> list[dict[str, Any]]:
+        result = giantlike("detect", tmp_path / "stars.fits", "--camera", camera_file(tmp_path), "--json", *options)
+        assert result.exit_code == 0, result.stderr
+        rows: list[dict[str, Any]] = json.loads(result.stdout)[0]["detections"]
+        return rows
+
+    def false(rows: list[dict[str, Any]]) -> int:
+        found = np.array([[row["x_px"], row["y_px"]] for row in rows])
+        return int((np.hypot(*(found[:, None] - points).T).min(axis=0) > 1.0).sum())
+
+    assert false(stars()) > 100
+    assert false(stars("--frames", frames)) == 0
+    assert len(stars("--frames", frames)) == len(points)
+
+
+def test_frames_and_a_sequence_are_not_taken_together(tmp_path: Path) -> None:
+    path, _ = stars_in(tmp_path)
+    result = giantlike("detect", path, path, "--sequence", "--frames", tmp_path / "frames.toml")
+    assert result.exit_code == 2
+    assert "give it or --sequence" in result.stderr
+
+
+def test_a_file_without_frames_is_refused(tmp_path: Path) -> None:
+    path, _ = stars_in(tmp_path)
+    (tmp_path / "frames.toml").write_text("[camera]\n")
+    result = giantlike("detect", path, "--frames", tmp_path / "frames.toml")
+    assert result.exit_code == 2
+    assert "frames.toml" in result.stderr
+    assert "calibration_frames" in result.stderr

@@ -685,7 +685,7 @@ def test_gzipped_files_are_read_and_refused_when_cut(tmp_path: Path) -> None:
 
 def test_what_is_no_image_is_refused_with_the_list_of_formats(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
-    assert "supported are FITS, PNG, TIFF, JPEG, VICAR and PDS3" in refusal(tmp_path / "a.txt")
+    assert "supported are FITS, PNG, TIFF, JPEG, VICAR, PDS3, PDS4 and ISIS cubes" in refusal(tmp_path / "a.txt")
     (tmp_path / "empty.fits").write_bytes(b"")
     assert "empty" in refusal(tmp_path / "empty.fits")
     assert "no such file" in refusal(tmp_path / "missing.fits")

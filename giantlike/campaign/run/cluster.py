@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.bench import Workbench
 from giantlike.core.errors import InputError
+from giantlike.core.extras import require_extra
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -60,10 +61,8 @@ class DaskPool:
         self._client: Client | None = None
 
     def __enter__(self) -> Self:
-        try:
-            from distributed import Client, WorkerPlugin
-        except ImportError as error:
-            raise InputError("--dask needs dask.distributed: pip install 'giantlike[dask]'") from error
+        require_extra("distributed", extra="dask", purpose="--dask")
+        from distributed import Client, WorkerPlugin
 
         class Setup(WorkerPlugin):  # type: ignore[misc]  # the package is optional, and unknown to mypy
             """Gives a worker, one that comes later too, the campaign."""

@@ -1,0 +1,85 @@
+"""``--frames``: calibration frames for images without a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from giantlike.campaign.file.frame_files import FrameFiles, frames_of
+from giantlike.campaign.file.schema import CalibrationFramesSection
+from giantlike.campaign.file.toml_file import Section, read_toml
+from giantlike.core.detector import Detector
+from giantlike.image import Image
+from giantlike.processing.calibration_frames import CalibrationFrames
+
+
+class _FramesFile(Section):
+    """A TOML file with a table ``[calibration_frames]``."""
+
+    calibration_frames: CalibrationFramesSection
+
+
+class ImageReader:
+    """Opens images, and takes bias, dark current and response off them where frames are given.
+
+    Parameters
+    ----------
+    frames : Path or None
+        TOML file with a table ``[calibration_frames]``; a campaign file will do.
+    hdu : int or str or None
+        FITS extension of the images.
+    bottom_up : bool
+        Reverse the rows on reading, of the frames too.
+
+    Raises
+    ------
+    DataError
+        The file has no such table, or a wrong one.
+    InputError
+        A file of frames is missing, or none is named.
+    """
+
+    def __init__(self, frames: Path | None, *, hdu: int | str | None, bottom_up: bool = False) -> None:
+        self._hdu, self._bottom_up = hdu, bottom_up
+        self._files: FrameFiles | None = None
+        if frames is not None:
+            content, _ = read_toml(frames, _FramesFile, "file of calibration frames", complete=_only_frames)
+            self._files = frames_of(frames, content.calibration_frames, bottom_up=bottom_up)
+
+    def open(self, path: Path, detector: Detector) -> Image:
+        """Open an image.
+
+        Parameters
+        ----------
+        path : Path
+        detector : Detector
+            Of the camera.
+
+        Returns
+        -------
+        Image
+            With frames, its ``detector`` knows their noise.
+
+        Raises
+        ------
+        DataError
+            The image or a frame is damaged.
+        InputError
+            The frames have another size, or an exposure is not known.
+        """
+        image = Image.open(path, hdu=self._hdu, bottom_up=self._bottom_up)
+        if self._files is None:
+            return image
+        return image.calibrated(_loaded(self._files, image.rows, image.columns), detector)
+
+
+def _only_frames(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: table[key] for key in ("calibration_frames",) if key in table}
+
+
+@cache
+def _loaded(files: FrameFiles, rows: int, columns: int) -> CalibrationFrames:
+    """Frames of a size, combined once for all images."""
+    return files.load(rows=rows, columns=columns)
