@@ -1,0 +1,130 @@
+"""Errors of a body's center and radius in an image as functions of its range: noise, relief and bias in pixels.
+
+Errors of the center are along and across the direction to the Sun in the image, because light comes from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.values import Value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BodyErrorModel(Value):
+    """Standard deviations and biases of the center along and across the Sun, and of the radius.
+
+    Each is a triple in this order. A sigma is ``hypot(noise, relief / range)``, a bias
+    ``bias + bias_at_body / range``: relief is a length at the body times the focal length in pixels.
+
+    Parameters
+    ----------
+    noise_px : (3,) float64, px
+        Sigmas of a smooth body, or of a body far away.
+    relief_px_km : (3,) float64, px km
+        Sigma of relief, times the focal length.
+    bias_px : (3,) float64, px
+        Bias of a body far away.
+    bias_px_km : (3,) float64, px km
+        Bias that shrinks with the range, times the focal length.
+
+    References
+    ----------
+    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 27-38.
+    """
+
+    noise_px: Float
+    relief_px_km: Float = field(default_factory=lambda: np.zeros(3))
+    bias_px: Float = field(default_factory=lambda: np.zeros(3))
+    bias_px_km: Float = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        for name in ("noise_px", "relief_px_km", "bias_px", "bias_px_km"):
+            object.__setattr__(self, name, as_finite(getattr(self, name), (3,), name))
+        positive = bool((self.noise_px >= 0.0).all() and (self.relief_px_km >= 0.0).all())
+        require(positive, "noise_px and relief_px_km must be >= 0")
+        Value.__post_init__(self)
+
+    def sigmas_px(self, range_km: ArrayLike) -> Float:
+        """Standard deviations at a range.
+
+        Parameters
+        ----------
+        range_km : (...) array_like, km
+
+        Returns
+        -------
+        (..., 3) float64, px
+            Of the center along the Sun, across it, and of the radius.
+        """
+        return np.hypot(self.noise_px, self.relief_px_km / _ranges(range_km))
+
+    def biases_px(self, range_km: ArrayLike) -> Float:
+        """Biases at a range.
+
+        Parameters
+        ----------
+        range_km : (...) array_like, km
+
+        Returns
+        -------
+        (..., 3) float64, px
+            Of the center along the Sun, across it, and of the radius.
+        """
+        biases: Float = self.bias_px + self.bias_px_km / _ranges(range_km)
+        return biases
+
+    def covariance_px2(self, range_km: float, sun_direction_image: ArrayLike) -> Float:
+        """Covariance of the center and the radius in the axes of the image.
+
+        Parameters
+        ----------
+        range_km : float, km
+        sun_direction_image : (2,) array_like
+            Direction to the Sun in the image, of any length.
+
+        Returns
+        -------
+        (3, 3) float64, px^2
+            Of x, y and the radius.
+        """
+        axes = _axes(sun_direction_image)
+        covariance: Float = axes @ np.diag(self.sigmas_px(range_km) ** 2) @ axes.T
+        return (covariance + covariance.T) / 2.0
+
+    def bias_in_image_px(self, range_km: float, sun_direction_image: ArrayLike) -> Float:
+        """Biases of the center and the radius in the axes of the image.
+
+        Parameters
+        ----------
+        range_km : float, km
+        sun_direction_image : (2,) array_like
+            Direction to the Sun in the image, of any length.
+
+        Returns
+        -------
+        (3,) float64, px
+            Of x, y and the radius.
+        """
+        bias: Float = _axes(sun_direction_image) @ self.biases_px(range_km)
+        return bias
+
+
+def _ranges(range_km: ArrayLike) -> Float:
+    """Ranges (..., 1), all of them positive."""
+    ranges = as_floats(range_km, (), "range_km")
+    require(bool((ranges > 0.0).all()), "range_km must be positive")
+    return ranges[..., None]
+
+
+def _axes(sun_direction_image: ArrayLike) -> Float:
+    """Columns along the Sun, across it (a quarter turn from x to y), and the radius, in the axes of the image."""
+    sun = as_finite(sun_direction_image, (2,), "sun_direction_image")
+    length = float(np.linalg.norm(sun))
+    require(length > 0.0, "sun_direction_image has no direction: the Sun is behind the camera or the body")
+    x, y = sun / length
+    return np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])

@@ -1,0 +1,293 @@
+"""Covariances as U D U^T: unit upper triangular times diagonal, which stay positive where a covariance would not.
+
+Four operations make a filter: a time update by weighted Gram-Schmidt (:func:`gram_schmidt`), the sum with a dyad
+(:func:`plus_dyad`), a Gauss-Markov step of one parameter (:func:`gauss_markov_step`) and the update by one scalar
+measurement (:func:`scalar_update`). All take any leading axes, so that a thousand filters run as one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.values import Value, check_covariance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UduFactors(Value):
+    """Factors of covariances.
+
+    Parameters
+    ----------
+    upper : (..., n, n) float64
+        Upper triangular with ones on the diagonal.
+    diagonal : (..., n) float64
+        Not negative.
+    """
+
+    upper: Float
+    diagonal: Float
+
+    def composed(self) -> Float:
+        """Return the covariance ``U D U^T``.
+
+        Returns
+        -------
+        (..., n, n) float64
+        """
+        covariance: Float = (self.upper * self.diagonal[..., None, :]) @ np.swapaxes(self.upper, -1, -2)
+        return covariance
+
+    def sigmas(self) -> Float:
+        """Return the standard deviations.
+
+        Returns
+        -------
+        (..., n) float64
+        """
+        return np.sqrt(np.sum(self.upper**2 * self.diagonal[..., None, :], axis=-1))
+
+
+def udu_factors(covariance: ArrayLike) -> UduFactors:
+    """Factors of a covariance.
+
+    Parameters
+    ----------
+    covariance : (..., n, n) array_like
+        Symmetric and positive semi-definite; a variance may be zero.
+
+    Returns
+    -------
+    UduFactors
+
+    Raises
+    ------
+    InputError
+        The matrix is no covariance.
+
+    References
+    ----------
+    .. [1] Bierman (1977), Factorization Methods for Discrete Sequential Estimation, III.4, as Holt et al. (2018) cite it.
+
+    Examples
+    --------
+    >>> udu_factors([[4.0, 2.0], [2.0, 2.0]]).diagonal.tolist()
+    [2.0, 2.0]
+    """
+    rest = np.array(covariance, dtype=np.float64)
+    check_covariance(rest, "covariance")
+    n = rest.shape[-1]
+    upper = np.broadcast_to(np.eye(n), rest.shape).copy()
+    diagonal = np.zeros(rest.shape[:-1])
+    for j in range(n - 1, -1, -1):
+        diagonal[..., j] = np.maximum(rest[..., j, j], 0.0)
+        column = rest[..., :j, j] * _inverse(diagonal[..., j])[..., None]
+        upper[..., :j, j] = column
+        rest[..., :j, :j] -= diagonal[..., j, None, None] * column[..., :, None] * column[..., None, :]
+    return UduFactors(upper, diagonal)
+
+
+def gram_schmidt(rows: Float, weights: Float) -> UduFactors:
+    """Factors of ``W diag(w) W^T`` by modified weighted Gram-Schmidt, without forming the product.
+
+    Parameters
+    ----------
+    rows : (..., n, m) float64
+        Such as the transition matrix times U beside the input matrix of the noise.
+    weights : (..., m) float64
+        Not negative: D beside the variances of the noise.
+
+    Returns
+    -------
+    UduFactors
+        Of n states.
+
+    References
+    ----------
+    .. [1] Bierman (1977), Factorization Methods for Discrete Sequential Estimation, VI.4, as Holt et al. (2018) cite it.
+    """
+    left = np.array(rows, dtype=np.float64)
+    shape = np.broadcast_shapes(left.shape[:-2], weights.shape[:-1])
+    left = np.broadcast_to(left, (*shape, *left.shape[-2:])).copy()
+    n = left.shape[-2]
+    upper = np.broadcast_to(np.eye(n), (*shape, n, n)).copy()
+    diagonal = np.zeros((*shape, n))
+    for j in range(n - 1, -1, -1):
+        weighted = left[..., j, :] * weights
+        diagonal[..., j] = np.sum(left[..., j, :] * weighted, axis=-1)
+        products = (left[..., :j, :] @ weighted[..., :, None])[..., 0]
+        upper[..., :j, j] = products * _inverse(diagonal[..., j])[..., None]
+        left[..., :j, :] -= upper[..., :j, j, None] * left[..., j, None, :]
+    return UduFactors(upper, diagonal)
+
+
+def plus_dyad(factors: UduFactors, weight: ArrayLike, vector: ArrayLike) -> UduFactors:
+    """Factors of ``U D U^T + weight * vector vector^T`` by the rank-one update of Agee and Turner.
+
+    Parameters
+    ----------
+    factors : UduFactors
+    weight : (...) array_like
+        Not negative.
+    vector : (..., n) array_like
+
+    Returns
+    -------
+    UduFactors
+
+    Raises
+    ------
+    InputError
+        A weight is negative: subtraction could lose the positive diagonal.
+
+    References
+    ----------
+    .. [1] Agee and Turner (1972), Triangular Decomposition of a Positive Definite Matrix Plus a Symmetric Dyad, as
+       Holt et al. (2018) cite it.
+    """
+    share = np.asarray(weight, dtype=np.float64)
+    require(bool((share >= 0.0).all()), "weight must be >= 0")
+    upper, diagonal = np.array(factors.upper), np.array(factors.diagonal)
+    _add_dyad(upper, diagonal, share, np.array(as_floats(vector, upper.shape[-1:], "vector")))
+    return UduFactors(upper, diagonal)
+
+
+def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, variance: ArrayLike) -> UduFactors:
+    """Factors after one state was multiplied by a decay and got independent noise.
+
+    Parameters
+    ----------
+    factors : UduFactors
+    index : int
+        The state.
+    decay : (...) array_like
+        Factor of the state; 1 for a random walk.
+    variance : (...) array_like
+        Of the noise, not negative.
+
+    Returns
+    -------
+    UduFactors
+
+    References
+    ----------
+    .. [1] Bierman (1977), Factorization Methods for Discrete Sequential Estimation, VI.4 (colored noise), as Holt et
+       al. (2018) cite it; the rest of the column is added by Agee and Turner's update.
+    """
+    upper, diagonal = np.array(factors.upper), np.array(factors.diagonal)
+    factor, noise = np.asarray(decay, dtype=np.float64), np.asarray(variance, dtype=np.float64)
+    before = diagonal[..., index].copy()
+    after = factor**2 * before + noise
+    column = upper[..., :index, index].copy()
+    share = before * _inverse(after)
+    diagonal[..., index] = after
+    upper[..., :index, index] = (factor * share)[..., None] * column
+    upper[..., index, index + 1 :] *= factor[..., None]
+    lost = np.where(after > 0.0, share * noise, before)
+    _add_dyad(upper[..., :index, :index], diagonal[..., :index], lost, column)
+    return UduFactors(upper, diagonal)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScalarUpdate(Value):
+    """What one scalar measurement does to a covariance.
+
+    Parameters
+    ----------
+    factors : UduFactors
+        After the measurement.
+    gain : (..., n) float64
+        Change of the states per unit of the innovation.
+    variance : (...) float64
+        Of the innovation.
+    """
+
+    factors: UduFactors
+    gain: Float
+    variance: Float
+
+
+def scalar_update(factors: UduFactors, partials: ArrayLike, noise_variance: ArrayLike) -> ScalarUpdate:
+    """Update by one measurement with independent noise, Carlson's rank-one update of U and D.
+
+    Parameters
+    ----------
+    factors : UduFactors
+    partials : (..., n) array_like
+        Derivative of the measurement by the states.
+    noise_variance : (...) array_like
+        Positive.
+
+    Returns
+    -------
+    ScalarUpdate
+
+    Raises
+    ------
+    InputError
+        A variance of the noise is not positive.
+
+    References
+    ----------
+    .. [1] Carlson (1973), Fast Triangular Factorization of the Square Root Filter, AIAA Journal 11, as Holt et al. (2018)
+       cite it, in the square-root-free form.
+    """
+    upper, diagonal = factors.upper, factors.diagonal
+    noise = np.asarray(noise_variance, dtype=np.float64)
+    require(bool((noise > 0.0).all()), "noise_variance must be positive")
+    design = as_floats(partials, upper.shape[-1:], "partials")
+    seen = (np.swapaxes(upper, -1, -2) @ design[..., :, None])[..., 0]
+    weighted = diagonal * seen
+    totals = noise[..., None] + np.cumsum(weighted * seen, axis=-1)
+    before = np.concatenate([np.broadcast_to(noise[..., None], totals[..., :1].shape), totals[..., :-1]], axis=-1)
+    sums = np.cumsum(upper * weighted[..., None, :], axis=-1)
+    shifted = np.concatenate([np.zeros_like(sums[..., :1]), sums[..., :-1]], axis=-1)
+    updated = UduFactors(upper - (seen / before)[..., None, :] * shifted, diagonal * before / totals)
+    variance = totals[..., -1]
+    return ScalarUpdate(updated, sums[..., -1] / variance[..., None], variance)
+
+
+def considered_update(update: ScalarUpdate, considered: ArrayLike) -> ScalarUpdate:
+    """Take back what an update did to considered states: their errors count, they are not estimated.
+
+    The gain of considered states becomes zero. What the covariance loses by that is one dyad, the gain of those states
+    times the variance of the innovation.
+
+    Parameters
+    ----------
+    update : ScalarUpdate
+    considered : (n,) array_like of bool
+
+    Returns
+    -------
+    ScalarUpdate
+        That of a Schmidt-Kalman filter.
+    """
+    kept = np.asarray(considered, dtype=bool)
+    if not kept.any():
+        return update
+    factors = plus_dyad(update.factors, update.variance, np.where(kept, update.gain, 0.0))
+    return ScalarUpdate(factors, np.where(kept, 0.0, update.gain), update.variance)
+
+
+def _add_dyad(upper: Float, diagonal: Float, weight: Float, vector: Float) -> None:
+    """Agee and Turner's update in place; all three arrays are overwritten."""
+    left = np.array(np.broadcast_to(weight, diagonal.shape[:-1]))
+    vector = np.array(np.broadcast_to(vector, diagonal.shape))
+    for j in range(diagonal.shape[-1] - 1, -1, -1):
+        part = vector[..., j].copy()
+        after = diagonal[..., j] + left * part**2
+        inverse = _inverse(after)
+        slope = (left * part * inverse)[..., None]
+        vector[..., :j] -= part[..., None] * upper[..., :j, j]
+        upper[..., :j, j] += slope * vector[..., :j]
+        left = np.where(after > 0.0, left * diagonal[..., j] * inverse, left)
+        diagonal[..., j] = after
+
+
+def _inverse(values: Float) -> Float:
+    """Reciprocals, 0 of 0: a state without variance has no column."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values > 0.0)
