@@ -13,6 +13,7 @@ from giantlike.navigation.body_measurements import (
     range_sigma,
     tangent_angles,
 )
+from giantlike.navigation.cislunar_covariance import Dispersed, after_coast, after_correction, after_image
 from giantlike.navigation.cislunar_filter import (
     BodyObservation,
     FilterModel,
@@ -77,6 +78,7 @@ __all__ = [
     "BatchSolution",
     "BodyErrorModel",
     "BodyObservation",
+    "Dispersed",
     "FilterModel",
     "FilterState",
     "Flight",
@@ -105,6 +107,9 @@ __all__ = [
     "TriangulationOptions",
     "UduFactors",
     "WeakCombination",
+    "after_coast",
+    "after_correction",
+    "after_image",
     "angular_diameter",
     "cislunar",
     "coast",

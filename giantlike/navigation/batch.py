@@ -1,7 +1,8 @@
-"""The problem of the filter solved at once: all images of an arc, with the noise of its parameters as part of the data.
+"""The problem of the filter solved at once: all images of an arc, noise of the parameters as part of the data.
 
-The unknowns are the 21 states at the start. What noise drives the states afterwards correlates the measurements, so their
-covariance is dense; Gauss-Newton iterations linearize about the estimate, where a filter does so as it goes. For a linear problem both agree.
+The unknowns are the 21 states at the start. What noise drives the states afterwards correlates the measurements, so
+that their covariance is dense. Gauss-Newton iterations linearize about the estimate, where a filter does so as it
+goes; for a linear problem both agree.
 """
 
 from __future__ import annotations

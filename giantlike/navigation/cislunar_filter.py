@@ -1,10 +1,10 @@
 """A navigation filter on images of bodies: extended, multiplicative in attitude, with U D U^T factors, of 21 states.
 
 The states in order: position, velocity, attitude error, unmodeled acceleration, bias and scale factor of the
-accelerometer, bias of the optical measurements; each of three. Position and velocity are flown and their covariance goes
-through Gram-Schmidt; the other fifteen are first-order Gauss-Markov processes, each a rank-one step. Any state may be
-considered: its errors count in covariance and gains, it is not estimated. Measurements beyond ``edit_sigmas`` of their innovation are
-left out. Everything takes leading axes: a thousand runs of a Monte Carlo are one call.
+accelerometer, bias of the optical measurements; each of three. Position and velocity are flown and their covariance
+goes through Gram-Schmidt; the other fifteen are first-order Gauss-Markov processes, each a rank-one step. Any state may
+be considered: its errors count in covariance and gains, it is not estimated. Measurements beyond ``edit_sigmas`` of
+their innovation are left out. Everything takes leading axes: a thousand runs of a Monte Carlo are one call.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Flight of a spacecraft under a central body, third bodies and a slowly varying acceleration, with its derivatives.
 
-Point masses and nothing else: no oblateness, drag or pressure of sunlight; what they do goes into the unmodeled acceleration
-of a filter. The state transition is integrated beside the state (DOP853).
+Point masses and nothing else: no oblateness, drag or pressure of sunlight; what they do goes into the unmodeled
+acceleration of a filter. The state transition is integrated beside the state (DOP853).
 """
 
 from __future__ import annotations
@@ -94,8 +94,7 @@ def moon_position_km(et: float) -> Float:
     Returns
     -------
     (3,) float64, km, GCRS axes
-        Within some 30 km of an integrated ephemeris: the same positions must serve truth and filter, or the difference be
-        among the errors.
+        Within some 30 km of an integrated ephemeris; where images tell the Moon better, use that ephemeris instead.
     """
     import erfa
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, as_finite, as_floats, require
 from giantlike.core.values import Value
+from giantlike.navigation.body_measurements import disk_diameter, range_sigma
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,6 +113,50 @@ class BodyErrorModel(Value):
         """
         bias: Float = _axes(sun_direction_image) @ self.biases_px(range_km)
         return bias
+
+    def measurement_sigmas(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
+        """Standard deviations of what a filter takes, in a camera whose x axis is along the Sun.
+
+        Parameters
+        ----------
+        range_km : (...) array_like, km
+        radius_km : float, km
+        focal_px : float, px
+
+        Returns
+        -------
+        (..., 3) float64
+            Of the two tangents, and of the range in km.
+
+        References
+        ----------
+        .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1,
+           eqs. 19, 20 and 25; the sigma of a diameter is twice that of the radius.
+        """
+        return self._measured(self.sigmas_px(range_km), range_km, radius_km, focal_px, sign=1.0)
+
+    def measurement_biases(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
+        """Biases of what a filter takes, in a camera whose x axis is along the Sun.
+
+        Parameters
+        ----------
+        range_km : (...) array_like, km
+        radius_km : float, km
+        focal_px : float, px
+
+        Returns
+        -------
+        (..., 3) float64
+            Of the two tangents, and of the range in km: a radius that is too large gives a range too short.
+        """
+        return self._measured(self.biases_px(range_km), range_km, radius_km, focal_px, sign=-1.0)
+
+    def _measured(self, errors_px: Float, range_km: ArrayLike, radius_km: float, focal_px: float, sign: float) -> Float:
+        """Errors of tangents and range from errors of center and radius."""
+        ranges = as_floats(range_km, (), "range_km")
+        diameter_px = focal_px * disk_diameter(ranges, radius_km)
+        of_range = sign * range_sigma(ranges, radius_km, diameter_px, 2.0 * errors_px[..., 2])
+        return np.concatenate([errors_px[..., :2] / focal_px, of_range[..., None]], axis=-1)
 
 
 def _ranges(range_km: ArrayLike) -> Float:

@@ -48,7 +48,7 @@ class UduFactors(Value):
         -------
         (..., n) float64
         """
-        return np.sqrt(np.sum(self.upper**2 * self.diagonal[..., None, :], axis=-1))
+        return np.asarray(np.sqrt(np.sum(self.upper**2 * self.diagonal[..., None, :], axis=-1)))
 
 
 def udu_factors(covariance: ArrayLike) -> UduFactors:
@@ -70,7 +70,7 @@ def udu_factors(covariance: ArrayLike) -> UduFactors:
 
     References
     ----------
-    .. [1] Bierman (1977), Factorization Methods for Discrete Sequential Estimation, III.4, as Holt et al. (2018) cite it.
+    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B.
 
     Examples
     --------
@@ -107,7 +107,8 @@ def gram_schmidt(rows: Float, weights: Float) -> UduFactors:
 
     References
     ----------
-    .. [1] Bierman (1977), Factorization Methods for Discrete Sequential Estimation, VI.4, as Holt et al. (2018) cite it.
+    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
+       for position and velocity.
     """
     left = np.array(rows, dtype=np.float64)
     shape = np.broadcast_shapes(left.shape[:-2], weights.shape[:-1])
@@ -145,8 +146,8 @@ def plus_dyad(factors: UduFactors, weight: ArrayLike, vector: ArrayLike) -> UduF
 
     References
     ----------
-    .. [1] Agee and Turner (1972), Triangular Decomposition of a Positive Definite Matrix Plus a Symmetric Dyad, as
-       Holt et al. (2018) cite it.
+    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
+       after Agee and Turner (1972).
     """
     share = np.asarray(weight, dtype=np.float64)
     require(bool((share >= 0.0).all()), "weight must be >= 0")
@@ -174,8 +175,8 @@ def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, varianc
 
     References
     ----------
-    .. [1] Bierman (1977), Factorization Methods for Discrete Sequential Estimation, VI.4 (colored noise), as Holt et
-       al. (2018) cite it; the rest of the column is added by Agee and Turner's update.
+    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
+       for parameters: what the state's column loses is a dyad of the states before it.
     """
     upper, diagonal = np.array(factors.upper), np.array(factors.diagonal)
     factor, noise = np.asarray(decay, dtype=np.float64), np.asarray(variance, dtype=np.float64)
@@ -232,8 +233,8 @@ def scalar_update(factors: UduFactors, partials: ArrayLike, noise_variance: Arra
 
     References
     ----------
-    .. [1] Carlson (1973), Fast Triangular Factorization of the Square Root Filter, AIAA Journal 11, as Holt et al. (2018)
-       cite it, in the square-root-free form.
+    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
+       after Carlson (1973), without square roots.
     """
     upper, diagonal = factors.upper, factors.diagonal
     noise = np.asarray(noise_variance, dtype=np.float64)

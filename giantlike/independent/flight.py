@@ -1,0 +1,126 @@
+"""Flights and sightings of many spacecraft at once, by fixed steps of the classic Runge-Kutta method.
+
+The truth of a Monte Carlo of navigation filters. A spacecraft has 21 numbers: position and velocity from the Earth,
+km and km/s; rotation vector from the told to the true camera axes, rad; unmodeled acceleration, km/s^2; bias, km/s^2,
+and scale factor of the accelerometer; bias of the tangents of two angles and of the disk diameter. The last fifteen
+are Ornstein-Uhlenbeck processes, drawn anew at every step with their exact transition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+STEP_S = 60.0
+"""Longest step: processes of hours are sampled a hundred times, and Runge-Kutta errs by meters in days."""
+STEP_OF_PERIOD = 0.01
+"""Longest step near the Earth, of the time in which a circular orbit there turns by one radian."""
+
+
+@dataclass(frozen=True)
+class Sky:
+    """The bodies that pull.
+
+    Parameters
+    ----------
+    earth_gm, moon_gm, sun_gm : float, km^3/s^2
+    moon_km, sun_km : callable
+        Places (3,) from the Earth, km, at a time in seconds.
+    """
+
+    earth_gm: float
+    moon_gm: float
+    sun_gm: float
+    moon_km: Callable[[float], Array]
+    sun_km: Callable[[float], Array]
+
+    def gravity(self, time: float, places: Array) -> Array:
+        """Acceleration (runs, 3) relative to the Earth, km/s^2, at places (runs, 3), km."""
+        total: Array = -self.earth_gm * places / np.sum(places * places, axis=1)[:, None] ** 1.5
+        for gm, where in ((self.moon_gm, self.moon_km(time)), (self.sun_gm, self.sun_km(time))):
+            toward = where - places
+            total = total + gm * (
+                toward / np.sum(toward * toward, axis=1)[:, None] ** 1.5 - where / (where @ where) ** 1.5
+            )
+        return total
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Steady standard deviations (15,) and correlation times (15,), s, of all but position and velocity."""
+
+    sigmas: Array
+    times_s: Array
+
+    def evolve(self, values: Array, seconds: float, rng: np.random.Generator) -> Array:
+        """Values (runs, 15) some seconds later."""
+        keep = np.exp(-seconds / self.times_s)
+        fresh: Array = rng.standard_normal(values.shape) * self.sigmas * np.sqrt(1.0 - keep**2)
+        return keep * values + fresh
+
+
+def fly_spacecraft(
+    craft: Array, start: float, end: float, sky: Sky, processes: Processes, rng: np.random.Generator
+) -> Array:
+    """Numbers (runs, 21) of spacecraft at a later time."""
+    craft, time = craft.copy(), start
+    while time < end:
+        nearest = float(np.min(np.linalg.norm(craft[:, :3], axis=1)))
+        step = min(STEP_S, STEP_OF_PERIOD * float(np.sqrt(nearest**3 / sky.earth_gm)), end - time)
+        later = processes.evolve(craft[:, 6:], step, rng)
+        pushes = [craft[:, 9:12], (craft[:, 9:12] + later[:, 3:6]) / 2.0, later[:, 3:6]]
+        motion = craft[:, :6]
+        slopes: list[Array] = []
+        for share, push in ((0.0, pushes[0]), (0.5, pushes[1]), (0.5, pushes[1]), (1.0, pushes[2])):
+            at = motion + share * step * slopes[-1] if slopes else motion
+            slopes.append(np.hstack([at[:, 3:], sky.gravity(time + share * step, at[:, :3]) + push]))
+        motion = motion + step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
+        craft = np.hstack([motion, later])
+        time = end if end - time - step < 1e-6 else time + step
+    return craft
+
+
+def sighted(craft: Array, told: Array, body_km: Array, radius_km: float, errors: Array) -> Array:
+    """Tangents of the two angles to a body and its range (runs, 3), as a camera with biases and noise has them.
+
+    ``told`` (3, 3) takes inertial to camera axes as the spacecraft is told, ``errors`` (runs, 3) are those of the two
+    tangents and of the diameter of the disk at unit distance in this image.
+    """
+    toward = (body_km - craft[:, :3]) @ told.T
+    seen = _rotated(craft[:, 6:9], toward)
+    distance = np.sqrt(np.sum(seen * seen, axis=1))
+    horizontal, vertical = np.arctan2(seen[:, 0], seen[:, 2]), np.arctan2(seen[:, 1], seen[:, 2])
+    diameter = 2.0 * np.tan(np.arcsin(radius_km / distance)) + craft[:, 20] + errors[:, 2]
+    return np.column_stack(
+        [
+            np.tan(horizontal) + craft[:, 18] + errors[:, 0],
+            np.tan(vertical) + craft[:, 19] + errors[:, 1],
+            radius_km / np.sin(np.arctan(diameter / 2.0)),
+        ]
+    )
+
+
+def burned(craft: Array, change: Array, told: Array, seconds: float) -> tuple[Array, Array]:
+    """Spacecraft after a burn that changes velocities by ``change`` (runs, 3), and what accelerometers sense (runs, 3).
+
+    ``told`` takes inertial to body axes; those of the accelerometers are off by the attitude error.
+    """
+    after = craft.copy()
+    after[:, 3:6] += change
+    felt = _rotated(craft[:, 6:9], change @ told.T)
+    return after, felt + craft[:, 12:15] * seconds + craft[:, 15:18] * felt
+
+
+def _rotated(rotations: Array, vectors: Array) -> Array:
+    """Vectors (runs, 3) turned by rotation vectors (runs, 3): Rodrigues' formula."""
+    angle = np.linalg.norm(rotations, axis=1, keepdims=True)
+    axis = np.divide(rotations, angle, out=np.zeros_like(rotations), where=angle > 0.0)
+    along = np.sum(axis * vectors, axis=1, keepdims=True)
+    turned: Array = (
+        vectors * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle) + axis * along * (1.0 - np.cos(angle))
+    )
+    return turned

@@ -1,0 +1,157 @@
+"""Linear covariance of the filter of 21 states along a reference: flight, images and corrections.
+
+Each function takes a :class:`~giantlike.navigation.linear_covariance.JointDispersion` and the state of the filter on
+the reference, and returns both after the step. The gains are those of the filter; the world may have other noise and
+biases in its images.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.core.arrays import Float, as_finite
+from giantlike.navigation.cislunar_filter import (
+    ACCELEROMETER_BIAS,
+    STATES,
+    VELOCITY,
+    BodyObservation,
+    FilterModel,
+    FilterState,
+    coast,
+    maneuver,
+    predicted,
+    step_ends,
+)
+from giantlike.navigation.linear_covariance import (
+    JointDispersion,
+    dispersed_correction,
+    dispersed_measurement,
+    dispersed_step,
+)
+from giantlike.navigation.udu import considered_update, scalar_update
+
+
+class Dispersed(NamedTuple):
+    """Dispersion of truth and estimate, and the filter on the reference.
+
+    Parameters
+    ----------
+    joint : JointDispersion
+    state : FilterState
+        Its mean is the reference.
+    """
+
+    joint: JointDispersion
+    state: FilterState
+
+
+def after_coast(at: Dispersed, until: float, model: FilterModel) -> Dispersed:
+    """Dispersions after free flight.
+
+    Parameters
+    ----------
+    at : Dispersed
+    until : float, TDB seconds past J2000
+    model : FilterModel
+        Also of the world.
+
+    Returns
+    -------
+    Dispersed
+    """
+    joint, state = at
+    for end in step_ends(state.et, until, model.longest_step_s):
+        step = coast(model, state.et, state.mean, end)
+        joint = dispersed_step(joint, step.matrix(), step.noise())
+        state = FilterState(end, step.mean, step.apply(state.factors))
+    return Dispersed(joint, state)
+
+
+def after_image(
+    at: Dispersed,
+    observation: BodyObservation,
+    model: FilterModel,
+    *,
+    world_variances: ArrayLike | None = None,
+    world_biases: ArrayLike = (0.0, 0.0, 0.0),
+) -> Dispersed:
+    """Dispersions after an image.
+
+    Parameters
+    ----------
+    at : Dispersed
+        At the time of the image.
+    observation : BodyObservation
+        Its variances are those that the filter believes; measured values are not used.
+    model : FilterModel
+    world_variances, world_biases : (3,) array_like
+        Of the two tangents and the range, as they are; default as the filter believes, and none.
+
+    Returns
+    -------
+    Dispersed
+    """
+    believed = as_finite(observation.variances, (3,), "variances")
+    variances = believed if world_variances is None else as_finite(world_variances, (3,), "world_variances")
+    biases = as_finite(world_biases, (3,), "world_biases")
+    joint, state = at
+    factors, partials = state.factors, predicted(observation, state.mean)[1]
+    for k, design in enumerate(partials):
+        update = considered_update(scalar_update(factors, design, believed[k]), model.considered)
+        joint = dispersed_measurement(joint, update.gain, design, float(variances[k]), float(biases[k]))
+        factors = update.factors
+    return Dispersed(joint, FilterState(state.et, state.mean, factors))
+
+
+def after_correction(
+    at: Dispersed,
+    guidance: Float,
+    inertial_from_body: Float,
+    *,
+    duration_s: float = 0.0,
+    execution_km_s: float = 0.0,
+    sensing_km_s: float = 0.0,
+) -> Dispersed:
+    """Dispersions after a small burn towards the reference, which itself has none.
+
+    Parameters
+    ----------
+    at : Dispersed
+    guidance : (3, 6) float64
+        Change of the velocity by the estimated deviation of position and velocity from the reference.
+    inertial_from_body : (3, 3) float64
+    duration_s : float, s
+        Of the burn.
+    execution_km_s, sensing_km_s : float, km/s
+        Sigmas of each component of the burn's error, and of the noise of the accelerometer.
+
+    Returns
+    -------
+    Dispersed
+    """
+    joint, state = at
+    step = maneuver(
+        state.et,
+        state.mean,
+        np.zeros(3),
+        inertial_from_body,
+        duration_s=duration_s,
+        sigma_km_s=sensing_km_s,
+    )
+    commanded = np.zeros((STATES, STATES))
+    commanded[VELOCITY, :6] = guidance
+    by_parameters = np.zeros((STATES, STATES))
+    by_parameters[VELOCITY, ACCELEROMETER_BIAS] = -duration_s * inertial_from_body
+    execution, sensing = (_of_velocity(sigma) for sigma in (execution_km_s, sensing_km_s))
+    moved = dispersed_correction(joint, commanded, by_parameters, execution, sensing)
+    return Dispersed(moved, FilterState(step.et, state.mean, step.apply(state.factors)))
+
+
+def _of_velocity(sigma_km_s: float) -> Float:
+    """Covariance (21, 21) of an error of the velocity."""
+    covariance = np.zeros((STATES, STATES))
+    covariance[VELOCITY, VELOCITY] = sigma_km_s**2 * np.eye(3)
+    return covariance
