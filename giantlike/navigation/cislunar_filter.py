@@ -40,7 +40,7 @@ LONGEST_STEP_S = 300.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterModel(Value):
-    """What a filter believes.
+    """Beliefs of a filter about dynamics and parameters, and its options.
 
     Parameters
     ----------

@@ -194,7 +194,7 @@ def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, varianc
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScalarUpdate(Value):
-    """What one scalar measurement does to a covariance.
+    """Effect of one scalar measurement on a covariance.
 
     Parameters
     ----------
