@@ -30,7 +30,7 @@ from giantlike.stars.tetra import pattern_database
 NUMBERS = (10, 30, 100, 300, 1000, 2000, 5000)
 IMAGES_EACH = 2
 SCALE = np.array([FOCAL_PX, FOCAL_PX, SIZE / 2])  # px per rad
-INFORMATION = 0.95  # that of ``StarNavigation.detect_and_solve``
+INFORMATION = 0.96  # that of ``StarNavigation.detect_and_solve``
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

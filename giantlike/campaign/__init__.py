@@ -1,11 +1,32 @@
 """Campaigns: one TOML file in, a run folder with tables and a report out.
 
-``run_campaign(Campaign.load("campaign.toml"))`` is what ``giantlike run`` does.
+``run_campaign(Campaign.load("campaign.toml"))`` is what ``giantlike run`` does. The names are imported when first used:
+a report or an export needs none of what makes results.
 """
 
-from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.report.run_page import write_report
-from giantlike.campaign.run.runner import run_campaign
-from giantlike.campaign.store.results import RunResult, load_result
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from giantlike.campaign.file.config import Campaign
+    from giantlike.campaign.report.run_page import write_report
+    from giantlike.campaign.run.runner import run_campaign
+    from giantlike.campaign.store.results import RunResult, load_result
+
+_HOME_OF = {
+    "Campaign": "file.config",
+    "RunResult": "store.results",
+    "load_result": "store.results",
+    "run_campaign": "run.runner",
+    "write_report": "report.run_page",
+}
 
 __all__ = ["Campaign", "RunResult", "load_result", "run_campaign", "write_report"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'giantlike.campaign' has no attribute {name!r}")
+    return getattr(import_module(f"giantlike.campaign.{_HOME_OF[name]}"), name)

@@ -197,7 +197,7 @@ def _rows(result: InterlockResult) -> Iterator[list[str | float]]:
 
 
 def _figure(result: InterlockResult) -> str:
-    from giantlike.plotting import Series, series_figure, svg_text
+    from giantlike.plotting import Series, charts_svg, series_charts
 
     fix = result.alignment
     hours = (result.et - result.et[0]) / 3600.0
@@ -210,8 +210,8 @@ def _figure(result: InterlockResult) -> str:
     )
     panels = [f"about {axis}, arcsec" for axis in _AXES]
     start = utc_text(time_from_et(float(result.et[0])))
-    figure = series_figure([series], panels, f"hours from {start} UTC", "Interlock: pairs minus their weighted mean")
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + svg_text(figure, "interlock")
+    charts = series_charts([series], panels, f"hours from {start} UTC", "Interlock: pairs minus their weighted mean")
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + charts_svg(charts, "interlock")
 
 
 def _arcsec(values_rad: ArrayLike) -> list[float | None]:

@@ -63,7 +63,7 @@ _COMMANDS = {
     "detect": Entry("Find stars and other point sources.", "detect_command", "detect"),
     "render": Entry("Make images of bodies and stars, with noise and truth.", "campaign_commands", "render"),
     "estimators": Entry("List the estimators of bodies and their options.", "estimators_command", "estimators"),
-    "report": Entry("Write report.html of a finished run again.", "campaign_commands", "report"),
+    "report": Entry("Write report.html of a finished run again.", "report_command", "report"),
     "export": Entry("Write the attitudes of a run for other programs.", "campaign_commands", "export"),
     "interlock": Entry("Estimate the rotation between two sensors.", "campaign_commands", "interlock"),
     "demo": Entry("Simulate an approach, run it, and compare with the truth.", "campaign_commands", "demo"),

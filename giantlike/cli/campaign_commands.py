@@ -1,4 +1,4 @@
-"""Commands on runs and scenes: ``report``, ``export``, ``interlock``, ``render`` and ``demo``."""
+"""Commands on runs and scenes: ``export``, ``interlock``, ``render`` and ``demo``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from giantlike.campaign import load_result, write_report
 from giantlike.campaign.export import EXPORT_NAMES, ExportFormat, ExportOptions, PointingSource, export_run
 from giantlike.campaign.interlock import interlock_of, write_interlock
 from giantlike.campaign.render.plan import RenderPlan
@@ -17,16 +16,6 @@ from giantlike.cli.arguments import Json, Overwrite, Run, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.observables.exchange import Angles
-
-
-def report(folder: Run, json: Json = False) -> ExitCode:
-    """Write report.html of a finished run again."""
-    path = write_report(load_result(folder))
-    if json:
-        print_json({"report": path})
-    else:
-        typer.echo(f"wrote {path}")
-    return ExitCode.DONE
 
 
 def export(

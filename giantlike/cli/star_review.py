@@ -21,7 +21,7 @@ def write_review(
     DataError
         A file cannot be written.
     """
-    from giantlike.plotting import StarMarks, overlay_figure, overlay_panels, star_residual_figure
+    from giantlike.plotting import StarMarks, charts_figure, overlay_figure, overlay_panels, star_residual_charts
 
     solved = outcome if isinstance(outcome, AttitudeFix) else None
     marks, said = StarMarks.of_detections(detections.points_px), "not solved"
@@ -33,9 +33,10 @@ def write_review(
     panels = overlay_panels(image.pixels, f"{len(detections)} detected, {said}", stars=marks)
     figures = {"stars": overlay_figure(panels)}
     if solved is not None:
-        figures["residuals"] = star_residual_figure(
+        charts = star_residual_charts(
             solved.observed_px, solved.residuals_px, solved.magnitudes, solved.sigma_px, image.columns, image.rows
         )
+        figures["residuals"] = charts_figure(charts)
     files = tuple(folder / f"{path.name}.{name}.png" for name in figures)
     try:
         for file, figure in zip(files, figures.values(), strict=True):

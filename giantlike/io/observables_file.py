@@ -323,7 +323,8 @@ def _write_parquet(path: Path, rows: Iterator[ObservableRow | ObservableBlock], 
 
     named = {"format": FORMAT, "format_version": FORMAT_VERSION, **metadata}
     schema, count = arrow_schema(columns_of(ObservableRow), named), 0
-    with parquet.ParquetWriter(path, schema) as writer:
+    repeated = [field.name for field in schema if pa.types.is_string(field.type)]  # numbers hardly ever are
+    with parquet.ParquetWriter(path, schema, use_dictionary=repeated) as writer:
         while group := list(_group(rows)):
             tables = [
                 _block_table(schema, one) if isinstance(one, ObservableBlock) else arrow_table(schema, [one])

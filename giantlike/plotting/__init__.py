@@ -1,41 +1,46 @@
-"""Figures for people: functions that take values and return a matplotlib ``Figure``, or SVG for a page."""
+"""Figures for people: values that say what is to be seen, and functions that draw them as SVG or with matplotlib."""
 
 from giantlike.plotting.calibration import correlation_figure, distortion_figure, residual_trend_figure
+from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_figure, charts_svg
+from giantlike.plotting.layers import Layer, Shape
 from giantlike.plotting.overlay_svg import overlay_svg
 from giantlike.plotting.overlays import (
     CENTERS,
     MARKS,
     BodyMarks,
     CenterMark,
-    Layer,
     OverlayPanel,
-    Shape,
     StarMarks,
     overlay_figure,
     overlay_panels,
     stretched,
 )
-from giantlike.plotting.residuals import Series, series_figure, star_residual_figure
+from giantlike.plotting.residuals import Series, series_charts, star_residual_charts
 from giantlike.plotting.style import svg_text
 
 __all__ = [
     "CENTERS",
     "MARKS",
+    "Axis",
     "BodyMarks",
     "CenterMark",
+    "Chart",
+    "ChartSheet",
     "Layer",
     "OverlayPanel",
     "Series",
     "Shape",
     "StarMarks",
+    "charts_figure",
+    "charts_svg",
     "correlation_figure",
     "distortion_figure",
     "overlay_figure",
     "overlay_panels",
     "overlay_svg",
     "residual_trend_figure",
-    "series_figure",
-    "star_residual_figure",
+    "series_charts",
+    "star_residual_charts",
     "stretched",
     "svg_text",
 ]

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
 from giantlike.plotting.style import BLUE, GRAY, INK, ORANGE, RED, drawing, new_panels, show_field
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.figure import Figure
+
 _ARROWS = 13  # along an axis; for legibility only
-_DIVERGING = LinearSegmentedColormap.from_list("correlation", [BLUE, "white", RED])
-_SEQUENTIAL = LinearSegmentedColormap.from_list("size", ["#f5f7f9", "#9fc2de", BLUE, "#0b2f5c"])
+_DIVERGING = (BLUE, "white", RED)
+_SEQUENTIAL = ("#f5f7f9", "#9fc2de", BLUE, "#0b2f5c")
 _LABEL_SHARE = 0.995  # correlations above it would be rounded to 1.00, and get three digits
 
 
@@ -48,9 +51,15 @@ def distortion_figure(
     return figure
 
 
+def _colors(names: Sequence[str]) -> LinearSegmentedColormap:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("giantlike", list(names))
+
+
 def _filled(figure: Figure, axis: Axes, points_px: Float, values: Float, columns: int, rows: int) -> None:
     levels = np.linspace(0.0, max(float(values.max()), 1e-9), 13).tolist()
-    drawn = axis.tricontourf(points_px[:, 0], points_px[:, 1], values, levels=levels, cmap=_SEQUENTIAL)
+    drawn = axis.tricontourf(points_px[:, 0], points_px[:, 1], values, levels=levels, cmap=_colors(_SEQUENTIAL))
     figure.colorbar(drawn, ax=axis, shrink=0.9, format="%.3g")
     axis.grid(visible=False)
     show_field(axis, columns, rows)
@@ -81,7 +90,7 @@ def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
     with drawing():
         side = 1.6 + 0.52 * len(names)
         figure, (axis,) = new_panels(side + 0.9, side)
-        drawn = axis.imshow(correlation, cmap=_DIVERGING, vmin=-1.0, vmax=1.0)
+        drawn = axis.imshow(correlation, cmap=_colors(_DIVERGING), vmin=-1.0, vmax=1.0)
         figure.colorbar(drawn, ax=axis, shrink=0.85)
         places = range(len(names))
         axis.set_xticks(places, names, rotation=45, ha="right")

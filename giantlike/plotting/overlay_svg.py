@@ -8,29 +8,22 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from giantlike.core.arrays import Float
-from giantlike.plotting.overlays import PANEL_IN, Layer, OverlayPanel, Shape, shown_aspect
+from giantlike.plotting.charts import Axis
+from giantlike.plotting.layers import UNITS_PER_POINT, layer_svg
+from giantlike.plotting.overlays import PANEL_IN, OverlayPanel, shown_aspect
 from giantlike.plotting.style import GRAY, INK
 
-_UNITS_PER_IN = 110.0
-"""SVG units per inch: a panel is 506 units wide; the narrowest card of the report has 480 px."""
-_UNITS_PER_POINT = _UNITS_PER_IN / 72.0
+_UNITS_PER_IN = 72.0 * UNITS_PER_POINT
 _LEFT, _TOP, _BOTTOM, _RIGHT = 40, 26, 22, 8
 """Margins of a panel, SVG units: room for numbers of four digits and a title of one line."""
 _JPEG_QUALITY = 82
 """Of 100: grain of noise stays visible, a picture of 506 x 506 pixels takes some 40 kB."""
 _ENLARGED = 3.0
 """Units to a pixel from which pixels are shown as squares, not blurred."""
-_TICKS = MaxNLocator(5)
-_MARKERS = {
-    Shape.RING: '<circle cx="5" cy="5" r="4" fill="none"/>',
-    Shape.DOT: '<circle cx="5" cy="5" r="2" fill="{color}" stroke="none"/>',
-    Shape.CROSS: '<path d="M1 1L9 9M9 1L1 9"/>',
-    Shape.PLUS: '<path d="M5 1V9M1 5H9"/>',
-}
-"""Markers in a box of 10 x 10, the shape itself 8 wide."""
+_TICKS = 5
+"""Most numbers along a side."""
 
 
 def overlay_svg(panels: Sequence[OverlayPanel], name: str) -> str:
@@ -72,14 +65,12 @@ def _panel(panel: OverlayPanel, name: str, width: float, height: float) -> list[
     if panel.gray.size:
         parts.append(_picture(panel, origin, scale))
     for number, layer in enumerate(panel.layers):
-        parts.append(_marks(layer, f"{name}-{number}", (layer.points_px - origin) * scale))
+        parts.append(layer_svg(layer, f"{name}-{number}", (layer.points - origin) * scale))
     parts.append("</g>")
-    for value in _TICKS.tick_values(left, right):
-        if left <= value <= right:
-            parts.append(_tick(f"{value:g}", (value - left) * scale[0], height + 12, "middle"))
-    for value in _TICKS.tick_values(top, bottom):
-        if top <= value <= bottom:
-            parts.append(_tick(f"{value:g}", -4, (value - top) * scale[1] + 3, "end"))
+    for value, text in Axis(label="x, px", low=left, high=right).ticks(_TICKS):
+        parts.append(_tick(text, (value - left) * scale[0], height + 12, "middle"))
+    for value, text in Axis(label="y, px", low=top, high=bottom).ticks(_TICKS):
+        parts.append(_tick(text, -4, (value - top) * scale[1] + 3, "end"))
     return parts
 
 
@@ -96,22 +87,4 @@ def _picture(panel: OverlayPanel, origin: Float, scale: Float) -> str:
     return (
         f'<image x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" preserveAspectRatio="none"{squares} '
         f'href="data:image/jpeg;base64,{data}"/>'
-    )
-
-
-def _marks(layer: Layer, name: str, points: Float) -> str:
-    """One path for all points: a line, or invisible with a marker at each vertex."""
-    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points.tolist())
-    width = layer.width * _UNITS_PER_POINT
-    if layer.shape in (Shape.LINE, Shape.DASHES):
-        dashes = ' stroke-dasharray="5 3"' if layer.shape is Shape.DASHES else ""
-        return f'<path d="{path}" fill="none" stroke="{layer.color}" stroke-width="{width:.1f}"{dashes}/>'
-    size = layer.size * _UNITS_PER_POINT * 10 / 8
-    box = f'viewBox="0 0 10 10" refX="5" refY="5" markerWidth="{size:.1f}" markerHeight="{size:.1f}"'
-    drawn = _MARKERS[layer.shape].format(color=layer.color)
-    # A path of one point shows no marker: the last point is there twice, and a marker at the end would be drawn twice.
-    return (
-        f'<marker id="{name}" {box} markerUnits="userSpaceOnUse"><g fill="none" stroke="{layer.color}" '
-        f'stroke-width="{10 * width / size:.2f}">{drawn}</g></marker>'
-        f'<path d="{path}h0" fill="none" stroke="none" marker-start="url(#{name})" marker-mid="url(#{name})"/>'
     )

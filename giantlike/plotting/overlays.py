@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
+from giantlike.plotting.charts import draw_layer
+from giantlike.plotting.layers import Layer, Shape
 from giantlike.plotting.style import drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MARKS = MappingProxyType(
     {
@@ -42,6 +45,8 @@ _MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25
 """Half width of a close-up at the least, px, and its margin around the body."""
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
 """Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
+_SAMPLED_ROWS = 64
+"""Rows of a picture that its gray scale is taken from: 30,000 pixels tell a percentile well enough to look at."""
 _SOFTENING = 8.0
 """Level, in units of the noise, up to which the gray scale is linear; above it is logarithmic."""
 
@@ -142,48 +147,15 @@ def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[
     factor = int(np.ceil(max(image.shape) / longest_px))
     if factor > 1:
         image = np.asarray(cv2.dilate(image, np.ones((factor, factor), np.uint8)), dtype=np.float32)[::factor, ::factor]
-    steps = np.abs(np.diff(image, axis=1)) if image.shape[1] > 1 else np.zeros((1, 1), np.float32)
+    some = image[:: max(image.shape[0] // _SAMPLED_ROWS, 1)]
+    steps = np.abs(np.diff(some, axis=1)) if image.shape[1] > 1 else np.zeros((1, 1), np.float32)
     noise = 1.05 * float(np.median(steps))  # of neighbors, so that a body that fills the view does not count
-    dark, bright, top = (float(value) for value in np.percentile(image, [10.0, 90.0, 100.0]))
+    dark, bright, top = (float(value) for value in (*np.percentile(some, [10.0, 90.0]), image.max()))
     unit = max(_SOFTENING * noise, 0.5 * (bright - dark), 1e-3 * (top - dark), 1e-9)
     low, high = np.arcsinh(-2 * noise / unit), np.arcsinh(max((top - dark) / unit, 1e-6))
     levels = (np.arcsinh((image - dark) / unit) - low) / (high - low)
     result: NDArray[np.uint8] = np.rint(255.0 * np.clip(levels, 0.0, 1.0)).astype(np.uint8)
     return result
-
-
-class Shape(StrEnum):
-    """How the points of a layer are drawn."""
-
-    RING = "ring"
-    CROSS = "cross"
-    PLUS = "plus"
-    DOT = "dot"
-    LINE = "line"
-    DASHES = "dashes"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Layer(Value):
-    """Points of one meaning over an image.
-
-    Parameters
-    ----------
-    points_px : (n, 2), px
-        In the image.
-    shape : Shape
-    color : str
-    size : float, points
-        Diameter of a marker; of lines unused.
-    width : float, points
-        Of strokes.
-    """
-
-    points_px: Float
-    shape: Shape
-    color: str
-    size: float = 0.0
-    width: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -259,7 +231,7 @@ def overlay_figure(panels: Sequence[OverlayPanel]) -> Figure:
             left, right, top, bottom = panel.limits_px
             axis.set(xlim=(left, right), ylim=(bottom, top), title=panel.title, facecolor="#101418")
             for layer in panel.layers:
-                _draw(axis, layer)
+                draw_layer(axis, layer)
     return figure
 
 
@@ -278,17 +250,11 @@ def shown_aspect(panel: OverlayPanel) -> float:
     return float(np.clip((bottom - top) / (right - left), 1 / _MAX_ELONGATION, _MAX_ELONGATION))
 
 
-def _draw(axis: Axes, layer: Layer) -> None:
-    marker = {Shape.RING: "o", Shape.CROSS: "x", Shape.PLUS: "+", Shape.DOT: "."}.get(layer.shape)
-    line = {Shape.LINE: "-", Shape.DASHES: "--"}.get(layer.shape, "none")
-    axis.plot(
-        *layer.points_px.T, marker=marker, linestyle=line, color=layer.color, markersize=layer.size,
-        markeredgewidth=layer.width, linewidth=layer.width, markerfacecolor="none",
-    )  # fmt: skip
-
-
 def _axes(count: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
     """Panels of equal size side by side; placed here, in half the time of matplotlib's own layout."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
     left, bottom, top = 0.42, 0.25, 0.28
     total_width, total_height = count * (left + width_in) + 0.08, bottom + height_in + top
     figure = Figure(figsize=(total_width, total_height), facecolor="white")
@@ -311,18 +277,18 @@ def _star_layers(stars: StarMarks) -> list[Layer]:
     other = stars.detected_px[[tuple(point) not in used for point in stars.detected_px.tolist()]]
     size = float(np.clip(80.0 / np.sqrt(max(len(used), 1)), 3.5, 9.0))
     layers = [
-        Layer(points_px=other, shape=Shape.RING, color=other_color, size=0.6 * size, width=0.7),
-        Layer(points_px=stars.matched_px, shape=Shape.RING, color=matched_color, size=size, width=0.7),
-        Layer(points_px=stars.rejected_px, shape=Shape.CROSS, color=rejected_color, size=0.8 * size, width=0.9),
-        Layer(points_px=stars.predicted_px, shape=Shape.PLUS, color=predicted_color, size=0.5 * size, width=0.6),
+        Layer(points=other, shape=Shape.RING, color=other_color, size=0.6 * size, width=0.7),
+        Layer(points=stars.matched_px, shape=Shape.RING, color=matched_color, size=size, width=0.7),
+        Layer(points=stars.rejected_px, shape=Shape.CROSS, color=rejected_color, size=0.8 * size, width=0.9),
+        Layer(points=stars.predicted_px, shape=Shape.PLUS, color=predicted_color, size=0.5 * size, width=0.6),
     ]
-    return [layer for layer in layers if len(layer.points_px)]
+    return [layer for layer in layers if len(layer.points)]
 
 
 def _outline_layers(body: BodyMarks) -> list[Layer]:
-    layers = [Layer(points_px=body.predicted_px[None], shape=Shape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
+    layers = [Layer(points=body.predicted_px[None], shape=Shape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
     if len(body.outline_px):
-        layers.insert(0, Layer(points_px=_closed(body.outline_px), shape=Shape.DASHES, color=_OUTLINE, width=0.9))
+        layers.insert(0, Layer(points=_closed(body.outline_px), shape=Shape.DASHES, color=_OUTLINE, width=0.9))
     return layers
 
 
@@ -335,13 +301,13 @@ def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, ha
     layers = _outline_layers(body)
     for mark in body.centers:
         if len(mark.limb_px):
-            layers.append(Layer(points_px=mark.limb_px, shape=Shape.DOT, color=_LIMB, size=2.2))
+            layers.append(Layer(points=mark.limb_px, shape=Shape.DOT, color=_LIMB, size=2.2))
         elif len(body.outline_px):
             found = body.outline_px + (mark.center_px - body.predicted_px)
-            layers.append(Layer(points_px=_closed(found), shape=Shape.LINE, color=mark.color, width=0.7))
-        layers.append(Layer(points_px=mark.center_px[None], shape=Shape.CROSS, color=mark.color, size=8.0, width=1.6))
+            layers.append(Layer(points=_closed(found), shape=Shape.LINE, color=mark.color, width=0.7))
+        layers.append(Layer(points=mark.center_px[None], shape=Shape.CROSS, color=mark.color, size=8.0, width=1.6))
         if np.isfinite(mark.covariance_px2).all():
-            layers.append(Layer(points_px=_three_sigma(mark), shape=Shape.LINE, color=mark.color))
+            layers.append(Layer(points=_three_sigma(mark), shape=Shape.LINE, color=mark.color))
     return OverlayPanel(
         title=body.name,
         gray=stretched(cut) if cut.size else np.zeros((0, 0), np.uint8),

@@ -1,4 +1,4 @@
-"""Figures of residuals: of stars over the field, of bodies and attitudes over a campaign."""
+"""Charts of residuals: of stars over the field, of bodies and attitudes over a campaign."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
-from giantlike.plotting.style import BLUE, GRAY, INK, MANY_POINTS, MARKERS, RED, SERIES, drawing, new_panels, show_field
+from giantlike.plotting.charts import Axis, Chart, ChartSheet
+from giantlike.plotting.layers import MANY_POINTS, Layer, Shape
+from giantlike.plotting.style import BLUE, GRAY, INK, RED, SERIES
 
 _MAX_ARROWS = 400  # for legibility only
+_ARROW_SHARE = 1 / 22  # length of the arrow of a typical residual over the width of the field
 _SMALLEST_PX = 1e-6  # a logarithmic axis has no zero
 _MAGNITUDE_BINS = 24  # a third of a magnitude each over the usual eight
+_RESIDUAL_BINS = 48  # over six sigma to each side
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of the length of a vector with two unit Gaussian components
-
-_MARKS_PER_BAR = 4
-"""Marks of a point with an error bar: itself, the bar, two caps."""
+_MARKERS = (Shape.RING, Shape.SQUARE, Shape.TRIANGLE, Shape.DIAMOND)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ class Series(Value):
     suspect: Mask
 
 
-def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str, title: str) -> Figure:
+def series_charts(series: Sequence[Series], panels: Sequence[str], at_label: str, title: str) -> ChartSheet:
     """Values with one-sigma bars, one panel per quantity, one color per series.
 
     Parameters
@@ -60,49 +60,43 @@ def series_figure(series: Sequence[Series], panels: Sequence[str], at_label: str
 
     Returns
     -------
-    Figure
+    ChartSheet
     """
-    shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)]
-    bars = sum(int(np.isfinite(part.values[:, shown]).sum()) for part in series)
-    many = bars * _MARKS_PER_BAR > MANY_POINTS
-    with drawing():
-        rows = max(len(shown), 1)
-        figure, axes = new_panels(8.4, 1.1 + 1.7 * rows, rows, sharex=True)
-        for axis, quantity in zip(axes, shown, strict=False):
-            axis.axhline(0.0, color=GRAY, linewidth=0.9)
-            for number, part in enumerate(series):
-                looks = (SERIES[number % len(SERIES)], MARKERS[number % len(MARKERS)])
-                _draw_series(axis, part, quantity, looks, rasterized=many)
-            axis.set_ylabel(panels[quantity])
-        axes[0].set_title(title)
-        axes[-1].set_xlabel(at_label)
-        if len(series) > 1:
-            figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=min(len(series), 5))
-    return figure
+    shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)] or [0]
+    along = Axis.around(at_label, np.concatenate([part.at for part in series]), margin=0.03)
+    charts = list[Chart]()
+    for quantity in shown:
+        ends = [np.zeros(1)]  # the zero line is always seen
+        layers = [
+            Layer(points=np.array([[along.low, 0.0], [along.high, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9)
+        ]
+        for number, part in enumerate(series):
+            looks = (SERIES[number % len(SERIES)], _MARKERS[number % len(_MARKERS)])
+            layers += _layers_of(part, quantity, *looks, label=part.label if len(series) > 1 else "")
+            bars = np.nan_to_num(part.sigma[:, quantity])
+            ends += [part.values[:, quantity] - bars, part.values[:, quantity] + bars]
+        axis = Axis.around(panels[quantity], np.concatenate(ends))
+        charts.append(Chart(title="" if charts else title, x=along, y=axis, layers=layers))
+    return ChartSheet(charts=charts, width_in=7.5, height_in=1.6, stacked=True)
 
 
-def _draw_series(axis: Axes, part: Series, quantity: int, looks: tuple[str, str], *, rasterized: bool) -> None:
-    known, (color, marker) = np.isfinite(part.values[:, quantity]), looks
-    for which, fill, label in ((known & ~part.suspect, color, part.label), (known & part.suspect, "white", None)):
-        sigma = part.sigma[which, quantity]
-        axis.errorbar(
-            part.at[which],
-            part.values[which, quantity],
-            yerr=np.where(np.isfinite(sigma), sigma, 0.0),
-            fmt=marker,
-            color=color,
-            markerfacecolor=fill,
-            markersize=4.5,
-            elinewidth=1.0,
-            capsize=2.0,
-            label=label,
-            rasterized=rasterized,
-        )
+def _layers_of(part: Series, quantity: int, color: str, marker: Shape, *, label: str) -> list[Layer]:
+    """Error bars and markers of a series: full for good values, hollow for suspect ones."""
+    known = np.isfinite(part.values[:, quantity])
+    sigma = np.nan_to_num(part.sigma[:, quantity])
+    at, value = part.at[known], part.values[known, quantity]
+    ends = np.stack([value - sigma[known], value + sigma[known]], axis=1)
+    bars = np.column_stack([np.repeat(at, 2), ends.ravel()])
+    layers = [Layer(points=bars, shape=Shape.BARS, color=color)]
+    for which, fill, text in ((~part.suspect[known], color, label), (part.suspect[known], "white", "")):
+        points = np.column_stack([at[which], value[which]])
+        layers.append(Layer(points=points, shape=marker, color=color, size=4.5, fill=fill, label=text))
+    return layers
 
 
-def star_residual_figure(
+def star_residual_charts(
     points_px: Float, residuals_px: Float, magnitudes: Float, sigma_px: Float, columns: int, rows: int
-) -> Figure:
+) -> ChartSheet:
     """Residuals of matched stars: arrows over the field, histogram per axis, size against magnitude.
 
     Observations without magnitudes, such as corners of a board, are shown against the distance from the image center.
@@ -120,60 +114,69 @@ def star_residual_figure(
 
     Returns
     -------
-    Figure
+    ChartSheet
     """
-    with drawing():
-        figure, (field, histogram, brightness) = new_panels(11.0, 3.6, columns=3, width_ratios=(1.25, 1.0, 1.0))
-        _draw_arrows(field, points_px, residuals_px, columns, rows)
-        _draw_histogram(histogram, residuals_px)
-        size = np.maximum(np.linalg.norm(residuals_px, axis=1), _SMALLEST_PX)
-        many = size.size > MANY_POINTS
-        known = np.isfinite(magnitudes)
-        label, title = "magnitude", "Against magnitude"
-        if not known.any():
-            known, label, title = np.ones_like(known), "distance from center, px", "Against distance from the center"
-            magnitudes = np.linalg.norm(points_px - [(columns - 1) / 2, (rows - 1) / 2], axis=1)
-        magnitudes, size, sigma_px = magnitudes[known], size[known], sigma_px[known]
-        brightness.plot(magnitudes, size, ".", color=BLUE, markersize=3.5, alpha=0.4, rasterized=many)
-        brightness.plot(*_binned(magnitudes, _RAYLEIGH_MEDIAN * sigma_px), "-", color=RED, label="expected, median")
-        brightness.plot(*_binned(magnitudes, size), "-", color=INK, linewidth=1.0, label="residual, median")
-        brightness.set_yscale("log")
-        brightness.set(xlabel=label, ylabel="radial residual, px", title=title)
-        brightness.legend(loc="lower right", frameon=True, framealpha=0.85, edgecolor="none")
-    return figure
+    known, label, title = np.isfinite(magnitudes), "magnitude", "Against magnitude"
+    if not known.any():
+        known, label, title = np.ones_like(known), "distance from center, px", "Against distance from the center"
+        magnitudes = np.linalg.norm(points_px - [(columns - 1) / 2, (rows - 1) / 2], axis=1)
+    size = np.maximum(np.linalg.norm(residuals_px[known], axis=1), _SMALLEST_PX)
+    charts = (
+        _field(points_px, residuals_px, columns, rows),
+        _distribution(residuals_px),
+        _against(magnitudes[known], size, sigma_px[known], label, title),
+    )
+    return ChartSheet(charts=charts, width_in=3.0, height_in=2.6)
 
 
-def _binned(magnitudes: Float, values: Float) -> tuple[Float, Float]:
-    """Medians of values in bins of magnitude that hold at least three."""
-    edges = np.linspace(magnitudes.min(), magnitudes.max() + 1e-9, _MAGNITUDE_BINS + 1)
-    number = np.digitize(magnitudes, edges)
-    groups = [number == k for k in range(1, _MAGNITUDE_BINS + 1) if np.count_nonzero(number == k) >= 3]
-    middles = np.array([np.median(magnitudes[group]) for group in groups])
-    return middles, np.array([np.median(values[group]) for group in groups])
-
-
-def _draw_arrows(axis: Axes, points_px: Float, residuals_px: Float, columns: int, rows: int) -> None:
+def _field(points_px: Float, residuals_px: Float, columns: int, rows: int) -> Chart:
     step = max(1, math.ceil(len(points_px) / _MAX_ARROWS))
     points, arrows = points_px[::step], residuals_px[::step]
     typical = max(float(np.median(np.linalg.norm(residuals_px, axis=1))), _SMALLEST_PX)
-    quiver = axis.quiver(
-        points[:, 0], points[:, 1], arrows[:, 0], arrows[:, 1],
-        angles="xy", color=BLUE, width=0.0028, scale=typical * 22, rasterized=len(points) > MANY_POINTS,
-    )  # fmt: skip
-    key = float(f"{2 * typical:.1g}")
-    axis.quiverkey(quiver, 0.88, 1.05, key, f"{key:g} px", labelpos="W", color=INK)
-    show_field(axis, columns, rows)
-    axis.set_title("Over the field")
+    ends = np.stack([points, points + arrows * (_ARROW_SHARE * columns / typical)], axis=1).reshape(-1, 2)
+    return Chart(
+        title=f"Over the field (median {typical:.2g} px)",
+        x=Axis(label="x, px", low=-0.5, high=columns - 0.5),
+        y=Axis(label="y, px", low=rows - 0.5, high=-0.5),
+        layers=[Layer(points=ends, shape=Shape.ARROWS, color=BLUE, width=0.8)],
+        equal=True,
+    )
 
 
-def _draw_histogram(axis: Axes, residuals_px: Float) -> None:
+def _distribution(residuals_px: Float) -> Chart:
     spread = MAD_TO_SIGMA * float(np.median(np.abs(residuals_px - np.median(residuals_px, axis=0))))
     half = max(6 * spread, 1e-6)
-    bins = np.linspace(-half, half, 49).tolist()
-    clipped = np.clip(residuals_px, -half, half)
+    clipped, layers, most = np.clip(residuals_px, -half, half), list[Layer](), 1
     for k, (name, color) in enumerate(zip("xy", SERIES, strict=False)):
-        sigma = float(np.std(residuals_px[:, k]))
-        label = f"{name}: {sigma:.3f} px"
-        axis.hist(clipped[:, k], bins=bins, histtype="step", linewidth=1.4, color=color, label=label)
-    axis.set(xlabel="observed - predicted, px", ylabel="number", title="Distribution (standard deviation)")
-    axis.legend(loc="upper right")
+        counts, edges = np.histogram(clipped[:, k], bins=_RESIDUAL_BINS, range=(-half, half))
+        steps = np.column_stack([np.repeat(edges, 2)[1:-1], np.repeat(counts, 2)])
+        label = f"{name}: {float(np.std(residuals_px[:, k])):.3f} px"
+        layers.append(Layer(points=steps, shape=Shape.LINE, color=color, width=1.2, label=label))
+        most = max(most, int(counts.max()))
+    return Chart(
+        title="Distribution (standard deviation)",
+        x=Axis(label="observed - predicted, px", low=-half, high=half),
+        y=Axis(label="number", low=0.0, high=1.1 * most),
+        layers=layers,
+    )
+
+
+def _against(magnitudes: Float, size: Float, sigma_px: Float, label: str, title: str) -> Chart:
+    step = max(1, math.ceil(len(size) / MANY_POINTS))  # the medians are of all
+    points = np.column_stack([magnitudes, size])[::step]
+    expected = _binned(magnitudes, _RAYLEIGH_MEDIAN * sigma_px)
+    layers = [
+        Layer(points=points, shape=Shape.DOT, color=BLUE, size=3.5),
+        Layer(points=expected, shape=Shape.LINE, color=RED, width=1.4, label="expected, median"),
+        Layer(points=_binned(magnitudes, size), shape=Shape.LINE, color=INK, label="residual, median"),
+    ]
+    y = Axis.around("radial residual, px", size, logarithmic=True)
+    return Chart(title=title, x=Axis.around(label, magnitudes), y=y, layers=layers)
+
+
+def _binned(magnitudes: Float, values: Float) -> Float:
+    """Medians (k, 2) of magnitudes and values in bins of magnitude that hold at least three."""
+    edges = np.linspace(magnitudes.min(), magnitudes.max() + 1e-9, _MAGNITUDE_BINS + 1)
+    number = np.digitize(magnitudes, edges)
+    groups = [number == k for k in range(1, _MAGNITUDE_BINS + 1) if np.count_nonzero(number == k) >= 3]
+    return np.array([[np.median(magnitudes[group]), np.median(values[group])] for group in groups]).reshape(-1, 2)

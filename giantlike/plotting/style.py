@@ -5,19 +5,18 @@ from __future__ import annotations
 import io
 from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, INK, GRAY = (
     "#2166ac", "#d9822b", "#1a936f", "#c0392b", "#8e5ea2", "#4aa8d8", "#1f2933", "#8794a1",
 )  # fmt: skip
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+GRID = "#e4e8ec"
 MARKERS = ("o", "s", "^", "D", "v", "P")
-MANY_POINTS = 3000
-"""Scatter plots of more points than this are drawn as pixels, to keep a page small."""
 
 _STYLE: Any = MappingProxyType(  # matplotlib's own type for this lists every setting by name
     {
@@ -33,7 +32,7 @@ _STYLE: Any = MappingProxyType(  # matplotlib's own type for this lists every se
         "axes.spines.right": False,
         "axes.grid": True,
         "axes.axisbelow": True,
-        "grid.color": "#e4e8ec",
+        "grid.color": GRID,
         "grid.linewidth": 0.8,
         "xtick.color": INK,
         "ytick.color": INK,
@@ -51,6 +50,8 @@ def drawing() -> AbstractContextManager[None]:
     -------
     context manager
     """
+    import matplotlib  # by whoever draws with it: a report does not
+
     return matplotlib.rc_context(dict(_STYLE))
 
 
@@ -79,6 +80,8 @@ def new_panels(
     panels : list of Axes
         Row by row.
     """
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width_in, height_in), facecolor="white")
     panel_in = (width_in - _MARGINS_IN["left"] - _MARGINS_IN["right"] - (columns - 1) * _GAPS_IN["wspace"]) / columns
     row_in = (height_in - _MARGINS_IN["top"] - _MARGINS_IN["bottom"] - (rows - 1) * _GAPS_IN["hspace"]) / rows
@@ -117,6 +120,8 @@ def svg_text(figure: Figure, name: str) -> str:
     -------
     str
     """
+    import matplotlib
+
     buffer = io.StringIO()
     with drawing(), matplotlib.rc_context({"svg.hashsalt": name}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

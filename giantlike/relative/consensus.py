@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
@@ -98,10 +99,8 @@ def agreement_of(first: CenterFix, second: CenterFix) -> float:
     -------
     float
     """
-    from scipy.stats import chi2
-
     squared, size = _squared_difference(first, second)
-    return float(chi2.sf(squared, size))
+    return float(chdtrc(size, squared))
 
 
 def _squared_difference(first: CenterFix, second: CenterFix) -> tuple[float, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,11 @@ from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from giantlike.plotting import ChartSheet
 
 _MAX_REJECTED = 200
 """Rejected observations listed in the page, the worst first; ``calibration.json`` holds all."""
@@ -90,11 +96,11 @@ def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
     -------
     list of PageFigure
     """
-    from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_figure
+    from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_charts
 
     used, columns, rows = solution.used, solution.columns, solution.rows
     points, shifts = distortion_of(solution.model, columns, rows)
-    residuals = star_residual_figure(
+    residuals = star_residual_charts(
         solution.observed_px[used],
         solution.residuals_px[used],
         solution.magnitudes[used],
@@ -104,7 +110,7 @@ def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
     )
     trends = residual_trend_figure(_trends(solution))
     distortion = distortion_figure(points, shifts, solution.map_points_px, solution.map_sigma_px, columns, rows)
-    captions = [
+    captions: list[tuple[ChartSheet | Figure, str, str]] = [
         (residuals, "residuals", "Residuals of the observations used, over the field and by size."),
         (
             trends,

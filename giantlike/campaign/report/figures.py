@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from giantlike.campaign.report.templates import PageFigure
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord, TargetView
@@ -25,8 +27,8 @@ from giantlike.plotting import (
     StarMarks,
     overlay_panels,
     overlay_svg,
-    series_figure,
-    star_residual_figure,
+    series_charts,
+    star_residual_charts,
 )
 
 _BODY_PANELS = ("x, px", "y, px", "range, %")
@@ -68,7 +70,7 @@ def attitude_figures(result: RunResult) -> list[PageFigure]:
     list of PageFigure
     """
     figures = []
-    solved = [record for record in result.attitudes if record.n_matched]
+    solved = [record for record in result.attitudes if record.n_matched and not record.problems]
     at, label = _time_axis(result)
     if solved:
         figures.append(_star_figure(result, solved))
@@ -78,12 +80,12 @@ def attitude_figures(result: RunResult) -> list[PageFigure]:
             for record in solved
         ]
         quality = _series({"star images": samples})
-        figure = series_figure(quality, ["radial rms, px", "matched stars"], label, "Star solutions")
+        figure = series_charts(quality, ["radial rms, px", "matched stars"], label, "Star solutions")
         figures.append(PageFigure.of(figure, "quality", "Fit and number of stars of every solution."))
     corrections = _series({source: _corrections(result, source, at) for source in ("stars", "interpolated")})
     if corrections:
         panels = ["about x, arcsec", "about y, arcsec", "about z, arcsec"]
-        figure = series_figure(corrections, panels, label, "Attitude minus a priori attitude, camera axes")
+        figure = series_charts(corrections, panels, label, "Attitude minus a priori attitude, camera axes")
         caption = "Corrections by the stars, with one-sigma bars of the new attitude; hollow: suspect."
         figures.append(PageFigure.of(figure, "corrections", caption))
     return figures
@@ -108,7 +110,7 @@ def body_figures(result: RunResult) -> list[PageFigure]:
     figures = []
     for target, by_estimator in measured.items():
         offsets = _series({name: _offsets(records, at) for name, records in by_estimator.items()})
-        figure = series_figure(offsets, _BODY_PANELS, label, f"{target}: observed minus predicted")
+        figure = series_charts(offsets, _BODY_PANELS, label, f"{target}: observed minus predicted")
         caption = (
             f"{target}: measured center (and range, where it is measured) against the a priori geometry, with one-sigma"
             " bars of the measurement; hollow: suspect. What all estimators share is the error of the a priori."
@@ -120,7 +122,7 @@ def body_figures(result: RunResult) -> list[PageFigure]:
             {name: _differences(records, by_estimator[reference], at) for name, records in others.items()}
         )
         if differences:
-            figure = series_figure(differences, _BODY_PANELS, label, f"{target}: minus {reference}")
+            figure = series_charts(differences, _BODY_PANELS, label, f"{target}: minus {reference}")
             caption = f"{target}: the other estimators minus {reference}; the bars are both sigmas together."
             figures.append(PageFigure.of(figure, f"difference {target}", caption))
     return figures
@@ -156,37 +158,44 @@ def overlay(result: RunResult, record: AttitudeRecord) -> Overlay:
     Overlay
     """
     folder = RunFolder(result.folder)
-    full = folder.load(AttitudeRecord, record.file)
     observations = [one for image in result.bodies if image.file == record.file for one in image.observations]
     targets = dict.fromkeys(one.target for one in observations)
-    kept = [folder.load(TargetRecord, record.file, (target, "")) for target in targets]
+    with folder.reading():
+        found = folder.points(record)
+        limbs = {one.of: _points(folder.points(one).get("limb_px", [])) for one in observations}
+        kept = [folder.load(TargetRecord, record.file, (target, "")) for target in targets]
     views = [one.view for one in kept if one is not None and one.view is not None]
-    observations = [folder.with_points(one) for one in observations]
     try:
         pixels = Image.open(result.folder / record.path, hdu=result.hdu, bottom_up=result.bottom_up).pixels
     except OpNavError as error:
         return Overlay(record=record, observations=observations, problem=str(error))
     colors = center_colors(result)
-    marks = [_body_marks(view, observations, colors) for view in views]
-    panels = overlay_panels(pixels, record.file, stars=None if full is None else _star_marks(full), bodies=marks)
+    marks = [_body_marks(view, observations, limbs, colors) for view in views]
+    panels = overlay_panels(pixels, record.file, stars=_star_marks(found), bodies=marks)
     return Overlay(record=record, observations=observations, picture=overlay_svg(panels, f"image-{record.index}"))
 
 
-def _star_marks(record: AttitudeRecord) -> StarMarks | None:
-    if not record.detected_px:
+def _star_marks(points: Mapping[str, Any]) -> StarMarks | None:
+    """Marks of the points of an attitude."""
+    detected, stars = _points(points.get("detected_px", [])), points.get("stars")
+    if not len(detected):
         return None
-    detected, stars = _points(record.detected_px), record.stars
     if stars is None:
         return StarMarks.of_detections(detected)
     return StarMarks(
         detected_px=detected,
-        matched_px=_points(stars.observed_px),
-        predicted_px=_points(stars.predicted_px),
-        rejected_px=_points(stars.rejected_px),
+        matched_px=_points(stars["observed_px"]),
+        predicted_px=_points(stars["predicted_px"]),
+        rejected_px=_points(stars["rejected_px"]),
     )
 
 
-def _body_marks(view: TargetView, observations: Sequence[ObservationRecord], colors: Mapping[str, str]) -> BodyMarks:
+def _body_marks(
+    view: TargetView,
+    observations: Sequence[ObservationRecord],
+    limbs: Mapping[tuple[str, str], Float],
+    colors: Mapping[str, str],
+) -> BodyMarks:
     return BodyMarks(
         name=view.target,
         predicted_px=np.array(view.predicted_px),
@@ -198,7 +207,7 @@ def _body_marks(view: TargetView, observations: Sequence[ObservationRecord], col
                 color=colors[record.estimator],
                 center_px=np.array(record.center_px),
                 covariance_px2=np.array(record.covariance_px2),
-                limb_px=_points(record.limb_px),
+                limb_px=limbs[record.of],
             )
             for record in observations
             if record.target == view.target and record.center_px is not None
@@ -206,8 +215,8 @@ def _body_marks(view: TargetView, observations: Sequence[ObservationRecord], col
     )
 
 
-def _points(values: Sequence[Sequence[float]]) -> Float:
-    return np.array(values, dtype=np.float64).reshape(-1, 2)
+def _points(values: ArrayLike) -> Float:
+    return np.asarray(values, dtype=np.float64).reshape(-1, 2)
 
 
 def _time_axis(result: RunResult) -> tuple[Callable[[int], float], str]:
@@ -281,18 +290,15 @@ def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> PageFi
     """Residuals of the stars of all images, or of many, evenly chosen."""
     step = -(-len(records) // _MAX_STAR_IMAGES)
     folder = RunFolder(result.folder)
-    parts = [
-        full.stars
-        for record in records[::step]
-        if (full := folder.load(AttitudeRecord, record.file)) is not None and full.stars is not None
-    ]
-    observed = np.concatenate([_points(part.observed_px) for part in parts])
-    predicted = np.concatenate([_points(part.predicted_px) for part in parts])
-    figure = star_residual_figure(
+    with folder.reading():
+        parts = [stars for record in records[::step] if (stars := folder.points(record).get("stars")) is not None]
+    observed = np.concatenate([_points(part["observed_px"]) for part in parts])
+    predicted = np.concatenate([_points(part["predicted_px"]) for part in parts])
+    figure = star_residual_charts(
         observed,
         observed - predicted,
-        np.concatenate([part.magnitudes for part in parts]),
-        np.concatenate([part.sigma_px for part in parts]),
+        np.concatenate([part["magnitudes"] for part in parts]),
+        np.concatenate([part["sigma_px"] for part in parts]),
         records[0].columns,
         records[0].rows,
     )

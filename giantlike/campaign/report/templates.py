@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from giantlike.plotting import ChartSheet
+
 
 @dataclass(frozen=True, slots=True)
 class PageFigure:
@@ -24,12 +26,12 @@ class PageFigure:
     caption: str
 
     @classmethod
-    def of(cls, figure: Figure, name: str, caption: str) -> PageFigure:
-        """Figure of a page from one of matplotlib.
+    def of(cls, figure: ChartSheet | Figure, name: str, caption: str) -> PageFigure:
+        """Figure of a page from charts or a figure of matplotlib.
 
         Parameters
         ----------
-        figure : Figure
+        figure : ChartSheet or Figure
         name : str
             Differs for every figure of a page.
         caption : str
@@ -38,9 +40,9 @@ class PageFigure:
         -------
         PageFigure
         """
-        from giantlike.plotting import svg_text
+        from giantlike.plotting import ChartSheet, charts_svg, svg_text
 
-        return cls(svg_text(figure, name), caption)
+        return cls(charts_svg(figure, name) if isinstance(figure, ChartSheet) else svg_text(figure, name), caption)
 
 
 def render_page(template: str, **content: Any) -> str:

@@ -125,6 +125,29 @@ class Database:
                 with contextlib.suppress(sqlite3.OperationalError):  # a reader is at it: the next run tidies up
                     connection.execute("PRAGMA journal_mode = DELETE")
 
+    @contextlib.contextmanager
+    def open_for_reading(self) -> Iterator[None]:
+        """Context manager that keeps the file open for reading; it does nothing where it is open.
+
+        Yields
+        ------
+        None
+
+        Raises
+        ------
+        DataError
+            It is damaged or missing.
+        """
+        if self._open is not None:
+            yield
+            return
+        with self._border(), contextlib.closing(self._connect(write=False)) as connection:
+            self._open = connection
+            try:
+                yield
+            finally:
+                self._open = None
+
     def put(self, unit: Unit, key: str, row: Row) -> None:
         """Write a record.
 

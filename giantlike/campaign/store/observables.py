@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -79,11 +79,13 @@ def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow
     """
     folder = RunFolder.open(result.folder)
     bodies = {record.file: record for record in result.bodies}
-    for light in result.attitudes:
-        seen = bodies.get(light.file)
-        if seen is not None:
-            seen = seen.model_copy(update={"observations": [folder.with_points(one) for one in seen.observations]})
-        yield from observable_rows(camera, folder.with_points(light), seen)
+    with folder.reading():
+        for attitude in result.attitudes:
+            if attitude.file in bodies:
+                yield from _body_rows(camera, attitude, bodies[attitude.file], folder)
+            stars = folder.points(attitude).get("stars")
+            if stars is not None and attitude.attitude is not None:
+                yield _star_rows(camera, attitude, stars)
 
 
 def observables_metadata(name: str, camera: Camera) -> dict[str, str]:
@@ -119,44 +121,25 @@ def observables_metadata(name: str, camera: Camera) -> dict[str, str]:
     }
 
 
-def observable_rows(
-    camera: Camera, attitude: AttitudeRecord, bodies: ObservationsRecord | None
-) -> Iterator[ObservableRow | ObservableBlock]:
-    """Rows of one image: fixes of bodies, their landmarks, and stars.
-
-    Parameters
-    ----------
-    camera : Camera
-        Of the run.
-    attitude : AttitudeRecord
-    bodies : ObservationsRecord, optional
-
-    Yields
-    ------
-    ObservableRow or ObservableBlock
-    """
-    if bodies is not None:
-        yield from _body_rows(camera, attitude, bodies)
-    if attitude.stars is None or attitude.attitude is None:
-        return
-    context = _context(camera, attitude, None)
+def _star_rows(camera: Camera, attitude: AttitudeRecord, stars: Mapping[str, Any]) -> ObservableBlock:
     observer = None
     if attitude.observer_position_km is not None and attitude.observer_velocity_km_s is not None:
         observer = ObserverState(
             position_km=np.array(attitude.observer_position_km), velocity_km_s=np.array(attitude.observer_velocity_km_s)
         )
-    stars = attitude.stars
     seen = StarsSeen(
-        numbers=np.array(stars.star_ids, dtype=np.int64),
-        magnitudes=np.array(stars.magnitudes),
-        observed_px=np.array(stars.observed_px).reshape(-1, 2),
-        predicted_px=np.array(stars.predicted_px).reshape(-1, 2),
-        sigma_px=np.array(stars.sigma_px),
+        numbers=np.array(stars["star_ids"], dtype=np.int64),
+        magnitudes=np.array(stars["magnitudes"]),
+        observed_px=np.array(stars["observed_px"]).reshape(-1, 2),
+        predicted_px=np.array(stars["predicted_px"]).reshape(-1, 2),
+        sigma_px=np.array(stars["sigma_px"]),
     )
-    yield rows_of_stars(context, seen, observer, status=attitude.status)
+    return rows_of_stars(_context(camera, attitude, None), seen, observer, status=attitude.status)
 
 
-def _body_rows(camera: Camera, attitude: AttitudeRecord, bodies: ObservationsRecord) -> Iterator[ObservableRow]:
+def _body_rows(
+    camera: Camera, attitude: AttitudeRecord, bodies: ObservationsRecord, folder: RunFolder
+) -> Iterator[ObservableRow]:
     sightings = {record.target: record for record in bodies.sightings}
     for target, known in sightings.items():
         records = [r for r in bodies.observations if r.target == target and r.center_px and r.attitude]
@@ -171,14 +154,15 @@ def _body_rows(camera: Camera, attitude: AttitudeRecord, bodies: ObservationsRec
                 is_preferred=index == choice.index,
                 reason=_reason(choice.index, index, choice.reason, fixes),
             )
-            if record.landmarks is None or not isinstance(fix, PositionFix):
+            landmarks = folder.points(record).get("landmarks")
+            if landmarks is None or not isinstance(fix, PositionFix):
                 continue
-            for k, name in enumerate(record.landmarks.names):
+            for k, name in enumerate(landmarks["names"]):
                 landmark = LandmarkSeen(
                     name=name,
-                    body_km=np.array(record.landmarks.body_km[k]),
-                    observed_px=np.array(record.landmarks.observed_px[k]),
-                    covariance_px2=np.array(record.landmarks.covariance_px2[k]),
+                    body_km=np.array(landmarks["body_km"][k]),
+                    observed_px=np.array(landmarks["observed_px"][k]),
+                    covariance_px2=np.array(landmarks["covariance_px2"][k]),
                 )
                 yield row_of_landmark(context, sighting, fix, landmark)
 

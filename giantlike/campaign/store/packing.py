@@ -37,12 +37,14 @@ def packed(values: dict[str, Any]) -> bytes:
     return zlib.compress(b"".join(parts), _LEVEL)
 
 
-def unpacked(data: bytes) -> Any:
+def unpacked(data: bytes, *, arrays: bool = False) -> Any:
     """Values of :func:`packed`.
 
     Parameters
     ----------
     data : bytes
+    arrays : bool
+        Leave long lists of numbers what they are kept as, arrays.
 
     Returns
     -------
@@ -56,14 +58,15 @@ def unpacked(data: bytes) -> Any:
     try:
         content = zlib.decompress(data)
         (length,) = struct.unpack_from("<I", content)
-        at, arrays = 4 + length, list[Any]()
+        at, kept = 4 + length, list[Any]()
         while at < len(content):
             dtype, n_axes = _DTYPES[chr(content[at])], content[at + 1]
             shape = struct.unpack_from(f"<{n_axes}I", content, at + 2)
             count, at = int(np.prod(shape)), at + 2 + 4 * n_axes
-            arrays.append(np.frombuffer(content, dtype, count, at).reshape(shape).tolist())
+            array = np.frombuffer(content, dtype, count, at).reshape(shape)
+            kept.append(array if arrays else array.tolist())
             at += count * dtype.itemsize
-        return _filled(json.loads(content[4 : 4 + length]), arrays)
+        return _filled(json.loads(content[4 : 4 + length]), kept)
     except (zlib.error, struct.error, KeyError, IndexError) as error:
         raise ValueError(f"damaged: {error}") from error
 

@@ -155,6 +155,8 @@ class ImageRecord(PlainRecord):
 
     part: ClassVar[str]
     """Name of the step."""
+    points_of: ClassVar[tuple[str, ...]] = ()
+    """Fields that hold lists of points."""
 
     index: int
     file: str
@@ -220,6 +222,7 @@ class AttitudeRecord(ImageRecord):
     """
 
     part: ClassVar[str] = "attitude"
+    points_of: ClassVar[tuple[str, ...]] = ("stars", "detected_px")
 
     path: str
     sha256: str = ""
@@ -361,6 +364,7 @@ class ObservationRecord(ImageRecord):
     """
 
     part: ClassVar[str] = "observation"
+    points_of: ClassVar[tuple[str, ...]] = ("limb_px", "landmarks")
 
     epoch_utc: str | None = None
     target: str

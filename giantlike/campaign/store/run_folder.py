@@ -286,23 +286,49 @@ class RunFolder:
                 today["path"] = path
             yield record.model_copy(update=today)
 
-    def with_points(self, record: Record) -> Record:
-        """Record with the lists of points that it was kept with; those of a failure are left out.
+    def points(self, record: ImageRecord) -> dict[str, Any]:
+        """Lists of points that a record was kept with, long ones as arrays.
 
         Parameters
         ----------
-        record : AttitudeRecord or ObservationRecord
+        record : ImageRecord
             As it stands after edits and transfer.
 
         Returns
         -------
-        record
+        dict
+            Fields that :meth:`~giantlike.campaign.store.records.ImageRecord.light` leaves out, those that hold others
+            as dict; empty for a failure.
+
+        Raises
+        ------
+        DataError
+            They are damaged.
         """
-        full = None if record.problems else self.load(type(record), record.file, record.of)
-        if full is None:
-            return record
-        names = {"attitude": ("stars", "detected_px"), "observation": ("limb_px", "landmarks")}[record.part]
-        return record.model_copy(update={name: getattr(full, name) for name in names})
+        row = None if record.problems else self._results.get(_unit(type(record), record.file, record.of, None))
+        if row is None or row.points is None:
+            return {}
+        try:
+            full = unpacked(row.points, arrays=True)
+            return {name: full[name] for name in record.points_of}
+        except (ValueError, KeyError, TypeError) as error:
+            raise self._damaged(ValueError(f"points of {record.file}: {error}")) from error
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[None]:
+        """Context manager that keeps the results open, which makes many reads fast.
+
+        Yields
+        ------
+        None
+
+        Raises
+        ------
+        DataError
+            They are damaged.
+        """
+        with self._results.open_for_reading():
+            yield
 
     def attitudes(self) -> list[AttitudeRecord]:
         """Attitudes of all images, from stars, a priori or transferred, in input order, without lists of stars.

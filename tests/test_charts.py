@@ -1,0 +1,56 @@
+"""Charts: round numbers along axes, points where the axes say, and few marks for many points."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from giantlike.plotting import Axis, Chart, ChartSheet, Layer, Shape, charts_svg
+
+_SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.2e-5, 7.7e-5), (2.0e6, 2.1e6), (1023.5, -0.5), (-17.0, 1.0)])
+def test_numbers_along_an_axis_are_round_even_and_on_it(low: float, high: float) -> None:
+    axis = Axis(label="x", low=low, high=high)
+    values, texts = zip(*axis.ticks(5), strict=True)
+    steps = np.diff(values)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    assert steps[0] / 10.0 ** np.floor(np.log10(steps[0])) == pytest.approx(1.0) or round(
+        steps[0] / 10.0 ** np.floor(np.log10(steps[0]))
+    ) in (2, 5, 10)
+    assert 2 <= len(values) <= 7
+    assert min(low, high) <= min(values) <= max(values) <= max(low, high)
+    np.testing.assert_allclose([float(text) for text in texts], values, rtol=1e-3, atol=1e-3 * steps[0])
+
+
+def test_numbers_along_a_logarithmic_axis_are_powers_of_ten() -> None:
+    axis = Axis.around("y", np.array([0.003, 40.0, np.nan]), logarithmic=True)
+    assert [text for _, text in axis.ticks(5)] == ["0.01", "0.1", "1", "10"]
+    np.testing.assert_allclose(axis.shares(np.array([axis.low, np.sqrt(axis.low * axis.high), axis.high])), [0, 0.5, 1])
+
+
+def test_a_line_runs_from_corner_to_corner_and_a_bar_stands_upright() -> None:
+    corners, bar = np.array([[1.0, 10.0], [3.0, 30.0]]), np.array([[2.0, 15.0], [2.0, 25.0]])
+    axes = {"x": Axis(label="x", low=1.0, high=3.0), "y": Axis(label="y", low=10.0, high=30.0)}
+    layers = [
+        Layer(points=corners, shape=Shape.LINE, color="red", label="<a>"),
+        Layer(points=bar, shape=Shape.BARS, color="blue"),
+    ]
+    sheet = ChartSheet(charts=[Chart(title="", **axes, layers=layers)], width_in=1.0, height_in=2.0)
+    drawn = ElementTree.fromstring(charts_svg(sheet, "a")).iter(f"{_SVG}path")
+    by_color = {path.get("stroke"): path.get("d") or "" for path in drawn if path.get("stroke") in ("red", "blue")}
+    assert by_color["blue"] == "M55.0 165.0V55.0"
+    lines = re.findall(r'd="([^"]*)" fill="none" stroke="red"', charts_svg(sheet, "a"))
+    assert "M0 220L110 0" in lines
+
+
+def test_a_million_points_are_as_many_marks_as_there_is_room_for() -> None:
+    points = np.random.default_rng(1).uniform(size=(1_000_000, 2))
+    axes = {name: Axis(label=name, low=0.0, high=1.0) for name in "xy"}
+    layer = Layer(points=points, shape=Shape.DOT, color="red", size=3.0)
+    sheet = ChartSheet(charts=[Chart(title="", **axes, layers=[layer])], width_in=1.0, height_in=1.0)
+    assert len(charts_svg(sheet, "a")) < 111 * 111 * 10
