@@ -35,12 +35,12 @@ def test_numbers_along_a_logarithmic_axis_are_powers_of_ten() -> None:
 
 def test_a_line_runs_from_corner_to_corner_and_a_bar_stands_upright() -> None:
     corners, bar = np.array([[1.0, 10.0], [3.0, 30.0]]), np.array([[2.0, 15.0], [2.0, 25.0]])
-    axes = {"x": Axis(label="x", low=1.0, high=3.0), "y": Axis(label="y", low=10.0, high=30.0)}
+    x, y = Axis(label="x", low=1.0, high=3.0), Axis(label="y", low=10.0, high=30.0)
     layers = [
         Layer(points=corners, shape=Shape.LINE, color="red", label="<a>"),
         Layer(points=bar, shape=Shape.BARS, color="blue"),
     ]
-    sheet = ChartSheet(charts=[Chart(title="", **axes, layers=layers)], width_in=1.0, height_in=2.0)
+    sheet = ChartSheet(charts=[Chart(title="", x=x, y=y, layers=layers)], width_in=1.0, height_in=2.0)
     drawn = ElementTree.fromstring(charts_svg(sheet, "a")).iter(f"{_SVG}path")
     by_color = {path.get("stroke"): path.get("d") or "" for path in drawn if path.get("stroke") in ("red", "blue")}
     assert by_color["blue"] == "M55.0 165.0V55.0"
@@ -50,7 +50,7 @@ def test_a_line_runs_from_corner_to_corner_and_a_bar_stands_upright() -> None:
 
 def test_a_million_points_are_as_many_marks_as_there_is_room_for() -> None:
     points = np.random.default_rng(1).uniform(size=(1_000_000, 2))
-    axes = {name: Axis(label=name, low=0.0, high=1.0) for name in "xy"}
+    axis = Axis(label="either", low=0.0, high=1.0)
     layer = Layer(points=points, shape=Shape.DOT, color="red", size=3.0)
-    sheet = ChartSheet(charts=[Chart(title="", **axes, layers=[layer])], width_in=1.0, height_in=1.0)
+    sheet = ChartSheet(charts=[Chart(title="", x=axis, y=axis, layers=[layer])], width_in=1.0, height_in=1.0)
     assert len(charts_svg(sheet, "a")) < 111 * 111 * 10
