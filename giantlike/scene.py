@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require, require_number, unit
 from giantlike.core.errors import FrameMismatchError, InputError
-from giantlike.core.frames import rotate
+from giantlike.core.frames import rotate, turn_between
 from giantlike.core.light import aberrate, boosted
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
@@ -20,7 +20,8 @@ from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
-from giantlike.shapes import Shape
+from giantlike.shapes import Ellipsoid, Shape
+from giantlike.terrain import HeightMap
 
 _MASK_DIRECTIONS = 720  # points of an outline, every half degree: 3 px apart on a limb of 300 px radius
 _SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 1/16 px
@@ -81,6 +82,13 @@ class Target(Value):
         Reflectance law of the surface; McEwen by default.
     uncertainty : TargetUncertainty
         Of shape, orientation and ephemeris, for the covariances of fixes; by default all are exact.
+    terrain : HeightMap, optional
+        Relief of an ellipsoid, with which estimators on limbs predict the outline; other estimators see the ellipsoid.
+
+    Raises
+    ------
+    InputError
+        There is a height map, and the shape is no ellipsoid.
     """
 
     name: str
@@ -88,6 +96,12 @@ class Target(Value):
     ephemeris: Ephemeris | ApparentGeometry
     reflectance: Reflectance = field(default_factory=McEwen)
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
+    terrain: HeightMap | None = None
+
+    def __post_init__(self) -> None:
+        smooth = self.terrain is None or isinstance(self.shape, Ellipsoid)
+        require(smooth, f"{self.name}: terrain goes with an ellipsoid as shape, got a {type(self.shape).__name__}")
+        Value.__post_init__(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -329,7 +343,7 @@ class Scene(Value):
             sun = unit(path(self.light, emission, observer_km + vector)[0])
         if self.stellar_aberration:
             body_km_s = ephemeris.state(emission)[1]
-            turn = _turn_between(aberrate(unit(vector), body_km_s), aberrate(unit(vector), observer_km_s))
+            turn = turn_between(aberrate(unit(vector), body_km_s), aberrate(unit(vector), observer_km_s))
             inertial_from_body = turn * inertial_from_body
             sun = None if sun is None else rotate(turn, aberrate(sun, body_km_s))
             vector = boosted(vector, observer_km_s)
@@ -474,13 +488,6 @@ def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float,
         emission = et - float(np.linalg.norm(vector)) / SPEED_OF_LIGHT_KM_S
         vector = source.state(emission)[0] - observer_km
     return vector, emission
-
-
-def _turn_between(first: Float, second: Float) -> Rotation:
-    """Smallest rotation from one unit direction to another close by, inertial axes."""
-    axis = np.cross(first, second)
-    sine = float(np.linalg.norm(axis))
-    return Rotation.from_rotvec(axis * (math.asin(min(sine, 1.0)) / sine if sine > 0.0 else 0.0))
 
 
 def _straight(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:

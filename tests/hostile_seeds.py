@@ -34,6 +34,7 @@ from giantlike.shapes import Ellipsoid, load_shape, mesh_from_ellipsoid, save_sh
 from giantlike.shapes.files.dsk import DskIdentity
 from giantlike.shapes.landmarks import LandmarkCatalog, landmark_of, load_landmarks, save_landmarks
 from giantlike.stars.rates import read_rates
+from giantlike.terrain import HeightMap
 from tests.camera_models.test_camera_models import NAVCAM
 from tests.campaign import test_export as run_files
 from tests.campaign_files import campaign_table
@@ -43,6 +44,7 @@ from tests.io import test_camera_files as camera_files
 from tests.io import test_image_files as image_files
 from tests.io import test_planetary_files as planetary_files
 from tests.io import test_spice as kernel_files
+from tests.io.height_map_files import heights_km, write_geotiff, write_pds3
 from tests.shapes.test_local_maps import _map
 
 EPOCHS = ("2020-01-01T00:00:00", "2020-01-01T00:01:00", "2020-01-01T00:02:00")
@@ -193,6 +195,15 @@ def _image(path: Path) -> object:
     return read_image_file(path)
 
 
+def _heights(path: Path) -> object:
+    return HeightMap.open(path).heights_km(np.eye(3))
+
+
+def _plain_heights(path: Path) -> Path:
+    np.savez(path, heights_km=heights_km(), reference_radii_km=1737.4)
+    return path
+
+
 def _foreign(path: Path) -> object:
     return read_foreign_camera(path, instrument_id=-64361)
 
@@ -235,6 +246,11 @@ KINDS: dict[str, Kind] = {
     },
     "shape text ply": Kind("s.ply", _with(_exported("ply")), load_shape),
     "shape text stl": Kind("s.stl", _with(_exported("stl")), load_shape),
+    "heights pds3": Kind("h.img", lambda path: write_pds3(path, attached=True), _heights),
+    "heights geotiff": Kind("h.tif", write_geotiff, _heights),
+    "heights tiled geotiff": Kind("h.tif", lambda path: write_geotiff(path, tile=16, compression="zlib"), _heights),
+    "heights npz": Kind("h.npz", _plain_heights, _heights),
+    "heights tiled npz": Kind("h.npz", lambda path: HeightMap.open(_plain_heights(path)).save(path), _heights),
     "maplet": Kind("m.MAP", _maplet, load_landmarks),
     "landmarks": Kind("l.npz", _landmarks, load_landmarks),
     "catalog": Kind("c.stars", _own_catalog, lambda path: load_catalog(path).cone(np.array([1.0, 0, 0]), 0.5)),

@@ -252,6 +252,23 @@ def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
     return result
 
 
+def turn_between(first: Float, second: Float) -> Rotation:
+    """Smallest rotation from one direction to another close by.
+
+    Parameters
+    ----------
+    first, second : (3,) float64, unitless
+        Unit vectors in the same axes, less than 90 deg apart.
+
+    Returns
+    -------
+    Rotation
+    """
+    axis = np.cross(first, second)
+    sine = float(np.linalg.norm(axis))
+    return Rotation.from_rotvec(axis * (math.asin(min(sine, 1.0)) / sine if sine > 0.0 else 0.0))
+
+
 def rotation_between(estimate: Rotation, truth: Rotation) -> Float:
     """Return the small rotation vector (3,), rad, ``e`` with ``truth = Rotation.from_rotvec(e) * estimate``."""
     return np.asarray((truth * estimate.inv()).as_rotvec(), dtype=np.float64)

@@ -104,7 +104,8 @@ class Quality(enum.Flag):
     is not the body.
     """
     WRONG_FIGURE = enum.auto()
-    """Parts of the body ask for different places: wrong shape, orientation or roll, or rows that are shifted."""
+    """Parts of the body ask for different places: wrong shape, orientation or roll, rows that are shifted, or a
+    height map that is not that of the limb."""
     BLURRED = enum.auto()
     """The image is blurred by another amount than the camera's optics: motion, defocus, two exposures, a wrong psf."""
     SUSPECT = (

@@ -7,7 +7,7 @@ Pixels and axes are those of the project:
 """
 
 from giantlike.independent.bodies import Body, EllipsoidBody, ReliefBody, facet_mesh
-from giantlike.independent.fields import SphereField, bumps, craters
+from giantlike.independent.fields import SphereField, bumps, craters, rough
 from giantlike.independent.laws import LAWS, Law
 from giantlike.independent.light import Motion, aberrated, apparent_disk, apparent_geometry, unaberrated
 from giantlike.independent.psf import Psf
@@ -42,6 +42,7 @@ __all__ = [
     "random_stars",
     "record",
     "render_body",
+    "rough",
     "star_image",
     "unaberrated",
 ]

@@ -102,6 +102,17 @@ def _table(values: Float, gradients: Float, directions: Float, cells: int) -> Sp
     return SphereField(values=values.reshape(side, side), gradients=gradients.reshape(side, side, 3))
 
 
+def _relative(values: Float, gradients: Float, directions: Float, rms: float, cells: int) -> SphereField:
+    """Table of a function of some root mean square, without what scales a body (degree 0) or moves it (degree 1)."""
+    weights = np.abs(directions).sum(axis=1) ** 3  # solid angle of a cell of the octahedral map
+    rigid = np.concatenate([np.ones((len(directions), 1)), directions], axis=1)
+    found = np.linalg.solve((rigid * weights[:, None]).T @ rigid, (rigid * weights[:, None]).T @ values)
+    values = values - rigid @ found
+    gradients = gradients - found[1:]
+    scale = rms / float(np.sqrt(np.average(values**2, weights=weights)))
+    return _table(values * scale, gradients * scale, directions, cells)
+
+
 def bumps(
     seed: int,
     *,
@@ -144,14 +155,56 @@ def bumps(
         bump = height * np.exp(exponent[near])
         values[near] += bump
         gradients[near] += (bump * sharpness)[:, None] * center
-    weights = np.abs(directions).sum(axis=1) ** 3  # solid angle of a cell of the octahedral map
-    # What scales the body (degree 0) or moves its center (degree 1) is taken out: it would be another size or place.
-    rigid = np.concatenate([np.ones((len(directions), 1)), directions], axis=1)
-    found = np.linalg.solve((rigid * weights[:, None]).T @ rigid, (rigid * weights[:, None]).T @ values)
-    values = values - rigid @ found
-    gradients = gradients - found[1:]
-    scale = rms / float(np.sqrt(np.average(values**2, weights=weights)))
-    return _table(values * scale, gradients * scale, directions, cells)
+    return _relative(values, gradients, directions, rms, cells)
+
+
+def rough(
+    seed: int,
+    *,
+    rms: float,
+    power: float = 2.0,
+    degrees: tuple[float, float] = (2.5, 400.0),
+    count: int = 600,
+    cells: int = CELLS,
+) -> SphereField:
+    """Make rough ground like that of the Moon: waves whose variance per degree falls as a power of the degree.
+
+    Parameters
+    ----------
+    seed : int
+        Of the directions and phases of the waves.
+    rms : float
+        Root mean square over the sphere.
+    power : float
+        By which the variance per degree falls: 2 is Kaula's rule.
+    degrees : (2,)
+        Longest and shortest waves, in waves around the sphere.
+    count : int
+        Number of waves.
+    cells : int
+        Cells along the side of the table: 768 hold waves up to some 400.
+
+    Returns
+    -------
+    SphereField
+        Relative heights, without what would scale or move a sphere.
+    """
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    low, high = np.log(degrees)
+    waves = np.exp(low + (high - low) * (np.arange(count) + rng.uniform(size=count)) / count)
+    phases = rng.uniform(0.0, 2.0 * np.pi, size=count)
+    sizes = waves ** (
+        0.5 * (1.0 - power)
+    )  # as many waves in every octave: their squares times the degree are the power
+    directions = _grid_directions(cells)
+    values, gradients = np.zeros(len(directions)), np.zeros_like(directions)
+    for axis, wave, phase, size in zip(axes, waves, phases, sizes, strict=True):
+        angle = wave * (directions @ axis) + phase
+        values += size * np.cos(angle)
+        gradients -= (size * wave * np.sin(angle))[:, None] * axis
+    return _relative(values, gradients, directions, rms, cells)
 
 
 def craters(

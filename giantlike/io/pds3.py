@@ -177,18 +177,8 @@ def decode_pds3(path: Path, data: bytes, label: Pds3Label, offset_bytes: int) ->
         The image object is incomplete, compressed, has several bands or a sample type that is not read, or
         the file is truncated.
     """
+    layout = raw_layout(label, offset_bytes)
     values = label.values
-    encoding = str(values.get("IMAGE.ENCODING_TYPE", "N/A"))
-    if label_count(values, "IMAGE.BANDS", 1) != 1 or encoding not in {"N/A", "NONE"}:
-        raise ValueError(f"only uncompressed PDS3 images of one band are read, got ENCODING_TYPE {encoding!r}")
-    layout = RawLayout(
-        offset_bytes=offset_bytes,
-        rows=label_count(values, "IMAGE.LINES", 0),
-        columns=label_count(values, "IMAGE.LINE_SAMPLES", 0),
-        prefix_bytes=label_count(values, "IMAGE.LINE_PREFIX_BYTES", 0),
-        suffix_bytes=label_count(values, "IMAGE.LINE_SUFFIX_BYTES", 0),
-        sample=_sample(str(values.get("IMAGE.SAMPLE_TYPE")), label_count(values, "IMAGE.SAMPLE_BITS", 8)),
-    )
     exposure_s = label_exposure_s(values, label.units)
     return DecodedImage(
         pixels=read_raw(data, layout),
@@ -196,6 +186,38 @@ def decode_pds3(path: Path, data: bytes, label: Pds3Label, offset_bytes: int) ->
         epoch=label_epoch(values, exposure_s),
         exposure_s=exposure_s,
         header=dict(values),
+    )
+
+
+def raw_layout(label: Pds3Label, offset_bytes: int) -> RawLayout:
+    """Position and type of the samples of the image that a label describes.
+
+    Parameters
+    ----------
+    label : Pds3Label
+    offset_bytes : int
+        First byte of the image.
+
+    Returns
+    -------
+    RawLayout
+
+    Raises
+    ------
+    ValueError
+        The image is compressed, has several bands or a sample type that is not read, or its size is no number.
+    """
+    values = label.values
+    encoding = str(values.get("IMAGE.ENCODING_TYPE", "N/A"))
+    if label_count(values, "IMAGE.BANDS", 1) != 1 or encoding not in {"N/A", "NONE"}:
+        raise ValueError(f"only uncompressed PDS3 images of one band are read, got ENCODING_TYPE {encoding!r}")
+    return RawLayout(
+        offset_bytes=offset_bytes,
+        rows=label_count(values, "IMAGE.LINES", 0),
+        columns=label_count(values, "IMAGE.LINE_SAMPLES", 0),
+        prefix_bytes=label_count(values, "IMAGE.LINE_PREFIX_BYTES", 0),
+        suffix_bytes=label_count(values, "IMAGE.LINE_SUFFIX_BYTES", 0),
+        sample=_sample(str(values.get("IMAGE.SAMPLE_TYPE")), label_count(values, "IMAGE.SAMPLE_BITS", 8)),
     )
 
 

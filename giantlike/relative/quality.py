@@ -39,6 +39,9 @@ laws told as one, markings of 15 %, unlisted relief of 1 %) 99 % came to less th
 the 145 with the right law, shape and albedo none came to more than 0.6. Double exposures, wrong shapes and eclipses
 come to 1.3-20.
 """
+TERRAIN_MISFIT = 3.0
+"""Residuals of a limb with its height map, over those that the map lets expect, beyond which the map must explain it a
+thousand times better than no map does: no residuals of three times their size come from a right one by chance."""
 UNEXPLAINED = 0.005
 """Area with unexplained light over the lit area beyond which something else is in the image: one of the same 860 fixes
 had more, a second body beside the first gives 0.5, a ring 3."""
@@ -88,6 +91,10 @@ class QualityChecks(Value):
         Logarithm of the odds that light comes from another side than the Sun's.
     rival_log_odds : float
         Logarithm of the odds that the body is at the best other place in the search region.
+    terrain_log_odds : float
+        Logarithm of the odds that a limb is that of the smooth body, against that of its height map.
+    terrain_misfit : float
+        Residuals of a limb with a height map over what noise and the errors of the map come to.
     misfit : float
         Residuals of the body, rendered coarsely, over what noise and the known errors of models come to.
     unexplained : float
@@ -112,6 +119,8 @@ class QualityChecks(Value):
     ambiguous: bool = False
     light_log_odds: float = -math.inf
     rival_log_odds: float = -math.inf
+    terrain_log_odds: float = -math.inf
+    terrain_misfit: float = 0.0
     misfit: float = 0.0
     unexplained: float = 0.0
     place_chance: float = 1.0
@@ -149,6 +158,7 @@ class QualityChecks(Value):
             (Quality.UNEXPLAINED_LIGHT, self.misfit > MISFIT or self.unexplained > UNEXPLAINED),
             (Quality.DISAGREEMENT, self.place_chance < LEAST_CHANCE),
             (Quality.WRONG_FIGURE, self.figure_chance < LEAST_CHANCE),
+            (Quality.WRONG_FIGURE, self.terrain_misfit > TERRAIN_MISFIT and self.terrain_log_odds > -LIGHT_LOG_ODDS),
             (Quality.BLURRED, self.blur_chance < LEAST_CHANCE),
         )
         flags = Quality.NONE

@@ -64,6 +64,32 @@ class SmoothError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TerrainShift(Value):
+    """Relief of a height map that was taken off the points of a limb.
+
+    Parameters
+    ----------
+    shift_px : (n,) float64, px
+        Outward, of the limb with relief from the smooth one.
+    log_odds : float
+        Logarithm of the odds that the limb is smooth, against that the map is right.
+    misfit : float
+        Residuals, averaged over parts of the limb, over what noise and the errors of the map come to.
+    name, sha256 : str
+        Of the map.
+    mean_km : float, km
+        Mean altitude of the points.
+    """
+
+    shift_px: Float
+    log_odds: float
+    misfit: float
+    name: str
+    sha256: str
+    mean_km: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbMeasurement(Value):
     """Lit limb of a body, measured in an image across a prediction.
 
@@ -99,6 +125,8 @@ class LimbMeasurement(Value):
         Edges measured that are no points of the limb.
     area : (rows, columns) bool
         Pixels within reach of the limb.
+    terrain : TerrainShift or None
+        Relief by a height map; ``shift_px`` is without it.
     """
 
     predicted_px: Float
@@ -117,11 +145,19 @@ class LimbMeasurement(Value):
     area: Mask
     relief: SmoothError | None = None
     n_elsewhere: int = 0
+    terrain: TerrainShift | None = None
 
     @property
     def observed_px(self) -> Float:
-        """Limb points (n, 2) in the image, px."""
+        """Limb points (n, 2), px, as the smooth body has them: in the image but for the relief of a height map."""
         result: Float = self.predicted_px + self.shift_px[:, None] * self.normals_px
+        return result
+
+    @property
+    def seen_px(self) -> Float:
+        """Limb points (n, 2) in the image, px."""
+        raised_px = 0.0 if self.terrain is None else self.terrain.shift_px[:, None]
+        result: Float = self.observed_px + raised_px * self.normals_px
         return result
 
     @property
@@ -165,6 +201,7 @@ class LimbMeasurement(Value):
             sigma_px=self.sigma_px[which],
             keep=self.keep[which],
             common_px={cause: shared_px[which] for cause, shared_px in self.common_px.items()},
+            terrain=None if self.terrain is None else replace(self.terrain, shift_px=self.terrain.shift_px[which]),
         )
 
     def smooth_covariances(self, gain: Float) -> dict[Cause, Float]:

@@ -30,6 +30,7 @@ from giantlike.relative.horizon.ellipsoid_cra import EllipsoidStandIn
 from giantlike.relative.horizon.geometry import Altitude, Figure, christian_robinson, fit_horizon, horizon_residuals
 from giantlike.relative.light.phase_correction import sunlight_px
 from giantlike.relative.limb.fix import IteratedSearch, LimbSearch, LimbSolution, ScanOptions, limb_fix, limb_view
+from giantlike.relative.limb.terrain import with_terrain
 
 __all__ = ["EllipseFit", "EllipseFitOptions"]
 
@@ -148,7 +149,10 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
             search = IteratedSearch(search_px=self.options.search_px, search_range=self.options.search_range)
             law, start_km = inputs.geometry.target.reflectance, stand_in.position_camera_km
             measured = measure_clipped(view, stand_in.figure, law, start_km, search, ScanOptions())
-        solved = measured if isinstance(measured, Failure) else fit_limb_ellipse(measured, view, stand_in, self.options)
+        if isinstance(measured, Failure):
+            return measured
+        measured = with_terrain(measured, inputs, self.options.outlier_mad)
+        solved = fit_limb_ellipse(measured, view, stand_in, self.options)
         if isinstance(solved, Failure):
             return solved
         return limb_fix(inputs, *solved, self.options)

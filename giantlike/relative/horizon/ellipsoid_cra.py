@@ -20,6 +20,7 @@ from giantlike.relative.horizon.geometry import CraMethod, Figure, christian_rob
 from giantlike.relative.limb.fix import LimbSolution, limb_fix, limb_view
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions
+from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.place import apparent_radius_px
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, TriangleMesh
 
@@ -81,7 +82,8 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
     brightness free in every cell (with ``horizon.edges`` a step no reflectance law is needed); its points then go
     through the Christian-Robinson algorithm. A mesh is replaced by its best-fit ellipsoid, flagged
     ``SHAPE_APPROXIMATED``, and its limb measured as in limb matching (``scan``); its relief is then in the covariance,
-    as errors that neighbors on the limb share.
+    as errors that neighbors on the limb share. So is the limb of an ellipsoid with a height map, whose relief is taken
+    off its points.
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside the horizon.
@@ -181,7 +183,7 @@ def _fitted(
     """The limb as measured, and the position by the Christian-Robinson algorithm."""
     view, altitude, law = limb_view(inputs), options.altitude(), inputs.geometry.target.reflectance
     figure, start_km = altitude.above(stand_in.figure), stand_in.position_camera_km
-    if isinstance(inputs.geometry.target.shape, Ellipsoid):
+    if isinstance(inputs.geometry.target.shape, Ellipsoid) and inputs.geometry.target.terrain is None:
         measured = measure_by_cells(view, figure, law, start_km, options, options.horizon)
     else:
         body = Body(
@@ -193,6 +195,7 @@ def _fitted(
         measured = measure_by_lines(view, body, options, options.scan, relief=stand_in.relief)
     if isinstance(measured, Failure):
         return measured
+    measured = with_terrain(measured, inputs, options.outlier_mad)
     model, points_px = view.model, measured.observed_px[measured.keep]
     sigma_px = measured.sigma_px[measured.keep]
     center_km = christian_robinson(points_px, model, figure, method=options.method, sigma_px=sigma_px)

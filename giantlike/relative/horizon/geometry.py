@@ -399,11 +399,11 @@ def fit_horizon(
     return LimbSolution(
         position_camera_km=start_km + step,
         covariances_km2=added(
-            {cause: gain @ part @ gain.T for cause, part in {**own, **others}.items()},
+            {cause: gain @ part @ gain.T for cause, part in added(own, others).items()},
             smooth_parts(measured.smooth_errors, measured.predicted_px[keep], measured.even_gain),
         ),
         residuals_px=left,
-        limb_px=points,
+        limb_px=measured.seen_px[keep],
         provenance={} if seen == Altitude() else seen.provenance,
     )
 

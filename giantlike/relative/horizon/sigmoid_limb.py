@@ -10,6 +10,7 @@ from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
 from giantlike.relative.horizon.geometry import Figure, fit_horizon
 from giantlike.relative.limb.fix import limb_fix, limb_view
+from giantlike.relative.limb.terrain import CELL_SLOPE_ERROR, with_terrain
 from giantlike.shapes import Ellipsoid
 
 
@@ -94,5 +95,6 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
         measured = measure_by_cells(view, figure, law, start_km, self.options, self.options.scan)
         if isinstance(measured, Failure):
             return measured
+        measured = with_terrain(measured, inputs, self.options.outlier_mad, slope_error=CELL_SLOPE_ERROR)
         solution = fit_horizon(measured, view.model, figure, measured.position_camera_km, altitude)
         return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=self.options.allowed_rms_px(measured))

@@ -412,10 +412,12 @@ def limb_fix(
         residuals=rms_px / (search.large_rms_px + _RELIEF_LARGE_RMS * measured.relief_px),
         outline_share=measured.outline_share,
         cut_by_frame=measured.cut_by_frame,
+        terrain_log_odds=-math.inf if measured.terrain is None else measured.terrain.log_odds,
+        terrain_misfit=0.0 if measured.terrain is None else measured.terrain.misfit,
     )
     replaced = Quality.SHAPE_APPROXIMATED if measured.relief_px > 0.0 else Quality.NONE
     identity = inputs.identity
-    identity["provenance"] = {**inputs.provenance, **solution.provenance}
+    identity["provenance"] = {**inputs.provenance, **terrain_provenance(measured), **solution.provenance}
     return PositionFix(
         **identity,
         center_px=center_px,
@@ -430,6 +432,20 @@ def limb_fix(
         covariance_camera_km2=covariance_km2,
         limb_px=solution.limb_px,
     )
+
+
+def terrain_provenance(measured: LimbMeasurement) -> dict[str, str]:
+    """What a fix says of the height map whose relief was taken off its limb; nothing where there was none."""
+    terrain = measured.terrain
+    if terrain is None:
+        return {}
+    return {
+        "terrain": terrain.name,
+        "terrain_sha256": terrain.sha256,
+        "terrain_mean_km": f"{terrain.mean_km:.6g}",
+        "terrain_log_odds": f"{-terrain.log_odds:.3g}",
+        "terrain_misfit": f"{terrain.misfit:.3g}",
+    }
 
 
 def _share(step: LimbStep, state: LimbState) -> float:

@@ -17,6 +17,7 @@ from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix, limb_view
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions
+from giantlike.relative.limb.terrain import with_terrain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +96,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         measured = measure_by_lines(view, inputs.geometry.body(), self.options, self.options.scan)
         if isinstance(measured, Failure):
             return measured
+        measured = with_terrain(measured, inputs, self.options.outlier_mad)
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         allowed_px = self.options.allowed_rms_px(measured)
         return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px)
@@ -131,5 +133,5 @@ def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: fl
         position_camera_km=measured.position_camera_km + step_km,
         covariances_km2=added(own, measured.smooth_covariances(measured.even_gain)),
         residuals_px=shift_px - design @ step_km,
-        limb_px=measured.observed_px[keep],
+        limb_px=measured.seen_px[keep],
     )

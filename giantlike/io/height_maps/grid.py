@@ -1,0 +1,196 @@
+"""An equirectangular grid of heights, wherever it is stored, and tiles of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError
+from giantlike.core.values import Value
+
+Read = Callable[[slice, slice], NDArray[Any]]
+"""Stored values (r, c) of a slice of rows and one of columns, both with start and stop."""
+
+MOST_AT_ONCE = 400_000_000
+"""Bytes that an array which can only be read whole may take: larger maps are to be written in tiles."""
+RADIUS_SHARE = 0.3
+"""Values beyond this share of the radius are radii, not heights: no body has relief of a third of its size."""
+_MOST_SAMPLES = 1 << 36
+"""Samples of a map at most; the finest global one, of the Moon with 256 to the degree, has 4e9."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeightGrid(Value):
+    """An equirectangular grid of heights, in a file or in memory.
+
+    Parameters
+    ----------
+    rows, columns : int
+    first_latitude_rad, first_longitude_rad : float, rad
+        Of the center of the first sample; planetocentric, longitudes to the east.
+    latitude_step_rad, longitude_step_rad : float, rad
+        From one row or column to the next; negative towards south and west.
+    reference_radii_km : (3,) float64, km
+        Semi-axes of the ellipsoid above which the heights are.
+    read : callable
+        Stored values (r, c) of a slice of rows and one of columns, both with start and stop.
+    unit_km, offset_km : float, km
+        A height is ``unit_km value + offset_km``.
+    missing : tuple of float
+        Stored values that stand for no height.
+    path : Path or None
+    sigma_km : float or None, km
+        Standard deviation of the heights, where the file tells.
+    """
+
+    rows: int
+    columns: int
+    first_latitude_rad: float
+    first_longitude_rad: float
+    latitude_step_rad: float
+    longitude_step_rad: float
+    reference_radii_km: Float
+    read: Read
+    unit_km: float = 1.0
+    offset_km: float = 0.0
+    missing: tuple[float, ...] = ()
+    path: Path | None = None
+    sigma_km: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (self.rows > 1 and self.columns > 1 and self.rows * self.columns <= _MOST_SAMPLES):
+            raise ValueError(f"needed a grid of 2 x 2 to 2^36 samples, got {self.rows} x {self.columns}")
+        numbers = self.first_longitude_rad, self.unit_km, self.offset_km
+        if not all(math.isfinite(number) for number in numbers):
+            raise ValueError(f"needed finite numbers of the layout, got {numbers}")
+        steps = self.latitude_step_rad, self.longitude_step_rad
+        if not all(math.isfinite(step) and 0.0 < abs(step) < 1.0 for step in steps):
+            raise ValueError(f"needed steps of the grid above 0 and below 57 deg, got {np.degrees(steps).tolist()} deg")
+        last = self.first_latitude_rad + (self.rows - 1) * self.latitude_step_rad
+        limit = 0.5 * math.pi + abs(self.latitude_step_rad)
+        if not (abs(self.first_latitude_rad) < limit and abs(last) < limit):
+            ends = np.degrees([self.first_latitude_rad, last]).round(4).tolist()
+            raise ValueError(f"needed latitudes in [-90, 90] deg, the rows go from {ends[0]} to {ends[1]}")
+        if self.columns * abs(self.longitude_step_rad) > 2.0 * math.pi + 2.0 * abs(self.longitude_step_rad):
+            raise ValueError(f"the {self.columns} columns cover more than 360 deg of longitude")
+        radii = np.asarray(self.reference_radii_km, dtype=np.float64)
+        if radii.shape != (3,) or not (np.isfinite(radii).all() and bool((radii > 0.0).all())):
+            raise ValueError(f"needed three positive radii of the reference, got {radii.tolist()}")
+        object.__setattr__(self, "reference_radii_km", radii)
+        Value.__post_init__(self)
+
+    @property
+    def global_columns(self) -> bool:
+        """True if the columns go all around the body."""
+        return self.columns * abs(self.longitude_step_rad) > 2.0 * math.pi - 0.5 * abs(self.longitude_step_rad)
+
+    def block(self, rows: slice, columns: slice) -> NDArray[np.float32]:
+        """Heights of a part of the grid.
+
+        Parameters
+        ----------
+        rows, columns : slice
+            With start and stop, within the grid.
+
+        Returns
+        -------
+        (r, c) float32, km
+            NaN where there is none.
+
+        Raises
+        ------
+        DataError
+            The file cannot be read there.
+        """
+        stored = self.read(rows, columns)
+        with np.errstate(over="ignore", invalid="ignore"):
+            heights = (stored.astype(np.float64) * self.unit_km + self.offset_km).astype(np.float32)
+        if stored.dtype.kind == "f":
+            heights[~np.isfinite(stored)] = np.nan
+        for value in self.missing:
+            heights[stored == value] = np.nan
+        return heights
+
+
+def require_usable(grid: HeightGrid, heights_km: NDArray[np.float32]) -> None:
+    """Raise unless heights are those of relief.
+
+    Parameters
+    ----------
+    grid : HeightGrid
+    heights_km : (n,) float32, km
+        Some of its heights, NaN where there is none.
+
+    Raises
+    ------
+    DataError
+        There are none, or they are larger than the relief of any body: of another unit, or radii.
+    """
+    known = heights_km[np.isfinite(heights_km)]
+    where = grid.path or Path("heights")
+    if not known.size:
+        raise DataError(where, "the height map holds no heights: every sample looked at is missing")
+    worst = float(np.max(np.abs(known)))
+    if worst > RADIUS_SHARE * float(grid.reference_radii_km.min()):
+        raise DataError(
+            where,
+            f"heights of {worst:.4g} km on a body of {grid.reference_radii_km.min():.6g} km: another unit, or radii; "
+            "give unit_km, or a map of heights",
+        )
+
+
+def tiles_of(rows: slice, columns: slice, size: int) -> Iterator[tuple[int, int]]:
+    """Tiles that a part of a grid touches.
+
+    Parameters
+    ----------
+    rows, columns : slice
+        With start and stop.
+    size : int
+        Samples along the side of a tile.
+
+    Yields
+    ------
+    int, int
+        Row and column of each, in tiles.
+    """
+    for i in range(rows.start // size, (rows.stop - 1) // size + 1):
+        for j in range(columns.start // size, (columns.stop - 1) // size + 1):
+            yield i, j
+
+
+def put(result: NDArray[Any], corner: tuple[int, int], tile: NDArray[Any], tile_corner: tuple[int, int]) -> None:
+    """Copy what a tile and a part of a grid have in common.
+
+    Parameters
+    ----------
+    result : (r, c) array
+        The part, which is filled.
+    corner : (int, int)
+        Row and column of its first sample in the grid.
+    tile : (h, w) array
+    tile_corner : (int, int)
+        Row and column of its first sample in the grid.
+
+    Raises
+    ------
+    ValueError
+        The tile has no rows and columns.
+    """
+    if tile.ndim != 2:
+        raise ValueError(f"needed tiles of rows and columns, got one of shape {tile.shape}")
+    first = [max(a, b) for a, b in zip(corner, tile_corner, strict=True)]
+    last = [min(a + n, b + m) for a, n, b, m in zip(corner, result.shape, tile_corner, tile.shape, strict=True)]
+    if last[0] > first[0] and last[1] > first[1]:
+        here, there = (
+            tuple(slice(f - c, e - c) for f, e, c in zip(first, last, place, strict=True))
+            for place in (corner, tile_corner)
+        )
+        result[here] = tile[there]
