@@ -2,11 +2,10 @@
 
 ``passes``: a made-up Moon (waves by Kaula's rule, 1.8 km rms, some 14 km from lowest to highest), rendered by
 ``giantlike.independent``, which shares no code with the estimators, at ranges and phases of Artemis I (paper 000), each
-from another side: the range and center of every estimator on limbs with the smooth sphere, with the map, with a map
-that is too coarse, and with the map of another side. ``haze``: a limb of exponential scattering around an Earth, at some
-wavelengths, with the altitude of the surface, that of the atmosphere, and that estimated.
+from another side: range and center of every estimator on limbs with the smooth sphere, with the map, with maps that are
+too coarse, and with the map of another side.
 
-Usage: python benchmarks/terrain.py [passes haze] [--sides 16] [--images 2] [--seed 1]
+Usage: python benchmarks/terrain.py [passes] [--sides 16] [--images 1] [--seed 1]
 """
 
 from __future__ import annotations
