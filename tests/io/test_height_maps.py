@@ -113,7 +113,7 @@ def test_a_label_that_is_wrong_is_refused_with_path_and_reason(
     ],
 )
 def test_an_archive_that_is_no_map_is_refused(arrays: dict[str, np.ndarray], text: str, tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", **arrays)
+    np.savez(tmp_path / "a.npz", allow_pickle=False, **arrays)
     with pytest.raises(DataError, match=text):
         HeightMap.open(tmp_path / "a.npz")
 

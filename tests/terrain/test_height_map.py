@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from numpy.typing import ArrayLike
 
 from giantlike import DataError, InputError
 from giantlike.core.arrays import Float
@@ -17,15 +18,15 @@ SINGLE_KM = 1e-4  # float32 of some km
 LINEAR_KM = 2e-3  # linear interpolation of a wave of 4 km and 90 deg on a grid of 1 deg
 
 
-def direction(latitude_deg: Float | float, longitude_deg: Float | float) -> Float:
+def direction(latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> Float:
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
     parts = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
-def waves(latitude_deg: Float, longitude_deg: Float) -> Float:
+def waves(latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> Float:
     """Heights, km, without a seam at any longitude."""
-    return np.asarray(4.0 * np.sin(np.radians(2.0 * latitude_deg)) * np.cos(np.radians(4.0 * longitude_deg)))
+    return np.asarray(4.0 * np.sin(2.0 * np.radians(latitude_deg)) * np.cos(4.0 * np.radians(longitude_deg)))
 
 
 def sampled(rows: int = 180) -> HeightMap:
