@@ -141,10 +141,13 @@ def _matrix(single: dict[str, float], stored: Float | None) -> tuple[Float, floa
     }  # fmt: skip
     for key, place in places.items():
         matrix[place] = single.get(key, matrix[place])
-    if not matrix[0, 0] * matrix[1, 1]:
+    if not (matrix[0, 0] and matrix[1, 1]):
         raise InputError("kx and ky (or fx and fy) are needed, and not zero")
     focal = single.get("focal_length", 1.0)
-    matrix[:, :2] *= focal
+    with np.errstate(over="ignore"):
+        matrix[:, :2] *= focal
+    if not np.isfinite(matrix).all():
+        raise InputError(f"kx, ky and focal_length {focal:g} come to infinite focal lengths")
     return matrix, focal
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import partial
@@ -19,7 +19,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import error_floor, error_terms, hidden_floor, squared_residuals, whitened
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
-from giantlike.stars.smooth_errors import shared_covariance, shared_error_px
+from giantlike.stars.smooth_errors import MOST_WEIGHED, shared_covariance, shared_error_px, unmodeled_errors
 
 _MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
 _STEP_RAD = 1e-11  # last step: 2 microarcsec, far below any sigma, above the rounding of float64
@@ -55,11 +55,12 @@ class AttitudeSolution(Value):
     reduced_chi2 : float
         Chi-square over degrees of freedom without the floor.
     hidden_floor_px : float, px
-        The most likely floor where the noise explains the residuals: in the covariance, not in the weights. It matters
-        where one star is far better than the others, so that the fit follows its unmodeled error.
+        The floor that is likely where the noise explains the residuals: in the covariance, not in the weights. It
+        matters where one star is far better than the others, so that the fit follows its unmodeled error.
     shared_error_px : float, px
-        Standard deviation per axis of the errors that neighboring stars share, 0 where there are none to be seen; the
-        covariance holds them as if they were a shift and a slope of the whole image.
+        Standard deviation per axis of the errors that neighboring stars share, 0 where there are none to be seen. Of
+        few stars the covariance is the mean over all sizes and lengths of them, each with its probability; that of
+        many holds them as if they were a shift and a slope of the whole image.
     by_pixels : (3, k, 2) float64, rad/px
         Derivative of the small rotation by the places in the image of the k stars used.
     """
@@ -110,6 +111,7 @@ def fit_attitude(
     scale: Scale = Scale.FIXED,
     outlier_sigma: float = 4.0,
     method: AttitudeMethod = AttitudeMethod.WEIGHTED,
+    uncertain: Sequence[str] = (),
 ) -> AttitudeSolution | Failure:
     """Fit an attitude to identified stars by weighted least squares.
 
@@ -134,6 +136,9 @@ def fit_attitude(
     outlier_sigma : float
         Rejection limit in standard deviations, default 4 as in :class:`~giantlike.stars.StarOptions`.
     method : AttitudeMethod
+    uncertain : sequence of str
+        Parameters of the model whose errors are declared, and not in this covariance: residuals that they explain are
+        no sign of other errors.
 
     Returns
     -------
@@ -167,7 +172,7 @@ def fit_attitude(
     if isinstance(kept, Failure):
         return kept
     state, used = kept
-    return _solution(state, stars, used, scale, fit)
+    return _solution(state, stars, used, scale, fit, uncertain)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,8 +202,11 @@ class _State:
     def predict(self, directions_inertial: Float) -> Float:
         return self.model.project(rotate(self.rotation, directions_inertial))
 
-    def jacobian(self, directions_inertial: Float, scale: Scale) -> Float:
-        """Derivatives (n, 2, 3 + scale) of the pixels by the small rotation, the log of the focal length, and k1."""
+    def jacobian(self, directions_inertial: Float, scale: Scale, uncertain: Sequence[str] = ()) -> Float:
+        """Derivatives (n, 2, 3 + scale + m) of the pixels.
+
+        They are by the small rotation, the log of the focal length, k1, and the m uncertain parameters of the model.
+        """
         vectors = rotate(self.rotation, directions_inertial)
         columns = [-self.model.project_jacobian(vectors) @ skew(vectors)]
         if scale:
@@ -209,6 +217,9 @@ class _State:
             columns.append((by_parameter[..., fx] * values[fx] + by_parameter[..., fy] * values[fy])[..., None])
             if scale == Scale.RADIAL:
                 columns.append(by_parameter[..., names.index("k1"), None])
+        if uncertain:
+            chosen = [self.model.parameter_names.index(name) for name in uncertain]
+            columns.append(self.model.parameter_jacobian(vectors)[..., chosen])
         return np.concatenate(columns, axis=-1)
 
     def moved(self, step: Float) -> _State:
@@ -277,7 +288,9 @@ def _without_outliers(
     return state, used
 
 
-def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitter) -> AttitudeSolution | Failure:
+def _solution(
+    state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitter, uncertain: Sequence[str]
+) -> AttitudeSolution | Failure:
     """Last fit, of the stars kept: with their own covariances if chi-square allows, else with larger ones."""
     chosen = stars.select(used)
     freedom = 2 * int(used.sum()) - 3 - scale
@@ -295,16 +308,26 @@ def _solution(state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitte
     weighted = stars.inflated(floor, factor)
     sigma_px = np.sqrt(np.trace(weighted.covariance_px2, axis1=1, axis2=2) / 2.0)
     by_pixels, residuals = _by_pixels(state, weighted.select(used), scale), chosen.residuals(state)
-    shared_px = shared_error_px(chosen.points_px, residuals, sigma_px[used], explained=floor == 0.0)
-    unseen = shared_px**2 * shared_covariance(chosen.points_px, by_pixels)
-    hidden_px = 0.0
-    if floor == 0.0 and freedom > 0:
-        own = factor**2 * chosen.covariance_px2
-        hidden_px = hidden_floor(residuals, own, state.jacobian(chosen.directions, scale))
-        unseen += hidden_px**2 * np.einsum("ina,jna->ij", by_pixels, by_pixels)
+    own = factor**2 * chosen.covariance_px2
+    if residuals.size > 3 + scale + len(uncertain) and len(residuals) <= MOST_WEIGHED:
+        jacobian = state.jacobian(chosen.directions, scale, uncertain)
+        beyond = unmodeled_errors(chosen.points_px, residuals, own, jacobian, by_pixels)
+        if beyond.shared_px > 0.0 or floor == 0.0:
+            noise = np.einsum("ina,nab,jnb->ij", by_pixels, own, by_pixels, optimize=True)
+            covariance_rad2 = noise + beyond.covariance_rad2
+        else:
+            covariance_rad2 = covariance[:3, :3]
+        hidden_px, shared_px = beyond.own_px if floor == 0.0 else 0.0, beyond.shared_px
+    else:
+        shared_px = shared_error_px(chosen.points_px, residuals, sigma_px[used], explained=floor == 0.0)
+        hidden_px = 0.0
+        if floor == 0.0 and freedom > 0:
+            hidden_px = hidden_floor(residuals, own, state.jacobian(chosen.directions, scale))
+        covariance_rad2 = covariance[:3, :3] + shared_px**2 * shared_covariance(chosen.points_px, by_pixels)
+        covariance_rad2 += hidden_px**2 * np.einsum("ina,jna->ij", by_pixels, by_pixels)
     return AttitudeSolution(
         camera_from_inertial=state.rotation,
-        covariance_rad2=covariance[:3, :3] + unseen,
+        covariance_rad2=0.5 * (covariance_rad2 + covariance_rad2.T),
         model=state.model,
         used=used,
         predicted_px=state.predict(stars.directions),

@@ -220,6 +220,7 @@ class _Refinement(Value):
             scale=scale_for(len(matches), camera.model, self.options),
             outlier_sigma=self.options.outlier_sigma,
             method=self.options.attitude_method,
+            uncertain=() if camera.uncertainty is None else camera.uncertainty.estimated,
         )
 
     def accepted(self, matches: Matches, solution: AttitudeSolution, camera: Camera) -> RefinedAttitude | Failure:

@@ -199,6 +199,12 @@ def test_a_giant_owen_camera_in_millimeters_has_the_same_pixels(tmp_path: Path) 
     assert camera.model.a1_per_c == 1e-5
 
 
+def test_focal_lengths_of_a_giant_file_beyond_all_numbers_are_refused(tmp_path: Path) -> None:
+    path = giant_file(tmp_path / "cameras.xml", "BrownModel", fx="1e200", fy="1e200", focal_length="1e200")
+    with pytest.raises(DataError, match="infinite focal lengths"):
+        read_giant_camera(path)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

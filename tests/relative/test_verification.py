@@ -134,6 +134,14 @@ def test_two_exposures_a_few_pixels_apart_are_a_blur(shift: tuple[int, int]) -> 
     assert Quality.BLURRED not in flags(unknown, between)
 
 
+@pytest.mark.parametrize("law", ["mcewen", "lambert"])
+def test_rows_that_slip_each_by_their_own_are_no_figure(law: str) -> None:
+    rng, whole = np.random.default_rng(4), light(60.0, law, True)
+    torn = np.stack([np.roll(row, shift) for row, shift in zip(whole, rng.integers(-2, 3, SIZE), strict=True)])
+    assert Quality.WRONG_FIGURE in flags(inputs_of(torn, 60.0))
+    assert Quality.WRONG_FIGURE not in flags(inputs_of(whole, 60.0))
+
+
 def test_a_shadow_on_the_body_is_light_that_it_should_have() -> None:
     rows, columns = np.mgrid[:SIZE, :SIZE]
     shadow = np.hypot(rows - MIDDLE - 18.0, columns - MIDDLE + 12.0) < 22.0

@@ -42,7 +42,7 @@ def _squared(solution: AttitudeSolution, error: Float) -> float:
     return float(error @ np.linalg.solve(solution.covariance_rad2, error)) / 3.0
 
 
-@pytest.mark.parametrize("n", [20, 50])
+@pytest.mark.parametrize("n", [12, 20, 50, 80])
 def test_errors_that_neighbors_share_are_in_the_covariance(n: int) -> None:
     rng, squares = np.random.default_rng(n), []
     for _ in range(DRAWS):
@@ -50,7 +50,7 @@ def test_errors_that_neighbors_share_are_in_the_covariance(n: int) -> None:
         sigma = np.exp(rng.uniform(np.log(0.01), np.log(0.2), n))
         offsets = _smooth(rng, points, SMOOTH_PX) + sigma[:, None] * rng.normal(size=(n, 2))
         squares.append(_squared(*_of_places(rng, points, sigma, offsets)))
-    assert NEES[0] < np.mean(squares) < NEES[1]  # 40 and more without the shared part
+    assert NEES[0] < np.mean(squares) < NEES[1]  # 40 and more without the shared part; of 12 stars 5 by neighbors alone
 
 
 @pytest.mark.parametrize("floor_px", [0.0, 0.15])
@@ -74,7 +74,7 @@ def test_the_error_of_a_star_that_dominates_is_in_the_covariance() -> None:
         noise = sigma[:, None] * rng.normal(size=(50, 2))
         squares.append(_squared(*_of_places(rng, points, sigma, noise + _smooth(rng, points, 0.05))))
         exact.append(_squared(*_of_places(rng, points, sigma, noise)))
-    assert np.median(squares) < 8.0  # 15 without the hidden floor; what one star alone knows cannot all be checked
+    assert np.mean(squares) < 8.0  # 36 without, 14 with the likeliest error; what one star knows can't all be checked
     assert NEES[0] < np.mean(exact) < NEES[1]
 
 

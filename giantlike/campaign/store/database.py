@@ -377,11 +377,16 @@ class Database:
         try:
             yield
         except sqlite3.OperationalError as error:
-            raise DataError(self.path, f"cannot be read or written: {error}") from error
+            raise DataError(self.path, f"cannot be read or written: {_one_line(error)}") from error
         except (sqlite3.Error, UnicodeDecodeError) as error:
             raise DataError(
-                self.path, f"is damaged ({error}): delete it, and giantlike run makes all results again"
+                self.path, f"is damaged ({_one_line(error)}): delete it, and giantlike run makes all results again"
             ) from error
+
+
+def _one_line(error: Exception) -> str:
+    """Text of an error in one line: SQLite quotes whole definitions of tables."""
+    return " ".join(str(error).split())
 
 
 def _crc(content: object) -> int | None:

@@ -226,7 +226,8 @@ def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma:
     if excess > 1.0:  # halo, or another body
         return _Size(scale=1.0, sigma=range_sigma, area_ratio=ratio, excess=excess)
     weight = range_sigma**2 / (range_sigma**2 + variance)
-    sigma = math.sqrt(weight * variance)
+    # Birge's ratio: predicted and measured size that are unlikely together are each less certain than they say.
+    sigma = math.sqrt(weight * variance) * max(1.0, _INCONSISTENT_SIGMAS * excess)
     return _Size(scale=math.exp(weight * log_size), sigma=sigma, area_ratio=ratio, excess=excess)
 
 

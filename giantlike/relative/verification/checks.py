@@ -46,6 +46,7 @@ class _Numbers(TypedDict, total=False):
     rival_log_odds: float
     misfit: float
     unexplained: float
+    unevenness: float
     place_chance: float
     figure_chance: float
     blur_chance: float
@@ -77,24 +78,28 @@ def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float) -> AnyFix:
     if not numbers:
         return fix
     checks = QualityChecks(off_px=np.zeros(2), search_px=math.inf, **numbers)
-    tension = 1.0 if coarse is None or coarse.fit is None else tension_of(fix, coarse.fit)
+    known = inputs.psf_sigma_px is not None
+    tension = 1.0 if coarse is None or coarse.fit is None else tension_of(fix, coarse.fit, psf_known=known)
     text = " ".join(f"{name}={number:.3g}" for name, number in (*numbers.items(), ("tension", tension)))
     fix = replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
     return fix if tension == 1.0 else with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)
 
 
-def tension_of(fix: CenterFix, fit: CoarseFit) -> float:
+def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     """Factor by which the variances of a fix are too small for what a coarse fit asks for beyond it.
 
     What contradicts a fix makes it suspect; what is merely unlikely makes it less certain. The factor is the ratio by
-    which Birge makes measurements consistent: the larger of squared motion and strain per degree of freedom, and at
-    least 1. Of right fixes on right models none has more.
+    which Birge makes measurements consistent: the largest of squared motion, strain and, where the point spread
+    function was told, blur beyond it, per degree of freedom, and at least 1. Of right fixes on right models none has
+    more.
 
     Parameters
     ----------
     fix : CenterFix or PositionFix
     fit : CoarseFit
         At the place of the fix.
+    psf_known : bool
+        True where the camera tells its point spread function.
 
     Returns
     -------
@@ -111,7 +116,8 @@ def tension_of(fix: CenterFix, fit: CoarseFit) -> float:
     figure = _squared(fit.strain, fit.strain_covariance) / len(fit.strain)
     # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
     room = min(float(np.trace(fit.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
-    return max(1.0, place, 1.0 + room * (figure - 1.0))
+    blur = _squared(fit.blur, fit.blur_covariance) / len(fit.blur) if psf_known else 0.0
+    return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (blur - 1.0))
 
 
 def _own(fix: CenterFix) -> Float:
@@ -180,6 +186,7 @@ def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers
     return _Numbers(
         misfit=fit.misfit,
         unexplained=fit.unexplained,
+        unevenness=fit.unevenness,
         place_chance=chance_of(fit.moved[:size], fit.covariance[:size, :size] + own),
         figure_chance=chance_of(fit.strain, fit.strain_covariance),
         blur_chance=chance_of(fit.blur, fit.blur_covariance) if psf_known else 1.0,

@@ -52,6 +52,9 @@ _DARK = 1e-30
 """Sum of the light of cells below which a law leaves a body dark."""
 _LIT = 0.05
 """Of the brightest cell: fainter ones are not counted as lit."""
+_TELLING, _LINES = 0.05, 4
+"""Information of a row or column on its place, over that of the one that tells most, from which on it counts, and pairs
+of neighbors that are needed."""
 _LONG_WAVES = 1.3
 """Effect of relief over that of errors of the same scatter that are alike over parts of a face. With 1.0 the variances
 of eight right limbs with relief of 1 % that no shape holds grew threefold, with 1.7 by a half, but rows that are two
@@ -86,6 +89,9 @@ class CoarseFit(Value):
     blur : (3,) float64, px^2
         Covariance of light about its place beyond that of the point spread function: xx, xy and yy.
     blur_covariance : (3, 3) float64
+    unevenness : float
+        Mean squared difference of the places of neighboring rows, or columns, over its variance: where one of them ends
+        light tells where it is. Errors of figures, laws and markings reach over many, so that 1 is far too much.
     """
 
     gain_dn: float
@@ -97,6 +103,7 @@ class CoarseFit(Value):
     strain_covariance: Float
     blur: Float
     blur_covariance: Float
+    unevenness: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -168,7 +175,25 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         blur_covariance=blur * (cells.size**2 / gain) ** 2 + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0]),
         strain=np.asarray(solution[_STRAIN] / gain),
         strain_covariance=strain / gain**2 + turn_rad**2 * np.eye(3),
+        unevenness=_unevenness(design.columns[_PLACE] * np.sqrt(weights), normalized),
     )
+
+
+def _unevenness(slopes: Float, normalized: Float) -> float:
+    """Mean squared difference of the places of neighboring lines over its variance, of rows or of columns.
+
+    ``slopes`` (3, n, n) are derivatives by x and by y over the errors of the cells, ``normalized`` their residuals.
+    """
+    worst = 0.0
+    for slope, along in ((slopes[0], 1), (slopes[1], 0)):
+        slope = np.where(normalized != 0.0, slope, 0.0)
+        known = np.sum(slope**2, axis=along)
+        used = known > _TELLING * float(known.max())
+        place = np.sum(slope * normalized, axis=along)[used] / known[used]
+        squares = np.diff(place) ** 2 / (1.0 / known[used][1:] + 1.0 / known[used][:-1])
+        if len(squares) >= _LINES:
+            worst = max(worst, float(squares.mean()))
+    return worst
 
 
 def _design(cells: Cells, trace: Trace, own: Template) -> _Design:
@@ -260,6 +285,7 @@ def _nothing_alike() -> CoarseFit:
         strain_covariance=np.eye(3),
         blur=np.zeros(3),
         blur_covariance=np.eye(3),
+        unevenness=0.0,
     )
 
 
