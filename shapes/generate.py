@@ -80,11 +80,11 @@ def irregular_body(
     directions, faces = geodesic_directions(facets)
     random = np.random.default_rng(seed)
     points = unit(directions * base.radii_km)  # finer facets where the body is slender
-    height = relief * _waves(points, random, wavenumber=2.6, waves=24)
-    height += 0.35 * relief * _waves(points, random, wavenumber=6.0, waves=48)
+    height = relief * surface_waves(points, random, wavenumber=2.6, waves=24)
+    height += 0.35 * relief * surface_waves(points, random, wavenumber=6.0, waves=48)
     height += 10.0 * relief * _craters(points, random)
-    height += roughness * _waves(points, random, wavenumber=25.0, waves=96)
-    height += 0.5 * roughness * _waves(points, random, wavenumber=60.0, waves=96)
+    height += roughness * surface_waves(points, random, wavenumber=25.0, waves=96)
+    height += 0.5 * roughness * surface_waves(points, random, wavenumber=60.0, waves=96)
     height += 5.0 * roughness * _boulders(points, random)
     radius = np.linalg.norm(points / base.radii_km, axis=1) ** -1.0 * np.exp(height)
     mesh = TriangleMesh(points * radius[:, None], faces, label)
@@ -143,8 +143,23 @@ def _icosahedron() -> tuple[Float, Faces]:
     return corners, faces
 
 
-def _waves(points: Float, random: np.random.Generator, *, wavenumber: float, waves: int) -> Float:
-    """A random smooth field on the sphere with unit variance: plane waves in all directions."""
+def surface_waves(points: Float, random: np.random.Generator, *, wavenumber: float, waves: int) -> Float:
+    """Random smooth field on the sphere with unit variance: a sum of plane waves in all directions.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, unitless
+        Unit vectors.
+    random : numpy Generator
+    wavenumber : float, rad
+        Phase per unit of length, within 30 %: features are half of ``2 pi / wavenumber`` rad wide.
+    waves : int
+        Number of waves.
+
+    Returns
+    -------
+    (n,) float64
+    """
     vectors = unit(random.normal(size=(waves, 3))) * wavenumber * random.uniform(0.7, 1.3, size=(waves, 1))
     phases = random.uniform(0.0, 2.0 * np.pi, size=waves)
     field = np.zeros(len(points))
