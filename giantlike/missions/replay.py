@@ -22,7 +22,12 @@ from giantlike.core.version import VERSION
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-REPLAYS: Mapping[str, str] = MappingProxyType({})
+REPLAYS: Mapping[str, str] = MappingProxyType(
+    {
+        "osiris_rex": "calibration and four phases at Bennu (Liounis et al., independent optical navigation "
+        "of OSIRIS-REx)",
+    }
+)
 """Name of the package of a mission in this folder, and what it replays."""
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.io import navigation_header, write_fits, write_geometry, write_text_atomic
@@ -105,8 +106,8 @@ def write_approach(
 
     def make(frame: Frame) -> TruthRow:
         taken = approach.take(frame, catalog)
-        write_fits(folder / "images" / frame.shot.name, taken.image.pixels, header=_header(frame))
-        return _truth_row(approach, frame, taken)
+        write_fits(folder / "images" / frame.shot.name, taken.image.pixels, header=frame_header(frame))
+        return truth_row(frame, taken, approach.camera)
 
     with ThreadPoolExecutor(workers) as pool:
         for row in pool.map(make, approach.frames):
@@ -114,7 +115,7 @@ def write_approach(
             if progress is not None:
                 progress(len(truth), len(approach.frames))
     approach.camera.save(folder / "camera.toml")
-    write_geometry(folder / "geometry.csv", [_geometry_row(frame) for frame in approach.frames])
+    write_geometry(folder / "geometry.csv", [geometry_row(frame) for frame in approach.frames])
     tables = [_target_table(folder, target.name, target.shape) for target in approach.targets]
     write_csv_rows(folder / TRUTH_FILE, TRUTH_COLUMNS, map(astuple, truth))
     campaign = folder / CAMPAIGN_FILE
@@ -122,7 +123,17 @@ def write_approach(
     return campaign
 
 
-def _header(frame: Frame) -> dict[str, HeaderValue]:
+def frame_header(frame: Frame) -> dict[str, HeaderValue]:
+    """Header of the image of a frame: what navigation knows beforehand, and nothing of the truth.
+
+    Parameters
+    ----------
+    frame : Frame
+
+    Returns
+    -------
+    dict of str to header value
+    """
     return navigation_header(
         epoch=frame.shot.epoch,
         exposure_s=frame.shot.exposure_s,
@@ -158,7 +169,17 @@ def _target_table(folder: Path, name: str, shape: Shape) -> dict[str, Any]:
     return table | {"shape": file, "units": "km"}
 
 
-def _geometry_row(frame: Frame) -> GeometryRow:
+def geometry_row(frame: Frame) -> GeometryRow:
+    """Row of the geometry table of a frame: its a priori knowledge.
+
+    Parameters
+    ----------
+    frame : Frame
+
+    Returns
+    -------
+    GeometryRow
+    """
     geometry = frame.apriori_geometry
     return GeometryRow(
         file=frame.shot.name,
@@ -171,8 +192,22 @@ def _geometry_row(frame: Frame) -> GeometryRow:
     )
 
 
-def _truth_row(approach: Approach, frame: Frame, taken: SimulatedImage) -> TruthRow:
-    body, model = taken.bodies[frame.target], approach.camera.model
+def truth_row(frame: Frame, taken: SimulatedImage, camera: Camera) -> TruthRow:
+    """Row of the truth of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+    taken : SimulatedImage
+        Its image, with the target in view.
+    camera : Camera
+        The true camera.
+
+    Returns
+    -------
+    TruthRow
+    """
+    body, model = taken.bodies[frame.target], camera.model
     vectors = {
         "q{}": ("xyzw", quaternion_xyzw(frame.shot.camera_from_inertial)),
         "{}_px": ("xy", model.project(body.position_camera_km)),

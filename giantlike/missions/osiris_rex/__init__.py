@@ -1,0 +1,67 @@
+"""OSIRIS-REx at Bennu, replayed: calibration of its cameras, and four phases from Approach to Detailed Survey.
+
+References
+----------
+.. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission Using the Goddard
+   Image Analysis and Navigation Tool.
+"""
+
+from __future__ import annotations
+
+from giantlike.missions.replay import Replay, ReplaySettings
+
+NAME = "osiris_rex"
+_SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4
+"""Cameras that a small replay calibrates, and the number of their images."""
+_SMALL_CAMPAIGNS = {("approach", "mapcam"): (4, 8), ("preliminary_survey", "navcam1"): (0,)}
+"""Campaigns of a small replay, and the numbers of their visits."""
+
+
+def replay(settings: ReplaySettings) -> Replay:
+    """Replay paper 1: calibrations, then the phases as campaigns on simulated images.
+
+    Parameters
+    ----------
+    settings : ReplaySettings
+        ``data`` may hold kernels of the mission (``naif*.tls``, ``bennu*.tpc``, ``orx_*ALT*.bsp``) and a shape of Bennu
+        in km (``*ennu*.obj``), in folders below it too. A small replay has one calibration and two short campaigns.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    DataError
+        ``data`` holds neither, or a file in it is damaged; or the output cannot be written.
+    """
+    from giantlike.missions.osiris_rex.assumptions import assumptions_of
+    from giantlike.missions.osiris_rex.body import true_body
+    from giantlike.missions.osiris_rex.calibrations import calibrate_cameras
+    from giantlike.missions.osiris_rex.phases import Stage
+    from giantlike.missions.osiris_rex.range_error import study_range_errors
+    from giantlike.missions.osiris_rex.sections import calibration_section, phase_section, range_error_section
+    from giantlike.missions.osiris_rex.setup import mission, user_inputs
+
+    orex, inputs = mission(), user_inputs(settings.data)
+    cameras = _SMALL_CAMERAS if settings.small else tuple(orex.cameras)
+    sections = [
+        range_error_section(study_range_errors(small=settings.small, seed=settings.seed, progress=settings.progress))
+    ]
+    images = _SMALL_IMAGES if settings.small else None
+    calibrations = calibrate_cameras(orex, cameras, images=images, seed=settings.seed, progress=settings.progress)
+    sections.append(calibration_section(orex, calibrations))
+    facets = orex.body.small_facets if settings.small else orex.body.facets
+    truth = true_body(orex.body, inputs.shape, seed=settings.seed, facets=facets)
+    calibrated = {each.key: each.camera for each in calibrations}
+    stage = Stage(mission=orex, truth=truth, calibrated=calibrated, kernels=inputs.kernels, settings=settings)
+    for phase in orex.phases:
+        results = stage.run(phase, _SMALL_CAMPAIGNS if settings.small else None)
+        if results:
+            sections.append(phase_section(orex, phase, results))
+    return Replay(
+        name=NAME,
+        title="OSIRIS-REx at Bennu: independent optical navigation",
+        sections=tuple(sections),
+        assumptions=assumptions_of(orex, inputs, settings),
+    )

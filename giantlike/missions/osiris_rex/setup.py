@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,9 +22,8 @@ from giantlike.core.values import Value
 from giantlike.io.mission_frame import from_mission_frame
 from giantlike.missions.osiris_rex.trajectory import Orbit, PlannedVisit
 
-INPUTS_VARIABLE = "GIANTLIKE_OSIRIS_REX"
-"""Environment variable with the folder of a user's kernels of the mission and of a shape of Bennu (``*ennu*.obj``)."""
 _SHAPE_PATTERNS = ("*ennu*.obj", "*ennu*.ply", "*ennu*.bds")
+"""Names of shape files of Bennu, in km."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +46,8 @@ class CameraSetup:
     calibration_images : int
     temperatures_c : (float, float), Celsius
         Coldest and warmest calibration image.
+    printed_fy_px : float, px, optional
+        The paper's own f_y where it was taken for a misprint.
     """
 
     key: str
@@ -62,6 +62,7 @@ class CameraSetup:
     max_magnitude: float
     calibration_images: int
     temperatures_c: tuple[float, float]
+    printed_fy_px: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,12 +198,13 @@ class UserInputs:
     shape: Path | None = None
 
 
-def user_inputs(environment: Mapping[str, str] = os.environ) -> UserInputs:
-    """Find kernels and shape in the folder that :data:`INPUTS_VARIABLE` names.
+def user_inputs(folder: Path | None) -> UserInputs:
+    """Find kernels and shape in the folder of a user.
 
     Parameters
     ----------
-    environment : mapping of str to str
+    folder : Path or None
+        Holds kernels of the mission and a shape of Bennu, itself or in folders below; None: nothing was brought.
 
     Returns
     -------
@@ -211,19 +213,17 @@ def user_inputs(environment: Mapping[str, str] = os.environ) -> UserInputs:
     Raises
     ------
     DataError
-        The variable names something that is no folder, or a folder with neither of the two.
+        It is no folder, or holds neither of the two.
     """
-    name = environment.get(INPUTS_VARIABLE, "")
-    if not name:
+    if folder is None:
         return UserInputs()
-    folder = Path(name)
     if not folder.is_dir():
-        raise DataError(folder, f"{INPUTS_VARIABLE} needs a folder of kernels and a shape of Bennu, this is none")
+        raise DataError(folder, "needs a folder of kernels and a shape of Bennu, this is none")
     shapes = [path for pattern in _SHAPE_PATTERNS for path in sorted(folder.rglob(pattern))]
     kernels = folder if any(folder.rglob("orx_*ALT*.bsp")) else None
     if kernels is None and not shapes:
         expected = f"orx_*ALT*.bsp or {', '.join(_SHAPE_PATTERNS)}"
-        raise DataError(folder, f"{INPUTS_VARIABLE}: the folder and those below hold no {expected}")
+        raise DataError(folder, f"the folder and those below hold no {expected}")
     return UserInputs(kernels=kernels, shape=shapes[0] if shapes else None)
 
 
@@ -276,6 +276,4 @@ def _visit(table: dict[str, Any], pixels_km: float) -> PlannedVisit:
     """Plan of a visit at a range, or at an apparent diameter, whose product with the range is ``pixels_km``."""
     require(("range_km" in table) != ("diameter_px" in table), f"visit {table['utc']}: range_km or diameter_px")
     range_km = table["range_km"] if "range_km" in table else pixels_km / table["diameter_px"]
-    return PlannedVisit(
-        utc=table["utc"], range_km=range_km, phase_deg=table["phase_deg"], turn_deg=table["turn_deg"]
-    )
+    return PlannedVisit(utc=table["utc"], range_km=range_km, phase_deg=table["phase_deg"], turn_deg=table["turn_deg"])

@@ -1,0 +1,219 @@
+"""Table 1 and Figs. 2 to 6: the cameras calibrated from simulated star fields."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.calibration import CalibrationResult
+from giantlike.calibration.star_images import StarImage, calibrate_stars, identify_first
+from giantlike.camera import Camera
+from giantlike.catalogs import StarCatalog, load_catalog
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure
+from giantlike.core.time import et_from_time, time_from_et, time_from_utc
+from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
+from giantlike.core.values import Value
+from giantlike.image import Image, ObserverState
+from giantlike.missions.osiris_rex.images import detector_model, sky_for
+from giantlike.missions.osiris_rex.setup import CameraSetup, Mission
+from giantlike.processing.detection.options import DetectionOptions
+from giantlike.simulation import Photometry, Shot, SimulationOptions, Sources, simulate_image
+from giantlike.stars import StarNavigation, StarOptions
+
+_FIRST_UTC = "2017-09-20T00:00:00"
+"""Epoch of the first image, in cruise [assumed]."""
+_DAYS = 10.0
+"""Time from one image to the next [assumed]."""
+_SCALE_ERROR = 0.05
+"""Largest error of the nominal focal length that the identification allows for; they are stated to two digits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraCalibration(Value):
+    """A calibration beside its truth.
+
+    Parameters
+    ----------
+    key, label : str
+        Of the camera.
+    truth : (k,) float64
+        Parameters of Table 1, in the order of ``result.estimated``.
+    found : (k,) float64
+    result : CalibrationResult
+    camera : Camera
+        The calibrated camera, at 0 degrees Celsius.
+    images : int
+        Number of star images taken.
+    """
+
+    key: str
+    label: str
+    truth: Float
+    found: Float
+    result: CalibrationResult
+    camera: Camera
+    images: int
+
+    def unwrap(self) -> CameraCalibration:
+        """Return the calibration itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
+        return self
+
+    @property
+    def squared_distance(self) -> float:
+        """Squared error of all parameters over their covariance; k on average where the covariance is right."""
+        error = self.found - self.truth
+        return float(error @ np.linalg.solve(self.result.covariance, error))
+
+    @property
+    def residual_std_px(self) -> float:
+        """Standard deviation of the residuals of the stars used, per axis, px."""
+        return float(np.std(self.result.residuals_px[self.result.used]))
+
+    def structure(self, cells: int = 4) -> tuple[float, int]:
+        """Squared means of residuals in cells of the field over their variances, summed, and their number.
+
+        Parameters
+        ----------
+        cells : int
+            Along each side.
+
+        Returns
+        -------
+        float, int
+            Distributed as chi-square with that number of degrees of freedom where the residuals are independent.
+        """
+        used = self.result.used
+        residuals = self.result.residuals_px[used] / self.result.sigma_px[used, None]
+        scale = np.mean(residuals**2)
+        place = np.floor(self.result.observed_px[used] / [self.result.columns, self.result.rows] * cells)
+        number = np.clip(place, 0, cells - 1) @ [1, cells]
+        sums = [residuals[number == each].sum(axis=0) ** 2 / np.sum(number == each) for each in np.unique(number)]
+        return float(np.sum(sums) / scale), 2 * len(sums)
+
+
+def calibrate_cameras(
+    mission: Mission,
+    keys: Sequence[str],
+    *,
+    images: int | None = None,
+    seed: int,
+    progress: Callable[[str, int, int], None],
+) -> tuple[CameraCalibration, ...]:
+    """Calibrate cameras of Table 1.
+
+    Parameters
+    ----------
+    mission : Mission
+    keys : sequence of str
+        Of the cameras.
+    images : int, optional
+        Of each; by default as many as the mission says.
+    seed : int
+    progress : callable
+        Takes the name of a step, the number done, and of all.
+
+    Returns
+    -------
+    tuple of CameraCalibration
+
+    Raises
+    ------
+    EstimationError
+        A calibration failed: with simulated images of enough stars that is a defect, and nothing after it has a camera.
+    """
+    return tuple(
+        calibrate_camera(
+            mission, key, images=images or mission.cameras[key].calibration_images, seed=seed, progress=progress
+        ).unwrap()
+        for key in keys
+    )
+
+
+def calibrate_camera(
+    mission: Mission, key: str, *, images: int, seed: int, progress: Callable[[str, int, int], None]
+) -> CameraCalibration | Failure:
+    """Take star images with a camera of Table 1 and calibrate it from them.
+
+    Parameters
+    ----------
+    mission : Mission
+    key : str
+        Of the camera.
+    images : int
+    seed : int
+    progress : callable
+        Takes the name of a step, the number done, and of all.
+
+    Returns
+    -------
+    CameraCalibration or Failure
+
+    Notes
+    -----
+    It starts from a nominal focal length, no distortion and the middle of the frame, as the paper does.
+    """
+    setup, truth, told = mission.cameras[key], mission.true_camera(key), mission.told_camera(key)
+    rng = np.random.default_rng([seed, 20, sum(key.encode())])
+    attitudes = [Rotation.random(random_state=rng) for _ in range(images)]
+    catalog: StarCatalog = sky_for(setup, truth, attitudes, seed=seed) or load_catalog("default")
+    options = StarOptions(max_magnitude=setup.max_magnitude, all_stars=True)
+    detection = DetectionOptions(threshold_sigma=mission.threshold_sigma)
+    navigation = StarNavigation(told, catalog, options, detection=detection)
+    identified: list[StarImage] = []
+    for number, temperature_c in enumerate(np.linspace(*setup.temperatures_c, images).tolist()):
+        shot = _shot(mission, setup, attitudes[number], (seed, number))
+        image = _star_image(mission, setup, shot, temperature_c, catalog, (seed, number))
+        wrong = Rotation.from_rotvec(mission.pointing.attitude_error_deg * RAD_PER_DEG * rng.normal(size=3))
+        apriori = dataclasses.replace(image, camera_from_inertial=wrong * attitudes[number])
+        found = identify_first(apriori, told, navigation, scale_error=_SCALE_ERROR, temperature_c=temperature_c)
+        if not isinstance(found, Failure):
+            identified.append(found)
+        progress(f"calibration of {setup.label}", number + 1, images)
+    done = calibrate_stars(identified, told, estimate=setup.estimated, stars=options)
+    if isinstance(done, Failure):
+        return done
+    result = done.result
+    return CameraCalibration(
+        key=key,
+        label=setup.label,
+        truth=np.array([getattr(setup.model, name) for name in result.estimated]),
+        found=np.array([getattr(result.model, name) for name in result.estimated]),
+        result=result,
+        camera=dataclasses.replace(told, model=result.model),
+        images=images,
+    )
+
+
+def _shot(mission: Mission, setup: CameraSetup, attitude: Rotation, seed: tuple[int, int]) -> Shot:
+    """An exposure of stars in cruise, along the orbit of Bennu; ``seed`` ends with the number of the image."""
+    et = et_from_time(time_from_utc(_FIRST_UTC)) + seed[1] * _DAYS * SECONDS_PER_DAY
+    position, velocity = mission.orbit.state(et)
+    turn = np.random.default_rng([seed[0], 21, seed[1]]).normal(size=3)
+    return Shot(
+        name=f"{setup.key} {seed[1] + 1}",
+        epoch=time_from_et(et),
+        exposure_s=setup.long_exposure_s,
+        camera_from_inertial=attitude,
+        observer=ObserverState(position_km=position, velocity_km_s=velocity),
+        angular_rate_camera_rad_s=mission.pointing.rate_arcsec_s * RAD_PER_ARCSEC * turn,
+    )
+
+
+def _star_image(
+    mission: Mission, setup: CameraSetup, shot: Shot, temperature_c: float, catalog: StarCatalog, seed: tuple[int, int]
+) -> Image:
+    """A star image at a temperature of the camera."""
+    taken = simulate_image(
+        shot,
+        mission.true_camera(setup.key).at_temperature(temperature_c),
+        Sources(catalog=catalog, photometry=Photometry(zero_point_e_s=setup.zero_point_e_s)),
+        seed=seed,
+        detector=detector_model(mission, setup, seed=seed[0]),
+        options=SimulationOptions(max_magnitude=setup.max_magnitude + 1.0),
+    )
+    return taken.image

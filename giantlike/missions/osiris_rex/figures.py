@@ -1,0 +1,89 @@
+"""Figures of the replay: residuals of stars, centers and ranges, and the study of wrong ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from giantlike.missions.osiris_rex.calibrations import CameraCalibration
+from giantlike.missions.osiris_rex.campaigns import CampaignResult
+from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
+from giantlike.plotting.residuals import Series, series_figure, star_residual_figure
+from giantlike.plotting.style import GRAY, MARKERS, SERIES, drawing, new_panels
+from giantlike.simulation.compare import ObservationError
+
+
+def calibration_figure(calibration: CameraCalibration) -> Figure:
+    """Post-fit residuals of the stars that a camera was calibrated from."""
+    result = calibration.result
+    used = result.used
+    return star_residual_figure(
+        result.observed_px[used],
+        result.residuals_px[used],
+        result.magnitudes[used],
+        result.sigma_px[used],
+        result.columns,
+        result.rows,
+    )
+
+
+def star_figure(result: CampaignResult) -> Figure:
+    """Post-fit residuals of the stars of the attitudes of a campaign."""
+    stars = result.stars
+    return star_residual_figure(
+        stars.points_px, stars.residuals_px, stars.magnitudes, stars.sigma_px, result.columns, result.rows
+    )
+
+
+def center_figure(result: CampaignResult, errors: Sequence[ObservationError], title: str) -> Figure:
+    """Residuals of centers, by estimator."""
+    series = []
+    for name in dict.fromkeys(error.estimator for error in errors):
+        mine = [error for error in errors if error.estimator == name]
+        series.append(
+            Series(
+                label=name,
+                at=np.array([result.days[error.file] for error in mine]),
+                values=np.array([error.error_px for error in mine]),
+                sigma=np.array([error.sigma_px for error in mine]),
+                suspect=np.array([error.status == "suspect" for error in mine]),
+            )
+        )
+    return series_figure(series, ("x, px", "y, px"), "days since the first image", title)
+
+
+def range_figure(result: CampaignResult, errors: Sequence[ObservationError], title: str) -> Figure:
+    """Residuals of ranges, in percent."""
+    series = Series(
+        label="limb_matching",
+        at=np.array([result.days[error.file] for error in errors]),
+        values=100.0 * np.array([[error.range_error] for error in errors], dtype=np.float64),
+        sigma=100.0 * np.array([[error.range_sigma] for error in errors], dtype=np.float64),
+        suspect=np.array([error.status == "suspect" for error in errors]),
+    )
+    return series_figure([series], ("range, %",), "days since the first image", title)
+
+
+def range_error_figure(study: RangeErrorStudy) -> Figure:
+    """Shift of the center against the error of the predicted range, by the two ways of matching."""
+    with drawing():
+        figure, (left, right) = new_panels(9.0, 3.4, columns=2)
+        percent = 100.0 * study.range_errors
+        for number, phase_deg in enumerate(study.phases_deg):
+            for axis, shifts in ((left, study.correlation_px), (right, study.fitted_px)):
+                axis.plot(
+                    percent,
+                    np.linalg.norm(shifts[number], axis=1),
+                    color=SERIES[number],
+                    marker=MARKERS[number],
+                    markersize=4.0,
+                    label=f"{phase_deg:.0f} deg phase",
+                )
+        for axis, title in ((left, "Peak of the correlation"), (right, "Range fitted with the center")):
+            axis.set(xlabel="error of the predicted range, %", ylabel="error of the center, px", title=title)
+            axis.axvline(0.0, color=GRAY, linewidth=0.9)
+            axis.set_ylim(bottom=0.0)
+        left.legend(loc="upper center")
+    return figure

@@ -1,0 +1,205 @@
+"""Sections of the report: template matching, calibration and the four phases, in the order of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from giantlike.missions.osiris_rex import comparisons, figures
+from giantlike.missions.osiris_rex.calibrations import CameraCalibration
+from giantlike.missions.osiris_rex.campaigns import CampaignResult
+from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
+from giantlike.missions.osiris_rex.setup import Mission, PhaseSetup
+from giantlike.missions.replay import Comparison, ReplayFigure, Section
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureNumbers:
+    """Numbers of the paper's figures of a phase and camera: stars, centers, centers by limb, ranges by limb."""
+
+    stars: int
+    centers: int
+    limb: int
+    ranges: int
+
+
+CALIBRATION_FIGURES = {"polycam": 2, "mapcam": 3, "mapcam_v": 4, "navcam1": 5, "navcam2": 6}
+"""Number of the paper's figure by camera."""
+PHASE_FIGURES = {
+    ("approach", "polycam"): FigureNumbers(stars=7, centers=9, limb=11, ranges=13),
+    ("approach", "mapcam"): FigureNumbers(stars=8, centers=10, limb=12, ranges=14),
+    ("preliminary_survey", "mapcam"): FigureNumbers(stars=15, centers=17, limb=19, ranges=21),
+    ("preliminary_survey", "navcam1"): FigureNumbers(stars=16, centers=18, limb=20, ranges=22),
+    ("orbital_a", "navcam1"): FigureNumbers(stars=23, centers=24, limb=25, ranges=26),
+    ("detailed_survey", "navcam1"): FigureNumbers(stars=27, centers=28, limb=29, ranges=30),
+}
+"""Numbers of the paper's figures by phase and camera."""
+_SURVEY_SIZES = {"preliminary_survey": (100.0, 250.0), "detailed_survey": (200.0, 600.0)}
+"""Apparent diameters in NavCam 1 that the paper states, px."""
+_CENTERS = ("unresolved", "cross_correlation")
+
+
+def range_error_section(study: RangeErrorStudy) -> Section:
+    """The study of wrong ranges."""
+    figure = ReplayFigure(
+        reference="ref. 22",
+        title="Template matching at a wrong range",
+        caption=(
+            "A body of 200 px from the independent renderer, with relief of 1 % and a law of reflection that "
+            "the template does "
+            "not have, looked for with the predicted range in error."
+        ),
+        figure=figures.range_error_figure(study),
+    )
+    return Section(
+        title="Template matching",
+        text=(
+            "The paper names a range error as the weakness of cross-correlation and refers to its reference "
+            "22 for another "
+            "technique, without numbers. Here the peak of the correlation with one template stands beside the "
+            "estimator cross_correlation of the package, which goes on to fit center, range, brightness and law."
+        ),
+        figures=(figure,),
+        comparisons=comparisons.range_error_comparisons(study),
+    )
+
+
+def calibration_section(mission: Mission, calibrations: Sequence[CameraCalibration]) -> Section:
+    """Table 1 and Figs. 2 to 6."""
+    made, compared = [], [comparisons.table_comparison(each) for each in calibrations]
+    compared.append(comparisons.square_pixels_comparison(mission))
+    for each in sorted(calibrations, key=lambda one: CALIBRATION_FIGURES[one.key]):
+        reference = f"Fig. {CALIBRATION_FIGURES[each.key]}"
+        made.append(
+            ReplayFigure(
+                reference=reference,
+                title=f"Calibration residuals of {each.label}",
+                caption=(
+                    f"{each.result.n_used} stars of {len(each.result.images)} simulated images, "
+                    f"{each.result.n_rejected} rejected. "
+                    "The paper: near 0.1 px, largely random."
+                ),
+                figure=figures.calibration_figure(each),
+            )
+        )
+        compared.append(comparisons.calibration_comparison(each, reference))
+    compared.append(comparisons.structure_comparison(calibrations))
+    return Section(
+        title="Camera calibration",
+        text=(
+            "Star fields are simulated with the cameras of Table 1 at several temperatures and calibrated "
+            "from a nominal focal length, "
+            "no distortion and the middle of the frame. The phases below use the cameras found here, not those put in."
+        ),
+        figures=tuple(made),
+        comparisons=tuple(compared),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Panel:
+    """A figure of the paper with its comparison; no figure where nothing was found."""
+
+    number: int
+    title: str
+    caption: str
+    figure: Figure | None
+    comparison: Comparison
+
+
+def phase_section(mission: Mission, phase: PhaseSetup, results: Sequence[CampaignResult]) -> Section:
+    """A phase: its figures in the order of the paper, and the sizes that the paper states."""
+    panels = [panel for result in results for panel in _panels(phase, result)]
+    panels.sort(key=lambda panel: panel.number)
+    made = tuple(
+        ReplayFigure(reference=f"Fig. {panel.number}", title=panel.title, caption=panel.caption, figure=panel.figure)
+        for panel in panels
+        if panel.figure is not None
+    )
+    compared = (*_sizes(mission, phase, results), *(panel.comparison for panel in panels))
+    return Section(title=phase.title, text=_text(phase, results), figures=made, comparisons=compared)
+
+
+def _panels(phase: PhaseSetup, result: CampaignResult) -> tuple[_Panel, ...]:
+    numbers = PHASE_FIGURES[result.phase, result.camera]
+    centers, limbs = (comparisons.fixes(result, names) for names in (_CENTERS, ("limb_matching",)))
+    where, less = f"{phase.title}, {result.label}", "typically less than 1"
+    bars = "Bars are the standard deviations that the fixes state, hollow marks are flagged suspect."
+    return (
+        _Panel(
+            number=numbers.stars,
+            title=f"{where}: stars",
+            caption=(
+                f"{len(result.stars.residuals_px)} stars of {result.stars.solved} images. The paper: around 0.1 px."
+            ),
+            figure=figures.star_figure(result) if len(result.stars.residuals_px) else None,
+            comparison=comparisons.star_comparison(result, phase, f"Fig. {numbers.stars}"),
+        ),
+        _Panel(
+            number=numbers.centers,
+            title=f"{where}: centers",
+            caption=f"Observed less true. The paper: {less} px. {bars}",
+            figure=figures.center_figure(result, centers, f"{where}: centers") if centers else None,
+            comparison=comparisons.center_comparison(
+                result, phase, centers, ("center finding", less), f"Fig. {numbers.centers}"
+            ),
+        ),
+        _Panel(
+            number=numbers.limb,
+            title=f"{where}: centers from limbs",
+            caption=f"Observed less true. The paper: excellent. {bars}",
+            figure=figures.center_figure(result, limbs, f"{where}: centers from limbs") if limbs else None,
+            comparison=comparisons.center_comparison(
+                result, phase, limbs, ("limb centers", "excellent (taken as: less than 1)"), f"Fig. {numbers.limb}"
+            ),
+        ),
+        _Panel(
+            number=numbers.ranges,
+            title=f"{where}: ranges from limbs",
+            caption=f"Observed less true. The paper: less than {'1' if phase.key == 'approach' else '0.01'} %. {bars}",
+            figure=figures.range_figure(result, limbs, f"{where}: ranges from limbs") if limbs else None,
+            comparison=comparisons.range_comparison(result, phase, limbs, f"Fig. {numbers.ranges}"),
+        ),
+    )
+
+
+def _sizes(mission: Mission, phase: PhaseSetup, results: Sequence[CampaignResult]) -> tuple[Comparison, ...]:
+    """Comparisons of apparent sizes that the paper states of a phase, where all its visits were made."""
+    planned = {setup.camera: len(setup.visits) for setup in phase.campaigns}
+    if {result.camera: len(result.visits) for result in results} != planned:
+        return ()
+    if phase.key == "approach":
+        return (comparisons.approach_size_comparison(mission, results),)
+    if phase.key == "orbital_a":
+        return (comparisons.orbit_size_comparison(mission, phase),)
+    sizes = tuple(
+        comparisons.survey_size_comparison(result, phase, _SURVEY_SIZES[phase.key])
+        for result in results
+        if result.camera == "navcam1"
+    )
+    return sizes if phase.key != "detailed_survey" else (*sizes, comparisons.mapcam_field_comparison(mission))
+
+
+def _text(phase: PhaseSetup, results: Sequence[CampaignResult]) -> str:
+    """What was done in a phase."""
+    visits = [visit for result in results for visit in result.visits]
+    kernels = sum(visit.from_kernels for visit in visits)
+    text = (
+        f"{len(visits)} pairs of a long and a short exposure, {kernels} of them on the trajectory of the "
+        f"mission's kernels and "
+        f"{len(visits) - kernels} on one rebuilt from the paper (simulated). Estimators get a shape model of "
+        f"{phase.model.facets:,} facets with errors of {phase.model.error_m:g} m, a scale wrong by "
+        f"{100.0 * phase.model.scale:g} % "
+        f"and a prime meridian wrong by {phase.model.meridian_deg:g} deg."
+    )
+    moments = [error for result in results for error in comparisons.fixes(result, ("moment",))]
+    if moments:
+        rms = float(np.sqrt(np.mean(comparisons.errors_px(moments) ** 2)))
+        text += (
+            f" The moment algorithm with eq. 3, of which the paper shows no results, has an rms of {rms:.2f} "
+            f"px per axis."
+        )
+    return text
