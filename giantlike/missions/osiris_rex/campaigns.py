@@ -263,15 +263,15 @@ def _star_residuals(folder: Path, days: dict[str, float]) -> StarResiduals:
     """Residuals of the stars of a run."""
     run = RunFolder.open(folder)
     records = [each for each in run.load_all(AttitudeRecord) if each.star_image]
-    solved = [run.with_points(record) for record in records if record.status != "failed"]
+    solved = [record for record in records if record.status != "failed"]
     parts = []
-    for record in solved:
-        stars = record.stars
-        assert stars is not None
-        observed, predicted = np.array(stars.observed_px), np.array(stars.predicted_px)
-        count = len(observed)
-        day = np.full(count, days[record.file])
-        parts.append((observed, observed - predicted, np.array(stars.magnitudes), np.array(stars.sigma_px), day))
+    with run.reading():
+        for record in solved:
+            stars = run.points(record)["stars"]
+            observed, predicted = (np.reshape(stars[name], (-1, 2)) for name in ("observed_px", "predicted_px"))
+            day = np.full(len(observed), days[record.file])
+            magnitudes, sigma = np.array(stars["magnitudes"]), np.array(stars["sigma_px"])
+            parts.append((observed, observed - predicted, magnitudes, sigma, day))
     empty = (np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
     points, residuals, magnitudes, sigma, day = (np.concatenate(each) for each in zip(*(parts or [empty]), strict=True))
     return StarResiduals(

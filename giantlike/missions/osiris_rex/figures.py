@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
-from giantlike.plotting.residuals import Series, series_figure, star_residual_figure
+from giantlike.plotting import Series, charts_figure, series_charts, star_residual_charts
 from giantlike.plotting.style import GRAY, MARKERS, SERIES, drawing, new_panels
 from giantlike.simulation.compare import ObservationError
 
@@ -19,7 +19,7 @@ def calibration_figure(calibration: CameraCalibration) -> Figure:
     """Post-fit residuals of the stars that a camera was calibrated from."""
     result = calibration.result
     used = result.used
-    return star_residual_figure(
+    charts = star_residual_charts(
         result.observed_px[used],
         result.residuals_px[used],
         result.magnitudes[used],
@@ -27,14 +27,16 @@ def calibration_figure(calibration: CameraCalibration) -> Figure:
         result.columns,
         result.rows,
     )
+    return charts_figure(charts)
 
 
 def star_figure(result: CampaignResult) -> Figure:
     """Post-fit residuals of the stars of the attitudes of a campaign."""
     stars = result.stars
-    return star_residual_figure(
+    charts = star_residual_charts(
         stars.points_px, stars.residuals_px, stars.magnitudes, stars.sigma_px, result.columns, result.rows
     )
+    return charts_figure(charts)
 
 
 def center_figure(result: CampaignResult, errors: Sequence[ObservationError], title: str) -> Figure:
@@ -51,7 +53,7 @@ def center_figure(result: CampaignResult, errors: Sequence[ObservationError], ti
                 suspect=np.array([error.status == "suspect" for error in mine]),
             )
         )
-    return series_figure(series, ("x, px", "y, px"), "days since the first image", title)
+    return charts_figure(series_charts(series, ("x, px", "y, px"), "days since the first image", title))
 
 
 def range_figure(result: CampaignResult, errors: Sequence[ObservationError], title: str) -> Figure:
@@ -63,7 +65,7 @@ def range_figure(result: CampaignResult, errors: Sequence[ObservationError], tit
         sigma=100.0 * np.array([[error.range_sigma] for error in errors], dtype=np.float64),
         suspect=np.array([error.status == "suspect" for error in errors]),
     )
-    return series_figure([series], ("range, %",), "days since the first image", title)
+    return charts_figure(series_charts([series], ("range, %",), "days since the first image", title))
 
 
 def range_error_figure(study: RangeErrorStudy) -> Figure:
