@@ -3,7 +3,7 @@
 The truth of a pass (altitude of the limb, pointing, drift, interlock, timetags, radius by exposure, trajectory) is made
 anew in each run; limb points come from the parametric form of an ellipsoid, of which the estimator knows nothing.
 
-Usage: python benchmarks/pass_estimator.py [--runs 500]
+Usage: python benchmarks/pass_estimator.py [--runs 300]
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def run(kind: str, seed: int) -> tuple[float, int, float, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=500)
+    parser.add_argument("--runs", type=int, default=300)
     runs = parser.parse_args().runs
     report = {}
     for kind in ("trajectory considered", "trajectory estimated", "jitter estimated", "positions"):

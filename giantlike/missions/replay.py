@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 REPLAYS: Mapping[str, str] = MappingProxyType(
     {
+        "artemis1": "Artemis I: passes of Orion's optical navigation, calibrations, algorithms, limb of the Earth",
         "osiris_rex": "calibration and four phases at Bennu (Liounis et al., independent optical navigation "
         "of OSIRIS-REx)",
     }

@@ -108,7 +108,7 @@ class TimetagJitter(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PassFix(Value):
-    """What the images of a pass share, as they show it.
+    """Parameters that the images of a pass share, as they show them.
 
     Parameters
     ----------

@@ -1,0 +1,189 @@
+"""The algorithm that does not iterate beside the one that does: Table 2, Figs. 13 to 15, on full images of pass 3."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import stats
+
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure
+from giantlike.missions.artemis1.images import moon_shot
+from giantlike.missions.artemis1.measure import iterative, non_iterative
+from giantlike.missions.artemis1.passes import Setting, sun_direction
+from giantlike.missions.artemis1.report import DERIVED, INDEPENDENT, INPUT, RED, Dots, holds, near, panel_figure
+from giantlike.missions.artemis1.simulate import FlownPass, residuals_of
+from giantlike.missions.replay import Comparison, ReplayFigure, ReplaySettings, Section
+
+PAPER = {  # Table 2: mean and standard deviation of each, correlation, p-value of the text
+    "x": ((-0.697, 0.060), (-0.661, 0.061), 0.4851, 3.37e-5),
+    "y": ((0.086, 0.117), (0.067, 0.112), 0.9946, 0.236),
+    "radius": ((-0.265, 0.030), (-0.229, 0.037), -0.2570, 2.98e-13),
+}
+_RADIUS = (
+    "; 0.27 px are 9 km on the Moon, more than relief can be: it is the bias of the edges that flew, which before "
+    "flight was -0.47 px at this range (Holt et al. 2018, eq. 33); edges by our moments lie outside the limb instead"
+)
+IMAGES = 102
+LEVEL = 0.05
+"""Level of the test; the paper names none, and 0.236 and 3e-5 leave no doubt."""
+
+
+def both(setting: Setting, flown: FlownPass, settings: ReplaySettings) -> tuple[Float, Float, int]:
+    """Residuals (n, 3), px, of both algorithms on full images of a pass, and how many images failed."""
+    count = 16 if settings.small else IMAGES
+    rng = np.random.default_rng([settings.seed, 102])
+    one, track = flown.one, flown.track
+    sun, figure = sun_direction(one.phase_deg), setting.figure(one.target)
+    found: list[tuple[Float, Float, Float]] = []
+    failed = 0
+    for k in range(min(count, track.times_s.size)):
+        settings.progress("images of pass 3", k, count)
+        shot = moon_shot(setting, track.true_km[k], sun, track.heights_km, rng)
+        first = non_iterative(setting, shot, sun, figure)
+        second = first if isinstance(first, Failure) else iterative(setting, shot, sun, figure, first[0])
+        if isinstance(first, Failure) or isinstance(second, Failure):
+            failed += 1
+            continue
+        found.append((first[0], np.asarray(second), track.known_km[k]))
+    known = np.array([each[2] for each in found])
+    first_px = residuals_of(setting, one, np.array([each[0] for each in found]), known)
+    return first_px, residuals_of(setting, one, np.array([each[1] for each in found]), known), failed
+
+
+def algorithms_section(setting: Setting, flown: FlownPass, settings: ReplaySettings) -> Section:
+    """Table 2, and Figs. 13 to 15."""
+    first, second, failed = both(setting, flown, settings)
+    index = np.arange(len(first), dtype=np.float64)
+    figures = []
+    for k, (reference, name) in enumerate(
+        (("Fig. 14", "X centroid"), ("Fig. 15", "Y centroid"), ("Fig. 13", "radius"))
+    ):
+        series = [
+            Dots(x=index, y=first[:, k], color=RED, label="not iterative"),
+            Dots(x=index, y=second[:, k], color="black", label="iterative"),
+        ]
+        difference = [Dots(x=index, y=second[:, k] - first[:, k])]
+        figures.append(
+            ReplayFigure(
+                reference=reference,
+                title=f"Moon {name} residuals of both algorithms, pass 3",
+                caption="Above against the trajectory, below one against the other, on full images.",
+                figure=panel_figure(
+                    [(f"{name}, px", series, None), ("iterative less not, px", difference, None)], "image"
+                ),
+            )
+        )
+    figures = [figures[2], figures[0], figures[1]]
+    comparisons = _papers_own() + _table(setting, first, second)
+    return Section(
+        title="Comparison of the algorithms (IV.B.3, Table 2)",
+        text=f"{len(first)} full images of pass 3, {failed} failed; both algorithms on the same pixels: the "
+        "Christian-Robinson algorithm on edges by Zernike moments of 5 x 5 pixels, and the sigmoid fit that "
+        "starts from it.",
+        figures=tuple(figures),
+        comparisons=tuple(comparisons),
+    )
+
+
+def _papers_own() -> list[Comparison]:
+    """The p-values of the text from the numbers of the table."""
+    result = []
+    for name, (first, second, _, p_value) in PAPER.items():
+        ours = float(stats.ttest_ind_from_stats(*first, IMAGES, *second, IMAGES).pvalue)
+        result.append(
+            holds(
+                f"p-value of the t-test, {name}, from the means and deviations of Table 2",
+                (f"{p_value:.3g}", f"{ours:.3g}"),
+                abs(math.log10(ours / p_value)) < (0.1 if name != "radius" else 0.7),
+                DERIVED,
+                "IV.B.3",
+                "agrees within a factor of 1.3, for the radius of 5: three digits of the table leave t "
+                "uncertain by 0.15",
+            )
+        )
+    return result
+
+
+def _table(setting: Setting, first: Float, second: Float) -> list[Comparison]:
+    """Our own Table 2."""
+    relief_px = setting.data["moon"]["relief_km"] * setting.model.fx_px / setting.of(3).range_km
+    _, pointing_px = setting.knowledge("moon")
+    result = []
+    for k, name in enumerate(PAPER):
+        sigma_px = relief_px if name == "radius" else math.hypot(relief_px, pointing_px)
+        result += _means(name, first[:, k], second[:, k], sigma_px) + _scatters(name, first[:, k], second[:, k])
+    return result
+
+
+def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comparison]:
+    """Means of one coordinate; ``sigma_px`` is by what the trajectory and the model of the body do not hold."""
+    one, two, _, _ = PAPER[name]
+    mean = float(first.mean())
+    return [
+        holds(
+            f"mean residual, {name}, px, not iterative",
+            (f"{one[0]:.3f}", f"{mean:.3f}"),
+            abs(mean - one[0]) <= 3.0 * math.sqrt(2.0) * sigma_px,
+            INDEPENDENT,
+            "Table 2",
+            f"agrees where both can be draws of one normal distribution of {sigma_px:.2g} px, of "
+            + ("relief" if name == "radius" else "relief and pointing")
+            + ", at three sigma"
+            + (_RADIUS if name == "radius" else ": the real limb is not in the simulation"),
+        ),
+        near(
+            f"mean of iterative less not iterative, {name}, px",
+            (two[0] - one[0], float((second - first).mean())),
+            0.1,
+            INDEPENDENT,
+            "Table 2",
+            "the 0.07 to 0.1 px that edges in real time rarely beat"
+            + ("" if name == "y" else "; moments take light that falls off inside the limb for a limb farther out"),
+        ),
+    ]
+
+
+def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
+    """Deviations, correlation and test of one coordinate."""
+    one, two, correlation, p_value = PAPER[name]
+    test = stats.ttest_ind(first, second)
+    ours = float(np.corrcoef(first, second)[0, 1])
+    return [
+        near(
+            f"standard deviation of iterative less that of not iterative, {name}, px",
+            (two[1] - one[1], float(second.std() - first.std())),
+            0.02,
+            INDEPENDENT,
+            "Table 2",
+            "thrice the largest difference in the table",
+        ),
+        near(
+            f"standard deviation, {name}, px, not iterative",
+            (one[1], float(first.std())),
+            0.5 * one[1],
+            INPUT if name == "y" else INDEPENDENT,
+            "Table 2",
+            "half of it; that across the Sun is mostly the jitter of tags and attitude, which was TUNED to it"
+            if name == "y"
+            else "half of it; noise of attitudes (1.2 arcsec) is assumed, noise of edges follows from the images",
+        ),
+        near(
+            f"correlation of both algorithms, {name}",
+            (correlation, ours),
+            0.3,
+            DERIVED if name == "y" else INDEPENDENT,
+            "Table 2",
+            "0.3: correlations of residuals go by the shares of noise that both see",
+        ),
+        holds(
+            f"two-sample t-test, {name}: the means differ",
+            (f"{'yes' if p_value < LEVEL else 'no'} (p = {p_value:.3g})",
+             f"{'yes' if test.pvalue < LEVEL else 'no'} (p = {float(test.pvalue):.3g})"),
+            (p_value < LEVEL) == (test.pvalue < LEVEL),
+            INDEPENDENT,
+            "Table 2",
+            f"agrees where both tests give the same answer at {LEVEL:g}",
+        ),
+    ]  # fmt: skip

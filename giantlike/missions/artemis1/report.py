@@ -1,0 +1,92 @@
+"""Comparisons with rules, and the plots of residuals that the paper has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.missions.replay import Comparison, ComparisonKind
+
+INPUT, DERIVED, INDEPENDENT = ComparisonKind.INPUT, ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
+BLUE, RED, GRAY = "#1f5fa8", "#b5342c", "#555555"
+
+
+def near(
+    what: str, values: tuple[float, float], tolerance: float, kind: ComparisonKind, reference: str, reason: str
+) -> Comparison:
+    """Compare a number of the paper and ours: they agree within a tolerance whose reason is told."""
+    paper, ours = values
+    return Comparison(
+        what=what,
+        paper=paper,
+        ours=float(ours),
+        kind=kind,
+        agrees=bool(abs(ours - paper) <= tolerance),
+        reason=f"agrees within {tolerance:.3g}: {reason}",
+        reference=reference,
+    )
+
+
+def holds(
+    what: str, values: tuple[str, str | float], true: bool, kind: ComparisonKind, reference: str, reason: str
+) -> Comparison:
+    """Compare a statement of the paper with what we find: it agrees where the rule in ``reason`` is met."""
+    paper, ours = values
+    return Comparison(
+        what=what,
+        paper=paper,
+        ours=ours if isinstance(ours, str) else float(ours),
+        kind=kind,
+        agrees=bool(true),
+        reason=reason,
+        reference=reference,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dots(Value):
+    """Points of a plot.
+
+    Parameters
+    ----------
+    x, y : (n,) float64
+    color : str
+    label : str
+    """
+
+    x: Float
+    y: Float
+    color: str = BLUE
+    label: str = ""
+
+
+def panel_figure(
+    panels: Sequence[tuple[str, Sequence[Dots], tuple[Float, Float] | float | None]], x_label: str
+) -> Figure:
+    """Draw panels one above the other: a label of y, points, and bounds on both sides of zero.
+
+    Bounds are a number, or curves (x, y).
+    """
+    figure = Figure(figsize=(7.0, 0.6 + 2.1 * len(panels)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
+    for axis, (label, series, bound) in zip(axes, panels, strict=True):
+        for dots in series:
+            axis.plot(dots.x, dots.y, ".", markersize=3.5, color=dots.color, label=dots.label or None)
+        if isinstance(bound, float):
+            for sign in (-1.0, 1.0):
+                axis.axhline(sign * bound, color="black", linestyle="--", linewidth=0.9)
+        elif bound is not None:
+            for sign in (-1.0, 1.0):
+                axis.plot(bound[0], sign * bound[1], "--", color="black", linewidth=0.9)
+        axis.axhline(0.0, color=GRAY, linewidth=0.5)
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.25)
+        if any(dots.label for dots in series):
+            axis.legend(fontsize=8, loc="best")
+    axes[-1].set_xlabel(x_label)
+    return figure

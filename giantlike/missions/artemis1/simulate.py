@@ -1,0 +1,254 @@
+"""Passes image by image: truth, what the trajectory and the attitude say, and limb points with the errors of images.
+
+Most images are simulated as limb points. What the edges of images add to them, a shift outward and to the Sun and a
+scatter, is measured on full images of the same pass, for every exposure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.core.outcomes import Failure
+from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.core.values import Value
+from giantlike.missions.artemis1.images import earth_shot, limb_px, moon_shot, relief_profile
+from giantlike.missions.artemis1.measure import non_iterative, residual_px
+from giantlike.missions.artemis1.passes import SUN_AZIMUTH_DEG, Pass, Setting, sun_direction, times_of
+from giantlike.missions.replay import ReplaySettings
+from giantlike.relative.horizon.geometry import Altitude, CraMethod, christian_robinson, horizon_residuals
+
+_PROFILE = 720  # heights along a limb
+_VELOCITY_SIGMA_KM_S = 2e-4
+"""Error of the velocity of the trajectory, assumed: a range error that grows by a fifth of itself in a pass."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgeErrors:
+    """What edges in images add to points on the limb of an ellipsoid.
+
+    Parameters
+    ----------
+    toward_sun_px, across_px, outward_px : float, px
+        Shift of the fitted center along the Sun and across it, and of the radius.
+    scatter_px : float, px
+        Root mean square of the points about the fit.
+    """
+
+    toward_sun_px: float
+    across_px: float
+    outward_px: float
+    scatter_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Track(Value):
+    """Truth and knowledge of n images of a pass.
+
+    Parameters
+    ----------
+    times_s : (n,) float64, s
+        Tags, about the middle of the pass.
+    true_km : (n, 3) float64, km, camera axes
+        Position of the body when the shutter was open.
+    known_km : (n, 3) float64, km, camera axes
+        By trajectory and attitude at the tag.
+    rates_km_s : (n, 3) float64, km/s, camera axes
+        Of the known position.
+    exposures_us : (n,) float64, microseconds
+    heights_km : (m,) float64, km
+        Of the limb at even position angles.
+    """
+
+    times_s: Float
+    true_km: Float
+    known_km: Float
+    rates_km_s: Float
+    exposures_us: Float
+    heights_km: Float
+
+
+def track_of(setting: Setting, one: Pass, rng: np.random.Generator, *, knowledge: bool = True) -> Track:
+    """Draw the track of a pass, its errors and its limb."""
+    attitude, times = setting.data["attitude"], times_of(setting, one)
+    range_sigma_km, pointing_px = setting.knowledge(one.target) if knowledge else (0.0, 0.0)
+    pointing = pointing_px / setting.model.fx_px
+    bias = rng.normal(size=2) * pointing / math.sqrt(2.0)
+    off_km = rng.normal() * range_sigma_km + rng.normal() * _VELOCITY_SIGMA_KM_S * times
+    ranges = one.range_km + one.range_rate_km_s * times
+    # The vehicle turns to and fro in its deadband, mostly across the Sun.
+    rate = attitude["rate_arcsec_s"] / ARCSEC_PER_RAD
+    swing = rate * np.array([0.2, 1.0])
+    phase = rng.uniform(0.0, 2.0 * np.pi, 2)
+    period_s = np.array([410.0, 310.0])
+    argument = 2.0 * np.pi * times[:, None] / period_s + phase
+    angles = swing * period_s / (2.0 * np.pi) * np.sin(argument)
+    turning = swing * np.cos(argument)
+    spikes = rng.random(times.size) < attitude["spike_share"]
+    late = rng.normal(size=times.size) * np.where(spikes, attitude["spike_s"], attitude["jitter_s"])
+    noise = rng.normal(size=(times.size, 2)) * attitude["noise_arcsec"] / ARCSEC_PER_RAD
+    seen, told = angles + late[:, None] * turning, angles + bias + noise
+    truth = _positions(seen, ranges + late * one.range_rate_km_s)
+    known = _positions(told, ranges + off_km)
+    slope = np.column_stack([turning * ranges[:, None], np.full(times.size, one.range_rate_km_s)])
+    spread = 2.0 * np.pi * np.arange(_PROFILE) / _PROFILE
+    return Track(
+        times_s=times,
+        true_km=truth,
+        known_km=known,
+        rates_km_s=slope,
+        exposures_us=exposures_of(setting, times.size) if one.target == "earth" else np.zeros(times.size),
+        heights_km=relief_profile(setting, rng, spread) if one.target == "moon" else np.zeros(_PROFILE),
+    )
+
+
+def _positions(angles: Float, ranges_km: Float) -> Float:
+    """Positions (n, 3), km, at angles (n, 2) to the right and down of the boresight."""
+    ways = np.column_stack([np.tan(angles), np.ones(len(angles))])
+    result: Float = ways / np.linalg.norm(ways, axis=1)[:, None] * ranges_km[:, None]
+    return result
+
+
+def exposures_of(setting: Setting, count: int) -> Float:
+    """Exposures (n,), microseconds, of the automatic control: a step down when pixels are full, up when all are dark.
+
+    At the shortest exposure the Earth is too dark and one step up it is too bright, so that the control toggles.
+    """
+    earth = setting.data["earth"]
+    rule, full = earth["exposures_us"], earth["saturating_exposure_us"]
+    exposure, taken = rule["first"], []
+    for _ in range(count):
+        taken.append(exposure)
+        if exposure > full:
+            exposure = max(exposure - rule["step"], rule["least"])
+        elif exposure < earth["too_dark"] * full:
+            exposure = max(rule["step"], exposure)
+    return np.array(taken)
+
+
+def edge_errors(setting: Setting, one: Pass, exposure_us: float, rng: np.random.Generator, count: int) -> EdgeErrors:
+    """Measure on full images of a smooth body what edges add to the limb of an ellipsoid."""
+    sun, figure = sun_direction(one.phase_deg), setting.figure(one.target)
+    radius_km = float(figure.radii_km.mean())
+    found, scatter = [], []
+    for _ in range(count):
+        aside = rng.uniform(-20.0, 20.0, 2) / setting.model.fx_px
+        position = _positions(aside[None], np.array([one.range_km]))[0]
+        if one.target == "earth":
+            shot = earth_shot(setting, position, sun, exposure_us, rng)
+        else:
+            shot = moon_shot(setting, position, sun, np.zeros(_PROFILE), rng)
+        fitted = non_iterative(setting, shot, sun, figure)
+        if isinstance(fitted, Failure):
+            continue
+        found.append(residual_px(shot.model, radius_km, fitted[0], position, sun))
+        points = fitted[1] - shot.corner_px
+        scatter.append(float(np.std(horizon_residuals(points, shot.model, figure, fitted[0])[0])))
+    mean = np.mean(found, axis=0)
+    return EdgeErrors(
+        toward_sun_px=float(mean[0]),
+        across_px=float(mean[1]),
+        outward_px=float(mean[2]),
+        scatter_px=float(np.mean(scatter)),
+    )
+
+
+def limb_points(
+    setting: Setting, one: Pass, track: Track, index: int, errors: EdgeErrors, rng: np.random.Generator
+) -> Float:
+    """Limb points (n, 2), px, of one image of a pass."""
+    limb = setting.data["limb"]
+    half = math.radians(limb["arc_deg"]) / 2.0
+    angles = math.radians(SUN_AZIMUTH_DEG) + np.linspace(-half, half, limb["points"])
+    position = track.true_km[index]
+    points, normals = limb_px(setting.model, setting.figure(one.target), position, angles)
+    around = 2.0 * np.pi * np.arange(_PROFILE + 1) / _PROFILE
+    heights = np.interp(angles % (2.0 * np.pi), around, np.append(track.heights_km, track.heights_km[0]))
+    sun = sun_direction(one.phase_deg)[:2]
+    toward = normals @ (sun / np.linalg.norm(sun))
+    outward = (
+        errors.outward_px + errors.toward_sun_px * toward + heights * setting.model.fx_px / track.true_km[index, 2]
+    )
+    shift: Float = outward + errors.scatter_px * rng.normal(size=angles.size)
+    return points + shift[:, None] * normals
+
+
+def positions_of(setting: Setting, one: Pass, points: list[Float], limb_altitude_km: float = 0.0) -> Float:
+    """Positions (n, 3), km, camera axes, by the Christian-Robinson algorithm from limb points of n images."""
+    seen = Altitude(limb_altitude_km).above(setting.figure(one.target))
+    found = []
+    for each in points:
+        position = christian_robinson(each, setting.model, seen, method=CraMethod.TOTAL_LEAST_SQUARES)
+        found.append(position.unwrap() if isinstance(position, Failure) else position)
+    return np.array(found)
+
+
+def residuals_of(setting: Setting, one: Pass, found_km: Float, known_km: Float) -> Float:
+    """Residuals (n, 3), px, of positions: along the Sun, across it, radius."""
+    sun, radius_km = sun_direction(one.phase_deg), float(setting.figure(one.target).radii_km.mean())
+    pairs = zip(found_km, known_km, strict=True)
+    return np.array([residual_px(setting.model, radius_km, found, known, sun) for found, known in pairs])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FlownPass(Value):
+    """A pass with what was measured in it.
+
+    Parameters
+    ----------
+    one : Pass
+    track : Track
+        Of the n images that were simulated.
+    points_px : tuple of (m, 2) float64, px
+        Limb points of each image.
+    edges : mapping of float to EdgeErrors
+        By exposure, microseconds.
+    residuals_px : (n, 3) float64, px
+        Of the algorithm that does not iterate, with the altitude of the limb that flew: along the Sun, across, radius.
+    """
+
+    one: Pass
+    track: Track
+    points_px: tuple[Float, ...]
+    edges: Mapping[float, EdgeErrors]
+    residuals_px: Float
+
+
+def fly(setting: Setting, one: Pass, settings: ReplaySettings) -> FlownPass:
+    """Simulate a pass: every image as limb points, with errors of edges from full images."""
+    rng = np.random.default_rng([settings.seed, one.number])
+    track = track_of(setting, one, rng)
+    if settings.small:
+        track = select_rows_of(track, np.arange(3 if one.target == "earth" else 0, track.times_s.size, 5))
+    images = 1 if settings.small else 3
+    levels = sorted(set(track.exposures_us.tolist()))
+    edges = {level: edge_errors(setting, one, level, rng, images) for level in levels}
+    points = [
+        limb_points(setting, one, track, k, edges[level], rng) for k, level in enumerate(track.exposures_us.tolist())
+    ]
+    assumed_km = setting.data["earth"]["assumed_limb_km"] if one.target == "earth" else 0.0
+    found = positions_of(setting, one, points, assumed_km)
+    return FlownPass(
+        one=one,
+        track=track,
+        points_px=tuple(points),
+        edges=edges,
+        residuals_px=residuals_of(setting, one, found, track.known_km),
+    )
+
+
+def select_rows_of(track: Track, which: NDArray[np.intp]) -> Track:
+    """Some of the images of a track."""
+    return replace(
+        track,
+        times_s=track.times_s[which],
+        true_km=track.true_km[which],
+        known_km=track.known_km[which],
+        rates_km_s=track.rates_km_s[which],
+        exposures_us=track.exposures_us[which],
+    )

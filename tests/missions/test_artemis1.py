@@ -1,0 +1,125 @@
+"""Replay of Artemis I: what it is made of, and that it says what its rules say."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from giantlike.missions import ComparisonKind, Replay, ReplaySettings, run_replay, save_replay
+from giantlike.missions.artemis1.images import (
+    atmosphere_light,
+    detected_altitude_km,
+    earth_shot,
+    limb_px,
+    moon_shot,
+)
+from giantlike.missions.artemis1.measure import iterative, non_iterative, residual_px
+from giantlike.missions.artemis1.passes import load, preflight_sigmas_px, sun_direction, times_of
+from giantlike.missions.artemis1.simulate import exposures_of
+from giantlike.relative.horizon.geometry import Altitude, horizon_residuals
+from tests.tolerances import PLACE_PX
+
+SETTING = load()
+NAMED = (
+    *(f"Fig. {number}" for number in (4, 5, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)),
+    "Fig. 6",
+)
+
+
+@pytest.fixture(scope="module", name="told")
+def _told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Replay, Path]:
+    settings = ReplaySettings(output=tmp_path_factory.mktemp("artemis1"), small=True)
+    replay = run_replay("artemis1", settings)
+    save_replay(replay, settings)
+    return replay, settings.output
+
+
+def test_the_replay_has_every_figure_and_mostly_independent_comparisons(told: tuple[Replay, Path]) -> None:
+    replay, output = told
+    figures = [figure.reference for section in replay.sections for figure in section.figures]
+    assert sorted(figures) == sorted(NAMED)
+    kinds = [each.kind for each in replay.comparisons]
+    assert kinds.count(ComparisonKind.INDEPENDENT) >= len(kinds) / 2
+    assert (output / "report.html").stat().st_size > 50_000
+    assert any("TUNED" in each for each in replay.assumptions)
+
+
+def test_the_limb_of_the_earth_and_the_bias_of_the_filter_come_out_as_flown(told: tuple[Replay, Path]) -> None:
+    replay, _ = told
+    found = {each.what: each for each in replay.comparisons}
+    for number in (1, 2):
+        altitude = found[f"pass {number}: average altitude of the limb by the whole-pass estimator, km"]
+        assert isinstance(altitude.ours, float)
+        assert 18.0 < altitude.ours < 29.0
+        bias = found[f"bias of the radius at the end of pass {number} in a filter that assumes 35 km, km"]
+        assert isinstance(bias.ours, float)
+        assert altitude.ours + bias.ours == pytest.approx(35.0, abs=1.0)  # two ways to the same
+
+
+def test_the_passes_are_those_of_table_1() -> None:
+    assert [each.number for each in SETTING.passes] == [*range(1, 16), 18, 19, 20, 22, 23, 24, 25, 26]
+    assert sum(each.target == "earth" for each in SETTING.passes) == 5
+    assert times_of(SETTING, SETTING.of(1)).size == 241
+    assert times_of(SETTING, SETTING.of(5)).size == 21
+    assert SETTING.of(3).range_km == pytest.approx(252_428, abs=1.0)
+
+
+def test_preflight_models_have_the_published_values() -> None:
+    far = preflight_sigmas_px("moon", 1e12)
+    np.testing.assert_allclose(far, [0.15, 0.06, 0.12], rtol=1e-6)
+    # 7291.7 px times 6562 ft over a range of a hundred million feet is 0.478 px.
+    near = preflight_sigmas_px("moon", 1e8 * 0.3048e-3)
+    np.testing.assert_allclose(near, np.hypot([0.15, 0.06, 0.12], [0.4785, 0.2392, 0.4785]), atol=1e-4)
+    np.testing.assert_allclose(preflight_sigmas_px("earth", 1e5), [0.065, 0.025, 0.058])
+
+
+def test_exposures_are_driven_down_and_then_toggle() -> None:
+    exposures = exposures_of(SETTING, 20)
+    assert exposures[0] == 200.0
+    assert set(exposures[4:]) == {1.0, 50.0}
+    assert np.all(exposures[4:-1] != exposures[5:])
+
+
+def test_the_atmosphere_is_seen_where_it_becomes_opaque() -> None:
+    assert atmosphere_light(np.zeros(1), 0.097, 8.0)[0] > 0.99
+    assert atmosphere_light(np.array([100.0]), 0.097, 8.0)[0] < 1e-4
+    # Light of an exponential atmosphere: scale height times (log of the depth along the ray + Euler's constant).
+    expected_km = 8.0 * (math.log(0.097 * 71.0) + 0.5772)
+    assert detected_altitude_km(SETTING, 1.0) == pytest.approx(expected_km, abs=0.02)
+    assert detected_altitude_km(SETTING, 50.0) > detected_altitude_km(SETTING, 1.0) + 5.0
+
+
+def test_limb_points_lie_on_the_horizon_of_the_ellipsoid() -> None:
+    figure, position = SETTING.figure("earth"), np.array([900.0, -400.0, 150_000.0])
+    points, normals = limb_px(SETTING.model, figure, position, np.linspace(0.0, 6.0, 40))
+    residuals = horizon_residuals(points, SETTING.model, figure, position)[0]
+    assert np.abs(residuals).max() < PLACE_PX
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+
+
+def test_both_algorithms_find_the_body_in_an_image() -> None:
+    rng = np.random.default_rng(3)
+    one = SETTING.of(3)
+    sun, position = sun_direction(one.phase_deg), np.array([100.0, -60.0, one.range_km])
+    shot = moon_shot(SETTING, position, sun, np.zeros(720), rng)
+    first = non_iterative(SETTING, shot, sun, SETTING.figure("moon"))
+    assert isinstance(first, tuple)
+    second = iterative(SETTING, shot, sun, SETTING.figure("moon"), first[0])
+    assert isinstance(second, np.ndarray)
+    radius = SETTING.data["moon"]["radius_km"]
+    assert np.abs(residual_px(SETTING.model, radius, first[0], position, sun)).max() < 0.3  # bias of edges by moments
+    assert np.abs(residual_px(SETTING.model, radius, second, position, sun)).max() < 0.12  # knows law and blur
+
+
+def test_the_limb_of_an_image_of_the_earth_stands_at_the_altitude_of_its_light() -> None:
+    one = SETTING.of(1)
+    sun, position = sun_direction(one.phase_deg), np.array([0.0, 0.0, one.range_km])
+    shot = earth_shot(SETTING, position, sun, 1.0, np.random.default_rng(4))
+    expected_km = detected_altitude_km(SETTING, 1.0)
+    fitted = non_iterative(SETTING, shot, sun, Altitude(expected_km).above(SETTING.figure("earth")))
+    assert isinstance(fitted, tuple)
+    off = residual_px(SETTING.model, 6371.0, fitted[0], position, sun)
+    assert abs(off[2]) < 0.2  # 4 km: edges by moments are not quite edges of area
