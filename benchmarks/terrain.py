@@ -3,14 +3,16 @@
 ``passes``: a made-up Moon (waves by Kaula's rule, 1.8 km rms, some 14 km from lowest to highest), rendered by
 ``giantlike.independent``, which shares no code with the estimators, at ranges and phases of Artemis I (paper 000), each
 from another side: range and center of every estimator on limbs with the smooth sphere, with the map, with maps that are
-too coarse, and with the map of another side.
+too coarse, and with the map of another side. ``haze``: an Earth in haze of some optical depths, whose light is summed
+along rays, with and without its atmosphere told.
 
-Usage: python benchmarks/terrain.py [passes] [--sides 16] [--images 1] [--seed 1]
+Usage: python benchmarks/terrain.py [passes haze] [--sides 16] [--images 1] [--seed 1]
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import time
@@ -19,15 +21,29 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike import ApparentGeometry, Camera, Detector, Failure, GaussianPsf, Image, Scene, Target
+from giantlike import ApparentGeometry, Camera, Detector, Failure, GaussianPsf, Image, PositionFix, Scene, Target
+from giantlike.atmosphere import Atmosphere
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
-from giantlike.independent import PinholeView, Pose, Psf, Recorder, ReliefBody, SphereField, record, render_body, rough
+from giantlike.independent import (
+    Haze,
+    PinholeView,
+    Pose,
+    Psf,
+    Recorder,
+    ReliefBody,
+    SphereField,
+    hazy_sphere,
+    record,
+    render_body,
+    rough,
+)
 from giantlike.relative import EllipseFit, EllipsoidCRA, Estimator, LimbMatching, SigmoidLimb
 from giantlike.shapes import Ellipsoid
 from giantlike.terrain import HeightMap
 
 MOON_KM = 1737.4
+EARTH_KM, EARTH_AT_KM, HAZE_KM = 6371.0, 350_000.0, 7.0
 RELIEF_KM = 1.8  # rms; LOLA's shape has 2.2 with the South Pole-Aitken basin
 IFOV_RAD = math.radians(28.2 / 3600.0)  # paper 000, section IV.B
 RANGES_KM = (60_000.0, 400_000.0)  # passes of the Moon in paper 000, Table 1
@@ -186,6 +202,39 @@ def table(rows: list[dict[str, object]], maps: dict[str, HeightMap | None]) -> l
     return result
 
 
+def haze() -> list[dict[str, object]]:
+    """Limbs of an Earth of 133 px in haze: how much too high they are, with and without the atmosphere told."""
+    camera, rows = orion(330), list[dict[str, object]]()
+    middle = 0.5 * (camera.columns - 1)
+    view = PinholeView(focal_px=1.0 / IFOV_RAD, center_px=(middle, middle), columns=330, rows=330)
+    position, shape = np.array([300.0, -500.0, EARTH_AT_KM]), Ellipsoid(radii_km=np.full(3, EARTH_KM))
+    for phase, depth in itertools.product((60.0, 100.0), (0.04, 0.098, 0.22)):
+        sun = np.array([math.sin(math.radians(phase)), 0.0, -math.cos(math.radians(phase))])
+        air = Haze(scale_height_km=HAZE_KM, vertical_depth=depth)
+        light = hazy_sphere(EARTH_KM, air, view, Pose(position, Rotation.identity(), sun))
+        recorder = Recorder(gain_e_per_dn=5.0, read_noise_e=25.0)
+        pixels = record(light * (3000.0 / light.max()), np.random.default_rng(1), recorder).pixels
+        image = Image(pixels=pixels, camera_from_inertial=Rotation.identity(), name="haze")
+        told = Atmosphere(scale_height_km=HAZE_KM, optical_depth=depth, sigma_km=HAZE_KM)
+        apparent = ApparentGeometry(
+            position_inertial_km=1.002 * position,
+            inertial_from_body=Rotation.identity(),
+            sun_direction_inertial=sun,
+        )
+        for estimator, known in itertools.product(ESTIMATORS, (None, told)):
+            target = Target(name="EARTH", shape=shape, ephemeris=apparent, atmosphere=known)
+            fix = estimator.estimate(image, camera, Scene(targets=(target,)))
+            row: dict[str, object] = {"phase_deg": phase, "depth": depth, "estimator": estimator.name}
+            row |= {"told": known is not None, "predicted_km": told.limb_altitude_km(EARTH_KM)}
+            if isinstance(fix, PositionFix):
+                line = position / np.linalg.norm(position)
+                scale = EARTH_KM / EARTH_AT_KM
+                row["too_high_km"] = float((position - fix.position_camera_km) @ line) * scale
+                row["sigma_km"] = math.sqrt(line @ fix.covariance_camera_km2 @ line) * scale
+            rows.append(row)
+    return rows
+
+
 def main() -> None:
     """Run the parts that are named."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -197,6 +246,8 @@ def main() -> None:
     result: dict[str, object] = {}
     if "passes" in arguments.parts:
         result["passes"] = passes(arguments.sides, arguments.images, arguments.seed)
+    if "haze" in arguments.parts:
+        result["haze"] = haze()
     print(json.dumps(result, indent=1))
 
 

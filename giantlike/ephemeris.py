@@ -18,10 +18,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from giantlike.core.arrays import Float, as_finite, require
 from giantlike.core.errors import InputError
+from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
 from giantlike.io.ephemeris_table import EphemerisSamples, read_ephemeris_table
 from giantlike.io.spice import orientation, spk_state
 
+_LIGHT_TIME_STEPS = 5  # fixed-point iterations; each gains a factor v/c, and three suffice for the solar system
 BARYCENTER = "SOLAR SYSTEM BARYCENTER"
 """NAIF name of the default origin of positions."""
 
@@ -341,3 +343,32 @@ def _unit3(value: ArrayLike) -> Float:
     require(length > 0, "a direction must not be the zero vector")
     result: Float = vector / length
     return result
+
+
+def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:
+    """Solve the light-time equation for the vector from an observer to a source at emission.
+
+    Solves ``|source(et - t) - observer| = c t`` by fixed-point iteration, as SPICE does for ``CN``.
+
+    Parameters
+    ----------
+    source : Ephemeris
+        Body that emits or reflects the light.
+    et : float, TDB seconds past J2000
+        Time of reception.
+    observer_km : (3,) float64, km, ICRF axes
+        Position of the observer at reception, from the origin of ``source``.
+
+    Returns
+    -------
+    vector_km : (3,) float64, km, ICRF axes
+        From the observer to the source.
+    emission_et : float, TDB seconds past J2000
+        Time of emission.
+    """
+    emission = et
+    vector = source.state(et)[0] - observer_km
+    for _ in range(_LIGHT_TIME_STEPS):
+        emission = et - float(np.linalg.norm(vector)) / SPEED_OF_LIGHT_KM_S
+        vector = source.state(emission)[0] - observer_km
+    return vector, emission

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike.atmosphere import Atmosphere
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require, require_number, unit
 from giantlike.core.errors import FrameMismatchError, InputError
@@ -17,7 +18,7 @@ from giantlike.core.light import aberrate, boosted
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
-from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris
+from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris, light_path
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
 from giantlike.shapes import Ellipsoid, Shape
@@ -27,7 +28,6 @@ _MASK_DIRECTIONS = 720  # points of an outline, every half degree: 3 px apart on
 _SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 1/16 px
 _SUBPIXELS = 1 << _SUBPIXEL_BITS  # to a pixel
 _FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int32 arithmetic overflows beyond
-_LIGHT_TIME_STEPS = 5  # fixed-point iterations; each gains a factor v/c, and three suffice for the solar system
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,11 +84,13 @@ class Target(Value):
         Of shape, orientation and ephemeris, for the covariances of fixes; by default all are exact.
     terrain : HeightMap, optional
         Relief of an ellipsoid, with which estimators on limbs predict the outline; other estimators see the ellipsoid.
+    atmosphere : Atmosphere, optional
+        Haze by which the limb of an ellipsoid is seen above its surface, for estimators on limbs.
 
     Raises
     ------
     InputError
-        There is a height map, and the shape is no ellipsoid.
+        There is a height map or an atmosphere and the shape is no ellipsoid, or there are both: a limb is that of one.
     """
 
     name: str
@@ -97,10 +99,16 @@ class Target(Value):
     reflectance: Reflectance = field(default_factory=McEwen)
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
     terrain: HeightMap | None = None
+    atmosphere: Atmosphere | None = None
 
     def __post_init__(self) -> None:
-        smooth = self.terrain is None or isinstance(self.shape, Ellipsoid)
-        require(smooth, f"{self.name}: terrain goes with an ellipsoid as shape, got a {type(self.shape).__name__}")
+        for name, part in (("terrain", self.terrain), ("an atmosphere", self.atmosphere)):
+            smooth = part is None or isinstance(self.shape, Ellipsoid)
+            require(smooth, f"{self.name}: {name} goes with an ellipsoid as shape, got a {type(self.shape).__name__}")
+        require(
+            self.terrain is None or self.atmosphere is None,
+            f"{self.name}: give either terrain or an atmosphere: the limb is seen at one of them",
+        )
         Value.__post_init__(self)
 
 
@@ -125,6 +133,14 @@ class TargetGeometry(Value):
     position_camera_km: Float
     camera_from_body: Rotation
     sun_direction_camera: Float
+
+    @property
+    def limb_altitude_km(self) -> tuple[float, float]:
+        """Altitude of the limb above the shape by an atmosphere, and its standard deviation, km; 0 and 0 without."""
+        atmosphere = self.target.atmosphere
+        if atmosphere is None:
+            return 0.0, 0.0
+        return atmosphere.limb_altitude_km(self.target.shape.mean_radius_km), atmosphere.sigma_km
 
     @property
     def range_km(self) -> float:
@@ -459,35 +475,6 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
         covered = np.asarray(cv2.dilate(covered, kernel), dtype=np.uint8)
     return covered.astype(bool)
-
-
-def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:
-    """Solve the light-time equation for the vector from an observer to a source at emission.
-
-    Solves ``|source(et - t) - observer| = c t`` by fixed-point iteration, as SPICE does for ``CN``.
-
-    Parameters
-    ----------
-    source : Ephemeris
-        Body that emits or reflects the light.
-    et : float, TDB seconds past J2000
-        Time of reception.
-    observer_km : (3,) float64, km, ICRF axes
-        Position of the observer at reception, from the origin of ``source``.
-
-    Returns
-    -------
-    vector_km : (3,) float64, km, ICRF axes
-        From the observer to the source.
-    emission_et : float, TDB seconds past J2000
-        Time of emission.
-    """
-    emission = et
-    vector = source.state(et)[0] - observer_km
-    for _ in range(_LIGHT_TIME_STEPS):
-        emission = et - float(np.linalg.norm(vector)) / SPEED_OF_LIGHT_KM_S
-        vector = source.state(emission)[0] - observer_km
-    return vector, emission
 
 
 def _straight(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:

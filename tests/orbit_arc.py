@@ -19,12 +19,12 @@ from giantlike.core.light import boosted
 from giantlike.core.outcomes import PositionFix
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.values import Value
-from giantlike.ephemeris import BARYCENTER
+from giantlike.ephemeris import BARYCENTER, light_path
 from giantlike.io.observables_file import write_observables
 from giantlike.observables import ImageContext, Sighting, row_of_body
 from giantlike.relative.budget import position_covariance
 from giantlike.relative.place import place_jacobian
-from giantlike.scene import Circumstances, TargetUncertainty, light_path
+from giantlike.scene import Circumstances, TargetUncertainty
 from giantlike.simulation.approach import demo_camera
 from giantlike.simulation.orbits import CircularOrbit
 

@@ -21,10 +21,10 @@ from giantlike.core.frames import FrameRotation
 from giantlike.core.light import boosted
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, SPEED_OF_LIGHT_KM_S
-from giantlike.ephemeris import ApparentGeometry, DistantLight, FixedEphemeris, SpiceEphemeris
+from giantlike.ephemeris import ApparentGeometry, DistantLight, FixedEphemeris, SpiceEphemeris, light_path
 from giantlike.image import AttitudeSource, Image, ObserverState
 from giantlike.io.spice import load_kernels
-from giantlike.scene import Scene, Target, TargetGeometry, light_path
+from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import Ellipsoid
 from tests.tolerances import FLOAT64, FLOAT64_SUM
 

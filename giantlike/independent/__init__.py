@@ -8,6 +8,7 @@ Pixels and axes are those of the project:
 
 from giantlike.independent.bodies import Body, EllipsoidBody, ReliefBody, facet_mesh
 from giantlike.independent.fields import SphereField, bumps, craters, rough
+from giantlike.independent.haze import Haze, hazy_sphere
 from giantlike.independent.laws import LAWS, Law
 from giantlike.independent.light import Motion, aberrated, apparent_disk, apparent_geometry, unaberrated
 from giantlike.independent.psf import Psf
@@ -20,6 +21,7 @@ __all__ = [
     "LAWS",
     "Body",
     "Defects",
+    "Haze",
     "EllipsoidBody",
     "Law",
     "Motion",
@@ -39,6 +41,7 @@ __all__ = [
     "bumps",
     "craters",
     "facet_mesh",
+    "hazy_sphere",
     "random_stars",
     "record",
     "render_body",

@@ -23,9 +23,9 @@ from giantlike.core.light import boosted
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
 from giantlike.core.values import Value
-from giantlike.ephemeris import ApparentGeometry, FixedEphemeris
+from giantlike.ephemeris import ApparentGeometry, FixedEphemeris, light_path
 from giantlike.image import ObserverState
-from giantlike.scene import Scene, Target, light_path
+from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, irregular_body
 from giantlike.simulation.detector import DetectorModel, HotPixels
 from giantlike.simulation.images import SimulatedImage, simulate_image

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import tomli_w
 
+from giantlike.atmosphere import Atmosphere
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.file.options import options_from_mapping
 from giantlike.core.errors import DataError, InputError
@@ -123,6 +124,26 @@ def test_uncertainties_of_targets_and_a_priori_attitudes_are_turned_into_radians
     np.testing.assert_allclose(found, [1e-3, math.radians(0.1), math.radians(0.2), 5.0], rtol=1e-12)
     assert campaign.apriori_covariance_rad2 is not None
     np.testing.assert_allclose(np.sqrt(np.diag(campaign.apriori_covariance_rad2)), math.radians(0.5), rtol=1e-12)
+
+
+def test_a_height_map_is_found_and_opened_and_an_atmosphere_is_taken_from_its_name_or_numbers(tmp_path: Path) -> None:
+    table = campaign_table()
+    table["targets"][0] |= {"terrain": "map.npz", "terrain_sigma_km": 0.002}
+    path = write(tmp_path, table)
+    np.savez(tmp_path / "map.npz", heights_km=np.full((4, 8), 0.01), reference_radii_km=1.0)
+    limb = Campaign.load(path).targets[0].limb
+    opened = limb.height_map()
+    assert opened is not None
+    assert (opened.name, opened.sigma_km, limb.height_map() is opened) == ("map.npz", 0.002, True)
+    del table["targets"][0]["terrain"]
+    for given, altitude_km in (("MARS", 11.6), ({"altitude_km": 25.0, "sigma_km": 3.0}, 25.0)):
+        table["targets"][0]["atmosphere"] = given
+        known = Campaign.load(write(tmp_path, table)).targets[0].limb.atmosphere
+        assert known is not None
+        assert altitude_km in (known.scale_height_km, known.base_km)
+    table["targets"][0]["atmosphere"] = {"scale_height_km": 8, "optical_depth": 0.1, "sigma_km": 8, "exponent": 4}
+    full = Campaign.load(write(tmp_path, table)).targets[0].limb.atmosphere
+    assert full == Atmosphere(scale_height_km=8.0, optical_depth=0.1, sigma_km=8.0, exponent=4.0)
 
 
 def test_mesh_reflectance_and_estimator_options_are_taken_over(tmp_path: Path) -> None:
@@ -244,6 +265,12 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
         r"targets\[0\].shape: .*no radii of 599",
     ),
     (lambda t: t["targets"][0].update(uncertainty={"scale": -1.0}), r"targets\[0\].uncertainty.scale: "),
+    (lambda t: t["targets"][0].update(atmosphere="PLUTO"), r"targets\[0\].atmosphere: no atmosphere of 'PLUTO'"),
+    (lambda t: t["targets"][0].update(atmosphere={"altitude_km": 5}), "expected altitude_km and sigma_km"),
+    (lambda t: t["targets"][0].update(atmosphere={"altitude_km": "high", "sigma_km": 1}), "altitude_km must be"),
+    (lambda t: t["targets"][0].update(terrain="none.img"), r"targets\[0\].terrain: "),
+    (lambda t: t["targets"][0].update(terrain="camera.toml", atmosphere="EARTH"), "either terrain or atmosphere"),
+    (lambda t: t["targets"][0].update(shape="rock.obj", atmosphere="EARTH"), "goes with an ellipsoid"),
     (lambda t: t["targets"][0].update(shape=5), r"targets\[0\].shape: expected a mesh file or"),
     (lambda t: t["targets"][0].update(reflectance={"model": "phong"}), r"targets\[0\].reflectance model must be one"),
     (lambda t: t["targets"].append(dict(t["targets"][0])), "targets: two targets have the name 'PEBBLE'"),

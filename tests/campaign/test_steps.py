@@ -105,6 +105,10 @@ TABLE_CHANGES: dict[str, tuple[Callable[[dict[str, Any]], object], dict[str, int
         lambda table: table["targets"][0].update(uncertainty={"scale": 0.01}),
         ALL_KEPT | BODIES,
     ),
+    "the atmosphere of a target": (
+        lambda table: table["targets"][0].update(atmosphere={"altitude_km": 0.001, "sigma_km": 0.001}),
+        ALL_KEPT | BODIES,
+    ),
     "an option of the stars, which moves the attitudes": (
         lambda table: table["stars"].update(max_magnitude=6.5),
         ALL_KEPT | BODIES | {"attitudes": 4, "transfer": 2},

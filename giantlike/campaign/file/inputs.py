@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.hints import nearest
+from giantlike.campaign.file.limb_inputs import LimbSetup
 from giantlike.campaign.file.options import options_from_mapping, with_files_found
 from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
 from giantlike.campaign.file.toml_file import named
@@ -141,6 +142,8 @@ class TargetSetup:
     spice_body, frame : str
         NAIF name and body-fixed frame.
     uncertainty : TargetUncertainty
+    limb : LimbSetup
+        Height map and atmosphere.
     """
 
     name: str
@@ -151,6 +154,7 @@ class TargetSetup:
     spice_body: str
     frame: str
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
+    limb: LimbSetup = field(default_factory=LimbSetup)
 
     def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
         """Orientation by SPICE when the light left that a camera sees.
@@ -454,6 +458,10 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         shape = (x_km, y_km, z_km)
     with named(f"{where}."):
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
+    limb = LimbSetup()
+    if isinstance(section, TargetSection):
+        terrain = None if section.terrain is None else existing_file(path, f"{where}.terrain", section.terrain)
+        limb = LimbSetup.of(section, where, shape, terrain)
     return TargetSetup(
         name=section.name,
         shape=existing_file(path, f"{where}.shape", shape) if isinstance(shape, str) else shape,
@@ -463,6 +471,7 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         spice_body=spice_body,
         frame=section.frame or spice_body,
         uncertainty=_uncertainty(section) if isinstance(section, TargetSection) else TargetUncertainty(),
+        limb=limb,
     )
 
 

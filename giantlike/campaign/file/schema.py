@@ -5,12 +5,14 @@ The checks on reading, the defaults and the page ``docs/campaign_file.md`` follo
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, PlainValidator
 
+from giantlike.atmosphere import Atmosphere
 from giantlike.calibration import CalibrationCriteria, CalibrationOptions
 from giantlike.calibration.star_images import DEFAULT_MIN_SNR
 from giantlike.campaign.file.options import options_validator
@@ -42,6 +44,30 @@ def _checked_shape(value: object) -> str | Radii | None:
     if any(isinstance(r, bool) or not isinstance(r, int | float) or not math.isfinite(r) or not r > 0 for r in radii):
         raise InputError(f"radii_km must be three positive and finite numbers, got {radii!r}")
     return float(radii[0]), float(radii[1]), float(radii[2])
+
+
+def _checked_atmosphere(value: object) -> Atmosphere | None:
+    """Name of a body, an altitude, or all numbers of an atmosphere."""
+    if value is None or isinstance(value, Atmosphere):
+        return value
+    if isinstance(value, str):
+        return Atmosphere.of(value)
+    if not isinstance(value, Mapping):
+        raise InputError(f"expected the name of a body or a table, got {value!r}")
+    for key, number in value.items():
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            raise InputError(f"{key} must be a number, got {number!r}")
+    table = {str(key): float(number) for key, number in value.items()}
+    if set(table) == {"altitude_km", "sigma_km"}:
+        return Atmosphere.at(table["altitude_km"], sigma_km=table["sigma_km"])
+    names = {one.name for one in dataclasses.fields(Atmosphere)}
+    needed = {"scale_height_km", "optical_depth", "sigma_km"}
+    if not needed <= set(table) <= names:
+        raise InputError(
+            "expected altitude_km and sigma_km, or scale_height_km, optical_depth and sigma_km with "
+            f"{', '.join(sorted(names - needed))}; got {', '.join(sorted(table)) or 'nothing'}"
+        )
+    return Atmosphere(**table)
 
 
 class CampaignSection(Section):
@@ -238,6 +264,15 @@ class TargetSection(BodySection):
     options: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """Options by estimator; `giantlike estimators NAME` shows those of one."""
     uncertainty: UncertaintySection = UncertaintySection()
+    terrain: str | None = None
+    """Height map of a body whose shape is an ellipsoid: a PDS3 image with its label (such as LOLA's), a GeoTIFF or a
+    numpy archive; estimators on limbs then predict the outline with its relief ([terrain](terrain.md))."""
+    terrain_sigma_km: float | None = Field(default=None, ge=0, le=100)
+    """One sigma of the heights of the map over wide areas, km; that of the file, else 0."""
+    atmosphere: Annotated[Atmosphere | None, PlainValidator(_checked_atmosphere)] = None
+    """Altitude at which the limb of an ellipsoid is seen: `"EARTH"`, `"MARS"`, `"VENUS"` or `"TITAN"`, a known
+    `{ altitude_km = 25, sigma_km = 3 }`, or `{ scale_height_km, optical_depth, sigma_km, base_km, reference_nm,
+    exponent, wavelength_nm }` ([terrain](terrain.md))."""
 
 
 class ReportSection(Section):

@@ -124,6 +124,8 @@ class Workbench(Value):
                 detection=campaign.stars.detection,
             )
         shapes = {target.name: target.load_shape() for target in campaign.targets}
+        for target in campaign.targets:
+            target.limb.height_map()
         kernels = None if campaign.spice is None else load_kernels(campaign.spice.kernels, ".", trusted=trusted)
         frames = None
         if campaign.frames is not None:

@@ -208,6 +208,8 @@ def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | Spice
         ephemeris=ephemeris,
         reflectance=target.reflectance,
         uncertainty=target.uncertainty,
+        terrain=target.limb.height_map(),
+        atmosphere=target.limb.atmosphere,
     )
 
 

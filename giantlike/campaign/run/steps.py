@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import ImageEntry
+from giantlike.campaign.file.limb_inputs import LimbSetup
 from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.store.records import Attitude
 from giantlike.core.reading import file_sha256
@@ -58,6 +59,7 @@ class Steps:
                 self._camera,
                 bench.shapes[target.name].sha256,
                 *(target.units, target.reflectance, target.uncertainty, target.spice_body, target.frame, target.name),
+                *(() if target.limb == LimbSetup() else (target.limb,)),
             )
             for target in campaign.targets
         }

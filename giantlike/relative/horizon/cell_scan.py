@@ -41,6 +41,7 @@ from giantlike.relative.limb.fix import (
     settle_limb,
 )
 from giantlike.relative.quality import LEAST_USED_SHARE
+from giantlike.scene import TargetGeometry
 
 _COARSE_POINTS = 120
 """Points for the search of the horizon as a whole."""
@@ -135,7 +136,8 @@ class HorizonSearch(IteratedSearch):
     Parameters
     ----------
     limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere.
+        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
+        that of the target's atmosphere.
     altitude_sigma_km : float, km
         Standard deviation of that; where it is not zero the altitude is estimated with the position.
     """
@@ -145,16 +147,22 @@ class HorizonSearch(IteratedSearch):
 
     def __post_init__(self) -> None:
         IteratedSearch.__post_init__(self)
-        self.altitude()  # checks the values
+        Altitude(self.limb_altitude_km, self.altitude_sigma_km)  # checks the values
 
-    def altitude(self) -> Altitude:
+    def altitude(self, geometry: TargetGeometry) -> Altitude:
         """Return the altitude of the limb as known before.
+
+        Parameters
+        ----------
+        geometry : TargetGeometry
+            Its target may have an atmosphere.
 
         Returns
         -------
         Altitude
         """
-        return Altitude(self.limb_altitude_km, self.altitude_sigma_km)
+        own = Altitude(self.limb_altitude_km, self.altitude_sigma_km)
+        return Altitude(*geometry.limb_altitude_km) if own == Altitude() else own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -143,6 +143,8 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
         stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)
         if isinstance(stand_in, Failure):
             return stand_in
+        altitude = Altitude(*inputs.geometry.limb_altitude_km)
+        stand_in = replace(stand_in, figure=altitude.above(stand_in.figure))
         view = limb_view(inputs)
         measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)
         if isinstance(measured, Failure) and view.clipped.any():
@@ -152,7 +154,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
         if isinstance(measured, Failure):
             return measured
         measured = with_terrain(measured, inputs, self.options.outlier_mad)
-        solved = fit_limb_ellipse(measured, view, stand_in, self.options)
+        solved = fit_limb_ellipse(measured, view, stand_in, self.options, altitude)
         if isinstance(solved, Failure):
             return solved
         return limb_fix(inputs, *solved, self.options)
@@ -260,7 +262,11 @@ def limb_edges(
 
 
 def fit_limb_ellipse(
-    measured: LimbMeasurement, view: LimbView, stand_in: EllipsoidStandIn, options: EllipseFitOptions
+    measured: LimbMeasurement,
+    view: LimbView,
+    stand_in: EllipsoidStandIn,
+    options: EllipseFitOptions,
+    altitude: Altitude,
 ) -> tuple[LimbMeasurement, LimbSolution] | Failure:
     """Fit an ellipse to edges of a limb, and the horizon of the body to those that lie on it.
 
@@ -269,7 +275,10 @@ def fit_limb_ellipse(
     measured : LimbMeasurement
     view : LimbView
     stand_in : EllipsoidStandIn
+        As seen: with the altitude of the limb on its radii.
     options : EllipseFitOptions
+    altitude : Altitude
+        Of the limb.
 
     Returns
     -------
@@ -289,7 +298,7 @@ def fit_limb_ellipse(
     start_km = christian_robinson(observed_px[used], model, figure, sigma_px=measured.sigma_px[used])
     if isinstance(start_km, Failure):
         return start_km
-    solution = fit_horizon(measured.select(used), model, figure, start_km, Altitude())
+    solution = fit_horizon(measured.select(used), model, figure, start_km, altitude)
     return replace(measured, keep=kept), replace(
         solution, position_camera_km=solution.position_camera_km - stand_in.offset_camera_km
     )

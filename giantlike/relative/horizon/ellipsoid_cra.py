@@ -53,7 +53,8 @@ class EllipsoidCRAOptions(HorizonSearch):
     large_rms_px : float, px
         Larger residuals, beyond what relief explains, get a flag.
     limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere.
+        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
+        that of the target's atmosphere.
     altitude_sigma_km : float, km
         Standard deviation of that; where it is not zero the altitude is estimated with the position.
     horizon : HorizonScan
@@ -181,7 +182,7 @@ def _fitted(
     inputs: EstimatorInputs, stand_in: EllipsoidStandIn, options: EllipsoidCRAOptions
 ) -> tuple[LimbMeasurement, LimbSolution] | Failure:
     """The limb as measured, and the position by the Christian-Robinson algorithm."""
-    view, altitude, law = limb_view(inputs), options.altitude(), inputs.geometry.target.reflectance
+    view, altitude, law = limb_view(inputs), options.altitude(inputs.geometry), inputs.geometry.target.reflectance
     figure, start_km = altitude.above(stand_in.figure), stand_in.position_camera_km
     if isinstance(inputs.geometry.target.shape, Ellipsoid) and inputs.geometry.target.terrain is None:
         measured = measure_by_cells(view, figure, law, start_km, options, options.horizon)

@@ -35,7 +35,8 @@ class SigmoidLimbOptions(HorizonSearch):
     large_rms_px : float, px
         Larger residuals get a flag.
     limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere.
+        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
+        that of the target's atmosphere.
     altitude_sigma_km : float, km
         Standard deviation of that; where it is not zero the altitude is estimated with the position.
     scan : HorizonScan
@@ -89,7 +90,8 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
                 Reason.WRONG_SHAPE,
                 f"the fit needs an ellipsoid, got a {type(shape).__name__}: use ellipsoid_cra or limb_matching",
             )
-        view, altitude, geometry = limb_view(inputs), self.options.altitude(), inputs.geometry
+        view, geometry = limb_view(inputs), inputs.geometry
+        altitude = self.options.altitude(geometry)
         figure = altitude.above(Figure(radii_km=shape.radii_km, camera_from_axes=geometry.camera_from_body))
         law, start_km = geometry.target.reflectance, geometry.position_camera_km
         measured = measure_by_cells(view, figure, law, start_km, self.options, self.options.scan)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +18,7 @@ from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix, 
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.relative.limb.terrain import with_terrain
+from giantlike.shapes import Ellipsoid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,11 +94,19 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
                 Reason.NO_LIMB, f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}"
             )
         view = limb_view(inputs)
-        measured = measure_by_lines(view, inputs.geometry.body(), self.options, self.options.scan)
+        body, (altitude_km, sigma_km) = inputs.geometry.body(), inputs.geometry.limb_altitude_km
+        if altitude_km and isinstance(body.shape, Ellipsoid):
+            body = replace(body, shape=replace(body.shape, radii_km=body.shape.radii_km + altitude_km))
+        measured = measure_by_lines(view, body, self.options, self.options.scan)
         if isinstance(measured, Failure):
             return measured
         measured = with_terrain(measured, inputs, self.options.outlier_mad)
+        if sigma_km > 0.0:
+            lift = {Cause.ALTITUDE: sigma_km * np.linalg.norm(measured.design, axis=1)[:, None]}
+            measured = replace(measured, common_px={**measured.common_px, **lift})
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
+        if altitude_km:
+            solution = replace(solution, provenance={"limb_altitude_km": f"{altitude_km:.6g}"})
         allowed_px = self.options.allowed_rms_px(measured)
         return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px)
 

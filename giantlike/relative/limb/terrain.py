@@ -89,7 +89,7 @@ def with_terrain(
     if Cause.RELIEF in measured.common_px:
         shared.append(measured.common_px[Cause.RELIEF])
     after = replace(measured, shift_px=shift_px, keep=keep)
-    known_px = math.hypot(profile.sigma_km * scale, by_slopes_px)
+    known_px = math.hypot(profile.sigma_km * scale, SLOPE_ERROR * float(np.std(terrain_px)))
     log_odds, misfit = judged(after, terrain_px, known_px=known_px, scatter_px=profile.scatter_km * scale)
     return replace(
         after,

@@ -1,0 +1,202 @@
+"""Atmospheres as limbs show them: the altitude at which the edge of a body is seen, by scale height and wavelength.
+
+Light that grazes a body crosses ``tau sqrt(2 pi R / H)`` of haze where the vertical optical depth above is tau, some
+70 times as much on Earth: so the limb is where the slant optical depth falls from much to little, scale heights above
+the ground.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import exp1
+
+from giantlike.core.arrays import Float, as_floats, require, require_number
+
+_EULER = float(np.euler_gamma)
+_GUMBEL_SIGMA = math.pi / math.sqrt(6.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Atmosphere:
+    """Haze or air whose density falls exponentially, around a body.
+
+    Parameters
+    ----------
+    scale_height_km : float, km
+        0 for a limb that is sharp at ``base_km``.
+    optical_depth : float
+        Vertical, above ``base_km``, at ``reference_nm``.
+    sigma_km : float, km
+        Standard deviation of the altitude of the limb: multiple scattering, clouds, seasons, phase angle.
+    base_km : float, km
+        Altitude above the shape of the body.
+    reference_nm : float, nm
+    exponent : float
+        The optical depth goes as the wavelength to the power of minus this: 4 for air, about 0 for dust.
+    wavelength_nm : float, nm
+        At which the body is seen: the mean of a camera's filter.
+
+    Raises
+    ------
+    InputError
+        A value is negative, or no wavelength.
+
+    Examples
+    --------
+    >>> earth = Atmosphere.of("EARTH")
+    >>> [round(earth.seen_at(nm).limb_altitude_km(6371.0), 1) for nm in (450.0, 550.0, 700.0)]
+    [23.8, 18.1, 11.3]
+
+    References
+    ----------
+    .. [1] Inman et al., Artemis I optical navigation system performance, section IV.C.3 (the altitude of the Earth's
+       limb in a camera: 25 km).
+    """
+
+    scale_height_km: float
+    optical_depth: float
+    sigma_km: float
+    base_km: float = 0.0
+    reference_nm: float = 550.0
+    exponent: float = 0.0
+    wavelength_nm: float = 550.0
+
+    def __post_init__(self) -> None:
+        require_number(self.scale_height_km, "scale_height_km", least=0.0)
+        require_number(self.optical_depth, "optical_depth", above=0.0)
+        require_number(self.sigma_km, "sigma_km", least=0.0)
+        require_number(self.base_km, "base_km")
+        require_number(self.exponent, "exponent", least=0.0, most=6.0)
+        for name in ("reference_nm", "wavelength_nm"):
+            require_number(getattr(self, name), name, least=100.0, most=20_000.0)
+
+    @classmethod
+    def of(cls, body: str) -> Atmosphere:
+        """Atmosphere of a body that is known: those of :data:`ATMOSPHERES`.
+
+        Parameters
+        ----------
+        body : str
+            NAIF name.
+
+        Returns
+        -------
+        Atmosphere
+
+        Raises
+        ------
+        InputError
+            None is known of that name.
+        """
+        known = ", ".join(ATMOSPHERES)
+        require(body.upper() in ATMOSPHERES, f"no atmosphere of {body!r} is known, only of {known}: give its numbers")
+        return ATMOSPHERES[body.upper()]
+
+    @classmethod
+    def at(cls, altitude_km: float, *, sigma_km: float) -> Atmosphere:
+        """Atmosphere of which just the altitude of the limb is known.
+
+        Parameters
+        ----------
+        altitude_km, sigma_km : float, km
+
+        Returns
+        -------
+        Atmosphere
+        """
+        return cls(scale_height_km=0.0, optical_depth=1.0, sigma_km=sigma_km, base_km=altitude_km)
+
+    def seen_at(self, wavelength_nm: float) -> Atmosphere:
+        """Return the same atmosphere as it is seen at another wavelength, nm."""
+        return replace(self, wavelength_nm=wavelength_nm)
+
+    def slant_depth(self, radius_km: float) -> float:
+        """Optical depth along a ray that grazes the base.
+
+        Parameters
+        ----------
+        radius_km : float, km
+            Of the body.
+
+        Returns
+        -------
+        float
+        """
+        vertical = self.optical_depth * (self.reference_nm / self.wavelength_nm) ** self.exponent
+        curve_km = radius_km + self.base_km
+        return float(vertical * math.sqrt(2.0 * math.pi * curve_km / max(self.scale_height_km, 1e-9 * curve_km)))
+
+    def brightness(self, altitude_km: ArrayLike, radius_km: float) -> Float:
+        """Brightness of the limb over that of haze without end, by single scattering.
+
+        Parameters
+        ----------
+        altitude_km : (...), km
+            Of rays at their lowest point.
+        radius_km : float, km
+
+        Returns
+        -------
+        (...) float64
+            ``1 - exp(-slant optical depth)``; 1 below the base, where the ground is.
+        """
+        above = as_floats(altitude_km, (), "altitude_km") - self.base_km
+        if self.scale_height_km == 0.0:
+            return (above < 0.0).astype(np.float64)
+        with np.errstate(over="ignore"):
+            depth = self.slant_depth(radius_km) * np.exp(-above / self.scale_height_km)
+        result: Float = np.where(above < 0.0, 1.0, -np.expm1(-depth))
+        return result
+
+    def limb_altitude_km(self, radius_km: float) -> float:
+        r"""Altitude at which a sharp edge has as much light above it as the limb has.
+
+        Parameters
+        ----------
+        radius_km : float, km
+
+        Returns
+        -------
+        float, km
+
+        Notes
+        -----
+        The integral of ``1 - exp(-t exp(-h / H))`` over heights h from 0 is ``H (ln t + gamma + E1(t))``, with Euler's
+        constant. It is where an edge is measured whose pixels are coarser than H, and within a tenth of H where they
+        are as fine.
+        """
+        if self.scale_height_km == 0.0:
+            return self.base_km
+        depth = self.slant_depth(radius_km)
+        return self.base_km + self.scale_height_km * (math.log(depth) + _EULER + float(exp1(depth)))
+
+    @property
+    def limb_width_km(self) -> float:
+        """Standard deviation of the fall of the brightness, km, by which the limb is blurred where no ground shows."""
+        return _GUMBEL_SIGMA * self.scale_height_km
+
+
+ATMOSPHERES = MappingProxyType(
+    {
+        "EARTH": Atmosphere(scale_height_km=7.0, optical_depth=0.098, sigma_km=7.0, exponent=4.06),
+        "MARS": Atmosphere(scale_height_km=11.6, optical_depth=0.6, sigma_km=12.0),
+        "VENUS": Atmosphere(scale_height_km=2.2, optical_depth=0.01, sigma_km=4.0, base_km=82.5),
+        "TITAN": Atmosphere(scale_height_km=65.0, optical_depth=3.9, sigma_km=80.0, base_km=80.0, exponent=2.3),
+    }
+)
+"""Atmospheres by NAIF name, with sigmas as wide as what is left open: a limb measured in the same filter beats them.
+
+Earth: scattering by air with the cross-section of Nicolet (1984, abstract: 0.2 to 0.55 um) and 2.15e25 molecules over a
+square centimeter; the scale height is about the mean below 30 km. Clouds and multiple scattering raise the limb: paper
+000 measured 25 km, which is 1 sigma above. Mars: dust with a scale height of 11.56 km and a depth of 0.9 that fell by
+0.6 % a day (Lemmon et al. 2004, abstract); seasons go below and far beyond. Venus: a vertical depth of 0.01 at 80 to
+85 km with a scale height of 1 to 3 km (Lane and Opstbaum 1983, abstract), above the solid surface. Titan: main haze
+above 80 km as the Huygens probe found it, by numbers that could not be looked up, so that the sigma is wide; the
+detached haze at 500 km in the ultraviolet is not in it. Of giant planets, whose radii are those of a pressure, none is
+here: give ``Atmosphere.at``.
+"""

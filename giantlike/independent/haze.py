@@ -1,0 +1,121 @@
+"""A sphere in an atmosphere: single scattering summed along rays, with what haze takes of the light of the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.independent.laws import LAWS, Float
+from giantlike.independent.psf import Psf
+from giantlike.independent.render import Pose
+from giantlike.independent.views import PinholeView
+
+TOP_SCALE_HEIGHTS = 14.0
+"""Height of the top of the haze, in scale heights over where a vertical ray has met a depth of 1: 1e-6 is above."""
+
+STEPS = 96
+"""Places along a ray, denser near its lowest point: light of a limb is right to 1e-3."""
+
+CELLS = 3
+"""Cells along the side of a pixel."""
+
+RAYS_AT_ONCE = 40_000
+"""Rays in one call."""
+
+
+@dataclass(frozen=True)
+class Haze:
+    """Haze whose extinction falls exponentially with height.
+
+    Parameters
+    ----------
+    scale_height_km : float, km
+    vertical_depth : float
+        Optical depth of all of it.
+    albedo : float
+        Share of the light that is scattered, alike in all directions, over the brightness of the ground at normal
+        incidence and emission.
+    """
+
+    scale_height_km: float
+    vertical_depth: float
+    albedo: float = 0.25
+
+
+def hazy_sphere(
+    radius_km: float, haze: Haze, view: PinholeView, pose: Pose, *, law: str = "lambert", psf: Psf | None = None
+) -> Float:
+    """Render a sphere in haze, without noise.
+
+    Parameters
+    ----------
+    radius_km : float, km
+    haze : Haze
+    view : PinholeView
+    pose : Pose
+        Its orientation plays no part.
+    law : str
+        Of the ground; name in :data:`LAWS`.
+    psf : Psf, optional
+        Optics; a Gaussian of 0.7 px unless given.
+
+    Returns
+    -------
+    (rows, columns) float64
+        Signal, 1 for ground at normal incidence and emission without haze.
+    """
+    psf = psf or Psf()
+    margin = psf.reach_px
+    rows, columns = view.rows + 2 * margin, view.columns + 2 * margin
+    places = (np.arange(max(rows, columns) * CELLS) + 0.5) / CELLS - 0.5 - margin
+    x, y = np.meshgrid(places[: columns * CELLS], places[: rows * CELLS])
+    pixels = np.stack([x, y], axis=-1).reshape(-1, 2)
+    light = np.zeros(len(pixels))
+    for first in range(0, len(pixels), RAYS_AT_ONCE):
+        part = slice(first, first + RAYS_AT_ONCE)
+        light[part] = _brightness(radius_km, haze, view.directions(pixels[part]), pose, law)
+    blurred = psf.blurred(light.reshape(rows * CELLS, columns * CELLS), CELLS)
+    whole = blurred.reshape(rows, CELLS, columns, CELLS).mean(axis=(1, 3))
+    return np.asarray(whole[margin : margin + view.rows, margin : margin + view.columns], dtype=float)
+
+
+def _brightness(radius_km: float, haze: Haze, rays: Float, pose: Pose, law: str) -> Float:
+    """Brightness (n,) along rays (n, 3)."""
+    center = np.asarray(pose.position_camera_km, dtype=float)
+    sun = np.asarray(pose.sun_direction_camera, dtype=float)
+    rays = rays / np.linalg.norm(rays, axis=1)[:, None]
+    middle = rays @ center
+    lowest = np.sqrt(np.maximum(center @ center - middle**2, 0.0))
+    high = haze.scale_height_km * (TOP_SCALE_HEIGHTS + max(np.log(haze.vertical_depth), 0.0))
+    top = radius_km + high
+    light = np.zeros(len(rays))
+    meets = lowest < top
+    rays, middle, lowest = rays[meets], middle[meets], lowest[meets]
+    half = np.sqrt(top**2 - lowest**2)
+    ground = lowest < radius_km
+    end = np.where(ground, -np.sqrt(np.maximum(radius_km**2 - lowest**2, 0.0)), half)
+    # Places along the way from the top to the ground or out again: crowded at both ends, or about the lowest point.
+    share = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, STEPS + 1)))
+    about = np.linspace(-1.0, 1.0, STEPS + 1)
+    way = np.where(ground[:, None], -half[:, None] + share * (end + half)[:, None], half[:, None] * about**3)
+    along = 0.5 * (way[:, 1:] + way[:, :-1])
+    height = np.sqrt(along**2 + lowest[:, None] ** 2) - radius_km
+    extinction = haze.vertical_depth / haze.scale_height_km * np.exp(-np.maximum(height, 0.0) / haze.scale_height_km)
+    steps = extinction * np.diff(way, axis=1)
+    passed = np.cumsum(steps, axis=1)
+    points = (middle[:, None] + along)[..., None] * rays[:, None] - center
+    incidence = points @ sun / np.linalg.norm(points, axis=-1)
+    above = haze.vertical_depth * np.exp(-np.maximum(height, 0.0) / haze.scale_height_km)
+    lit = np.where(incidence > 0.0, np.exp(-above / np.maximum(incidence, 0.03)), 0.0)
+    sent = haze.albedo * np.sum(lit * np.exp(-passed) * -np.expm1(-steps) * np.exp(0.5 * steps), axis=1)
+    hit = (middle + end)[ground, None] * rays[ground] - center
+    normals = hit / radius_km
+    towards = np.maximum(normals @ sun, 0.0)
+    emission = np.maximum(np.einsum("ij,ij->i", -rays[ground], normals), 1e-9)
+    seen = LAWS[law](towards, emission, -(rays[ground] @ sun))
+    sent[ground] += np.where(towards > 0.0, seen, 0.0) * np.exp(
+        -passed[ground, -1] - haze.vertical_depth / np.maximum(towards, 0.03)
+    )
+    light[meets] = sent
+    return light

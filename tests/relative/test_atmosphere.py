@@ -1,0 +1,94 @@
+"""Estimators on the limb of a body in haze, whose image sums single scattering along rays."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from giantlike import ApparentGeometry, Camera, Detector, GaussianPsf, Image, InputError, PositionFix, Scene, Target
+from giantlike.atmosphere import Atmosphere
+from giantlike.camera_models import PinholeModel
+from giantlike.independent import Haze, PinholeView, Pose, Recorder, hazy_sphere, record
+from giantlike.relative import ESTIMATORS
+from giantlike.scene import TargetGeometry
+from giantlike.shapes import Ellipsoid
+from giantlike.terrain import HeightMap
+
+RADIUS_KM, SCALE_KM, DEPTH = 6371.0, 7.0, 0.2
+RANGE_KM, FOCAL_PX, SIZE_PX = 350_000.0, 3300.0, 230  # 60 px of radius
+POSITION_KM = np.array([400.0, -700.0, RANGE_KM])
+SUN = np.array([math.sin(1.2), 0.0, -math.cos(1.2)])
+AIR = Atmosphere(scale_height_km=SCALE_KM, optical_depth=DEPTH, sigma_km=SCALE_KM)
+LIMB = ("limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit")
+
+
+@cache
+def hazy() -> Image:
+    view = PinholeView(focal_px=FOCAL_PX, center_px=(114.5, 114.5), columns=SIZE_PX, rows=SIZE_PX)
+    pose = Pose(POSITION_KM, Rotation.identity(), SUN)
+    light = hazy_sphere(RADIUS_KM, Haze(scale_height_km=SCALE_KM, vertical_depth=DEPTH), view, pose)
+    recorder = Recorder(gain_e_per_dn=5.0, read_noise_e=25.0)
+    pixels = record(light * (3000.0 / light.max()), np.random.default_rng(1), recorder).pixels
+    return Image(pixels=pixels, camera_from_inertial=Rotation.identity(), name="earth")
+
+
+def target(**more: object) -> Target:
+    apparent = ApparentGeometry(
+        position_inertial_km=POSITION_KM * 1.002,
+        inertial_from_body=Rotation.identity(),
+        sun_direction_inertial=SUN,
+    )
+    shape = Ellipsoid(radii_km=np.full(3, RADIUS_KM))
+    return Target(name="EARTH", shape=shape, ephemeris=apparent, **more)  # type: ignore[arg-type]
+
+
+def radius_error_km(name: str, air: Atmosphere | None) -> tuple[float, float, PositionFix]:
+    """Radius by which the limb of a fix is too large, and its sigma, km: the range over range and radius."""
+    camera = Camera(
+        name="c",
+        columns=SIZE_PX,
+        rows=SIZE_PX,
+        model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=114.5, cy_px=114.5),
+        psf=GaussianPsf(sigma_px=0.7),
+        detector=Detector(gain_e_per_dn=5.0, read_noise_e=25.0),
+    )
+    found = ESTIMATORS[name]().estimate(hazy(), camera, Scene(targets=(target(atmosphere=air),)))
+    assert isinstance(found, PositionFix), found
+    line = POSITION_KM / np.linalg.norm(POSITION_KM)
+    error = float((POSITION_KM - found.position_camera_km) @ line)
+    sigma = math.sqrt(line @ found.covariance_camera_km2 @ line)
+    return error * RADIUS_KM / RANGE_KM, sigma * RADIUS_KM / RANGE_KM, found
+
+
+@pytest.mark.parametrize("name", LIMB)
+def test_a_limb_in_haze_gives_the_range_within_its_sigma_when_the_atmosphere_is_told(name: str) -> None:
+    before, _, _ = radius_error_km(name, None)
+    error, sigma, found = radius_error_km(name, AIR)
+    assert abs(error) < 2.0 * sigma
+    assert abs(error) < 0.6 * abs(before)
+    assert sigma > 0.7 * AIR.sigma_km
+    assert abs(float(found.provenance["limb_altitude_km"]) - AIR.limb_altitude_km(RADIUS_KM)) < SCALE_KM
+    assert not found.flags.suspect
+
+
+def test_an_altitude_among_the_options_wins_over_that_of_the_atmosphere() -> None:
+    kind = ESTIMATORS["sigmoid_limb"]
+    options = type(kind().options)(limb_altitude_km=5.0)
+    assert options.altitude(_geometry()).altitude_km == 5.0
+    assert type(kind().options)().altitude(_geometry()).altitude_km == AIR.limb_altitude_km(RADIUS_KM)
+
+
+def _geometry() -> TargetGeometry:
+    geometry = Scene(targets=(target(atmosphere=AIR),)).geometry(hazy())
+    assert isinstance(geometry, TargetGeometry)
+    return geometry
+
+
+def test_a_target_has_relief_or_an_atmosphere_and_not_both() -> None:
+    terrain = HeightMap.from_array(np.zeros((4, 8)), reference_radii_km=np.full(3, RADIUS_KM))
+    with pytest.raises(InputError, match="either terrain or an atmosphere"):
+        target(atmosphere=AIR, terrain=terrain)
