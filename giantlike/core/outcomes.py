@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import NoReturn, Self
 
 import numpy as np
@@ -15,126 +13,9 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials, checked_parts, require_sum, summed
 from giantlike.core.errors import EstimationError
+from giantlike.core.reasons import Quality as Quality
+from giantlike.core.reasons import Reason as Reason
 from giantlike.core.values import Value
-
-
-class Reason(StrEnum):
-    """Reason of a failure; the values are those of tables and JSON."""
-
-    UNREADABLE_IMAGE = "unreadable_image"
-    NO_SIGNAL = "no_signal"
-    MASKED = "masked"
-    SATURATED = "saturated"
-    TOO_FEW_DETECTIONS = "too_few_detections"
-    NO_CATALOG_STARS = "no_catalog_stars"
-    TOO_FEW_MATCHES = "too_few_matches"
-    NO_PATTERN_MATCH = "no_pattern_match"
-    AMBIGUOUS = "ambiguous"
-    FOV_MISMATCH = "fov_mismatch"
-    MIRRORED_IMAGE = "mirrored_image"
-    DEGENERATE_GEOMETRY = "degenerate_geometry"
-    NO_ATTITUDE = "no_attitude"
-    NO_EPOCH = "no_epoch"
-    NO_GEOMETRY = "no_geometry"
-    OUT_OF_FRAME = "out_of_frame"
-    NOT_LIT = "not_lit"
-    NO_LIMB = "no_limb"
-    LOW_CORRELATION = "low_correlation"
-    PEAK_AT_EDGE = "peak_at_edge"
-    NOT_CONVERGED = "not_converged"
-    LARGE_RESIDUALS = "large_residuals"
-    WRONG_SHAPE = "wrong_shape"
-    NOT_UNRESOLVED = "not_unresolved"
-    REJECTED = "rejected"
-    INTERNAL_ERROR = "internal_error"
-
-
-class Quality(enum.Flag):
-    """Quality flags of a fix; those in ``SUSPECT`` make its status ``suspect``."""
-
-    NONE = 0
-    SATURATED = enum.auto()
-    """Saturated pixels lie in the measured region."""
-    MASKED = enum.auto()
-    """Bad pixels lie in the measured region."""
-    CUT_BY_FRAME = enum.auto()
-    """The body reaches over the edge of the image."""
-    APRIORI_ATTITUDE = enum.auto()
-    """The attitude is the a priori one of the image: there is no star solution."""
-    INTERPOLATED_ATTITUDE = enum.auto()
-    """The attitude comes from neighboring star images."""
-    SHAPE_APPROXIMATED = enum.auto()
-    """The estimator replaced the shape by a simpler one, such as a mesh by its ellipsoid."""
-    SHORT_ARC = enum.auto()
-    """Less than a quarter of the limb was used."""
-    LOW_SCORE = enum.auto()
-    """The match is weak."""
-    MANY_REJECTED = enum.auto()
-    """More than half of the observations were rejected."""
-    FAR_FROM_PREDICTION = enum.auto()
-    """The estimate lies at or beyond the border of the search region, or beyond declared errors of the prediction."""
-    LARGE_RESIDUALS = enum.auto()
-    """Residuals are several times what noise explains."""
-    AMBIGUOUS = enum.auto()
-    """Another source as good lies in the search region, or another place where the body explains the image as well."""
-    OBSERVER_UNKNOWN = enum.auto()
-    """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
-
-    The covariance holds it too, as :attr:`~giantlike.core.causes.Cause.ABERRATION`. Give the position and velocity of
-    the observer with respect to the solar system barycenter: kernels or tables relative to the target do not tell it.
-    """
-    EPOCH_UNKNOWN = enum.auto()
-    """No epoch: stars were taken where the catalog has them, at J2016.0, with the error of that in the covariance."""
-    DISAGREEMENT = enum.auto()
-    """Two independent estimators differ by more than their covariances explain.
-
-    One of them may be the coarse render behind every estimate: rendered where it was found, the body would match the
-    image better elsewhere, or at another range.
-    """
-    UNCHECKED = enum.auto()
-    """No independent estimator found the body, so nothing confirms the fix."""
-    UNCONFIRMED = enum.auto()
-    """No estimator that is not suspect itself confirms the fix, where one should."""
-    WRONG_LIGHT = enum.auto()
-    """Light lies on another side of the body than the Sun: its direction, or the order of rows, is wrong."""
-    UNEXPLAINED_LIGHT = enum.auto()
-    """The image around the body holds light that a body there does not explain, or lacks light that it should have.
-
-    A second exposure, another body, rings, an eclipse, stray light or another shape: look at the image, and mask what
-    is not the body.
-    """
-    WRONG_FIGURE = enum.auto()
-    """Parts of the body ask for different places: wrong shape, orientation or roll, rows that are shifted, or a
-    height map that is not that of the limb."""
-    BLURRED = enum.auto()
-    """The image is blurred by another amount than the camera's optics: motion, defocus, two exposures, a wrong psf."""
-    SUSPECT = (
-        LOW_SCORE
-        | MANY_REJECTED
-        | FAR_FROM_PREDICTION
-        | LARGE_RESIDUALS
-        | AMBIGUOUS
-        | DISAGREEMENT
-        | UNCONFIRMED
-        | WRONG_LIGHT
-        | UNEXPLAINED_LIGHT
-        | WRONG_FIGURE
-        | BLURRED
-    )
-
-    @property
-    def suspect(self) -> bool:
-        """True if a flag of ``SUSPECT`` is set."""
-        return bool(self & Quality.SUSPECT)
-
-    def names(self) -> tuple[str, ...]:
-        """Return the lower-case names of the flags that are set, in order of definition.
-
-        Returns
-        -------
-        tuple of str
-        """
-        return tuple(str(flag.name).lower() for flag in Quality if flag in self and flag.value.bit_count() == 1)
 
 
 _FLAGS_OF_THE_SKY = Quality.OBSERVER_UNKNOWN | Quality.EPOCH_UNKNOWN

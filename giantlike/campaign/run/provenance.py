@@ -75,7 +75,7 @@ def environment_of(campaign: Campaign) -> dict[str, Any]:
         As ``environment`` of ``provenance.json``.
     """
     return {
-        "campaign_file": campaign.path.name,
+        "campaign_file": campaign.path_from_output(campaign.path),
         "campaign_sha256": file_sha256(campaign.path),
         "camera_sha256": None if campaign.camera_file is None else file_sha256(campaign.camera_file),
         "python": platform.python_version(),

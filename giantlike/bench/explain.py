@@ -1,0 +1,181 @@
+"""A run's answer for one image in words: what was predicted, found and rejected, and which check decided."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from giantlike.bench.session import SeenImage, chosen_fix
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, Problem, TargetRecord
+from giantlike.core.attribute_docs import attribute_docs
+from giantlike.core.outcomes import Quality, Reason
+from giantlike.core.units import ARCSEC_PER_RAD
+
+_SOURCES = {
+    "stars": "from its own stars",
+    "interpolated": "from the star images before and after it",
+    "a_priori": "as given beforehand: no stars were solved",
+}
+
+
+def explain(seen: SeenImage) -> str:
+    """Explain the results of an image.
+
+    Parameters
+    ----------
+    seen : SeenImage
+
+    Returns
+    -------
+    str
+        Paragraphs of plain text.
+    """
+    lines = [*_image(seen.record), *_attitude(seen.record)]
+    for name in dict.fromkeys(one.target for one in seen.observations):
+        there = [one for one in seen.observations if one.target == name]
+        known = next((target for target in seen.targets if target.target == name), None)
+        lines += ["", *_target(name, there, known)]
+        for one in there:
+            lines += [f"  {one.estimator}: {one.status}", *(f"    {line}" for line in _observation(one))]
+        lines += [f"  {line}" for line in _together(seen, name, there)]
+    for edit in seen.edits:
+        lines += ["", f"Rejected by hand ({edit.what}): {edit.who}, {edit.when_utc}: {edit.why}"]
+    return "\n".join(lines)
+
+
+def _image(record: AttitudeRecord) -> Iterator[str]:
+    if not record.readable:
+        yield f"{record.file}: could not be read."
+        return
+    epoch = "no epoch" if record.epoch_utc is None else record.epoch_utc
+    exposure = "exposure unknown" if record.exposure_s is None else f"exposure {record.exposure_s:g} s"
+    yield f"{record.file}: {record.columns} x {record.rows} px, {epoch}, {exposure}."
+    yield from (f"Note: {note}." for note in record.notes)
+
+
+def _attitude(record: AttitudeRecord) -> Iterator[str]:
+    yield ""
+    if record.problem is not None:
+        yield f"Attitude: failed. {_problem(record.problem)}"
+        if record.n_detected is not None:
+            yield f"  {record.n_detected} detections, {record.n_matched or 0} of them identified."
+        return
+    attitude = record.attitude
+    if attitude is None:
+        return
+    yield f"Attitude: {record.status}, {_SOURCES.get(attitude.source, attitude.source)}."
+    if record.ra_deg is not None:
+        yield f"  Boresight at right ascension {record.ra_deg:.5f} deg, declination {record.dec_deg:.5f} deg."
+    sigma = attitude.sigma_rad * ARCSEC_PER_RAD
+    if np.isfinite(sigma).all():
+        yield f"  Sigma about the camera axes {sigma[0]:.3g}, {sigma[1]:.3g}, {sigma[2]:.3g} arcsec."
+    if record.n_matched:
+        yield (
+            f"  {record.n_detected} detections, {record.n_matched} matched with catalog stars, "
+            f"{record.n_rejected or 0} matches rejected; residual rms {record.rms_px:.3f} px."
+        )
+        if record.false_match_probability is not None:
+            yield f"  Chance that the identification is false: at most {record.false_match_probability:.1g}."
+    if record.attitude_shares:
+        shares = ", ".join(f"{file} ({share:.0%})" for file, share in record.attitude_shares.items())
+        yield f"  Made of {shares}."
+    yield from (f"  {line}" for line in _flags(record.flags))
+
+
+def _target(name: str, there: Sequence[ObservationRecord], known: TargetRecord | None) -> Iterator[str]:
+    predicted = next((one for one in there if one.predicted_px is not None), None)
+    if predicted is None or predicted.predicted_px is None:
+        yield f"{name}: its place in the image is not known beforehand."
+        return
+    text = f"{name}: predicted at ({predicted.predicted_px[0]:.2f}, {predicted.predicted_px[1]:.2f}) px"
+    if predicted.predicted_camera_km is not None:
+        text += f", range {math.hypot(*predicted.predicted_camera_km):.6g} km"
+        if known is not None and known.sighting is not None:
+            text += f", phase angle {_phase_deg(predicted.predicted_camera_km, known):.1f} deg"
+    if known is not None and known.view is not None:
+        text += f", {2 * known.view.radius_px:.4g} px across"
+    yield f"{text}."
+    if known is not None and known.note:
+        yield f"  Note: {known.note}."
+
+
+def _phase_deg(position_camera_km: Sequence[float], known: TargetRecord) -> float:
+    assert known.sighting is not None
+    position = np.array(position_camera_km)
+    cosine = -float(np.array(known.sighting.sun_direction_camera) @ position) / float(np.linalg.norm(position))
+    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+
+
+def _observation(one: ObservationRecord) -> Iterator[str]:
+    if one.problem is not None:
+        yield _problem(one.problem)
+        return
+    yield from _place(one)
+    if one.n_used is not None:
+        rejected = "" if not one.n_rejected else f", {one.n_rejected} rejected"
+        yield f"Observations used: {one.n_used}{rejected}."
+    yield from _causes(one)
+    yield from _flags(one.flags)
+    if "checks" in one.provenance:
+        yield f"Numbers of its checks: {one.provenance['checks']}."
+    if "checked_by" in one.provenance:
+        yield f"Checked by {one.provenance['checked_by']}."
+
+
+def _place(one: ObservationRecord) -> Iterator[str]:
+    if one.center_px is None or one.covariance_px2 is None:
+        return
+    sigma = np.sqrt(np.diag(np.array(one.covariance_px2)))
+    text = f"Center at ({one.center_px[0]:.3f}, {one.center_px[1]:.3f}) px, sigma ({sigma[0]:.2g}, {sigma[1]:.2g}) px"
+    if one.predicted_px is not None:
+        off = np.subtract(one.center_px, one.predicted_px)
+        text += f"; observed minus predicted ({off[0]:+.3f}, {off[1]:+.3f}) px"
+    yield f"{text}."
+    if one.range_km is not None and one.sigma_range_km is not None:
+        text = f"Range {one.range_km:.8g} km, sigma {one.sigma_range_km:.2g} km"
+        if one.predicted_camera_km is not None:
+            predicted = math.hypot(*one.predicted_camera_km)
+            text += f"; observed minus predicted {one.range_km - predicted:+.4g} km"
+        yield f"{text}."
+
+
+def _causes(one: ObservationRecord) -> Iterator[str]:
+    """Shares of the causes in the variance of the place, largest first."""
+    if not one.parts:
+        return
+    sizes = {cause: float(np.trace(np.array(part)[:2, :2])) for cause, part in one.parts.items()}
+    total = sum(sizes.values())
+    if total > 0:
+        ranked = sorted(sizes.items(), key=lambda item: -item[1])
+        shares = [f"{cause} {size / total:.0%}" for cause, size in ranked if size >= 0.01 * total]
+        yield f"Variance by cause: {', '.join(shares)}."
+
+
+def _flags(flags: Sequence[str]) -> Iterator[str]:
+    meanings = attribute_docs(Quality)
+    for flag in flags:
+        kind = "Suspect because" if Quality[flag.upper()].suspect else "Note"
+        yield f"{kind}: {flag}. {meanings[flag.upper()]}"
+
+
+def _problem(problem: Problem) -> str:
+    meaning = attribute_docs(Reason)[Reason(problem.reason).name]
+    return f"{problem.reason}: {problem.detail.rstrip('.')}. {meaning}"
+
+
+def _together(seen: SeenImage, target: str, there: Sequence[ObservationRecord]) -> Iterator[str]:
+    """Which fix to take, and how the others differ from it."""
+    best = chosen_fix(seen, target)
+    if best is None or best.center_px is None or best.covariance_px2 is None:
+        yield "No estimator made a fix."
+        return
+    yield f"Smallest sigma of the fixes to trust: {best.estimator}."
+    for other in there:
+        if other is best or other.center_px is None or other.covariance_px2 is None:
+            continue
+        off = np.subtract(other.center_px, best.center_px)
+        both = np.array(other.covariance_px2) + np.array(best.covariance_px2)
+        sigmas = math.sqrt(max(float(off @ np.linalg.pinv(both) @ off), 0.0))
+        yield f"{other.estimator} minus {best.estimator}: ({off[0]:+.3f}, {off[1]:+.3f}) px, {sigmas:.1f} sigma."

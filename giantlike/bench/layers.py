@@ -1,0 +1,236 @@
+"""Layers over an image: marks of one meaning, with labels and the numbers by which they are edited."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from giantlike.bench.session import SeenImage
+from giantlike.campaign.store.records import ObservationRecord
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.plotting import CENTERS, MARKS
+from giantlike.plotting.overlays import Layer, Shape
+
+_THREE_SIGMA = 3.0
+_ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
+"""Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MarkLayer(Value):
+    """Marks of one meaning.
+
+    Parameters
+    ----------
+    name : str
+        One of ``LAYERS``.
+    title : str
+        What it shows, with target and estimator.
+    layer : Layer
+        Points, shape and color.
+    labels : sequence of str
+        Text of each point; empty where there is none.
+    star_ids : sequence of int
+        Number of each point in the catalog; empty where points are no stars.
+    """
+
+    name: str
+    title: str
+    layer: Layer
+    labels: Sequence[str] = ()
+    star_ids: Sequence[int] = field(default=())
+
+
+def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkLayer]:
+    """Layers of an image that have something to show.
+
+    Parameters
+    ----------
+    seen : SeenImage
+    names : sequence of str, optional
+        Of ``LAYERS``; default: all.
+
+    Returns
+    -------
+    list of MarkLayer
+    """
+    wanted = LAYERS if names is None else names
+    made = [layer for name in wanted for layer in _MAKERS[name](seen)]
+    return [each for each in made if len(each.layer.points_px)]
+
+
+def center_colors(seen: SeenImage) -> dict[str, str]:
+    """Color of each estimator of an image, by name.
+
+    Parameters
+    ----------
+    seen : SeenImage
+
+    Returns
+    -------
+    dict of str to str
+    """
+    names = dict.fromkeys(one.estimator for one in seen.observations)
+    return {name: CENTERS[number % len(CENTERS)] for number, name in enumerate(names)}
+
+
+def _detections(seen: SeenImage) -> list[MarkLayer]:
+    layer = Layer(
+        points_px=_points(seen.record.detected_px),
+        shape=Shape.RING, color=MARKS["detected, not used"], size=5.0, width=0.8,
+    )  # fmt: skip
+    return [MarkLayer(name="detections", title="detections", layer=layer)]
+
+
+def _catalog(seen: SeenImage) -> list[MarkLayer]:
+    stars = seen.record.stars
+    if stars is None:
+        return []
+    layer = Layer(
+        points_px=_points(stars.predicted_px),
+        shape=Shape.PLUS, color=MARKS["where the solution puts catalog stars"], size=6.0, width=0.8,
+    )  # fmt: skip
+    labels = [f"{number} ({magnitude:.1f})" for number, magnitude in zip(stars.star_ids, stars.magnitudes, strict=True)]
+    return [MarkLayer(name="catalog", title="catalog stars", layer=layer, labels=labels, star_ids=stars.star_ids)]
+
+
+def _matches(seen: SeenImage) -> list[MarkLayer]:
+    stars = seen.record.stars
+    if stars is None:
+        return []
+    layer = Layer(
+        points_px=_points(stars.observed_px), shape=Shape.RING, color=MARKS["matched star"], size=8.0, width=0.9
+    )
+    residuals = np.linalg.norm(_points(stars.observed_px) - _points(stars.predicted_px), axis=1)
+    labels = [
+        f"{number}: {off:.3f} px off, sigma {sigma:.3f}"
+        for number, off, sigma in zip(stars.star_ids, residuals.tolist(), stars.sigma_px, strict=True)
+    ]
+    return [MarkLayer(name="matches", title="matched stars", layer=layer, labels=labels, star_ids=stars.star_ids)]
+
+
+def _rejected(seen: SeenImage) -> list[MarkLayer]:
+    points = [] if seen.record.stars is None else seen.record.stars.rejected_px
+    layer = Layer(points_px=_points(points), shape=Shape.CROSS, color=MARKS["match thrown out"], size=7.0, width=1.1)
+    return [MarkLayer(name="rejected", title="rejected matches", layer=layer)]
+
+
+def _predicted(seen: SeenImage) -> list[MarkLayer]:
+    made = []
+    color = MARKS["a priori outline and center"]
+    for target in seen.targets:
+        view = target.view
+        if view is None:
+            continue
+        outline = _points(view.outline_px)
+        shape = Shape.DASHES
+        if not len(outline):
+            outline, shape = np.array([view.predicted_px]), Shape.PLUS
+        layer = Layer(points_px=_closed(outline), shape=shape, color=color, size=9.0, width=0.9)
+        made.append(MarkLayer(name="predicted", title=f"{target.target}: predicted outline", layer=layer))
+    return made
+
+
+def _fitted(seen: SeenImage) -> list[MarkLayer]:
+    """The outline at each fix: that of a template, else the predicted one moved and scaled."""
+    made, colors = [], center_colors(seen)
+    views = {target.target: target.view for target in seen.targets if target.view is not None}
+    for fix in _fixes(seen):
+        view = views.get(fix.target)
+        if fix.limb_px and not _measured_limb(fix):
+            points = _points(fix.limb_px)
+        elif view is not None and view.outline_px:
+            scale = 1.0
+            if fix.range_km is not None and fix.predicted_camera_km is not None:
+                scale = float(np.linalg.norm(fix.predicted_camera_km)) / fix.range_km
+            moved = np.array(fix.center_px) + scale * (_points(view.outline_px) - np.array(view.predicted_px))
+            points = _closed(moved)
+        else:
+            continue
+        layer = Layer(points_px=points, shape=Shape.LINE, color=colors[fix.estimator], width=0.9)
+        made.append(MarkLayer(name="fitted", title=f"{fix.target}: outline by {fix.estimator}", layer=layer))
+    return made
+
+
+def _centers(seen: SeenImage) -> list[MarkLayer]:
+    made, colors = [], center_colors(seen)
+    for fix in _fixes(seen):
+        center, color = np.array(fix.center_px), colors[fix.estimator]
+        title = f"{fix.target}: {fix.estimator} ({fix.status})"
+        cross = Layer(points_px=center[None], shape=Shape.CROSS, color=color, size=9.0, width=1.6)
+        made.append(MarkLayer(name="centers", title=title, layer=cross, labels=[title]))
+        if fix.covariance_px2 is not None and np.isfinite(fix.covariance_px2).all():
+            values, vectors = np.linalg.eigh(np.array(fix.covariance_px2))
+            circle = np.stack([np.cos(_ELLIPSE_RAD), np.sin(_ELLIPSE_RAD)])
+            ellipse = center + (_THREE_SIGMA * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle).T
+            line = Layer(points_px=ellipse, shape=Shape.LINE, color=color, width=1.0)
+            made.append(MarkLayer(name="centers", title=f"{title}, 3 sigma", layer=line))
+    return made
+
+
+def _limb(seen: SeenImage) -> list[MarkLayer]:
+    return [
+        MarkLayer(
+            name="limb",
+            title=f"{fix.target}: limb points used by {fix.estimator}",
+            layer=Layer(
+                points_px=_points(fix.limb_px), shape=Shape.DOT, color=MARKS["limb points used"], size=2.6, width=1.0
+            ),
+        )
+        for fix in _fixes(seen)
+        if _measured_limb(fix)
+    ]
+
+
+def _landmarks(seen: SeenImage) -> list[MarkLayer]:
+    return [
+        MarkLayer(
+            name="landmarks",
+            title=f"{fix.target}: landmarks of {fix.estimator}",
+            layer=Layer(
+                points_px=_points(fix.landmarks.observed_px), shape=Shape.RING, color="#7df9ff", size=7.0, width=1.0
+            ),
+            labels=fix.landmarks.names,
+        )
+        for fix in _fixes(seen)
+        if fix.landmarks is not None
+    ]
+
+
+_MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType(
+    {
+        "detections": _detections,
+        "catalog": _catalog,
+        "matches": _matches,
+        "rejected": _rejected,
+        "predicted": _predicted,
+        "fitted": _fitted,
+        "centers": _centers,
+        "limb": _limb,
+        "landmarks": _landmarks,
+    }
+)
+LAYERS: tuple[str, ...] = tuple(_MAKERS)
+"""Names of the layers, in the order in which they are drawn."""
+
+
+def _fixes(seen: SeenImage) -> list[ObservationRecord]:
+    return [one for one in seen.observations if one.center_px is not None]
+
+
+def _measured_limb(fix: ObservationRecord) -> bool:
+    """True if the limb points of a fix are what it was made from, not the outline of a template."""
+    return len(fix.limb_px) == fix.n_used
+
+
+def _points(values: Sequence[Sequence[float]]) -> Float:
+    return np.array(values, dtype=np.float64).reshape(-1, 2)
+
+
+def _closed(points: Float) -> Float:
+    """Points of an outline, and the first of them once more."""
+    return np.concatenate([points, points[:1]])

@@ -1,0 +1,65 @@
+"""Pictures of the bench: an image with layers, and how well the image and a fix agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from giantlike.bench.layers import MarkLayer
+from giantlike.bench.session import Session
+from giantlike.core.arrays import require
+from giantlike.plotting import OverlayPanel, overlay_figure, stretched
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LONGEST_PX = 2048
+"""Longer sides of images are reduced to this; a page is not wider."""
+
+
+def picture_of(
+    session: Session,
+    file: str,
+    layers: Sequence[MarkLayer],
+    *,
+    box: tuple[float, float, float, float] | None = None,
+) -> Figure:
+    """Draw an image with layers.
+
+    Parameters
+    ----------
+    session : Session
+    file : str
+        Name of the image.
+    layers : sequence of MarkLayer
+    box : (4,) tuple of float, px, optional
+        Left, top, right and bottom of the part to show; default: all.
+
+    Returns
+    -------
+    Figure
+
+    Raises
+    ------
+    InputError
+        The box shows nothing of the image.
+    DataError
+        The image file is gone or damaged.
+    """
+    pixels = session.pixels(file).pixels
+    rows, columns = pixels.shape
+    left, top, right, bottom = box or (-0.5, -0.5, columns - 0.5, rows - 0.5)
+    first = np.maximum(np.floor([left, top]).astype(int), 0)
+    last = np.minimum(np.ceil([right, bottom]).astype(int) + 1, [columns, rows])
+    require(bool((last > first).all()) and left < right and top < bottom, f"{file}: nothing of it lies in {box}")
+    part = pixels[first[1] : last[1], first[0] : last[0]]
+    panel = OverlayPanel(
+        title=file,
+        gray=stretched(part, longest_px=_LONGEST_PX),
+        picture_px=np.array([first[0], last[0], first[1], last[1]]) - 0.5,
+        limits_px=np.array([left, right, top, bottom]),
+        layers=[each.layer for each in layers],
+    )
+    return overlay_figure([panel])

@@ -1,0 +1,141 @@
+"""Backplanes of an image of a run: which point of which body each pixel shows, as FITS cubes with world coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.bench.session import Session, chosen_fix
+from giantlike.core.arrays import Float
+from giantlike.core.atomic import replacing
+from giantlike.core.errors import InputError
+from giantlike.core.version import VERSION
+from giantlike.io.camera_sip import PosedModel, sip_header
+from giantlike.ray_tracing import Backplanes, trace_backplanes
+
+PLANES: Mapping[str, str] = MappingProxyType(
+    {
+        "body": "number of the body, from 0; -1 off all",
+        "range": "range from the camera, km",
+        "phase": "phase angle, deg",
+        "incidence": "incidence angle, deg",
+        "emission": "emission angle, deg",
+        "latitude": "planetocentric latitude, deg",
+        "longitude": "east longitude, deg",
+        "shadowed": "1 where no sunlight falls",
+    }
+)
+"""Planes of a cube in their order, with unit and meaning."""
+
+
+def backplanes_of(session: Session, file: str, *, estimator: str | None = None, predicted: bool = False) -> Backplanes:
+    """Trace the backplanes of an image, each body where a fix has it.
+
+    Parameters
+    ----------
+    session : Session
+    file : str
+        Name of the image.
+    estimator : str, optional
+        Whose fix; default: the best one, and the prediction where there is none.
+    predicted : bool
+        The prediction in any case.
+
+    Returns
+    -------
+    Backplanes
+        Bodies are numbered in the order of :meth:`Session.geometry`.
+
+    Raises
+    ------
+    InputError
+        No target has a geometry in this image, or the estimator did not run.
+    DataError
+        The campaign or the image cannot be read.
+    """
+    seen, geometry = session.seen(file), session.geometry(file)
+    if not geometry:
+        raise InputError(f"{file}: no target has a known geometry in this image")
+    bodies = []
+    for name, known in geometry.items():
+        fix = None if predicted else chosen_fix(seen, name, estimator)
+        bodies.append(known.body(session.position_camera_km(known, fix)))
+    return trace_backplanes(
+        bodies,
+        session.camera.model,
+        sun_direction_camera=np.array([known.sun_direction_camera for known in geometry.values()]),
+        columns=seen.record.columns,
+        rows=seen.record.rows,
+    )
+
+
+def cube_of(planes: Backplanes) -> Float:
+    """Planes as one array.
+
+    Parameters
+    ----------
+    planes : Backplanes
+
+    Returns
+    -------
+    (p, rows, columns) float64
+        In the order and units of ``PLANES``; NaN off all bodies, where the body is -1.
+    """
+    values = {
+        "body": planes.body,
+        "range": planes.range_km,
+        "phase": np.degrees(planes.phase_rad),
+        "incidence": np.degrees(planes.incidence_rad),
+        "emission": np.degrees(planes.emission_rad),
+        "latitude": np.degrees(planes.latitude_rad),
+        "longitude": np.degrees(planes.longitude_rad),
+        "shadowed": np.where(planes.body >= 0, planes.shadowed.astype(float), np.nan),
+    }
+    return np.stack([np.asarray(values[name], dtype=np.float64) for name in PLANES])
+
+
+def write_backplanes(
+    path: Path, session: Session, file: str, *, estimator: str | None = None, predicted: bool = False
+) -> None:
+    """Write backplanes as a FITS cube with the names of the planes and world coordinates.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced if it exists.
+    session : Session
+    file : str
+    estimator : str, optional
+    predicted : bool
+        As for :func:`backplanes_of`.
+
+    Raises
+    ------
+    InputError
+        No target has a geometry in this image, the estimator did not run, or the image has no attitude.
+    DataError
+        A file cannot be read or written.
+    """
+    from astropy.io import fits
+
+    planes = backplanes_of(session, file, estimator=estimator, predicted=predicted)
+    header = fits.Header()
+    header["CREATOR"] = f"giantlike {VERSION}"
+    header["IMAGE"] = Path(file).name.encode("ascii", "replace").decode("ascii")
+    for number, (name, meaning) in enumerate(PLANES.items(), start=1):
+        header[f"PLANE{number}"] = (name, meaning)
+    for number, name in enumerate(session.geometry(file)):
+        header[f"BODY{number}"] = name
+    header.update(_world_coordinates(session, file, planes.body.shape))
+    with replacing(path) as part:
+        fits.PrimaryHDU(cube_of(planes).astype(np.float32), header=header).writeto(part)
+
+
+def _world_coordinates(session: Session, file: str, shape: tuple[int, ...]) -> Mapping[str, str | int | float]:
+    rotation: Rotation = session.require_attitude(file)
+    posed = PosedModel(model=session.camera.model, camera_from_inertial=rotation, columns=shape[1], rows=shape[0])
+    return sip_header(posed).cards

@@ -1,0 +1,318 @@
+"""A run with what it was made of: records, images and, where the campaign file is at hand, scenes."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.image_loading import open_image, scene_of
+from giantlike.campaign.store.edits import Edit, read_edits
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord
+from giantlike.campaign.store.results import RunResult, camera_of_run, load_result
+from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.core.arrays import Float, unit
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.outcomes import Failure
+from giantlike.image import AttitudeSource, Image
+from giantlike.scene import Scene, TargetGeometry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenImage:
+    """Everything that a run knows of one image, as it stands after edits.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+        With its lists of stars.
+    observations : tuple of ObservationRecord
+        With limb points and landmarks.
+    targets : tuple of TargetRecord
+        Geometry and outlines known beforehand.
+    edits : tuple of Edit
+        Rejections that stand.
+    """
+
+    record: AttitudeRecord
+    observations: tuple[ObservationRecord, ...]
+    targets: tuple[TargetRecord, ...]
+    edits: tuple[Edit, ...]
+
+    @property
+    def verdict(self) -> str:
+        """``ok``, ``suspect`` or ``failed``: the worst of the attitude, and the best of each target."""
+        order = ("ok", "suspect", "failed")
+        best: dict[str, str] = {}
+        for one in self.observations:
+            best[one.target] = min(best.get(one.target, "failed"), one.status, key=order.index)
+        return max([self.record.status, *best.values()], key=order.index)
+
+
+class Session:
+    """A finished run, opened to be looked at.
+
+    Parameters
+    ----------
+    folder : Path
+        The run folder.
+    campaign : Path, optional
+        Its campaign file; by default the one that the run was made from, if it is still there. It is needed for what
+        the run does not keep: shapes, backplanes, templates, and to solve again.
+
+    Raises
+    ------
+    DataError
+        It is no run folder, or the run is not finished.
+    """
+
+    def __init__(self, folder: Path, campaign: Path | None = None) -> None:
+        self.folder = folder
+        self.result: RunResult = load_result(folder)
+        self._campaign_file = campaign
+        self._store = RunFolder.open(folder)
+
+    def reload(self) -> None:
+        """Read records and edits again, after a run or an edit."""
+        self.result = load_result(self.folder)
+
+    @property
+    def campaign_file(self) -> Path:
+        """The campaign file of the run.
+
+        Raises
+        ------
+        InputError
+            It is not where it was, and was not given.
+        """
+        named = self._store.provenance().get("environment", {}).get("campaign_file")
+        path = self._campaign_file or (None if named is None else (self.folder / named).resolve())
+        if path is None or not path.is_file():
+            raise InputError(f"{self.folder}: its campaign file is not at {path}: give it with --campaign FILE")
+        return path
+
+    @cached_property
+    def camera(self) -> Camera:
+        """Camera of the run: the calibrated one if the run calibrated."""
+        return camera_of_run(self.folder)
+
+    @cached_property
+    def workbench(self) -> Workbench:
+        """Catalog, shapes and kernels of the campaign, loaded once.
+
+        Raises
+        ------
+        InputError, DataError
+            The campaign file or one of its files is missing or wrong.
+        """
+        campaign = Campaign.load(self.campaign_file)
+        return Workbench.load(replace(campaign, camera=self.camera))
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the images, in input order."""
+        return tuple(record.file for record in self.result.attitudes)
+
+    def find(self, name: str) -> str:
+        """Name of an image in the tables, from that name, a path that ends in it, or its start.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        InputError
+            There is none, or there are several.
+        """
+        if name in self.files:
+            return name
+        wanted = Path(name).name
+        found = [file for file in self.files if Path(file).name == wanted or Path(file).name.startswith(wanted)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise InputError(f"{name!r} may be {', '.join(found[:4])}: give the whole name")
+        near = difflib.get_close_matches(wanted, self.files, n=1, cutoff=0.5) or list(self.files[:1])
+        raise InputError(f"{self.folder}: there is no image {name!r} in this run; the nearest name is {near[0]}")
+
+    def seen(self, file: str) -> SeenImage:
+        """Everything that the run knows of an image.
+
+        Parameters
+        ----------
+        file : str
+            One of :attr:`files`.
+
+        Returns
+        -------
+        SeenImage
+        """
+        record = next(each for each in self.result.attitudes if each.file == file)
+        observations = [one for image in self.result.bodies if image.file == file for one in image.observations]
+        targets = (
+            self._store.load(TargetRecord, file, (name, "")) for name in dict.fromkeys(o.target for o in observations)
+        )
+        return SeenImage(
+            record=self._store.with_points(record),
+            observations=tuple(self._store.with_points(one) for one in observations),
+            targets=tuple(target for target in targets if target is not None),
+            edits=tuple(edit for edit in read_edits(self.folder).standing if edit.file == file),
+        )
+
+    def pixels(self, file: str) -> Image:
+        """The image as it is stored.
+
+        Parameters
+        ----------
+        file : str
+
+        Returns
+        -------
+        Image
+
+        Raises
+        ------
+        DataError
+            The file is gone or damaged.
+        """
+        record = next(each for each in self.result.attitudes if each.file == file)
+        return Image.open(self.folder / record.path, hdu=self.result.hdu, bottom_up=self.result.bottom_up)
+
+    def image(self, file: str) -> Image:
+        """The image as estimators saw it: calibrated pixels, and the attitude that was used.
+
+        Parameters
+        ----------
+        file : str
+
+        Returns
+        -------
+        Image
+
+        Raises
+        ------
+        InputError, DataError
+            The campaign or the image cannot be read.
+        """
+        bench = self.workbench
+        entry = next((each for each in bench.campaign.images if each.key == file), None)
+        if entry is None:
+            raise InputError(f"{bench.campaign.path}: there is no image {file!r} in it any more")
+        image = open_image(bench.campaign, entry, bench.frames).image
+        attitude = next(each for each in self.result.attitudes if each.file == file).attitude
+        if attitude is None:
+            return image
+        return image.with_attitude(
+            attitude.rotation,
+            source=AttitudeSource(attitude.source),
+            covariance_rad2=attitude.covariance_rad2,
+            errors=attitude.errors,
+        )
+
+    def geometry(self, file: str, *, image: Image | None = None) -> dict[str, TargetGeometry]:
+        """Geometry of the targets of an image with the attitude that was used.
+
+        Parameters
+        ----------
+        file : str
+        image : Image, optional
+            As :meth:`image` returns it.
+
+        Returns
+        -------
+        dict of str to TargetGeometry
+            By target; those without geometry are left out.
+
+        Raises
+        ------
+        InputError, DataError
+            The campaign or the image cannot be read.
+        """
+        image = self.image(file) if image is None else image
+        bench, known = self.workbench, {}
+        wanted = {one.target for bodies in self.result.bodies if bodies.file == file for one in bodies.observations}
+        for target in bench.campaign.targets:
+            if target.name not in wanted:
+                continue
+            scene = scene_of(bench.campaign, image, target, bench.shapes[target.name])
+            geometry = scene.geometry(image, target.name) if isinstance(scene, Scene) else scene
+            if not isinstance(geometry, Failure):
+                known[target.name] = geometry
+        return known
+
+    def position_camera_km(self, geometry: TargetGeometry, fix: ObservationRecord | None) -> Float:
+        """Position of a body by a fix of it; where a fix has no range, at the predicted one.
+
+        Parameters
+        ----------
+        geometry : TargetGeometry
+        fix : ObservationRecord or None
+            None: the prediction.
+
+        Returns
+        -------
+        (3,) float64, km, camera axes
+        """
+        if fix is None or fix.center_px is None:
+            return geometry.position_camera_km
+        if fix.position_camera_km is not None:
+            return np.array(fix.position_camera_km)
+        return geometry.range_km * unit(self.camera.model.unproject(np.array(fix.center_px)))
+
+    def require_attitude(self, file: str) -> Rotation:
+        """``camera_from_inertial`` of an image.
+
+        Raises
+        ------
+        DataError
+            It has none.
+        """
+        attitude = next(each for each in self.result.attitudes if each.file == file).attitude
+        if attitude is None:
+            raise DataError(self.folder, f"{file} has no attitude in this run")
+        return attitude.rotation
+
+
+def chosen_fix(seen: SeenImage, target: str, estimator: str | None = None) -> ObservationRecord | None:
+    """The fix of a target to look at: of an estimator, or the best one.
+
+    Parameters
+    ----------
+    seen : SeenImage
+    target : str
+    estimator : str, optional
+        Default: ``auto`` where it is ok, else the ok (else suspect) fix with the smallest error ellipse.
+
+    Returns
+    -------
+    ObservationRecord or None
+        None where there is no such fix.
+
+    Raises
+    ------
+    InputError
+        The estimator did not run on this target.
+    """
+    there = [one for one in seen.observations if one.target == target]
+    if estimator is not None and estimator not in {one.estimator for one in there}:
+        names = ", ".join(one.estimator for one in there)
+        raise InputError(f"{seen.record.file}: {target} has no observation by {estimator!r}; there are {names}")
+    fixes = [one for one in there if one.center_px is not None and estimator in (None, one.estimator)]
+    return min(fixes, key=_rank, default=None)
+
+
+def _rank(fix: ObservationRecord) -> tuple[bool, bool, float]:
+    size = np.inf if fix.covariance_px2 is None else float(np.trace(np.array(fix.covariance_px2)))
+    return fix.status != "ok", fix.estimator != "auto", size

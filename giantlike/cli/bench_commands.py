@@ -1,0 +1,73 @@
+"""Commands that look into a run: ``show``, ``explain``, ``backplanes`` and ``view``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from giantlike.bench import LAYERS, Session, layers_of, write_backplanes
+from giantlike.bench import explain as explained
+from giantlike.cli.arguments import Json, RunOption
+from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.core.arrays import require
+from giantlike.core.atomic import make_folder, replacing
+
+ImageName = Annotated[str, typer.Argument(metavar="IMAGE", help="Name of an image of the run, or its beginning.")]
+CampaignFile = Annotated[
+    Path | None,
+    typer.Option("--campaign", help="Campaign file, if it is not where the run found it.", metavar="CAMPAIGN.toml"),
+]
+
+
+def show(
+    image: ImageName,
+    run: RunOption,
+    output: Annotated[Path, typer.Option(help="Picture to write; by its ending PNG, SVG or PDF.", metavar="PNG")],
+    layers: Annotated[str, typer.Option(help=f"Of {', '.join(LAYERS)}.", metavar="A,B")] = ",".join(LAYERS),
+    box: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(help="Part of the image to show, px.", metavar="LEFT TOP RIGHT BOTTOM"),
+    ] = None,
+) -> ExitCode:
+    """Draw an image of a run with what was found in it."""
+    from giantlike.bench.pictures import picture_of
+
+    names = [name.strip() for name in layers.split(",") if name.strip()]
+    unknown = [name for name in names if name not in LAYERS]
+    require(not unknown, f"there is no layer {', '.join(unknown)}; there are {', '.join(LAYERS)}")
+    session = Session(run)
+    figure = picture_of(session, session.find(image), layers_of(session.seen(session.find(image)), names), box=box)
+    make_folder(output.parent)
+    with replacing(output) as part:
+        figure.savefig(part, format=output.suffix.removeprefix(".") or "png")
+    return ExitCode.DONE
+
+
+def explain(image: ImageName, run: RunOption, json: Json = False) -> ExitCode:
+    """Say in words what was predicted, found and rejected in an image, and which check decided."""
+    session = Session(run)
+    file = session.find(image)
+    seen = session.seen(file)
+    if json:
+        print_json({"file": file, "verdict": seen.verdict, "text": explained(seen)})
+    else:
+        typer.echo(explained(seen))
+    return ExitCode.DONE
+
+
+def backplanes(
+    image: ImageName,
+    run: RunOption,
+    output: Annotated[Path, typer.Option(help="FITS file to write.", metavar="FITS")],
+    estimator: Annotated[
+        str | None, typer.Option(help="Body where this estimator found it; default: the best fix.")
+    ] = None,
+    predicted: Annotated[bool, typer.Option("--predicted", help="Body where it was predicted.")] = False,
+    campaign: CampaignFile = None,
+) -> ExitCode:
+    """Write range, angles, latitude and longitude of every pixel as a FITS cube with world coordinates."""
+    session = Session(run, campaign)
+    write_backplanes(output, session, session.find(image), estimator=estimator, predicted=predicted)
+    return ExitCode.DONE

@@ -1,0 +1,283 @@
+"""Reasons of failures and quality flags of fixes, each with its meaning and its remedy."""
+
+from __future__ import annotations
+
+import enum
+from enum import StrEnum
+
+
+class Reason(StrEnum):
+    """Reason of a failure, with its remedy; the values are those of tables and JSON."""
+
+    UNREADABLE_IMAGE = "unreadable_image"
+    """The image file cannot be read, or has another size than the camera.
+
+    The detail names the file and what is wrong with it.
+    """
+    NO_SIGNAL = "no_signal"
+    """Nothing stands out of the noise where the target should be.
+
+    Look at the image: exposure, pointing, the right target; widen `search_px` if it lies farther off.
+    """
+    MASKED = "masked"
+    """Bad pixels cover what would be measured.
+
+    Check the mask and the bad-pixel frame.
+    """
+    SATURATED = "saturated"
+    """Too much of what would be measured is saturated.
+
+    Use a shorter exposure, or an estimator of limbs, which needs only the outline.
+    """
+    TOO_FEW_DETECTIONS = "too_few_detections"
+    """Fewer stars were detected than an identification needs.
+
+    Lower `threshold_sigma`, expose longer, or take the attitude from neighboring images (`long_exposure_s`).
+    """
+    NO_CATALOG_STARS = "no_catalog_stars"
+    """The catalog has too few stars in the field.
+
+    Use a deeper catalog, or raise `max_magnitude`.
+    """
+    TOO_FEW_MATCHES = "too_few_matches"
+    """Too few detections, or landmarks, agree with what is known at any pose near the a priori one.
+
+    Check the a priori attitude, the focal length and the observer; let stars be sought over the sky (`lost_in_space`).
+    """
+    NO_PATTERN_MATCH = "no_pattern_match"
+    """No pattern of detections is one of the catalog.
+
+    Check the field of view and distortion of the camera, and the epoch; look for trails and dense fields.
+    """
+    AMBIGUOUS = "ambiguous"
+    """Two answers explain the image as well.
+
+    Give a better a priori, or look which of them is right.
+    """
+    FOV_MISMATCH = "fov_mismatch"
+    """The scale of the image differs from that of the camera.
+
+    Calibrate the camera, or give its field of view with a larger error.
+    """
+    MIRRORED_IMAGE = "mirrored_image"
+    """The image shows the sky mirrored.
+
+    Read it with the rows turned around (`bottom_up`).
+    """
+    DEGENERATE_GEOMETRY = "degenerate_geometry"
+    """The observations lie so that they do not settle what is sought.
+
+    Use more of them, or ones that are spread wider.
+    """
+    NO_ATTITUDE = "no_attitude"
+    """The image has no attitude.
+
+    Look at the reason of its star solution, or give an a priori attitude.
+    """
+    NO_EPOCH = "no_epoch"
+    """The image has no epoch.
+
+    Give it in the header or in the geometry table.
+    """
+    NO_GEOMETRY = "no_geometry"
+    """Position or orientation of the target are not known at this epoch.
+
+    Give them in the geometry table, or kernels that cover the epoch.
+    """
+    OUT_OF_FRAME = "out_of_frame"
+    """The target lies outside of the image.
+
+    Nothing, if that is true; else check attitude and ephemeris.
+    """
+    NOT_LIT = "not_lit"
+    """The side of the target that the camera sees is dark.
+
+    Nothing, if that is true; else check the direction of the Sun.
+    """
+    NO_LIMB = "no_limb"
+    """There is no limb to measure: the body is too small, not resolved, or its edge does not stand out.
+
+    The detail tells which; small bodies are for `cross_correlation`, `moment` or `unresolved`.
+    """
+    LOW_CORRELATION = "low_correlation"
+    """The image does not look like the template.
+
+    Check shape, orientation, target and the direction of the Sun.
+    """
+    PEAK_AT_EDGE = "peak_at_edge"
+    """The best match lies at the border of the search region.
+
+    Widen `search_px`, or improve the a priori.
+    """
+    NOT_CONVERGED = "not_converged"
+    """The iteration did not settle.
+
+    Give a better a priori; look at the image for a second body or stray light.
+    """
+    LARGE_RESIDUALS = "large_residuals"
+    """Residuals are several times what the model allows.
+
+    Look at the residuals: shape, distortion or blur may be wrong.
+    """
+    WRONG_SHAPE = "wrong_shape"
+    """The shape that was told is not the one that the image shows.
+
+    Use a mesh for a body that is no ellipsoid, or an estimator that takes its relief.
+    """
+    NOT_UNRESOLVED = "not_unresolved"
+    """The body is too large for an estimator of unresolved ones.
+
+    Use `cross_correlation` or an estimator of limbs.
+    """
+    REJECTED = "rejected"
+    """A person rejected it.
+
+    `giantlike edit RUN restore` takes that back.
+    """
+    INTERNAL_ERROR = "internal_error"
+    """A mistake of this program; the traceback is in the record.
+
+    Report it, with the image.
+    """
+
+
+class Quality(enum.Flag):
+    """Quality flags of a fix; those in ``SUSPECT`` make its status ``suspect``."""
+
+    NONE = 0
+    SATURATED = enum.auto()
+    """Saturated pixels lie in the measured region.
+
+    They are left out; a shorter exposure would tell more.
+    """
+    MASKED = enum.auto()
+    """Bad pixels lie in the measured region.
+
+    They are left out; nothing is to be done.
+    """
+    CUT_BY_FRAME = enum.auto()
+    """The body reaches over the edge of the image.
+
+    Nothing is to be done: what is seen was used.
+    """
+    APRIORI_ATTITUDE = enum.auto()
+    """The attitude is the a priori one of the image: there is no star solution.
+
+    Its error is in the covariance only as far as it was declared.
+    """
+    INTERPOLATED_ATTITUDE = enum.auto()
+    """The attitude comes from neighboring star images.
+
+    Fixes between the same star images share its error.
+    """
+    SHAPE_APPROXIMATED = enum.auto()
+    """The estimator replaced the shape by a simpler one, such as a mesh by its ellipsoid.
+
+    Prefer an estimator that takes the mesh.
+    """
+    SHORT_ARC = enum.auto()
+    """Less than a quarter of the limb was used.
+
+    Range and the direction along the arc are known less; the covariance says how much.
+    """
+    LOW_SCORE = enum.auto()
+    """The match is weak.
+
+    Check shape, orientation and the direction of the Sun.
+    """
+    MANY_REJECTED = enum.auto()
+    """More than half of the observations were rejected.
+
+    Look at the rejected ones: a wrong shape, clouds, relief or a second body.
+    """
+    FAR_FROM_PREDICTION = enum.auto()
+    """The estimate lies at or beyond the border of the search region, or beyond declared errors of the prediction.
+
+    Check that it is the right target, and the errors declared of ephemeris and attitude.
+    """
+    LARGE_RESIDUALS = enum.auto()
+    """Residuals are several times what noise explains.
+
+    Look at the residuals: shape, distortion or blur may be wrong.
+    """
+    AMBIGUOUS = enum.auto()
+    """Another source as good lies in the search region, or another place where the body explains the image as well.
+
+    Look which of them is the target, or narrow the search.
+    """
+    OBSERVER_UNKNOWN = enum.auto()
+    """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
+
+    The covariance holds it too, as :attr:`~giantlike.core.causes.Cause.ABERRATION`. Give the position and velocity of
+    the observer with respect to the solar system barycenter: kernels or tables relative to the target do not tell it.
+    """
+    EPOCH_UNKNOWN = enum.auto()
+    """No epoch: stars were taken where the catalog has them, at J2016.0, with the error of that in the covariance.
+
+    Give the epoch in the header or in the geometry table.
+    """
+    DISAGREEMENT = enum.auto()
+    """Two independent estimators differ by more than their covariances explain.
+
+    One of them may be the coarse render behind every estimate: rendered where it was found, the body would match the
+    image better elsewhere, or at another range. Look at both outlines over the image.
+    """
+    UNCHECKED = enum.auto()
+    """No independent estimator found the body, so nothing confirms the fix.
+
+    Look at the image before you rely on it.
+    """
+    UNCONFIRMED = enum.auto()
+    """No estimator that is not suspect itself confirms the fix, where one should.
+
+    Look at the image, and at the reasons of the others.
+    """
+    WRONG_LIGHT = enum.auto()
+    """Light lies on another side of the body than the Sun: its direction, or the order of rows, is wrong.
+
+    Check `bottom_up`, the axes of the camera and the direction of the Sun.
+    """
+    UNEXPLAINED_LIGHT = enum.auto()
+    """The image around the body holds light that a body there does not explain, or lacks light that it should have.
+
+    A second exposure, another body, rings, an eclipse, stray light or another shape: look at the image, and mask what
+    is not the body.
+    """
+    WRONG_FIGURE = enum.auto()
+    """Parts of the body ask for different places: wrong shape, orientation or roll, rows that are shifted, or a
+    height map that is not that of the limb.
+
+    Check pole, rotation and epoch, and look at the image for shifted rows.
+    """
+    BLURRED = enum.auto()
+    """The image is blurred by another amount than the camera's optics: motion, defocus, two exposures, a wrong psf.
+
+    Check the psf of the camera, and the motion during the exposure.
+    """
+    SUSPECT = (
+        LOW_SCORE
+        | MANY_REJECTED
+        | FAR_FROM_PREDICTION
+        | LARGE_RESIDUALS
+        | AMBIGUOUS
+        | DISAGREEMENT
+        | UNCONFIRMED
+        | WRONG_LIGHT
+        | UNEXPLAINED_LIGHT
+        | WRONG_FIGURE
+        | BLURRED
+    )
+
+    @property
+    def suspect(self) -> bool:
+        """True if a flag of ``SUSPECT`` is set."""
+        return bool(self & Quality.SUSPECT)
+
+    def names(self) -> tuple[str, ...]:
+        """Return the lower-case names of the flags that are set, in order of definition.
+
+        Returns
+        -------
+        tuple of str
+        """
+        return tuple(str(flag.name).lower() for flag in Quality if flag in self and flag.value.bit_count() == 1)
