@@ -3,7 +3,7 @@
 from giantlike.bench.explain import explain
 from giantlike.bench.layers import LAYERS, MarkLayer, layers_of
 from giantlike.bench.planes import backplanes_of, write_backplanes
-from giantlike.bench.session import SeenImage, Session
+from giantlike.bench.session import SeenImage, Session, verdict_of
 
 __all__ = [
     "LAYERS",
@@ -13,5 +13,6 @@ __all__ = [
     "backplanes_of",
     "explain",
     "layers_of",
+    "verdict_of",
     "write_backplanes",
 ]

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from giantlike.bench.session import SeenImage
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.plotting import CENTERS, MARKS
-from giantlike.plotting.overlays import Layer, Shape
+from giantlike.plotting import CENTERS, MARKS, Layer, Shape
 
 _THREE_SIGMA = 3.0
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
@@ -60,7 +61,7 @@ def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkL
     """
     wanted = LAYERS if names is None else names
     made = [layer for name in wanted for layer in _MAKERS[name](seen)]
-    return [each for each in made if len(each.layer.points_px)]
+    return [each for each in made if len(each.layer.points)]
 
 
 def center_colors(seen: SeenImage) -> dict[str, str]:
@@ -80,42 +81,52 @@ def center_colors(seen: SeenImage) -> dict[str, str]:
 
 def _detections(seen: SeenImage) -> list[MarkLayer]:
     layer = Layer(
-        points_px=_points(seen.record.detected_px),
+        points=_points(_stars_of(seen).get("detected_px", [])),
         shape=Shape.RING, color=MARKS["detected, not used"], size=5.0, width=0.8,
     )  # fmt: skip
     return [MarkLayer(name="detections", title="detections", layer=layer)]
 
 
 def _catalog(seen: SeenImage) -> list[MarkLayer]:
-    stars = seen.record.stars
+    stars = _stars_of(seen).get("stars")
     if stars is None:
         return []
     layer = Layer(
-        points_px=_points(stars.predicted_px),
+        points=_points(stars["predicted_px"]),
         shape=Shape.PLUS, color=MARKS["where the solution puts catalog stars"], size=6.0, width=0.8,
     )  # fmt: skip
-    labels = [f"{number} ({magnitude:.1f})" for number, magnitude in zip(stars.star_ids, stars.magnitudes, strict=True)]
-    return [MarkLayer(name="catalog", title="catalog stars", layer=layer, labels=labels, star_ids=stars.star_ids)]
+    labels = [
+        f"{number} ({magnitude:.1f})"
+        for number, magnitude in zip(_list(stars["star_ids"]), _list(stars["magnitudes"]), strict=True)
+    ]
+    return [
+        MarkLayer(name="catalog", title="catalog stars", layer=layer, labels=labels, star_ids=_list(stars["star_ids"]))
+    ]
 
 
 def _matches(seen: SeenImage) -> list[MarkLayer]:
-    stars = seen.record.stars
+    stars = _stars_of(seen).get("stars")
     if stars is None:
         return []
     layer = Layer(
-        points_px=_points(stars.observed_px), shape=Shape.RING, color=MARKS["matched star"], size=8.0, width=0.9
+        points=_points(stars["observed_px"]), shape=Shape.RING, color=MARKS["matched star"], size=8.0, width=0.9
     )
-    residuals = np.linalg.norm(_points(stars.observed_px) - _points(stars.predicted_px), axis=1)
+    residuals = np.linalg.norm(_points(stars["observed_px"]) - _points(stars["predicted_px"]), axis=1)
     labels = [
         f"{number}: {off:.3f} px off, sigma {sigma:.3f}"
-        for number, off, sigma in zip(stars.star_ids, residuals.tolist(), stars.sigma_px, strict=True)
+        for number, off, sigma in zip(
+            _list(stars["star_ids"]), residuals.tolist(), _list(stars["sigma_px"]), strict=True
+        )
     ]
-    return [MarkLayer(name="matches", title="matched stars", layer=layer, labels=labels, star_ids=stars.star_ids)]
+    return [
+        MarkLayer(name="matches", title="matched stars", layer=layer, labels=labels, star_ids=_list(stars["star_ids"]))
+    ]
 
 
 def _rejected(seen: SeenImage) -> list[MarkLayer]:
-    points = [] if seen.record.stars is None else seen.record.stars.rejected_px
-    layer = Layer(points_px=_points(points), shape=Shape.CROSS, color=MARKS["match thrown out"], size=7.0, width=1.1)
+    stars = _stars_of(seen).get("stars")
+    points = [] if stars is None else stars["rejected_px"]
+    layer = Layer(points=_points(points), shape=Shape.CROSS, color=MARKS["match thrown out"], size=7.0, width=1.1)
     return [MarkLayer(name="rejected", title="rejected matches", layer=layer)]
 
 
@@ -130,7 +141,7 @@ def _predicted(seen: SeenImage) -> list[MarkLayer]:
         shape = Shape.DASHES
         if not len(outline):
             outline, shape = np.array([view.predicted_px]), Shape.PLUS
-        layer = Layer(points_px=_closed(outline), shape=shape, color=color, size=9.0, width=0.9)
+        layer = Layer(points=_closed(outline), shape=shape, color=color, size=9.0, width=0.9)
         made.append(MarkLayer(name="predicted", title=f"{target.target}: predicted outline", layer=layer))
     return made
 
@@ -141,8 +152,9 @@ def _fitted(seen: SeenImage) -> list[MarkLayer]:
     views = {target.target: target.view for target in seen.targets if target.view is not None}
     for fix in _fixes(seen):
         view = views.get(fix.target)
-        if fix.limb_px and not _measured_limb(fix):
-            points = _points(fix.limb_px)
+        limb = _limb_of(seen, fix)
+        if len(limb) and not _measured(fix, limb):
+            points = limb
         elif view is not None and view.outline_px:
             scale = 1.0
             if fix.range_km is not None and fix.predicted_camera_km is not None:
@@ -151,7 +163,7 @@ def _fitted(seen: SeenImage) -> list[MarkLayer]:
             points = _closed(moved)
         else:
             continue
-        layer = Layer(points_px=points, shape=Shape.LINE, color=colors[fix.estimator], width=0.9)
+        layer = Layer(points=points, shape=Shape.LINE, color=colors[fix.estimator], width=0.9)
         made.append(MarkLayer(name="fitted", title=f"{fix.target}: outline by {fix.estimator}", layer=layer))
     return made
 
@@ -161,13 +173,13 @@ def _centers(seen: SeenImage) -> list[MarkLayer]:
     for fix in _fixes(seen):
         center, color = np.array(fix.center_px), colors[fix.estimator]
         title = f"{fix.target}: {fix.estimator} ({fix.status})"
-        cross = Layer(points_px=center[None], shape=Shape.CROSS, color=color, size=9.0, width=1.6)
+        cross = Layer(points=center[None], shape=Shape.CROSS, color=color, size=9.0, width=1.6)
         made.append(MarkLayer(name="centers", title=title, layer=cross, labels=[title]))
         if fix.covariance_px2 is not None and np.isfinite(fix.covariance_px2).all():
             values, vectors = np.linalg.eigh(np.array(fix.covariance_px2))
             circle = np.stack([np.cos(_ELLIPSE_RAD), np.sin(_ELLIPSE_RAD)])
             ellipse = center + (_THREE_SIGMA * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle).T
-            line = Layer(points_px=ellipse, shape=Shape.LINE, color=color, width=1.0)
+            line = Layer(points=ellipse, shape=Shape.LINE, color=color, width=1.0)
             made.append(MarkLayer(name="centers", title=f"{title}, 3 sigma", layer=line))
     return made
 
@@ -178,11 +190,11 @@ def _limb(seen: SeenImage) -> list[MarkLayer]:
             name="limb",
             title=f"{fix.target}: limb points used by {fix.estimator}",
             layer=Layer(
-                points_px=_points(fix.limb_px), shape=Shape.DOT, color=MARKS["limb points used"], size=2.6, width=1.0
+                points=_limb_of(seen, fix), shape=Shape.DOT, color=MARKS["limb points used"], size=2.6, width=1.0
             ),
         )
         for fix in _fixes(seen)
-        if _measured_limb(fix)
+        if _measured(fix, _limb_of(seen, fix))
     ]
 
 
@@ -192,12 +204,13 @@ def _landmarks(seen: SeenImage) -> list[MarkLayer]:
             name="landmarks",
             title=f"{fix.target}: landmarks of {fix.estimator}",
             layer=Layer(
-                points_px=_points(fix.landmarks.observed_px), shape=Shape.RING, color="#7df9ff", size=7.0, width=1.0
+                points=_points(landmarks["observed_px"]), shape=Shape.RING, color="#7df9ff", size=7.0, width=1.0
             ),
-            labels=fix.landmarks.names,
+            labels=_list(landmarks["names"]),
         )
         for fix in _fixes(seen)
-        if fix.landmarks is not None
+        for landmarks in [seen.points.get(fix.of, {}).get("landmarks")]
+        if landmarks is not None
     ]
 
 
@@ -222,13 +235,27 @@ def _fixes(seen: SeenImage) -> list[ObservationRecord]:
     return [one for one in seen.observations if one.center_px is not None]
 
 
-def _measured_limb(fix: ObservationRecord) -> bool:
+def _stars_of(seen: SeenImage) -> Mapping[str, Any]:
+    return seen.points.get(seen.record.of, {})
+
+
+def _limb_of(seen: SeenImage, fix: ObservationRecord) -> Float:
+    return _points(seen.points.get(fix.of, {}).get("limb_px", []))
+
+
+def _measured(fix: ObservationRecord, limb_px: Float) -> bool:
     """True if the limb points of a fix are what it was made from, not the outline of a template."""
-    return len(fix.limb_px) == fix.n_used
+    return len(limb_px) == fix.n_used
 
 
-def _points(values: Sequence[Sequence[float]]) -> Float:
-    return np.array(values, dtype=np.float64).reshape(-1, 2)
+def _points(values: ArrayLike) -> Float:
+    return np.asarray(values, dtype=np.float64).reshape(-1, 2)
+
+
+def _list(values: Any) -> list[Any]:
+    """Values of a list or an array as plain ones."""
+    plain: list[Any] = np.asarray(values).tolist()
+    return plain
 
 
 def _closed(points: Float) -> Float:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,9 +34,10 @@ class SeenImage:
     Parameters
     ----------
     record : AttitudeRecord
-        With its lists of stars.
     observations : tuple of ObservationRecord
-        With limb points and landmarks.
+    points : mapping of (str, str) to mapping
+        Lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
+        estimator of an observation; those of the image itself by two empty names.
     targets : tuple of TargetRecord
         Geometry and outlines known beforehand.
     edits : tuple of Edit
@@ -43,17 +46,30 @@ class SeenImage:
 
     record: AttitudeRecord
     observations: tuple[ObservationRecord, ...]
+    points: Mapping[tuple[str, str], Mapping[str, Any]]
     targets: tuple[TargetRecord, ...]
     edits: tuple[Edit, ...]
 
-    @property
-    def verdict(self) -> str:
-        """``ok``, ``suspect`` or ``failed``: the worst of the attitude, and the best of each target."""
-        order = ("ok", "suspect", "failed")
-        best: dict[str, str] = {}
-        for one in self.observations:
-            best[one.target] = min(best.get(one.target, "failed"), one.status, key=order.index)
-        return max([self.record.status, *best.values()], key=order.index)
+
+def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:
+    """Return the verdict on an image: the worst of its attitude and of the best fix of each target.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+    observations : iterable of ObservationRecord
+        Of the image.
+
+    Returns
+    -------
+    str
+        ``ok``, ``suspect`` or ``failed``.
+    """
+    order = ("ok", "suspect", "failed")
+    best: dict[str, str] = {}
+    for one in observations:
+        best[one.target] = min(best.get(one.target, "failed"), one.status, key=order.index)
+    return max([record.status, *best.values()], key=order.index)
 
 
 class Session:
@@ -161,12 +177,14 @@ class Session:
         """
         record = next(each for each in self.result.attitudes if each.file == file)
         observations = [one for image in self.result.bodies if image.file == file for one in image.observations]
-        targets = (
-            self._store.load(TargetRecord, file, (name, "")) for name in dict.fromkeys(o.target for o in observations)
-        )
+        names = dict.fromkeys(one.target for one in observations)
+        with self._store.reading():
+            targets = [self._store.load(TargetRecord, file, (name, "")) for name in names]
+            points = {one.of: self._store.points(one) for one in (record, *observations)}
         return SeenImage(
-            record=self._store.with_points(record),
-            observations=tuple(self._store.with_points(one) for one in observations),
+            record=record,
+            observations=tuple(observations),
+            points=points,
             targets=tuple(target for target in targets if target is not None),
             edits=tuple(edit for edit in read_edits(self.folder).standing if edit.file == file),
         )

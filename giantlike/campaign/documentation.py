@@ -139,8 +139,26 @@ def pages() -> dict[str, str]:
         + "# Tables of a run\n\nEach table is written as CSV and as Parquet, where each column has its unit, frame and "
         "description as metadata. Numbers keep all their digits; a cell without a value is empty, never 0.\n\n"
         + "\n".join((*_columns("attitudes", AttitudeRow), *_columns("observations", ObservationRow))),
+        "flags.md": _GENERATED
+        + "# Reasons and flags\n\nA failed fit has a reason, a fix may have flags; `giantlike explain IMAGE --run RUN` tells them in "
+        "the words below. A fix with a flag of the second table is `suspect`.\n\n" + "\n".join(_meanings()),
         "observables.md": _GENERATED + _OBSERVABLES + "\n".join(_fields(ObservableRow)),
     }
+
+
+def _meanings() -> Iterator[str]:
+    """Tables of the reasons of failures and of the quality flags."""
+    flags = attribute_docs(Quality)
+    suspect = {name: text for name, text in flags.items() if Quality[name].suspect}
+    notes = {name: text for name, text in flags.items() if name not in suspect}
+    for title, meanings in (
+        ("Reasons of failures", attribute_docs(Reason)),
+        ("Flags that make a fix suspect", suspect),
+        ("Flags that tell", notes),
+    ):
+        yield f"## {title}\n\n| name | meaning and remedy |\n| --- | --- |"
+        yield from (f"| `{name.lower()}` | {text} |" for name, text in meanings.items())
+        yield ""
 
 
 def _sections(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

@@ -57,6 +57,7 @@ _COMMANDS = {
     "status": Entry("Show the state of a run, of one at work too.", "status_commands", "status"),
     "compare": Entry("Compare a run with another, or with another team's.", "compare_command", "compare"),
     "merge": Entry("Make one run of runs of parts of a campaign.", "compare_command", "merge"),
+    "view": Entry("Look into a run in a browser, and edit it.", "bench_commands", "view"),
     "show": Entry("Draw an image of a run with what was found in it.", "bench_commands", "show"),
     "explain": Entry("Say in words how the results of an image came about.", "bench_commands", "explain"),
     "backplanes": Entry("Write range, angles and coordinates of every pixel.", "bench_commands", "backplanes"),

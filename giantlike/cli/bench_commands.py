@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
-from giantlike.bench import LAYERS, Session, layers_of, write_backplanes
+from giantlike.bench import LAYERS, Session, layers_of, verdict_of, write_backplanes
 from giantlike.bench import explain as explained
-from giantlike.cli.arguments import Json, RunOption
+from giantlike.cli.arguments import Json, Run, RunOption
 from giantlike.cli.outcome import ExitCode, print_json
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, replacing
+from giantlike.core.extras import require_extra
 
 ImageName = Annotated[str, typer.Argument(metavar="IMAGE", help="Name of an image of the run, or its beginning.")]
 CampaignFile = Annotated[
@@ -51,7 +52,7 @@ def explain(image: ImageName, run: RunOption, json: Json = False) -> ExitCode:
     file = session.find(image)
     seen = session.seen(file)
     if json:
-        print_json({"file": file, "verdict": seen.verdict, "text": explained(seen)})
+        print_json({"file": file, "verdict": verdict_of(seen.record, seen.observations), "text": explained(seen)})
     else:
         typer.echo(explained(seen))
     return ExitCode.DONE
@@ -70,4 +71,29 @@ def backplanes(
     """Write range, angles, latitude and longitude of every pixel as a FITS cube with world coordinates."""
     session = Session(run, campaign)
     write_backplanes(output, session, session.find(image), estimator=estimator, predicted=predicted)
+    return ExitCode.DONE
+
+
+def view(
+    folder: Run,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; default: a free one.")] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in your browser.")] = True,
+    campaign: CampaignFile = None,
+) -> ExitCode:
+    """Look into a run in a browser: images, layers, templates, residuals, fixes; reject, restore and solve again.
+
+    The page is served to this machine alone, at an address with a secret token, until you interrupt the command.
+    """
+    for module in ("starlette", "uvicorn"):
+        require_extra(module, extra="view", purpose="giantlike view")
+    from giantlike.bench.server import serve
+
+    def announce(address: str) -> None:
+        typer.echo(address)
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(folder, campaign=campaign, port=port, announce=announce)
     return ExitCode.DONE

@@ -15,7 +15,7 @@ from giantlike.plotting.overlays import (
     overlay_panels,
     stretched,
 )
-from giantlike.plotting.residuals import Series, series_charts, star_residual_charts
+from giantlike.plotting.residuals import Series, correlation_surface_figure, series_charts, star_residual_charts
 from giantlike.plotting.style import svg_text
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "charts_figure",
     "charts_svg",
     "correlation_figure",
+    "correlation_surface_figure",
     "distortion_figure",
     "overlay_figure",
     "overlay_panels",

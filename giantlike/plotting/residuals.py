@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +14,10 @@ from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 from giantlike.plotting.charts import Axis, Chart, ChartSheet
 from giantlike.plotting.layers import MANY_POINTS, Layer, Shape
-from giantlike.plotting.style import BLUE, GRAY, INK, RED, SERIES
+from giantlike.plotting.style import BLUE, GRAY, INK, RED, SERIES, drawing, new_panels
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _MAX_ARROWS = 400  # for legibility only
 _ARROW_SHARE = 1 / 22  # length of the arrow of a typical residual over the width of the field
@@ -180,3 +184,34 @@ def _binned(magnitudes: Float, values: Float) -> Float:
     number = np.digitize(magnitudes, edges)
     groups = [number == k for k in range(1, _MAGNITUDE_BINS + 1) if np.count_nonzero(number == k) >= 3]
     return np.array([[np.median(magnitudes[group]), np.median(values[group])] for group in groups]).reshape(-1, 2)
+
+
+def correlation_surface_figure(surface: Float, peak_px: Float | None, title: str) -> Figure:
+    """Correlation for shifts around a place, and the shift of its peak.
+
+    Parameters
+    ----------
+    surface : (2 h + 1, 2 h + 1) float64
+        Element [h + dy, h + dx] is of the shift (dx, dy), px; NaN where it is undefined.
+    peak_px : (2,) float64, px, or None
+        Shift of the peak; None where there is none.
+    title : str
+
+    Returns
+    -------
+    Figure
+    """
+    half = (np.array(surface.shape[::-1]) - 1) / 2
+    left, top = -half - 0.5
+    with drawing():
+        figure, (axis,) = new_panels(4.4, 4.0, 1)
+        shown = axis.imshow(surface, cmap="viridis", extent=(left, -left, -top, top), aspect="equal")
+        axis.grid(visible=False)
+        axis.axhline(0.0, color="white", linewidth=0.5)
+        axis.axvline(0.0, color="white", linewidth=0.5)
+        if peak_px is not None:
+            axis.plot(*peak_px, marker="+", color=RED, markersize=12, markeredgewidth=1.5)
+            title += f"\npeak at ({peak_px[0]:+.3f}, {peak_px[1]:+.3f}) px"
+        axis.set(xlabel="shift along x, px", ylabel="shift along y, px", title=title)
+        figure.colorbar(shown, ax=axis, shrink=0.8)
+    return figure

@@ -1,0 +1,298 @@
+"""Answers to the page of the bench: a run, an image, pictures, charts, edits, as plain values and bytes."""
+
+from __future__ import annotations
+
+import getpass
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from giantlike.bench.charts import correlation_chart, limb_chart, star_chart
+from giantlike.bench.comparison import match_of
+from giantlike.bench.explain import explain
+from giantlike.bench.layers import layers_of
+from giantlike.bench.planes import PLANES, backplanes_of, cube_of
+from giantlike.bench.session import SeenImage, Session, verdict_of
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.edits import Edit, add_edits
+from giantlike.campaign.store.records import ObservationRecord
+from giantlike.core.arrays import Float, require
+from giantlike.core.errors import InputError, OpNavError
+from giantlike.plotting import stretched
+
+COLOR_MAPS: Mapping[str, int | None] = {
+    "gray": None,
+    "inverted": None,
+    "viridis": cv2.COLORMAP_VIRIDIS,
+    "inferno": cv2.COLORMAP_INFERNO,
+    "turbo": cv2.COLORMAP_TURBO,
+}
+STRETCHES = ("auto", "linear", "sqrt", "log")
+_THUMBNAIL_PX = 96
+_LONGEST_PX = 2048
+"""Pictures of longer images are reduced to this, px: as much as a screen shows."""
+_KEPT_IMAGES = 4
+"""Images whose backplanes and templates are kept: those between which a person goes back and forth."""
+_DIFFERENCE_SIGMA = 6.0
+"""Gray scale of differences, in units of their spread, to either side."""
+
+
+class Answers:
+    """Answers to the requests of the page; from several threads, one at a time.
+
+    Parameters
+    ----------
+    session : Session
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._lock = threading.RLock()
+        self._planes: dict[int, Float] = {}
+        self._solving: dict[str, Any] = {"state": "idle"}
+
+    def run(self) -> dict[str, Any]:
+        """The run: its images with verdicts, and all fixes."""
+        with self._lock:
+            result = self._session.result
+            statuses: dict[str, list[ObservationRecord]] = {}
+            for one in result.observations:
+                statuses.setdefault(one.file, []).append(one)
+            images = [
+                {
+                    "index": number,
+                    "file": record.file,
+                    "epoch": record.epoch_utc,
+                    "verdict": verdict_of(record, statuses.get(record.file, ())),
+                    "attitude": record.status,
+                }
+                for number, record in enumerate(result.attitudes)
+            ]
+            places = {record.file: number for number, record in enumerate(result.attitudes)}
+            return {
+                "name": result.name,
+                "folder": str(result.folder),
+                "images": images,
+                "fixes": [_fix_row(one, places[one.file]) for one in result.observations],
+                "color_maps": list(COLOR_MAPS),
+                "stretches": list(STRETCHES),
+            }
+
+    def image(self, index: int) -> dict[str, Any]:
+        """One image: layers, words, fixes and edits."""
+        with self._lock:
+            file = self._file(index)
+            seen = self._session.seen(file)
+            return {
+                "index": index,
+                "file": file,
+                "columns": seen.record.columns,
+                "rows": seen.record.rows,
+                "verdict": verdict_of(seen.record, seen.observations),
+                "layers": [
+                    {
+                        "name": each.name,
+                        "title": each.title,
+                        "shape": str(each.layer.shape),
+                        "color": each.layer.color,
+                        "points": np.round(each.layer.points, 3).tolist(),
+                        "labels": list(each.labels),
+                        "star_ids": list(each.star_ids),
+                    }
+                    for each in layers_of(seen)
+                ],
+                "words": explain(seen),
+                "fixes": [_fix_row(one, index) for one in seen.observations],
+                "targets": list(dict.fromkeys(one.target for one in seen.observations)),
+                "edits": [edit.model_dump(mode="json", exclude_none=True) for edit in seen.edits],
+                "charts": _charts(seen),
+            }
+
+    def picture(
+        self,
+        index: int,
+        kind: str = "image",
+        stretch: str = "auto",
+        colors: str = "gray",
+        target: str = "",
+        estimator: str = "",
+    ) -> bytes:
+        """The image, the template at a fix, or their difference, as PNG."""
+        require(stretch in STRETCHES, f"there is no stretch {stretch!r}; there are {', '.join(STRETCHES)}")
+        require(colors in COLOR_MAPS, f"there is no color map {colors!r}; there are {', '.join(COLOR_MAPS)}")
+        with self._lock:
+            file = self._file(index)
+            if kind == "image":
+                values: NDArray[Any] = self._session.pixels(file).pixels
+            else:
+                match = match_of(self._session, file, target, estimator or None)
+                values = match.model_dn if kind == "template" else match.difference_dn
+        if kind == "difference":
+            spread = 1.4826 * float(np.median(np.abs(values[values != 0]))) if np.any(values) else 1.0
+            gray = np.clip(127.5 + 127.5 * values / (_DIFFERENCE_SIGMA * max(spread, 1e-9)), 0, 255).astype(np.uint8)
+        else:
+            gray = _stretched(values, stretch)
+        return _encoded(_colored(gray, colors), ".png")
+
+    def thumbnail(self, index: int) -> bytes:
+        """The image, small, as JPEG."""
+        with self._lock:
+            pixels = self._session.pixels(self._file(index)).pixels
+        return _encoded(stretched(pixels, longest_px=_THUMBNAIL_PX), ".jpg")
+
+    def chart(self, index: int, which: str, target: str = "", estimator: str = "") -> bytes:
+        """Residuals of stars, residuals along the limb or the correlation surface, as SVG."""
+        with self._lock:
+            file = self._file(index)
+            if which == "stars":
+                return star_chart(self._session, file).encode()
+            if which == "limb":
+                return limb_chart(self._session, file, target).encode()
+            if which == "correlation":
+                return correlation_chart(self._session, file, target, estimator or None).encode()
+        raise InputError(f"there is no chart {which!r}; there are stars, limb and correlation")
+
+    def pixel(self, index: int, x: str, y: str) -> dict[str, Any]:
+        """Value of a pixel, and what it shows of a body."""
+        with self._lock:
+            file = self._file(index)
+            pixels = self._session.pixels(file).pixels
+            column, row = round(float(x)), round(float(y))
+            if not (0 <= column < pixels.shape[1] and 0 <= row < pixels.shape[0]):
+                return {}
+            values = {"dn": float(pixels[row, column])}
+            cube = self._cube(index, file)
+            if cube is not None:
+                seen = dict(zip(PLANES, cube[:, row, column].tolist(), strict=True))
+                values |= {name: value for name, value in seen.items() if np.isfinite(value) and seen["body"] >= 0}
+            return values
+
+    def edit(self, wanted: dict[str, Any]) -> dict[str, Any]:
+        """Append an edit to the edit list of the run."""
+        stamp = {"who": getpass.getuser(), "when_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
+        require(bool(str(wanted.get("why", "")).strip()), "an edit needs a reason")
+        try:
+            edit = Edit.model_validate(wanted | stamp)
+        except ValidationError as error:
+            raise InputError(f"this is no edit: {' '.join(str(error).split())[:200]}") from error
+        with self._lock:
+            require(edit.file in self._session.files, f"there is no image {edit.file!r} in this run")
+            add_edits(self._session.folder, [edit])
+            self._session.reload()
+        return edit.model_dump(mode="json", exclude_none=True)
+
+    def solve(self, wanted: dict[str, Any]) -> dict[str, Any]:
+        """Run the campaign again: what edits changed is made, everything else is kept."""
+        with self._lock:
+            if self._solving["state"] == "at work":
+                return self._solving
+            campaign = Campaign.load(self._session.campaign_file)
+            self._solving = {"state": "at work", "text": "starting"}
+        threading.Thread(target=self._solve, args=(campaign,), daemon=True).start()
+        return self._solving
+
+    def solving(self) -> dict[str, Any]:
+        """State of the run that :meth:`solve` started."""
+        return self._solving
+
+    def _solve(self, campaign: Campaign) -> None:
+        def progress(step: str, done: int, total: int) -> None:
+            self._solving = {"state": "at work", "text": f"{step}: {done} of {total}"}
+
+        try:
+            result = run_campaign(campaign, workers=1, progress=progress)
+            made = {name: count.redone for name, count in result.steps.items() if count.redone}
+            text = ", ".join(f"{name}: {number} made" for name, number in made.items()) or "nothing had changed"
+            with self._lock:
+                self._session.reload()
+                self._planes.clear()
+            self._solving = {"state": "done", "text": text}
+        except OpNavError as error:
+            self._solving = {"state": "failed", "text": str(error)}
+
+    def _file(self, index: int) -> str:
+        names = self._session.files
+        require(0 <= index < len(names), f"there is no image {index}; there are {len(names)}")
+        return names[index]
+
+    def _cube(self, index: int, file: str) -> Float | None:
+        """Backplanes of an image; None where there are none."""
+        if index not in self._planes:
+            try:
+                cube = cube_of(backplanes_of(self._session, file))
+            except OpNavError:
+                return None
+            while len(self._planes) >= _KEPT_IMAGES:
+                self._planes.pop(next(iter(self._planes)))
+            self._planes[index] = cube
+        return self._planes[index]
+
+
+def _fix_row(one: ObservationRecord, index: int) -> dict[str, Any]:
+    """A row of the table of fixes; numbers that are not known are None."""
+    row: dict[str, Any] = {
+        "index": index,
+        "file": one.file,
+        "target": one.target,
+        "estimator": one.estimator,
+        "status": one.status,
+        "reason": None if one.problem is None else str(one.problem.reason),
+        "flags": list(one.flags),
+        **dict.fromkeys(("x", "y", "sigma_x", "sigma_y", "dx", "dy", "range_km", "sigma_range_km", "d_range_percent")),
+    }
+    if one.center_px is None or one.covariance_px2 is None:
+        return row
+    sigma = np.sqrt(np.diag(np.array(one.covariance_px2)))
+    row |= {"x": one.center_px[0], "y": one.center_px[1], "sigma_x": float(sigma[0]), "sigma_y": float(sigma[1])}
+    if one.predicted_px is not None:
+        row |= {"dx": one.center_px[0] - one.predicted_px[0], "dy": one.center_px[1] - one.predicted_px[1]}
+    if one.range_km is not None:
+        row |= {"range_km": one.range_km, "sigma_range_km": one.sigma_range_km}
+        if one.predicted_camera_km is not None:
+            row["d_range_percent"] = 100 * (one.range_km / float(np.linalg.norm(one.predicted_camera_km)) - 1)
+    return row
+
+
+def _charts(seen: SeenImage) -> list[dict[str, str]]:
+    """Charts that can be drawn of an image."""
+    charts = [] if "stars" not in seen.points.get(seen.record.of, {}) else [{"which": "stars", "title": "stars"}]
+    for name in dict.fromkeys(one.target for one in seen.observations if one.center_px is not None):
+        charts.append({"which": "correlation", "target": name, "title": f"{name}: correlation"})
+        if any(len(points.get("limb_px", ())) for of, points in seen.points.items() if of[0] == name):
+            charts.append({"which": "limb", "target": name, "title": f"{name}: along the limb"})
+    return charts
+
+
+def _stretched(values: NDArray[Any], stretch: str) -> NDArray[np.uint8]:
+    """Gray levels of an image; long ones are reduced."""
+    if stretch == "auto":
+        return stretched(values, longest_px=_LONGEST_PX)
+    step = -(-max(values.shape) // _LONGEST_PX)
+    part = values[::step, ::step].astype(np.float64)
+    low, high = np.percentile(part, [0.5, 99.95])
+    level = np.clip((part - low) / max(high - low, 1e-9), 0.0, 1.0)
+    if stretch == "sqrt":
+        level = np.sqrt(level)
+    elif stretch == "log":
+        level = np.log1p(1000.0 * level) / np.log1p(1000.0)
+    gray: NDArray[np.uint8] = np.rint(255.0 * level).astype(np.uint8)
+    return gray
+
+
+def _colored(gray: NDArray[np.uint8], colors: str) -> NDArray[np.uint8]:
+    if colors == "inverted":
+        return 255 - gray
+    table = COLOR_MAPS[colors]
+    return gray if table is None else np.asarray(cv2.applyColorMap(gray, table), dtype=np.uint8)
+
+
+def _encoded(picture: NDArray[np.uint8], ending: str) -> bytes:
+    _, encoded = cv2.imencode(ending, picture)
+    return encoded.tobytes()

@@ -1,0 +1,125 @@
+"""Charts of one image, as SVG: residuals of its stars, residuals along a limb, correlation around a fix."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from giantlike.bench.comparison import limb_residuals, match_of
+from giantlike.bench.session import Session
+from giantlike.core.errors import InputError
+from giantlike.plotting import (
+    Axis,
+    Chart,
+    ChartSheet,
+    Layer,
+    Shape,
+    charts_svg,
+    correlation_surface_figure,
+    star_residual_charts,
+    svg_text,
+)
+from giantlike.plotting.style import GRAY, SERIES
+from giantlike.processing.correlate import find_peak
+
+
+def star_chart(session: Session, file: str) -> str:
+    """Residuals of the stars of an image.
+
+    Parameters
+    ----------
+    session : Session
+    file : str
+
+    Returns
+    -------
+    str
+        SVG.
+
+    Raises
+    ------
+    InputError
+        No star of it was identified.
+    """
+    seen = session.seen(file)
+    stars = seen.points.get(seen.record.of, {}).get("stars")
+    if stars is None or not len(stars["observed_px"]):
+        raise InputError(f"{file}: no star of it was identified")
+    observed, predicted = (np.asarray(stars[name], dtype=float) for name in ("observed_px", "predicted_px"))
+    sheet = star_residual_charts(
+        observed,
+        observed - predicted,
+        np.asarray(stars["magnitudes"], dtype=float),
+        np.asarray(stars["sigma_px"], dtype=float),
+        seen.record.columns,
+        seen.record.rows,
+    )
+    return charts_svg(sheet, "stars")
+
+
+def limb_chart(session: Session, file: str, target: str) -> str:
+    """Distances of the limb points of a target from the outlines at their fixes, by angle.
+
+    Parameters
+    ----------
+    session : Session
+    file, target : str
+
+    Returns
+    -------
+    str
+        SVG, a color for each estimator.
+
+    Raises
+    ------
+    InputError
+        No fix of it has limb points.
+    """
+    seen = session.seen(file)
+    layers, values = [], [np.zeros(1)]
+    for fix in seen.observations:
+        limb = seen.points.get(fix.of, {}).get("limb_px", ())
+        if fix.target != target or len(limb) == 0 or len(limb) != fix.n_used:
+            continue
+        found = limb_residuals(session, file, fix)
+        points = np.column_stack([found.angle_deg, found.distance_px])
+        color = SERIES[len(layers) % len(SERIES)]
+        layers.append(Layer(points=points, shape=Shape.DOT, color=color, size=3.0, label=fix.estimator))
+        values.append(found.distance_px)
+    if not layers:
+        raise InputError(f"{file}: no fix of {target} has limb points")
+    zero = Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9)
+    chart = Chart(
+        title=f"{target}: limb points from the outline at each fix, positive outward",
+        x=Axis(label="angle around the center from +x towards +y, deg", low=-180.0, high=180.0),
+        y=Axis.around("distance, px", np.concatenate(values)),
+        layers=[zero, *layers],
+    )
+    return charts_svg(ChartSheet(charts=[chart], width_in=7.5, height_in=2.6), f"limb-{target}")
+
+
+def correlation_chart(session: Session, file: str, target: str, estimator: str | None = None) -> str:
+    """Correlation of the image with the template at a fix, for shifts around it, and its peak.
+
+    Parameters
+    ----------
+    session : Session
+    file, target : str
+    estimator : str, optional
+        Whose fix; default: the best one, and the prediction where there is none.
+
+    Returns
+    -------
+    str
+        SVG.
+
+    Raises
+    ------
+    InputError
+        The body cannot be rendered there, or the estimator did not run.
+    """
+    match = match_of(session, file, target, estimator)
+    surface = match.correlation()
+    peak = find_peak(surface)
+    where = None if peak is None else peak.offset_px - (np.array(surface.shape[::-1]) - 1) / 2
+    title = f"{target}: template at {match.estimator or 'the prediction'}, correlation by shift"
+    return svg_text(correlation_surface_figure(surface, where, title), f"correlation-{target}")

@@ -1,0 +1,172 @@
+"""Looking into a run at the shell: layers, words, pictures, backplanes."""
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.wcs import WCS
+from typer.testing import CliRunner, Result
+
+from giantlike.bench import LAYERS, Session, explain, layers_of
+from giantlike.bench.comparison import limb_residuals, match_of
+from giantlike.bench.session import chosen_fix
+from giantlike.cli.app import app
+from giantlike.core.attribute_docs import attribute_docs
+from giantlike.core.errors import InputError
+from giantlike.core.frames import direction_from_radec, rotate
+from giantlike.core.outcomes import Quality, Reason
+from tests.campaign_files import CAMERA, RADII_KM, Truth
+
+SHORT, LONG = "visit0_b_short.fits", "visit0_a_long.fits"
+WCS_PX = 0.01  # of the polynomials that stand for a pinhole camera
+CENTER_PX = 0.2  # of fixes in these images
+
+
+def giantlike(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_layers_have_what_the_run_found(run: Path, made: tuple[Path, dict[str, Truth]]) -> None:
+    session = Session(run)
+    stars = {layer.name: layer for layer in layers_of(session.seen(LONG))}
+    body = {layer.name: layer for layer in layers_of(session.seen(SHORT))}
+
+    matched, predicted = stars["matches"].layer.points, stars["catalog"].layer.points
+    assert len(matched) == len(stars["matches"].star_ids) == len(stars["matches"].labels) >= 10
+    assert np.abs(matched - predicted).max() < 1.0
+    assert len(stars["detections"].layer.points) >= len(matched)
+    truth_px = CAMERA.model.project(made[1][SHORT].position_camera_km)
+    assert np.linalg.norm(body["centers"].layer.points - truth_px, axis=1).max() < CENTER_PX
+    assert {"predicted", "fitted"} <= body.keys()
+    assert [layer.name for layer in layers_of(session.seen(LONG), ["rejected", "matches"])][-1:] == ["matches"]
+
+
+def test_an_image_is_explained_in_words(run: Path) -> None:
+    session = Session(run)
+
+    star_words, body_words = explain(session.seen(LONG)), explain(session.seen(SHORT))
+
+    assert re.search(r"Attitude: ok, from its own stars\.", star_words)
+    assert re.search(r"\d+ detections, \d+ matched with catalog stars", star_words)
+    assert "from the star images before and after it" in body_words
+    assert re.search(r"Center at \([\d.]+, [\d.]+\) px, sigma", body_words)
+    assert "Variance by cause: " in body_words
+    assert "Smallest sigma of the fixes to trust" in body_words
+
+
+def test_every_reason_and_flag_has_a_meaning_and_a_remedy() -> None:
+    reasons, flags = attribute_docs(Reason), attribute_docs(Quality)
+    single = {str(flag.name) for flag in Quality if flag.value.bit_count() == 1}
+    assert reasons.keys() == {reason.name for reason in Reason}
+    assert flags.keys() == single
+    for text in (*reasons.values(), *flags.values()):
+        assert len(re.findall(r"[.;](?: |$)", text)) >= 2, text
+
+
+def test_names_of_images_may_be_short_but_must_be_clear(run: Path) -> None:
+    session = Session(run)
+    assert session.find("visit0_b_short") == SHORT
+    assert session.find(f"some/folder/{LONG}") == LONG
+    with pytest.raises(InputError, match="give the whole name"):
+        session.find("visit0")
+    with pytest.raises(InputError, match="the nearest name is visit0_b_short"):
+        session.find("visit0_b_shart.fits")
+
+
+def test_backplanes_lie_where_the_body_is_and_carry_world_coordinates(
+    run: Path, made: tuple[Path, dict[str, Truth]], tmp_path: Path
+) -> None:
+    result = giantlike("backplanes", SHORT, "--run", run, "--output", tmp_path / "b.fits")
+    assert result.exit_code == 0, result.stderr
+    with fits.open(tmp_path / "b.fits") as file:
+        header, cube = file[0].header, file[0].data
+        names = [header[f"PLANE{number + 1}"] for number in range(len(cube))]
+        sky = WCS(header, naxis=2)
+    planes = dict(zip(names, cube, strict=True))
+    truth = made[1][SHORT]
+    rows, columns = np.nonzero(planes["body"] == 0)
+    center = CAMERA.model.project(truth.position_camera_km)
+    assert np.hypot(columns.mean() - center[0], rows.mean() - center[1]) < 0.5
+    assert abs(np.nanmin(planes["range"]) - np.linalg.norm(truth.position_camera_km)) < 1.2 * RADII_KM[0]
+    assert np.isnan(planes["phase"][planes["body"] < 0]).all()
+    points = np.array([[10.0, 20.0], [300.0, 250.0]])
+    radec = sky.all_pix2world(points, 0)
+    seen = rotate(truth.camera_from_inertial, np.array([direction_from_radec(*each) for each in radec]))
+    off = CAMERA.model.project(seen) - points
+    apart = np.ptp(off, axis=0)
+    assert np.abs(apart).max() < WCS_PX, "the field is warped against the camera"
+
+
+def test_the_template_at_a_fix_explains_the_image(run: Path) -> None:
+    session = Session(run)
+    seen = session.seen(SHORT)
+    target = seen.observations[0].target
+    match = match_of(session, SHORT, target)
+
+    body = match.model_dn > match.model_dn.min() + 0.2 * np.ptp(match.model_dn)
+    noise = np.sqrt(match.model_dn[body & match.region] + 25.0)
+    assert 0.8 < np.std(match.difference_dn[body & match.region] / noise) < 1.5
+    surface = match.correlation(half_px=5)
+    assert np.unravel_index(np.nanargmax(surface), surface.shape) == (5, 5)
+
+
+def test_limb_points_lie_on_the_outline_at_their_fix(run: Path) -> None:
+    session = Session(run)
+    seen = session.seen(SHORT)
+    fixes = [one for one in seen.observations if len(seen.points[one.of].get("limb_px", ())) == one.n_used]
+    assert fixes, "the campaign has an estimator of limbs"
+    for fix in fixes:
+        found = limb_residuals(session, SHORT, fix)
+        assert np.abs(np.median(found.distance_px)) < 0.1
+        assert np.std(found.distance_px) < 0.5
+
+
+def test_the_fix_to_look_at_is_the_best_one_or_the_one_asked_for(run: Path) -> None:
+    seen = Session(run).seen(SHORT)
+    names = [one.estimator for one in seen.observations]
+    target = seen.observations[0].target
+    best = chosen_fix(seen, target)
+    assert best is not None
+    assert best.status == "ok"
+    asked = chosen_fix(seen, target, names[-1])
+    assert asked is None or asked.estimator == names[-1]
+    with pytest.raises(InputError, match="there are"):
+        chosen_fix(seen, target, "astrology")
+
+
+def test_show_draws_the_layers_asked_for(run: Path, tmp_path: Path) -> None:
+    for layers in ("matches", "detections"):
+        output = tmp_path / f"{layers}.png"
+        result = giantlike("show", LONG, "--run", run, "--output", output, "--layers", layers)
+        assert result.exit_code == 0, result.stderr
+    green, orange = (cv2.imread(str(tmp_path / f"{name}.png")) for name in ("matches", "detections"))
+    assert green is not None
+    assert orange is not None
+    colored = [int((np.ptp(picture.astype(int), axis=2) > 60).sum()) for picture in (green, orange)]
+    assert min(colored) > 100
+    assert np.any(green != orange)
+    wrong = giantlike("show", LONG, "--run", run, "--output", tmp_path / "x.png", "--layers", "constellations")
+    assert wrong.exit_code == 2
+    assert ", ".join(LAYERS) in wrong.stderr
+
+
+def test_explain_has_json(run: Path) -> None:
+    result = giantlike("explain", "visit0_b_short", "--run", run, "--json")
+    assert result.exit_code == 0, result.stderr
+    content = json.loads(result.stdout)
+    assert content["file"] == SHORT
+    assert content["verdict"] in {"ok", "suspect"}
+
+
+def test_a_campaign_file_that_moved_is_asked_for(campaign: Path, run: Path, tmp_path: Path) -> None:
+    moved = tmp_path / "copy" / "other.toml"
+    campaign.rename(moved)
+    lost = giantlike("backplanes", SHORT, "--run", run, "--output", tmp_path / "b.fits")
+    assert lost.exit_code == 2
+    assert "--campaign FILE" in lost.stderr
+    found = giantlike("backplanes", SHORT, "--run", run, "--output", tmp_path / "b.fits", "--campaign", moved)
+    assert found.exit_code == 0, found.stderr
