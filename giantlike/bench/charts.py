@@ -75,7 +75,7 @@ def limb_chart(session: Session, file: str, target: str) -> str:
         No fix of it has limb points.
     """
     seen = session.seen(file)
-    layers, values = [], [np.zeros(1)]
+    layers, values = list[Layer](), [np.zeros(1)]
     for fix in seen.observations:
         limb = seen.points.get(fix.of, {}).get("limb_px", ())
         if fix.target != target or len(limb) == 0 or len(limb) != fix.n_used:

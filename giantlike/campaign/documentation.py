@@ -22,6 +22,8 @@ from pydantic.fields import FieldInfo
 from giantlike.campaign.file.schema import CampaignFile
 from giantlike.campaign.file.toml_file import model_in
 from giantlike.campaign.render.schema import RenderFile
+from giantlike.core.attribute_docs import attribute_docs
+from giantlike.core.outcomes import Quality, Reason
 from giantlike.io.mission_files import mission, mission_names
 from giantlike.io.observables_file import ObservableRow
 from giantlike.io.run_tables import AttitudeRow, ObservationRow
@@ -140,8 +142,8 @@ def pages() -> dict[str, str]:
         "description as metadata. Numbers keep all their digits; a cell without a value is empty, never 0.\n\n"
         + "\n".join((*_columns("attitudes", AttitudeRow), *_columns("observations", ObservationRow))),
         "flags.md": _GENERATED
-        + "# Reasons and flags\n\nA failed fit has a reason, a fix may have flags; `giantlike explain IMAGE --run RUN` tells them in "
-        "the words below. A fix with a flag of the second table is `suspect`.\n\n" + "\n".join(_meanings()),
+        + "# Reasons and flags\n\nA failed fit has a reason, a fix may have flags; `giantlike explain` tells "
+        "them in the words below. A fix with a flag of the second table is `suspect`.\n\n" + "\n".join(_meanings()),
         "observables.md": _GENERATED + _OBSERVABLES + "\n".join(_fields(ObservableRow)),
     }
 

@@ -111,7 +111,7 @@ def test_the_template_at_a_fix_explains_the_image(run: Path) -> None:
     noise = np.sqrt(match.model_dn[body & match.region] + 25.0)
     assert 0.8 < np.std(match.difference_dn[body & match.region] / noise) < 1.5
     surface = match.correlation(half_px=5)
-    assert np.unravel_index(np.nanargmax(surface), surface.shape) == (5, 5)
+    assert int(np.nanargmax(surface)) == 5 * surface.shape[1] + 5
 
 
 def test_limb_points_lie_on_the_outline_at_their_fix(run: Path) -> None:
