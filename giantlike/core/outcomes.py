@@ -17,7 +17,6 @@ from giantlike.core.reasons import Quality as Quality
 from giantlike.core.reasons import Reason as Reason
 from giantlike.core.values import Value
 
-
 _FLAGS_OF_THE_SKY = Quality.OBSERVER_UNKNOWN | Quality.EPOCH_UNKNOWN
 
 
