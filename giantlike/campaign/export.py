@@ -9,6 +9,8 @@ from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from giantlike.camera import Camera
 from giantlike.campaign.store.observables import run_observables, write_run_observables
 from giantlike.campaign.store.records import Attitude, AttitudeRecord
@@ -18,7 +20,7 @@ from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw, require_same_frame
 from giantlike.core.outcomes import Failure
-from giantlike.io.attitude_series import AttitudeSeries, write_attitude_csv
+from giantlike.io.attitude_series import AttitudeSeries, UntimedAttitude, write_attitude_csv
 from giantlike.io.camera_sip import PosedModel
 from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.ccsds_tdm import write_tdm
@@ -174,7 +176,7 @@ def export_run(
         return _tdm(output, _single_rows(result, camera), options)
     if format_name is ExportFormat.SUMFILE:
         return _sumfiles(output, _single_rows(result, camera), camera)
-    needs_epoch = format_name is not ExportFormat.WCS
+    needs_epoch = format_name not in (ExportFormat.WCS, ExportFormat.CSV)
     if options.pointing is PointingSource.BODIES:
         chosen, left_out = _by_bodies(result, camera, needs_epoch=needs_epoch)
     else:
@@ -247,7 +249,18 @@ class _Job:
 
 
 def _csv(job: _Job) -> tuple[Path, ...]:
-    write_attitude_csv(job.output, attitude_series(job.records, job.camera))
+    timed = [record for record in job.records if record.et is not None]
+    unknown = np.full((3, 3), np.nan)
+    untimed = [
+        UntimedAttitude(
+            name=record.file,
+            camera_from_inertial=attitude.rotation,
+            covariance_rad2=unknown if attitude.covariance_rad2 is None else np.array(attitude.covariance_rad2),
+        )
+        for record in job.records
+        if record.et is None and (attitude := record.attitude) is not None
+    ]
+    write_attitude_csv(job.output, attitude_series(timed, job.camera) if timed else None, untimed)
     return (job.output,)
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from giantlike.campaign.store.lock import locked
 from giantlike.cli.arguments import Json, Overwrite, Resume, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
@@ -57,7 +58,12 @@ def gauntlet(
         workers=process_count(workers, len(_numbers(only)) or images),
         real=real,
     )
-    results = _run(wanted, output, resume=resume, overwrite=overwrite)
+    if output is None:
+        results = _run(wanted, None, resume=resume, overwrite=overwrite)
+    else:
+        make_folder(output)
+        with locked(output):
+            results = _run(wanted, output, resume=resume, overwrite=overwrite)
     report = summary_of(wanted, results)
     if only:
         report["rows"] = [asdict(row) for result in results for row in result.rows]
@@ -82,12 +88,10 @@ def _numbers(text: str) -> tuple[int, ...]:
 def _run(wanted: Gauntlet, output: Path | None, *, resume: bool, overwrite: bool) -> list[ImageResult]:
     """Run the images that are missing, and keep the folder up to date."""
     finished: list[ImageResult] = []
-    if output is not None:
-        make_folder(output)
-        if has_results(output) and not overwrite:
-            if not resume:
-                raise InputError(f"{output} holds a gauntlet already: use --resume, --overwrite or another folder")
-            finished = load_results(output, wanted)
+    if output is not None and has_results(output) and not overwrite:
+        if not resume:
+            raise InputError(f"{output} holds a gauntlet already: use --resume, --overwrite or another folder")
+        finished = load_results(output, wanted)
     results = {result.index: result for result in finished}
     with progress_bar() as progress:
         for result in run_gauntlet(

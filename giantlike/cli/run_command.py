@@ -118,7 +118,7 @@ def _print_tables(result: RunResult) -> None:
     _print_reasons(result)
     failed = result.failed_images
     names = ", ".join(failed[:5]) + (", ..." if len(failed) > 5 else "")
-    typer.echo(f"{len(failed)} images failed" + (f": {names}" if failed else ""))
+    typer.echo(f"{len(failed)} image{'s' * (len(failed) != 1)} failed" + (f": {names}" if failed else ""))
     redone = sum(count.redone for count in result.steps.values())
     kept = sum(count.kept for count in result.steps.values())
     typer.echo(f"{result.folder}/{REPORT_PAGE} ({redone} results made, {kept} kept, {result.time_s:.1f} s)")

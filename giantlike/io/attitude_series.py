@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -137,8 +138,28 @@ class AttitudeSeries(Value):
         return tuple(slice(a, b) for a, b in zip([0, *breaks], [*breaks, len(self.et)], strict=True))
 
 
-def write_attitude_csv(path: str | Path, series: AttitudeSeries) -> None:
-    """Write a series as a table: image, UTC, et, quaternion ``camera_from_inertial`` (scalar last), covariance.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UntimedAttitude(Value):
+    """Attitude of an image whose time is not known.
+
+    Parameters
+    ----------
+    name : str
+        Of the image.
+    camera_from_inertial : Rotation
+    covariance_rad2 : (3, 3) float64, rad^2
+        Not a number where unknown.
+    """
+
+    name: str
+    camera_from_inertial: Rotation
+    covariance_rad2: Float
+
+
+def write_attitude_csv(
+    path: str | Path, series: AttitudeSeries | None, untimed: Sequence[UntimedAttitude] = ()
+) -> None:
+    """Write attitudes as a table: image, UTC, et, quaternion ``camera_from_inertial`` (scalar last), covariance.
 
     The covariance is the upper triangle by rows, rad^2, about the camera axes; empty where unknown. Numbers keep all
     their digits.
@@ -146,19 +167,23 @@ def write_attitude_csv(path: str | Path, series: AttitudeSeries) -> None:
     Parameters
     ----------
     path : path-like
-    series : AttitudeSeries
+    series : AttitudeSeries or None
+    untimed : sequence of UntimedAttitude
+        They come last, with empty epochs; :func:`read_attitude_csv` refuses them.
 
     Raises
     ------
     DataError
         The file cannot be written.
     """
-    rows = (
-        [name, utc_text(time_from_et(et)), et, *quaternion, *_terms(covariance)]
-        for name, et, quaternion, covariance in zip(
-            series.names, series.et.tolist(), series.quaternions_xyzw.tolist(), series.covariance_rad2, strict=True
-        )
-    )
+    rows: list[list[str | float | None]] = []
+    if series is not None:
+        columns = (series.names, series.et.tolist(), series.quaternions_xyzw.tolist(), series.covariance_rad2)
+        for name, et, quaternion, covariance in zip(*columns, strict=True):
+            rows.append([name, utc_text(time_from_et(et)), et, *quaternion, *_terms(covariance)])
+    for one in untimed:
+        quaternion = quaternion_xyzw(one.camera_from_inertial).tolist()
+        rows.append([one.name, None, None, *quaternion, *_terms(one.covariance_rad2)])
     write_csv_rows(path, _COLUMNS, rows)
 
 

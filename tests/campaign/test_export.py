@@ -292,6 +292,23 @@ def test_an_export_says_what_it_leaves_out(run: Path, tmp_path: Path) -> None:
     assert stars.n_attitudes == 2
 
 
+def test_the_table_has_attitudes_without_an_epoch_too(tmp_path: Path) -> None:
+    records = [_record(k).model_copy(update={"et": None, "epoch_utc": None} if k else {}) for k in range(3)]
+    exported = export_run(_run(tmp_path / "run", records), tmp_path / "a.csv", ExportFormat.CSV)
+    assert (exported.n_attitudes, dict(exported.left_out)) == (3, {})
+    rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert [(row["name"], bool(row["et"]), bool(row["epoch_utc"])) for row in rows] == [
+        ("image_0.fits", True, True), ("image_1.fits", False, False), ("image_2.fits", False, False),
+    ]  # fmt: skip
+    for row, record in zip(rows, records, strict=True):
+        assert record.attitude is not None
+        assert [float(row[name]) for name in ("qx", "qy", "qz", "qw")] == record.attitude.quaternion_xyzw
+    alone = export_run(_run(tmp_path / "alone", records[1:]), tmp_path / "b.csv", ExportFormat.CSV)
+    assert alone.n_attitudes == 2
+    with pytest.raises(InputError, match="2 no epoch"):
+        export_run(tmp_path / "alone", tmp_path / "c.aem", ExportFormat.AEM)
+
+
 def test_the_table_keeps_every_digit(run: Path, tmp_path: Path) -> None:
     export_run(run, tmp_path / "a.csv", ExportFormat.CSV)
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))

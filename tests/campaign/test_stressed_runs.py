@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -21,6 +22,7 @@ from tests.hostile_damage import mutated
 
 N_BAD, N_KILLS = 60, 4
 LONGEST_RUN_S = 300.0
+FULL_KB = 120  # less than the results of the campaign, more than its first
 
 pytestmark = pytest.mark.slow
 
@@ -86,3 +88,37 @@ def test_a_run_killed_at_any_moment_and_continued_gives_the_tables_of_a_quiet_on
         break
     assert kills > 0
     assert _tables(path.parent / "run") == _tables(quiet / "run")
+
+
+def test_eight_processes_give_the_tables_of_one(quiet: Path, tmp_path: Path) -> None:
+    path, _ = write_campaign(tmp_path / "eight", visits=2)
+    result = run_campaign(Campaign.load(path), workers=8)
+    assert _tables(result.folder) == _tables(quiet / "run")
+    ours, theirs = ((folder / "observables.parquet").read_bytes() for folder in (result.folder, quiet / "run"))
+    assert ours == theirs
+
+
+def test_a_run_on_a_full_disk_says_so_keeps_what_is_there_and_goes_on(quiet: Path, tmp_path: Path) -> None:
+    path, _ = write_campaign(tmp_path / "full", visits=2)
+    table, disk = campaign_table(), tmp_path / "disk"
+    table["campaign"]["output"] = str(disk / "run")
+    path.write_text(tomli_w.dumps(table))
+    disk.mkdir()
+    run = shlex.join([sys.executable, "-m", "giantlike", "run", str(path), "--workers", "1"])
+    script = f"""
+        mount -t tmpfs -o size={FULL_KB}k none {disk} || exit 77
+        {run} > {tmp_path}/first.txt 2>&1; echo $? > {tmp_path}/code
+        mount -o remount,size=200m {disk}
+        {run} --json > {tmp_path}/second.json 2> {tmp_path}/second.txt; cp -r {disk}/run {tmp_path}/kept
+    """
+    # a file system of its own, in a name space that ends with the script
+    shell = subprocess.run(["unshare", "-Urm", "sh", "-c", script], capture_output=True, text=True)
+    if shell.returncode == 77 or not (tmp_path / "code").exists():
+        pytest.skip(f"no file system can be made here: {shell.stderr}")
+    said = (tmp_path / "first.txt").read_text()
+    assert (tmp_path / "code").read_text().strip() == "2", said
+    assert "full" in said or "No space left" in said
+    assert "Traceback" not in said
+    steps = json.loads((tmp_path / "second.json").read_text())["steps"]
+    assert sum(count["kept"] for count in steps.values()) > 0
+    assert _tables(tmp_path / "kept") == _tables(quiet / "run")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 from typer.testing import CliRunner, Result
 
+from giantlike.campaign.store.lock import locked
 from giantlike.cli.app import app
 from giantlike.gauntlet import KINDS, Verdict
 
@@ -54,6 +56,14 @@ def test_results_do_not_depend_on_the_number_of_workers_nor_on_a_pause(tmp_path:
     resumed = gauntlet("--images", 4, *CHEAP, "--workers", 1, "--output", tmp_path / "one", "--resume", "--json")
     assert without_times(json.loads(resumed.stdout)) == without_times(json.loads(alone.stdout))
     assert gauntlet("--images", 4, *CHEAP, "--output", tmp_path / "one").exit_code == 2  # it holds one already
+
+
+def test_a_folder_at_which_another_gauntlet_works_is_refused_with_who_holds_it(tmp_path: Path) -> None:
+    with locked(tmp_path):
+        refused = gauntlet("--images", 1, "--output", tmp_path)
+    assert refused.exit_code == 2
+    assert f"process {os.getpid()} of" in refused.output
+    assert not (tmp_path / "images.jsonl").exists()
 
 
 def test_one_image_runs_alone_and_a_wrong_name_is_one_line() -> None:
