@@ -16,7 +16,6 @@ import argparse
 import csv
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -30,7 +29,7 @@ from giantlike.catalogs import load_catalog
 from giantlike.simulation.approach import ApproachOptions, Visit, plan_approach
 from giantlike.simulation.write import write_approach
 
-SAMPLE_S = 0.2  # between looks at the memory of processes
+SAMPLE_S = 0.1  # between looks at memory and CPU of processes, of which that since the last look is lost
 DIAMETERS_PX, PHASES_DEG = (1.0, 300.0), (20.0, 110.0)
 
 
@@ -99,26 +98,25 @@ def measured(campaign: Path, workers: int) -> dict[str, Any]:
 
 
 def _cost(*arguments: str) -> dict[str, float]:
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    began = time.perf_counter()
     process = subprocess.Popen(
         [sys.executable, "-m", "giantlike", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     most_mb: dict[int, float] = {}
-    parent_cpu = 0.0
+    cpu: dict[int, float] = {}
     while process.poll() is None:
         for pid in _descendants(process.pid):
             most_mb[pid] = max(most_mb.get(pid, 0.0), _memory_mb(pid))
-        parent_cpu = max(parent_cpu, _own_cpu_s(process.pid))
+            cpu[pid] = max(cpu.get(pid, 0.0), _own_cpu_s(pid))
         time.sleep(SAMPLE_S)
-    wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    wall = time.perf_counter() - began
     _, errors = process.communicate()
     if process.returncode > 1:  # 1: some images have no fix
         raise RuntimeError(f"giantlike {' '.join(arguments)}: {errors.decode()[-2000:]}")
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     parent_mb = most_mb.pop(process.pid, 0.0)
     return {
-        "cpu_s": cpu,
-        "parent_cpu_s": parent_cpu,
+        "cpu_s": sum(cpu.values()),
+        "parent_cpu_s": cpu[process.pid],
         "wall_s": wall,
         "parent_mb": parent_mb,
         "worker_mb": max(most_mb.values(), default=0.0),

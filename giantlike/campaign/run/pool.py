@@ -20,12 +20,15 @@ from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.bench import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
+from giantlike.core.processes import worker_context
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 _QUEUED_PER_WORKER = 2
 """Jobs handed out per worker: one at work and one waiting, so that few are lost when a process dies."""
+_NEEDED = ("giantlike.campaign.run.worker", "astropy.io.fits")
+"""Modules that worker processes find imported."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -95,7 +98,7 @@ class WorkerPool:
             self._cv2_threads = cv2.getNumThreads()
             cv2.setNumThreads(1)
         else:
-            # Read when numpy is imported, so they must be there when a process starts.
+            # Read when numpy is imported, so they must be there when the first process starts.
             self._variables = [name for name in _THREAD_VARIABLES if name not in os.environ]
             os.environ.update(dict.fromkeys(self._variables, "1"))
         return self
@@ -174,7 +177,7 @@ class WorkerPool:
     def _executor(self, size: int) -> ProcessPoolExecutor:
         if size not in self._executors:
             self._executors[size] = ProcessPoolExecutor(
-                size, multiprocessing.get_context("spawn"), _start_worker, (self._bench.campaign,)
+                size, worker_context(*_NEEDED), _start_worker, (self._bench.campaign,)
             )
         return self._executors[size]
 
