@@ -1,0 +1,24 @@
+"""ODIN (paper 004): modes, target determination, calibration, interlock and two-camera pose, replayed by simulation."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from giantlike.missions.replay import Replay, ReplaySettings
+
+
+def replay(settings: ReplaySettings) -> Replay:
+    """Replay paper 004.
+
+    Parameters
+    ----------
+    settings : ReplaySettings
+
+    Returns
+    -------
+    Replay
+    """
+    from giantlike.missions.odin.sections import whole_replay
+
+    return whole_replay(settings)

@@ -1,0 +1,144 @@
+"""What paper 004 states, and the cameras that follow from it."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from giantlike.camera import Camera
+from giantlike.camera_models import BrownModel, ScaramuzzaModel
+from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.independent import PinholeView
+
+READ_NOISE_E = 2.4  # Sony's IMX264 and IMX265, as camera makers state them
+FULL_WELL_E = 10_500.0  # the same
+PSF_SIGMA_PX = 0.7  # assumed: a sharp lens on 3.45 um pixels
+NARROW_BITS, WIDE_BITS = 16, 12
+
+
+@cache
+def paper() -> dict[str, Any]:
+    """Numbers of the paper by section.
+
+    Returns
+    -------
+    dict
+    """
+    table: dict[str, Any] = tomllib.loads(files(__package__).joinpath("odin.toml").read_text(encoding="utf-8"))
+    return table
+
+
+def narrow_focal_px() -> float:
+    """Focal length of the calibrated narrow camera, px (Table 3)."""
+    return float(paper()["calibration"]["focal_mm"]) * 1e3 / float(paper()["narrow"]["pixel_um"])
+
+
+def narrow_camera(name: str = "narrow") -> Camera:
+    """Narrow camera with the lens of Table 3.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Camera
+    """
+    size, lens, focal = paper()["narrow"], paper()["calibration"], narrow_focal_px()
+    model = BrownModel(
+        fx_px=focal,
+        fy_px=focal,
+        cx_px=(size["columns"] - 1) / 2.0,
+        cy_px=(size["rows"] - 1) / 2.0,
+        k1=lens["k1"],
+        p1=lens["p1"],
+        p2=lens["p2"],
+    )
+    return Camera(
+        name=name,
+        columns=size["columns"],
+        rows=size["rows"],
+        model=model,
+        psf=GaussianPsf(sigma_px=PSF_SIGMA_PX),
+        detector=detector(NARROW_BITS),
+    )
+
+
+def rough_narrow_camera(name: str = "narrow") -> Camera:
+    """Narrow camera as it is known before calibration: its size and the field of view of Table 1.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Camera
+    """
+    size = paper()["narrow"]
+    known = narrow_camera(name)
+    rough = Camera.from_fov(size["fov_deg"], size["columns"], size["rows"], type_name="brown")
+    return Camera(
+        name=name, columns=size["columns"], rows=size["rows"], model=rough.model, psf=known.psf, detector=known.detector
+    )
+
+
+def narrow_view() -> PinholeView:
+    """The same lens for the independent renderer."""
+    size, lens = paper()["narrow"], paper()["calibration"]
+    return PinholeView(
+        focal_px=narrow_focal_px(),
+        center_px=((size["columns"] - 1) / 2.0, (size["rows"] - 1) / 2.0),
+        columns=size["columns"],
+        rows=size["rows"],
+        k1=lens["k1"],
+        p1=lens["p1"],
+        p2=lens["p2"],
+    )
+
+
+def wide_camera(name: str = "wide") -> Camera:
+    """Wide camera with the lens of Table 2.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Camera
+    """
+    size, lens = paper()["wide"], paper()["fisheye"]
+    model = ScaramuzzaModel.from_polynomial(
+        a0_px=lens["a0"],
+        a2=lens["a2"],
+        a3=lens["a3"],
+        a4=lens["a4"],
+        cx_px=(size["columns"] - 1) / 2.0,
+        cy_px=(size["rows"] - 1) / 2.0,
+    )
+    return Camera(
+        name=name,
+        columns=size["columns"],
+        rows=size["rows"],
+        model=model,
+        psf=GaussianPsf(sigma_px=PSF_SIGMA_PX),
+        detector=detector(WIDE_BITS),
+    )
+
+
+def detector(bits: int) -> Detector:
+    """Detector whose full well fills the converter.
+
+    Parameters
+    ----------
+    bits : int
+
+    Returns
+    -------
+    Detector
+    """
+    most = float(2**bits - 1)
+    return Detector(gain_e_per_dn=FULL_WELL_E / most, read_noise_e=READ_NOISE_E, saturation_dn=most)

@@ -1,0 +1,425 @@
+"""Wide cameras: fisheye images of Earth, Moon and Sun, and which body is which by its brightness."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, unit
+from giantlike.core.frames import rotate
+from giantlike.core.outcomes import Failure
+from giantlike.core.time import time_from_et
+from giantlike.core.units import AU_KM
+from giantlike.image import Image
+from giantlike.independent import LAWS
+from giantlike.missions.odin.paper import FULL_WELL_E, PSF_SIGMA_PX, paper, wide_camera
+from giantlike.navigation.body_photometry import (
+    BodyLight,
+    PatchOfLight,
+    PhotometricCamera,
+    chandrasekhar_sphere,
+    identify_body,
+)
+from giantlike.navigation.body_search import SIZE_SIGMA, SearchOptions, SeenPatch, find_patches
+from giantlike.ray_tracing import Lambert, disk_photocenter
+
+RADII_KM = {"EARTH": 6371.0, "MOON": 1737.4, "SUN": 695_700.0}
+GEOMETRIC_ALBEDO = {"EARTH": 0.434, "MOON": 0.12}  # NASA planetary fact sheets
+LAW_OF_TRUTH = {"EARTH": "lambert", "MOON": "lunar_lambert"}
+ALBEDO_SIGMA = {"EARTH": 0.15, "MOON": 0.05}  # true scatter: clouds; maria on the side that is seen
+CALIBRATION_SIGMA = 0.05  # of the photometric calibration
+MOON_SCATTERING = 0.604
+"""Single-scattering albedo of a Chandrasekhar sphere with the Moon's geometric albedo of 0.12."""
+MODEL_SIGMA = {"EARTH": 0.25, "MOON": 0.15}
+"""Relative errors of the models told to the identification: clouds, and the side of the Moon that is seen."""
+SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 gives what eq. 22 gives for sunlight on the sensor assumed here
+STEEPEST_RAD = np.radians(87.0)  # from the boresight: beyond, the foreshortened aperture is no measure of light
+EXPOSURE_S = 4e-6
+"""The sunlit Earth fills 60 % of the well through 1.45 mm; longer exposures need a filter in front."""
+LEAST_PIXELS = 6  # area of the disk: a smaller body has no size to compare its brightness with
+SUN_HALO_PX = 6.0  # width of the light that the lens scatters around the Sun
+SUPERSAMPLES, SUPERSAMPLES_OF_LARGE, LARGE_PX = 7, 2, 30.0  # rays along the side of a pixel, by radius of the disk
+OUTWARD = (Rotation.identity(), Rotation.from_euler("x", 180.0, degrees=True))
+"""The two wide cameras from the axes of the instrument: they look to opposite ends."""
+
+
+def moon_phase_law(phase_rad: Float) -> Float:
+    """Brightness of the Moon over that at full phase, as observed: 0.026 mag a degree and 4e-9 mag a fourth power."""
+    degrees = np.degrees(phase_rad)
+    return np.asarray(10.0 ** (-0.4 * (0.026 * degrees + 4e-9 * degrees**4)))
+
+
+def lambert_phase_law(phase_rad: Float) -> Float:
+    """Brightness of a Lambert sphere over that at full phase."""
+    return np.asarray((np.sin(phase_rad) + (np.pi - phase_rad) * np.cos(phase_rad)) / np.pi)
+
+
+PHASE_OF_TRUTH: dict[str, Callable[[Float], Float]] = {"EARTH": lambert_phase_law, "MOON": moon_phase_law}
+
+
+@cache
+def photometric_camera() -> PhotometricCamera:
+    """Photometric constants of the wide camera: the mean quantum efficiency is one calibrated on sunlight."""
+    detector = wide_camera().detector
+    return PhotometricCamera(
+        aperture_m2=wide_aperture_m2(),
+        quantum_efficiency=SUNLIT_EFFICIENCY,
+        dn_per_electron=1.0 / detector.gain_e_per_dn,
+    )
+
+
+def wide_aperture_m2() -> float:
+    """Area of the aperture of the wide camera."""
+    return float(np.pi / 4.0 * (paper()["wide"]["aperture_mm"] * 1e-3) ** 2)
+
+
+def electrons_of_spectrum(irradiance_of_sun: float) -> float:
+    """Electrons per second of a body that reflects this share of the Sun's light at 1 au: eq. 22 with spectra.
+
+    Parameters
+    ----------
+    irradiance_of_sun : float
+        Irradiance at the camera over that of the Sun at 1 au, alike at all wavelengths.
+
+    Returns
+    -------
+    float
+        With the Sun as a blackbody and a sensor that peaks at 0.52 um: what the mean values of eq. 23 stand for.
+    """
+    h, c, boltzmann = 6.62607015e-34, 299_792_458.0, 1.380649e-23
+    wavelengths = np.linspace(0.35e-6, 1.0e-6, 400)
+    radiance = 2 * h * c**2 / wavelengths**5 / np.expm1(h * c / (wavelengths * boltzmann * 5772.0))
+    sun = np.pi * radiance * (695_700.0 / AU_KM) ** 2
+    efficiency = 0.66 * np.exp(-(((wavelengths * 1e6 - 0.52) / 0.22) ** 2))
+    area = wide_aperture_m2()
+    return float(irradiance_of_sun * area * np.trapezoid(efficiency * wavelengths * sun, wavelengths) / (h * c))
+
+
+@dataclass(frozen=True, eq=False)
+class CislunarScene:
+    """Places of bodies from the spacecraft, instrument axes, km, and the true albedos over the mean ones."""
+
+    bodies_km: dict[str, Float]
+    albedo: dict[str, float]
+
+
+def random_scene(rng: np.random.Generator) -> CislunarScene:
+    """Spacecraft somewhere between low and twice lunar distance, attitude at random."""
+    earth_from_moon = unit(rng.normal(size=3)) * 384_400.0
+    far = rng.uniform(15_000.0, 500_000.0)
+    earth = unit(rng.normal(size=3)) * far
+    sun = unit(rng.normal(size=3)) * AU_KM
+    turn = Rotation.random(rng=rng)
+    places = {"EARTH": earth, "MOON": earth - earth_from_moon, "SUN": sun}
+    return CislunarScene(
+        bodies_km={name: rotate(turn, place) for name, place in places.items()},
+        albedo={name: float(np.exp(rng.normal(0.0, sigma))) for name, sigma in ALBEDO_SIGMA.items()},
+    )
+
+
+def wide_image(scene: CislunarScene, index: int, rng: np.random.Generator, *, exposure_s: float = EXPOSURE_S) -> Image:
+    """Image of a wide camera.
+
+    Parameters
+    ----------
+    scene : CislunarScene
+    index : int
+        0 or 1.
+    rng : Generator
+    exposure_s : float, s
+
+    Returns
+    -------
+    Image
+    """
+    camera = wide_camera(f"wide {index}")
+    gain = float(np.exp(rng.normal(0.0, CALIBRATION_SIGMA)))
+    electrons = np.full((camera.rows, camera.columns), 2.0)
+    sun = unit(scene.bodies_km["SUN"])
+    for name, place in scene.bodies_km.items():
+        add_body(electrons, camera, rotate(OUTWARD[index], place), name, rotate(OUTWARD[index], sun), scene, exposure_s)
+    light = np.minimum(electrons * gain, 4.0 * FULL_WELL_E).astype(np.float32)
+    noise = rng.standard_normal(light.shape, dtype=np.float32)
+    read = light + np.sqrt(light + np.float32(camera.detector.read_noise_e**2)) * noise
+    pixels = np.minimum(np.round(read / camera.detector.gain_e_per_dn), camera.detector.saturation_dn)
+    return Image(pixels=pixels.astype(np.float32), name=camera.name, epoch=time_from_et(0.0), exposure_s=exposure_s)
+
+
+def add_body(
+    electrons: Float,
+    camera: Camera,
+    place: Float,
+    name: str,
+    sun: Float,
+    scene: CislunarScene,
+    exposure_s: float,
+) -> None:
+    """Add the light of a body to an image, its lit part by rays, where the camera sees it."""
+    center = camera.model.project(place)
+    half_angle = float(np.arcsin(min(RADII_KM[name] / float(np.linalg.norm(place)), 1.0)))
+    reach = int(np.ceil(half_angle * camera.model.focal_length_px * 1.1 + 8.0 + (60.0 if name == "SUN" else 0.0)))
+    if (
+        not np.isfinite(center).all()
+        or (center < -reach).any()
+        or (center > [camera.columns + reach, camera.rows + reach]).any()
+    ):
+        return
+    left, top = (max(int(value) - reach, 0) for value in center)
+    right, bottom = min(int(center[0]) + reach, camera.columns - 1), min(int(center[1]) + reach, camera.rows - 1)
+    if right <= left or bottom <= top:
+        return
+    rays = SUPERSAMPLES if half_angle * camera.model.focal_length_px < LARGE_PX else SUPERSAMPLES_OF_LARGE
+    steps = (np.arange(rays) + 0.5) / rays - 0.5
+    x = (np.arange(left, right + 1)[:, None] + steps).ravel()
+    y = (np.arange(top, bottom + 1)[:, None] + steps).ravel()
+    columns, rows = np.meshgrid(x, y)
+    shape = (bottom - top + 1, rays, right - left + 1, rays)
+    seen = unit(camera.model.unproject(np.stack([columns, rows], axis=-1)))
+    light = disk_light(seen, unit(place), half_angle, None if name == "SUN" else sun, LAW_OF_TRUTH.get(name, ""))
+    light = np.nan_to_num(light).reshape(shape).mean(axis=(1, 3))
+    whole = whole_disk(
+        half_angle, unit(place), None if name == "SUN" else sun, LAW_OF_TRUTH.get(name, ""), camera, center
+    )
+    if light.sum() <= 0.0 or whole <= 0.0:
+        return
+    total = electrons_of_spectrum(share_of_sun(name, place, sun, scene)) * exposure_s
+    total *= float(unit(place)[2]) if unit(place)[2] > 0.0 else 0.0
+    patch = gaussian_filter(light * (total / whole), PSF_SIGMA_PX)
+    if name == "SUN":
+        rows_px, columns_px = np.mgrid[top : bottom + 1, left : right + 1]
+        distance = np.hypot(columns_px - center[0], rows_px - center[1])
+        patch = patch + 2.0 * FULL_WELL_E / (1.0 + (distance / SUN_HALO_PX) ** 2) ** 1.5
+    electrons[top : bottom + 1, left : right + 1] += patch
+
+
+def disk_light(seen: Float, toward: Float, half_angle: float, sun: Float | None, law: str) -> Float:
+    """Relative brightness (...) of directions (..., 3) on the disk of a sphere; a disk of even light without a Sun."""
+    offset = seen - (seen @ toward)[..., None] * toward
+    radius = np.linalg.norm(offset, axis=-1) / np.sin(half_angle)
+    on = (radius < 1.0) & (seen @ toward > 0.0)
+    if sun is None:
+        return np.asarray(on, dtype=np.float64)
+    depth = np.sqrt(np.clip(1.0 - radius**2, 0.0, None))
+    normal = offset / np.sin(half_angle) - depth[..., None] * toward
+    incidence = normal @ sun
+    lit = on & (incidence > 0.0)
+    light: Float = np.zeros(radius.shape)
+    phase = np.full(int(lit.sum()), float(-toward @ sun))
+    light[lit] = LAWS[law](incidence[lit], np.maximum(depth[lit], 1e-6), phase)
+    return light
+
+
+def whole_disk(half_angle: float, toward: Float, sun: Float | None, law: str, camera: Camera, center: Float) -> float:
+    """Sum of the relative brightness over the rays that meet the body, were all of it inside the frame."""
+    side = np.linspace(-1.0, 1.0, 401)[:-1] + 1.0 / 400.0
+    first = unit(np.cross(toward, np.eye(3)[int(np.argmin(np.abs(toward)))]))
+    second = np.cross(toward, first)
+    x, y = np.meshgrid(side, side)
+    plane = toward + np.sin(half_angle) * (x[..., None] * first + y[..., None] * second)
+    inside = x**2 + y**2 < 1.0
+    light = np.where(inside, disk_light(unit(plane), toward, half_angle, sun, law), 0.0).mean() * 4.0
+    by_pixel = camera.model.unproject_jacobian(center) / float(np.linalg.norm(camera.model.unproject(center)))
+    pixel_rad2 = float(np.linalg.norm(np.cross(by_pixel[:, 0], by_pixel[:, 1])))
+    return float(light * np.sin(half_angle) ** 2 / pixel_rad2)
+
+
+def share_of_sun(name: str, place: Float, sun: Float, scene: CislunarScene) -> float:
+    """Irradiance of a body at the camera over that of the Sun at 1 au."""
+    if name == "SUN":
+        return 1.0
+    ratio = RADII_KM[name] / float(np.linalg.norm(place))
+    phase = float(np.arccos(np.clip(-unit(place) @ sun, -1.0, 1.0)))
+    albedo = GEOMETRIC_ALBEDO[name] * scene.albedo[name]
+    return float(albedo * PHASE_OF_TRUTH[name](np.asarray(phase)) * ratio**2)
+
+
+def models(*, measured: bool) -> tuple[BodyLight, BodyLight]:
+    """Brightness that the identification expects of a Lambert Earth and of the Moon.
+
+    Parameters
+    ----------
+    measured : bool
+        The Moon by its observed phase curve; else as the Chandrasekhar sphere of the paper.
+    """
+    curves: dict[bool, Callable[[Float], Float]] = {
+        True: lambda phase: GEOMETRIC_ALBEDO["MOON"] * moon_phase_law(phase),
+        False: lambda phase: chandrasekhar_sphere(MOON_SCATTERING, phase),
+    }
+    return (
+        BodyLight(
+            name="EARTH",
+            brightness=lambda phase: GEOMETRIC_ALBEDO["EARTH"] * lambert_phase_law(phase),
+            relative_sigma=MODEL_SIGMA["EARTH"],
+        ),
+        BodyLight(name="MOON", brightness=curves[measured], relative_sigma=MODEL_SIGMA["MOON"]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A body that the search found: its name, the direction in instrument axes, or why it has no name."""
+
+    name: str | None
+    direction: Float
+    patch: SeenPatch
+    why: str = ""
+
+
+def search(images: tuple[Image, Image], sun_direction: Float | None, *, measured: bool = True) -> tuple[Found, ...]:
+    """Search both wide images and tell bodies by their brightness.
+
+    Parameters
+    ----------
+    images : (2,) Image
+    sun_direction : (3,), instrument axes, optional
+        From ephemeris and attitude, where known; else the Sun must be in an image: the brightest saturated patch.
+    measured : bool
+        As in :func:`models`.
+
+    Returns
+    -------
+    tuple of Found
+        Brightest first.
+    """
+    seen: list[tuple[SeenPatch, Float]] = []
+    for index, image in enumerate(images):
+        patches = find_patches(image, wide_camera(image.name), SearchOptions())
+        if not isinstance(patches, Failure):
+            seen += [(patch, rotate(OUTWARD[index].inv(), patch.direction_camera)) for patch in patches]
+    saturated = [direction for patch, direction in seen if patch.saturated]
+    suns = sorted((each for each in seen if each[0].saturated), key=lambda each: -each[0].dn)
+    if sun_direction is None and not saturated:
+        return tuple(
+            Found(None, direction, patch, "the direction of the Sun is not known") for patch, direction in seen
+        )
+    sun = suns[0][1] if sun_direction is None else sun_direction
+    found = []
+    for patch, direction in sorted(seen, key=lambda each: -each[0].dn):
+        if float(direction @ sun) > np.cos(np.radians(1.0)):
+            found.append(Found("SUN", direction, patch))
+        else:
+            found.append(named(patch, direction, sun, measured=measured))
+    return tuple(found)
+
+
+def named(patch: SeenPatch, direction: Float, sun: Float, *, measured: bool) -> Found:
+    """Name of one patch, and the direction of its center by the offset of the center of light."""
+    axes = wide_axes(patch, direction)
+    half_angle = patch.half_angle_rad(rotate(axes, sun))
+    pixels = np.pi * (half_angle * wide_camera().model.focal_length_px) ** 2
+    phase = float(np.pi - np.arccos(np.clip(direction @ sun, -1.0, 1.0)))
+    along = sun - direction * float(direction @ sun)
+    direction = unit(direction - unit(along) * float(disk_photocenter(Lambert(), phase)) * np.tan(half_angle))
+    why = (
+        "cut by the frame" * patch.on_edge or "saturated" * patch.saturated or "too small" * bool(pixels < LEAST_PIXELS)
+    )
+    angle = float(np.arccos(np.clip(patch.direction_camera[2], -1.0, 1.0)))
+    why = why or "too far from the boresight" * bool(angle > STEEPEST_RAD)
+    if why:
+        return Found(None, direction, patch, why)
+    light = PatchOfLight(
+        dn=patch.dn,
+        relative_sigma=float(np.hypot(CALIBRATION_SIGMA, patch.sigma_dn / patch.dn)),
+        half_angle_rad=half_angle,
+        half_angle_sigma_rad=half_angle * float(np.hypot(SIZE_SIGMA, 1.5 / pixels)),
+        phase_rad=phase,
+        angle_rad=angle,
+        exposure_s=EXPOSURE_S,
+    )
+    answer = identify_body(light, models(measured=measured), photometric_camera())
+    if isinstance(answer, Failure):
+        return Found(None, direction, patch, answer.detail)
+    return Found(answer.name, direction, patch)
+
+
+def wide_axes(patch: SeenPatch, direction: Float) -> Rotation:
+    """Axes of the wide camera that saw a patch, from those of the instrument."""
+    errors = [float(np.linalg.norm(rotate(turn, direction) - patch.direction_camera)) for turn in OUTWARD]
+    return OUTWARD[int(np.argmin(errors))]
+
+
+@dataclass(frozen=True, eq=False)
+class WideStudy:
+    """Searches of many scenes, for each body that a camera saw whole.
+
+    True name, name given by the observed curve of the Moon and by the paper's sphere, why there is none, error of the
+    direction (rad), diameter (px) and phase (rad); diameters of those that were not found.
+    """
+
+    true: tuple[str, ...]
+    given: tuple[str | None, ...]
+    by_sphere: tuple[str | None, ...]
+    why: tuple[str, ...]
+    error_rad: Float
+    diameter_px: Float
+    phase_rad: Float
+    missed_px: Float
+    scenes: int
+
+    def share(self, name: str, *, sphere: bool = False) -> tuple[int, int, int]:
+        """Right, wrong and without a name, of the bodies that are ``name``."""
+        answers = self.by_sphere if sphere else self.given
+        given = [g for t, g in zip(self.true, answers, strict=True) if t == name]
+        right, none = sum(g == name for g in given), sum(g is None for g in given)
+        return right, len(given) - right - none, none
+
+
+def wide_study(scenes: int, rng: np.random.Generator, progress: Callable[[int], None]) -> WideStudy:
+    """Search simulated scenes; the direction of the Sun is that of its ephemeris."""
+    rows: list[tuple[str, str | None, str | None, str, float, float, float]] = []
+    missed = []
+    camera = wide_camera()
+    for k in range(scenes):
+        scene = random_scene(rng)
+        images = (wide_image(scene, 0, rng), wide_image(scene, 1, rng))
+        sun = unit(scene.bodies_km["SUN"])
+        observed, sphere = (search(images, sun, measured=measured) for measured in (True, False))
+        for name in ("EARTH", "MOON"):
+            place = scene.bodies_km[name]
+            if not any(in_field(camera, rotate(turn, place)) for turn in OUTWARD):
+                continue
+            toward = unit(place)
+            diameter = 2.0 * RADII_KM[name] / float(np.linalg.norm(place)) * camera.model.focal_length_px
+            answer, other = near_to(observed, toward, diameter), near_to(sphere, toward, diameter)
+            if answer is None or other is None:
+                missed.append(diameter)
+                continue
+            error = float(np.arccos(np.clip(answer.direction @ toward, -1.0, 1.0)))
+            phase = float(np.arccos(np.clip(-toward @ sun, -1.0, 1.0)))
+            rows.append((name, answer.name, other.name, answer.why, error, diameter, phase))
+        progress(k + 1)
+    true, given, by_sphere, why, errors, diameters, phases = zip(*rows, strict=True)
+    return WideStudy(
+        true=true,
+        given=given,
+        by_sphere=by_sphere,
+        why=why,
+        error_rad=np.array(errors),
+        diameter_px=np.array(diameters),
+        phase_rad=np.array(phases),
+        missed_px=np.array(missed),
+        scenes=scenes,
+    )
+
+
+def near_to(found: tuple[Found, ...], direction: Float, diameter_px: float) -> Found | None:
+    """Brightest body found near a true direction, the Sun apart."""
+    reach = np.cos(max(0.02, 0.75 * diameter_px / wide_camera().model.focal_length_px))
+    near = [each for each in found if each.name != "SUN" and float(each.direction @ direction) > reach]
+    return near[0] if near else None
+
+
+def in_field(camera: Camera, place: Float) -> bool:
+    """True if the whole of a body near a place is in the frame, by 12 px of margin."""
+    pixel = camera.model.project(place)
+    return bool(
+        np.isfinite(pixel).all()
+        and (pixel > 12.0).all()
+        and (pixel < [camera.columns - 13.0, camera.rows - 13.0]).all()
+    )
