@@ -75,8 +75,8 @@ def expected_dn(
 
     Notes
     -----
-    :math:`J = \alpha \bar Q \bar E (\lambda_2^2 - \lambda_1^2) / (2 h c) A \cos\phi \tau`. Two slips of the paper are left
-    out: its eq. 23 has the mean irradiance twice, and its eq. 21 multiplies by the aperture that eqs. 22 and 23
+    :math:`J = \alpha \bar Q \bar E (\lambda_2^2 - \lambda_1^2) / (2 h c) A \cos\phi \tau`. Two slips of the paper are
+    left out: its eq. 23 has the mean irradiance twice, and its eq. 21 multiplies by the aperture that eqs. 22 and 23
     multiply by again; irradiance is intensity over the square of the distance.
 
     References

@@ -13,9 +13,9 @@ from giantlike.calibration.result import CalibrationResult
 from giantlike.camera import Camera
 from giantlike.catalogs import apparent_directions
 from giantlike.core.arrays import Float, unit
-from giantlike.core.units import RAD_PER_ARCSEC
 from giantlike.core.frames import camera_from_inertial_of_pointing, radec_from_direction, rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, PositionFix
+from giantlike.core.units import RAD_PER_ARCSEC
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.missions.odin.ground import MOON_RADIUS_KM, Sky, catalog, moon_frame, sky_at, star_frame
@@ -353,4 +353,3 @@ def lines_of(study: InterlockStudy, *, corrected: bool) -> Interlock:
     scatter = errors.T @ errors / (count - 1.0) * (1.0 + 1.0 / count)
     floor = np.eye(3) * (0.1 * RAD_PER_ARCSEC) ** 2  # two pairs alone leave the scatter without rank
     return Interlock(second_from_first=mean, covariance_rad2=scatter + floor)
-
