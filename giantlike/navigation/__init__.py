@@ -13,6 +13,25 @@ from giantlike.navigation.body_measurements import (
     range_sigma,
     tangent_angles,
 )
+from giantlike.navigation.body_photometry import (
+    BodyLight,
+    Identified,
+    PatchOfLight,
+    PhotometricCamera,
+    chandrasekhar_sphere,
+    expected_dn,
+    identify_body,
+)
+from giantlike.navigation.body_search import SearchOptions, SeenPatch, find_patches, pointing_slew
+from giantlike.navigation.camera_sources import (
+    CameraSource,
+    ExposureRequest,
+    FolderCamera,
+    SimulatedCamera,
+    TriggerPlan,
+    take_pair,
+    trigger_plan,
+)
 from giantlike.navigation.cislunar_covariance import Dispersed, after_coast, after_correction, after_image
 from giantlike.navigation.cislunar_filter import (
     BodyObservation,
@@ -43,11 +62,13 @@ from giantlike.navigation.linear_covariance import (
     dispersed_step,
 )
 from giantlike.navigation.measurement_errors import BodyErrorModel
+from giantlike.navigation.mode_machine import InstrumentState, Mode, ModeMachine, Slew, Telemetry
 from giantlike.navigation.pass_estimator import estimate_pass
 from giantlike.navigation.pass_fix import PassFix, TermTest, TimetagJitter, WeakCombination
 from giantlike.navigation.pass_images import LimbPoints, MeasuredPosition, NavigationPass, PassImage
 from giantlike.navigation.pass_run import RunPass, pass_from_rows, pass_from_run
 from giantlike.navigation.pass_terms import PassOptions, PassTerm, Treatment
+from giantlike.navigation.refraction import Atmosphere, refracted, unrefracted
 from giantlike.navigation.sightlines import (
     Sightline,
     StarEphemeris,
@@ -63,6 +84,7 @@ from giantlike.navigation.triangulation import (
     position_at_emission,
     triangulate,
 )
+from giantlike.navigation.two_camera_pose import Interlock, PairPose, carried_attitude, pose_of_pair
 from giantlike.navigation.udu import (
     ScalarUpdate,
     UduFactors,
@@ -75,28 +97,46 @@ from giantlike.navigation.udu import (
 )
 
 __all__ = [
+    "Atmosphere",
     "BatchSolution",
     "BodyErrorModel",
+    "BodyLight",
     "BodyObservation",
+    "CameraSource",
     "Dispersed",
+    "ExposureRequest",
     "FilterModel",
     "FilterState",
     "Flight",
+    "FolderCamera",
+    "Identified",
     "Innovations",
+    "InstrumentState",
+    "Interlock",
     "JointDispersion",
     "LimbPoints",
     "MeasuredPosition",
+    "Mode",
+    "ModeMachine",
     "NavigationPass",
+    "PairPose",
     "PassFix",
     "PassImage",
     "PassOptions",
     "PassTerm",
+    "PatchOfLight",
+    "PhotometricCamera",
     "PointMasses",
     "RunPass",
     "ScalarUpdate",
+    "SearchOptions",
+    "SeenPatch",
     "Sightline",
+    "SimulatedCamera",
+    "Slew",
     "StarEphemeris",
     "TangentCamera",
+    "Telemetry",
     "TermTest",
     "ThirdBody",
     "TimetagJitter",
@@ -105,12 +145,15 @@ __all__ = [
     "TriangulatedPosition",
     "TriangulationMethod",
     "TriangulationOptions",
+    "TriggerPlan",
     "UduFactors",
     "WeakCombination",
     "after_coast",
     "after_correction",
     "after_image",
     "angular_diameter",
+    "carried_attitude",
+    "chandrasekhar_sphere",
     "cislunar",
     "coast",
     "considered_update",
@@ -120,9 +163,12 @@ __all__ = [
     "dispersed_step",
     "estimate_batch",
     "estimate_pass",
+    "expected_dn",
+    "find_patches",
     "fly",
     "gauss_markov_step",
     "gram_schmidt",
+    "identify_body",
     "limb_waves",
     "locate",
     "maneuver",
@@ -133,20 +179,26 @@ __all__ = [
     "pass_from_rows",
     "pass_from_run",
     "plus_dyad",
+    "pointing_slew",
+    "pose_of_pair",
     "position_at_emission",
     "position_from_measurement",
     "predicted",
     "range_from_disk_diameter",
     "range_per_diameter",
     "range_sigma",
+    "refracted",
     "scalar_update",
     "sightline_of_fix",
     "sightline_of_pixel",
     "sun_position_km",
+    "take_pair",
     "tangent_angles",
     "time_update",
     "triangulate",
+    "trigger_plan",
     "udu_factors",
+    "unrefracted",
     "wave_amplitudes",
     "without_aberration",
 ]

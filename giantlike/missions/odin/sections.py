@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from giantlike.core.errors import EstimationError
 from giantlike.core.outcomes import Failure
 from giantlike.missions.odin import compared, figures
+from giantlike.missions.odin.compared_cameras import of_optics
 from giantlike.missions.odin.ground import sky_at
 from giantlike.missions.odin.modes import fly
 from giantlike.missions.odin.narrow import (
@@ -96,7 +97,7 @@ def whole_replay(settings: ReplaySettings) -> Replay:
                     " frame."),
                     _figure("Fig. 9", "Sensors and lenses", figures.trade_figure(every), "Circled: the one chosen."),
                 ),
-                comparisons=compared.of_optics(every, covered),
+                comparisons=of_optics(every, covered),
             ),
             Section(
                 title="Target determination",

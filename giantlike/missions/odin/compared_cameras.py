@@ -1,0 +1,163 @@
+"""What the paper states of its cameras beside what follows from their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from giantlike.missions.odin.optics import (
+    MOON_DISTANCE_KM,
+    MOON_RADIUS_KM,
+    Choice,
+    diameters_px,
+    dominated,
+    field_of_wide_deg,
+    fisheye_radius_px,
+    projections,
+)
+from giantlike.missions.odin.paper import paper
+from giantlike.missions.replay import Comparison, ComparisonKind
+
+DERIVED, INDEPENDENT = ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
+ROUNDING = 0.02  # relative: the paper gives two or three digits
+
+
+def of_optics(choices: Sequence[Choice], covered: float) -> tuple[Comparison, ...]:
+    """Table 1, Table 2, Fig. 5, Fig. 9 and eq. 7."""
+    narrow, wide, fisheye = paper()["narrow"], paper()["wide"], paper()["fisheye"]
+    focal_px = narrow["focal_mm"] * 1e3 / narrow["pixel_um"]
+    fov = float(2.0 * np.degrees(np.arctan(narrow["columns"] / 2.0 / focal_px)))
+    ifov = float(np.degrees(1.0 / focal_px) * 3600.0)
+    wide_ifov = float(np.degrees(1.0 / fisheye["a0"]) * 3600.0)
+    seen = field_of_wide_deg(wide["rows"] / 2.0)
+    angles = np.radians(np.linspace(5.0, wide["fov_deg"] / 2.0, 40))
+    radius = fisheye_radius_px(angles)
+    misfit = {name: float(np.sqrt(np.mean((value - radius) ** 2))) for name, value in projections(angles).items()}
+    best = min(misfit, key=lambda name: misfit[name])
+    listed = ", ".join(f"{name} {value:.1f} px" for name, value in sorted(misfit.items(), key=lambda item: item[1]))
+    ideal = 1.0 - float(np.cos(np.radians(wide["fov_deg"] / 2.0)))
+    ident = paper()["identification"]
+    invariants = [2 * ident[f"stars_{kind}"] - ident[f"freedom_{kind}"] for kind in ("calibrated", "uncalibrated")]
+    return (
+        _close(
+            "field of view of the narrow camera, deg", narrow["fov_deg"], fov, "Table 1", "pixels over focal length"
+        ),
+        _close("IFOV of the narrow camera, arcsec", narrow["ifov_arcsec"], ifov, "Table 1", "pixel over focal length"),
+        _close("IFOV of the wide camera, arcsec", wide["ifov_arcsec"], wide_ifov, "Table 1", "1 / a0 of Table 2"),
+        _close(
+            "field of view of the wide camera, deg",
+            wide["fov_deg"],
+            seen,
+            "Tables 1, 2",
+            "angle that the polynomial of Table 2 has at half of the 1536 rows; 165 deg is 1536 px by the IFOV of"
+            " the middle"
+            " (equidistance), which the polynomial is not",
+        ),
+        Comparison(
+            what="projection of the wide camera",
+            paper=wide["projection"],
+            ours=best,
+            kind=DERIVED,
+            agrees=best == wide["projection"],
+            reference="Tables 1, 2",
+            reason=f"the projection nearest to the polynomial of Table 2 to 82.5 deg; rms {listed}",
+        ),
+        Comparison(
+            what="sky covered by two wide cameras",
+            paper=wide["sky_coverage"],
+            ours=round(ideal, 3),
+            kind=DERIVED,
+            agrees=abs(ideal - wide["sky_coverage"]) < 0.005,
+            reference="text, Camera Design",
+            reason="two cones of 165 deg; rounds to the same percent",
+        ),
+        Comparison(
+            what="sky covered by two wide cameras, with frame and lens",
+            paper=wide["sky_coverage"],
+            ours=round(covered, 3),
+            kind=INDEPENDENT,
+            agrees=abs(covered - wide["sky_coverage"]) < 0.01,
+            reference="text, Camera Design",
+            reason="random directions through the lens of Table 2 onto the frame, to 82.5 deg; to 0.01",
+        ),
+        Comparison(
+            what="invariants of a triad and of a quad",
+            paper="3 and 4",
+            ours=f"{invariants[0]} and {invariants[1]}",
+            kind=DERIVED,
+            agrees=invariants == [3, 4],
+            reason="G = 2 d - k; exact",
+            reference="eq. 7",
+        ),
+        *_sizes(),
+        *_trade(choices),
+    )
+
+
+def _close(what: str, theirs: float, ours: float, reference: str, reason: str) -> Comparison:
+    return Comparison(
+        what=what,
+        paper=theirs,
+        ours=round(ours, 2),
+        kind=DERIVED,
+        agrees=abs(ours / theirs - 1.0) < ROUNDING,
+        reason=f"{reason}; to 2 %",
+        reference=reference,
+    )
+
+
+def _sizes() -> tuple[Comparison, ...]:
+    at = np.array([MOON_DISTANCE_KM])
+    wide = [float(each[0]) for each in diameters_px(MOON_RADIUS_KM, at, wide=True)]
+    narrow = [float(each[0]) for each in diameters_px(MOON_RADIUS_KM, at, wide=False)]
+    rules = "by equal areas; the paper: largest in the middle, least at the edge"
+    return (
+        Comparison(
+            what="the Moon from Earth in the wide camera, middle and edge, px",
+            paper="largest in the middle",
+            ours=f"{wide[0]:.2f} and {wide[1]:.2f}",
+            kind=DERIVED,
+            agrees=wide[0] > wide[1],
+            reference="Fig. 5",
+            reason=f"{rules}. A lens as in Table 2 keeps areas: its edge is 3 % larger; along the radius alone a body"
+            " shrinks to three quarters, which may be what the figure shows",
+        ),
+        Comparison(
+            what="the Moon from Earth in the narrow camera, middle and edge, px",
+            paper="largest in the middle",
+            ours=f"{narrow[0]:.1f} and {narrow[1]:.1f}",
+            kind=DERIVED,
+            agrees=narrow[0] > narrow[1],
+            reference="Fig. 5",
+            reason=f"{rules}. A pinhole with the k1 of Table 3 stretches toward its edge",
+        ),
+    )
+
+
+def _trade(choices: Sequence[Choice]) -> tuple[Comparison, ...]:
+    taken = next(each for each in choices if each.sensor == "IMX264" and each.focal_mm == paper()["narrow"]["focal_mm"])
+    fits = [c for c in choices if c.range_sigma <= 1e-3 and c.nearest_earth_km <= 50_000.0]
+    names = ", ".join(f"{each.sensor} with {each.focal_mm:g} mm" for each in fits)
+    return (
+        Comparison(
+            what="the sensor and lens chosen: is another better in range, field and pixels at once?",
+            paper="chosen",
+            ours="dominated" if dominated(taken, tuple(choices)) else "none is better",
+            kind=INDEPENDENT,
+            agrees=not dominated(taken, tuple(choices)),
+            reference="Fig. 9",
+            reason=f"{len(choices)} pairs of sensor and lens; sigma of the Moon's range from Earth by eqs. 14-20"
+            f" with 0.1 px"
+            f" a limb point ({100 * taken.range_sigma:.3f} % for the one chosen), least field, number of pixels",
+        ),
+        Comparison(
+            what="pairs that range the Moon to 0.1 % from Earth and see all of the Earth from 50,000 km",
+            paper="5 MP with 25 mm",
+            ours=names,
+            kind=DERIVED,
+            agrees=len(fits) == 1 and fits[0] is taken,
+            reference="Fig. 9",
+            reason="the two round limits are ours, set with the paper's choice known: they show that such limits exist",
+        ),
+    )
