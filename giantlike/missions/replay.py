@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 REPLAYS: Mapping[str, str] = MappingProxyType(
     {
         "artemis1": "Artemis I: passes of Orion's optical navigation, calibrations, algorithms, limb of the Earth",
-        "odin": "ODIN: modes, target determination, calibration and two-camera pose of an instrument for small satellites",
+        "odin": "ODIN: modes, target determination, calibration and pose of an instrument for small satellites",
         "osiris_rex": "calibration and four phases at Bennu (Liounis et al., independent optical navigation "
         "of OSIRIS-REx)",
     }

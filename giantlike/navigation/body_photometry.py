@@ -23,7 +23,7 @@ half angle 0.2666 degrees has 1,466 there."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricCamera:
-    """What turns the light of a body into numbers: the constants of paper 004's eq. 23.
+    """Photometric constants of a camera, which turn the light of a body into numbers: those of paper 004's eq. 23.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class BodyLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchOfLight:
-    """What a camera measures of a body that it does not know.
+    """Measurement of a body that is not known.
 
     Parameters
     ----------

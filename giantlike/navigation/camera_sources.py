@@ -43,7 +43,7 @@ class ExposureRequest:
 
 
 class CameraSource(Protocol):
-    """What a mode of an instrument needs of a camera."""
+    """Camera as the modes of an instrument need it."""
 
     @property
     def camera(self) -> Camera:
@@ -119,7 +119,7 @@ class FolderCamera:
     wait_s: float = 0.0
     poll_s: float = 0.2
     sleep: Callable[[float], None] = time.sleep
-    _taken: set[str] = field(default_factory=set, repr=False)
+    _taken: set[str] = field(default_factory=set, init=False, repr=False)
 
     def __post_init__(self) -> None:
         require_number(self.wait_s, "wait_s", least=0.0)
@@ -168,7 +168,7 @@ class FolderCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriggerPlan:
-    """Which of two cameras starts first, and how much later the other does.
+    """Order of two cameras, and how much later the second one starts.
 
     Parameters
     ----------

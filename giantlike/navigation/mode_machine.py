@@ -48,7 +48,7 @@ class Slew:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentState:
-    """What an instrument knows between two cycles.
+    """Knowledge of an instrument between two cycles.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ Task = Callable[[InstrumentState], InstrumentState | Failure]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Telemetry:
-    """What a cycle or a command reports.
+    """Report of a cycle or a command.
 
     Parameters
     ----------

@@ -51,7 +51,8 @@ class Atmosphere:
 
         Returns
         -------
-        a_rad, b_rad : float, rad
+        a_rad : float, rad
+        b_rad : float, rad
         """
         import erfa  # slow to import
 
