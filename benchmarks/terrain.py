@@ -40,7 +40,7 @@ from giantlike.independent import (
 )
 from giantlike.relative import EllipseFit, EllipsoidCRA, Estimator, LimbMatching, SigmoidLimb
 from giantlike.shapes import Ellipsoid
-from giantlike.terrain import HeightMap
+from giantlike.terrain import HeightMap, limb_profile
 
 MOON_KM = 1737.4
 EARTH_KM, EARTH_AT_KM, HAZE_KM = 6371.0, 350_000.0, 7.0
@@ -163,8 +163,42 @@ def passes(sides: int, images: int, seed: int) -> dict[str, object]:
     for number in range(sides):
         side = Side.of(body, rng, camera)
         for _ in range(images):
-            rows += [row | {"side": number} for row in side.fixes(rng, maps)]
-    return {"maps_unresolved_km": {n: m.unresolved_km() for n, m in maps.items() if m}, "table": table(rows, maps)}
+            told = predicted_bias(side.pose, maps["8 per deg"])
+            rows += [row | {"side": number, "told_km": told} for row in side.fixes(rng, maps)]
+    return {
+        "maps_unresolved_km": {n: m.unresolved_km() for n, m in maps.items() if m},
+        "prediction": prediction(rows),
+        "table": table(rows, maps),
+    }
+
+
+def predicted_bias(pose: Pose, heights: HeightMap | None) -> float:
+    """Radius, km, by which the body of a pass will seem too large, by the map and the geometry alone."""
+    assert heights is not None
+    turn = pose.camera_from_body.inv()
+    camera = turn.apply(-np.asarray(pose.position_camera_km))
+    profile = limb_profile(heights, np.full(3, MOON_KM), camera, angles=1440)
+    return profile.bias(turn.apply(np.asarray(pose.sun_direction_camera)))[0]
+
+
+def prediction(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """Biases of passes as found with the smooth sphere, beside those predicted before there was an image."""
+    result = []
+    for estimator in ESTIMATORS:
+        good = [
+            row for row in rows if row["map"] == "smooth" and row["estimator"] == estimator.name and "failed" not in row
+        ]
+        found = np.array([-row["range_km"] / row["range_km_per_km"] for row in good])  # type: ignore[operator]
+        told = np.array([row["told_km"] for row in good], dtype=np.float64)
+        result.append(
+            {
+                "estimator": estimator.name,
+                "found_rms_km": float(np.sqrt(np.mean(found**2))),
+                "left_rms_km": float(np.sqrt(np.mean((found - told) ** 2))),
+                "correlation": float(np.corrcoef(found, told)[0, 1]),
+            }
+        )
+    return result
 
 
 def table(rows: list[dict[str, object]], maps: dict[str, HeightMap | None]) -> list[dict[str, object]]:

@@ -108,7 +108,7 @@ def _brightness(radius_km: float, haze: Haze, rays: Float, pose: Pose, law: str)
     incidence = points @ sun / np.linalg.norm(points, axis=-1)
     above = haze.vertical_depth * np.exp(-np.maximum(height, 0.0) / haze.scale_height_km)
     lit = np.where(incidence > 0.0, np.exp(-above / np.maximum(incidence, 0.03)), 0.0)
-    sent = haze.albedo * np.sum(lit * np.exp(-passed) * -np.expm1(-steps) * np.exp(0.5 * steps), axis=1)
+    sent = haze.albedo * np.sum(lit * np.exp(steps - passed) * -np.expm1(-steps), axis=1)
     hit = (middle + end)[ground, None] * rays[ground] - center
     normals = hit / radius_km
     towards = np.maximum(normals @ sun, 0.0)

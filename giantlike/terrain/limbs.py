@@ -11,10 +11,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
+from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.errors import InputError
+from giantlike.core.frames import rotate
 from giantlike.core.values import Value
 from giantlike.terrain.height_map import HeightMap
 
@@ -52,6 +56,8 @@ class LimbProfile(Value):
         The part of that which stands for relief that the map does not resolve; never negative.
     known : (k,) bool
         Where the map holds the ground that may be the limb; elsewhere the altitude is the mean of the others.
+    points_body_km, normals_body : (k, 3) float64, km and unitless, body axes
+        Limb of the smooth body, and its unit normals there.
     first_body, second_body : (3,) float64, unitless, body axes
         Unit vectors across the line of sight.
     sigma_km : float, km
@@ -66,6 +72,8 @@ class LimbProfile(Value):
     altitude_km: Float
     unresolved_km: Float
     known: Mask
+    points_body_km: Float
+    normals_body: Float
     first_body: Float
     second_body: Float
     sigma_km: float
@@ -96,6 +104,62 @@ class LimbProfile(Value):
         angles = self.angles_rad - (0.5 * step if count % 2 == 0 else 0.0)
         result: Float = np.interp(place, angles, mean, period=2.0 * math.pi)
         return result
+
+    def in_image(
+        self, model: CameraModel, camera_from_body: Rotation, position_camera_km: ArrayLike
+    ) -> tuple[Float, Float]:
+        """Outline in an image.
+
+        Parameters
+        ----------
+        model : CameraModel
+        camera_from_body : Rotation
+        position_camera_km : (3,), km, camera axes
+            Of the center of the body, as in the geometry of the profile.
+
+        Returns
+        -------
+        points_px : (k, 2) float64, px
+            The outline with its relief; NaN where the camera does not image it.
+        altitude_px : (k,) float64, px
+            How far it lies outside that of the smooth body.
+        """
+        place = as_finite(position_camera_km, (3,), "position_camera_km")
+        raised_km = self.points_body_km + self.altitude_km[:, None] * self.normals_body
+        smooth, raised = (
+            model.project(place + rotate(camera_from_body, points)) for points in (self.points_body_km, raised_km)
+        )
+        altitude_px: Float = np.copysign(np.linalg.norm(raised - smooth, axis=1), self.altitude_km)
+        return raised, altitude_px
+
+    def bias(self, sun_direction_body: ArrayLike | None = None) -> tuple[float, Float]:
+        """Bias that the relief gives a fit of the smooth body, before there is an image.
+
+        Parameters
+        ----------
+        sun_direction_body : (3,), unitless, body axes, optional
+            Unit vector to the Sun: the limb that it lights counts; all of it by default.
+
+        Returns
+        -------
+        radius_km : float, km
+            By which the body seems larger: the range comes out shorter by as much, times range over radius.
+        center_km : (2,) float64, km
+            By which its center seems moved, along ``first_body`` and ``second_body``.
+
+        Raises
+        ------
+        InputError
+            The Sun lights too little of the limb to tell them.
+        """
+        lit = np.ones(self.angles_rad.size, dtype=np.bool_)
+        if sun_direction_body is not None:
+            lit = self.normals_body @ as_finite(sun_direction_body, (3,), "sun_direction_body") > 0.0
+        require(int(lit.sum()) > 3, "the Sun lights none of the limb")
+        angles = self.angles_rad[lit]
+        design = np.stack([np.ones(angles.size), np.cos(angles), np.sin(angles)], axis=1)
+        radius, first, second = np.linalg.lstsq(design, self.altitude_km[lit], rcond=None)[0]
+        return float(radius), np.array([first, second])
 
     @property
     def mean_km(self) -> float:
@@ -188,6 +252,8 @@ def _profile(
         altitude_km=altitude,
         unresolved_km=added,
         known=good,
+        points_body_km=limb.points_km,
+        normals_body=limb.normals,
         first_body=first,
         second_body=second,
         sigma_km=math.hypot(heights.sigma_km, gap),
@@ -209,6 +275,10 @@ class _SmoothLimb(Value):
     """Angle (k,) at the camera from the center to the limb."""
     arm_km: Float
     """Length (k,) of the line of sight to the limb."""
+    points_km: Float
+    """Points (k, 3) of the limb."""
+    normals: Float
+    """Unit normals (k, 3) of the surface there."""
     lean: Float
     """Cosine (k,) between the half-plane and the normal of the surface at the limb."""
 
@@ -222,7 +292,8 @@ class _SmoothLimb(Value):
         x = np.sqrt((1.0 - 1.0 / (distance_km**2 * cc)) / (aa - ac**2 / cc))
         y = (1.0 / distance_km - ac * x) / cc
         half = np.arctan2(x, distance_km - y)
-        normal = metric * (x[:, None] * across + y[:, None] * toward)
+        points = x[:, None] * across + y[:, None] * toward
+        normal = metric * points
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         outward = np.cos(half)[:, None] * across + np.sin(half)[:, None] * toward
         return cls(
@@ -232,6 +303,8 @@ class _SmoothLimb(Value):
             polar_rad=np.arctan2(x, y),
             half_angle_rad=half,
             arm_km=np.hypot(x, distance_km - y),
+            points_km=points,
+            normals=normal,
             lean=np.einsum("ki,ki->k", normal, outward),
         )
 

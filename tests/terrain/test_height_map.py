@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from giantlike import DataError, InputError
+from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.terrain import HeightMap, limb_profile
 
@@ -117,6 +119,33 @@ def test_the_limb_of_a_mountain_is_where_a_ray_grazes_it() -> None:
     predicted = profile.altitude_km.reshape(120, 6).max(axis=1)
     assert_allclose(seen_km, predicted, rtol=0, atol=0.25)
     assert abs(np.mean(seen_km - predicted)) < 0.1
+
+
+def test_the_outline_in_an_image_is_the_smooth_one_moved_out_by_the_altitude_in_pixels() -> None:
+    turn = Rotation.from_euler("xyz", [30.0, 50.0, -70.0], degrees=True)
+    place = np.array([200.0, -100.0, 30_000.0])
+    model = PinholeModel(fx_px=5000.0, fy_px=5000.0, cx_px=511.5, cy_px=511.5)
+    profile = limb_profile(sampled(90), MOON, turn.inv().apply(-place))
+    points, altitude_px = profile.in_image(model, turn, place)
+    rays = model.unproject(points)
+    away = np.arccos(rays @ place / np.linalg.norm(place)) - np.arcsin(1737.4 / np.linalg.norm(place))
+    assert_allclose(away * 5000.0, altitude_px, rtol=0, atol=0.01)
+    assert_allclose(altitude_px, profile.altitude_km * 5000.0 / 30_000.0, rtol=0, atol=0.01)
+
+
+def test_the_bias_of_a_sphere_that_is_larger_and_off_its_place_is_told_from_any_part_of_its_limb() -> None:
+    """Heights of a sphere of 1740 km about a point 3 km from the origin: to first order 2.6 km + u . offset."""
+    offset = np.array([0.0, 2.0, -1.0])
+    latitude = 89.5 - np.arange(180.0)[:, None]
+    moved = HeightMap.from_array(direction(latitude, 0.5 + np.arange(360.0)) @ offset + 2.6, reference_radii_km=MOON)
+    profile = limb_profile(moved, MOON, np.array([1e5, 0.0, 0.0]))
+    expected = [profile.first_body @ offset, profile.second_body @ offset]
+    for sun in (None, [0.0, 1.0, 0.0], [-0.5, 0.2, -0.84]):
+        radius, center = profile.bias(sun)
+        assert_allclose(radius, 2.6, rtol=0, atol=0.02)
+        assert_allclose(center, expected, rtol=0, atol=0.02)
+    with pytest.raises(InputError, match="lights none"):
+        profile.bias([-1.0, 0.0, 0.0])
 
 
 def test_only_what_is_high_is_seen_so_that_the_mean_limb_stands_above_the_mean_surface() -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
+from giantlike.core.reading import reads
 from giantlike.io.decoded import HeaderValue
 from giantlike.io.height_maps.grid import RADIUS_SHARE, HeightGrid, Read
 from giantlike.io.pds3 import Pds3Label, image_pointer, parse_pds3, raw_layout
@@ -60,15 +61,20 @@ def open_labeled(
         raise ValueError(f"the label gives no usable size of a map: {layout.rows} rows, {layout.columns} columns")
     if (size := image.stat().st_size) < layout.end_bytes:
         raise ValueError(f"the file is truncated: {layout.end_bytes} bytes are needed, {image.name} has {size}")
-    stored = np.memmap(image, np.uint8, "r", layout.offset_bytes, (layout.rows, layout.row_bytes))
 
-    def read(rows: slice, columns: slice) -> NDArray[Any]:
+    @reads("samples of a height map")
+    def part(image: Path, rows: slice, columns: slice) -> NDArray[Any]:
+        # Mapped anew each time: pages of a map that stays would stay in memory with it.
+        stored = np.memmap(image, np.uint8, "r", layout.offset_bytes, (layout.rows, layout.row_bytes))
         width = layout.sample_bytes
         bytes_ = slice(layout.prefix_bytes + width * columns.start, layout.prefix_bytes + width * columns.stop)
-        part = np.ascontiguousarray(stored[rows, bytes_])
+        found = np.array(stored[rows, bytes_])
         if layout.sample.startswith("vax"):
-            return vax_floats(part.reshape(*part.shape[:-1], -1, width))
-        return part.view(np.dtype(layout.sample))
+            return vax_floats(found.reshape(*found.shape[:-1], -1, width))
+        return found.view(np.dtype(layout.sample))
+
+    def read(rows: slice, columns: slice) -> NDArray[Any]:
+        return part(image, rows, columns)
 
     return _projected(label, read, layout.rows, layout.columns, image, radii_km, unit_km)
 
