@@ -14,9 +14,11 @@ import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from giantlike.core.display import provide
 from giantlike.core.version import VERSION
 
 if TYPE_CHECKING:
+    from giantlike.calibration import CalibrationOptions
     from giantlike.camera import Camera
     from giantlike.core.causes import Cause
     from giantlike.core.detector import Detector, GaussianPsf
@@ -30,16 +32,26 @@ if TYPE_CHECKING:
         TableEphemeris,
     )
     from giantlike.image import Image
+    from giantlike.processing import DetectionOptions
     from giantlike.relative import (
         Auto,
+        AutoOptions,
         CrossCorrelation,
+        CrossCorrelationOptions,
         EllipseFit,
+        EllipseFitOptions,
         EllipsoidCRA,
+        EllipsoidCRAOptions,
         LimbMatching,
+        LimbMatchingOptions,
         Moment,
+        MomentOptions,
         SigmoidLimb,
+        SigmoidLimbOptions,
         SurfaceFeatures,
+        SurfaceFeaturesOptions,
         Unresolved,
+        UnresolvedOptions,
     )
     from giantlike.scene import Scene, Target
     from giantlike.stars import StarNavigation, StarOptions
@@ -47,6 +59,9 @@ if TYPE_CHECKING:
 __version__ = VERSION
 
 logging.getLogger("giantlike").addHandler(logging.NullHandler())  # silent unless the user asks: docs/logging.md
+
+provide("giantlike.plotting.notebook")
+provide("giantlike.campaign.report.notebook")
 
 _HOMES = {
     "giantlike.camera": ("Camera",),
@@ -58,15 +73,26 @@ _HOMES = {
     "giantlike.image": ("Image",),
     "giantlike.relative": (
         "Auto",
+        "AutoOptions",
         "CrossCorrelation",
+        "CrossCorrelationOptions",
         "EllipseFit",
+        "EllipseFitOptions",
         "EllipsoidCRA",
+        "EllipsoidCRAOptions",
         "LimbMatching",
+        "LimbMatchingOptions",
         "Moment",
+        "MomentOptions",
         "SigmoidLimb",
+        "SigmoidLimbOptions",
         "SurfaceFeatures",
+        "SurfaceFeaturesOptions",
         "Unresolved",
+        "UnresolvedOptions",
     ),
+    "giantlike.processing": ("DetectionOptions",),
+    "giantlike.calibration": ("CalibrationOptions",),
     "giantlike.scene": ("Scene", "Target"),
     "giantlike.stars": ("StarNavigation", "StarOptions"),
 }
@@ -76,15 +102,21 @@ __all__ = [
     "ApparentGeometry",
     "AttitudeFix",
     "Auto",
+    "AutoOptions",
+    "CalibrationOptions",
     "Camera",
     "Cause",
     "CenterFix",
     "CrossCorrelation",
+    "CrossCorrelationOptions",
     "DataError",
+    "DetectionOptions",
     "Detector",
     "DistantLight",
     "EllipseFit",
+    "EllipseFitOptions",
     "EllipsoidCRA",
+    "EllipsoidCRAOptions",
     "EstimationError",
     "Failure",
     "FixedEphemeris",
@@ -93,20 +125,25 @@ __all__ = [
     "Image",
     "InputError",
     "LimbMatching",
+    "LimbMatchingOptions",
     "Moment",
+    "MomentOptions",
     "OpNavError",
     "PositionFix",
     "Quality",
     "Reason",
     "Scene",
     "SigmoidLimb",
+    "SigmoidLimbOptions",
     "SpiceEphemeris",
     "StarNavigation",
     "StarOptions",
     "SurfaceFeatures",
+    "SurfaceFeaturesOptions",
     "TableEphemeris",
     "Target",
     "Unresolved",
+    "UnresolvedOptions",
     "__version__",
 ]
 

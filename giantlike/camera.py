@@ -28,6 +28,7 @@ from giantlike.camera_models.registry import lens_class
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import FrameRotation, quaternion_xyzw, require_same_frame, rotation_from_xyzw
 from giantlike.core.reading import toml_table
@@ -198,7 +199,7 @@ _KEYS = ("name", *_SIZE, "fov_deg", *(section.key for section in _SECTIONS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Camera:
+class Camera(Pictured):
     """A lens, a point spread function and a detector: turns directions into pixels and light into numbers.
 
     Parameters
@@ -241,6 +242,12 @@ class Camera:
                 f"[calibration] estimated: the model has no parameter {name!r}; it has "
                 f"{', '.join(self.model.parameter_names)}",
             )
+
+    def __repr__(self) -> str:
+        edges = self.model.unproject(np.array([[-0.5, self.center_px[1]], [self.columns - 0.5, self.center_px[1]]]))
+        fov_deg = math.degrees(math.acos(float(np.clip(edges[0] @ edges[1], -1.0, 1.0))))
+        size = f"{self.columns} x {self.rows}"
+        return f"Camera({self.name!r}, {size}, {type(self.model).__name__}, field of view {fov_deg:.4g} deg along x)"
 
     @classmethod
     def from_fov(

@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, Mask, as_finite, as_image, require, require_number
 from giantlike.core.detector import Detector
+from giantlike.core.display import Pictured
 from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix
-from giantlike.core.time import et_from_time
+from giantlike.core.time import et_from_time, utc_text
 from giantlike.core.values import Value
 from giantlike.io.image_files import read_image_file
 from giantlike.processing.calibration_frames import CalibrationFrames
@@ -40,7 +41,7 @@ class AttitudeSource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Image(Value):
+class Image(Pictured, Value):
     """One image as an immutable value; :meth:`with_attitude` returns a new one.
 
     Parameters
@@ -115,6 +116,11 @@ class Image(Value):
         object.__setattr__(self, "mask", bad)
         object.__setattr__(self, "metadata", dict(self.metadata))
         Value.__post_init__(self)
+
+    def __repr__(self) -> str:
+        epoch = "no epoch" if self.epoch is None else utc_text(self.epoch)
+        size = f"{self.columns} x {self.rows} {self.pixels.dtype}"
+        return f"Image({self.name!r}, {size}, {epoch}, attitude: {self.attitude_source})"
 
     @classmethod
     def open(cls, path: str | Path, *, hdu: int | str | None = None, bottom_up: bool = False) -> Image:

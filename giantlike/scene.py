@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.atmosphere import Atmosphere
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require, require_number, unit
+from giantlike.core.display import Pictured
 from giantlike.core.errors import FrameMismatchError, InputError
 from giantlike.core.frames import rotate, turn_between
 from giantlike.core.light import aberrate, boosted
@@ -201,7 +202,7 @@ class Circumstances(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene(Value):
+class Scene(Pictured, Value):
     """Targets, the light on them, and the position of the camera.
 
     Parameters
@@ -242,6 +243,9 @@ class Scene(Value):
             if isinstance(part, Ephemeris) and part.origin != origin:
                 raise FrameMismatchError(f"origin {part.origin}", f"origin {origin}")
         Value.__post_init__(self)
+
+    def __repr__(self) -> str:
+        return f"Scene({', '.join(target.name for target in self.targets)})"
 
     def target(self, name: str | None = None) -> Target:
         """Return a target by name.

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials, checked_parts, require_sum, summed
+from giantlike.core.display import Pictured
 from giantlike.core.errors import EstimationError
 from giantlike.core.reasons import Quality as Quality
 from giantlike.core.reasons import Reason as Reason
@@ -91,7 +92,7 @@ class AttitudeErrors(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AttitudeFix(Value):
+class AttitudeFix(Pictured, Value):
     """Camera attitude from stars.
 
     Parameters
@@ -159,6 +160,13 @@ class AttitudeFix(Value):
             require_sum(self.parts, tuple(Cause), self.covariance_rad2, "covariance_rad2")
         Value.__post_init__(self)
 
+    def __repr__(self) -> str:
+        sigma = np.degrees(np.sqrt(np.diag(self.covariance_rad2))) * 3600.0
+        return (
+            f"AttitudeFix({_status(self.flags)}, {self.n_used} of {self.n_detected} stars, rms {self.rms_px:.3g} px, "
+            f"sigma {sigma[0]:.3g}, {sigma[1]:.3g}, {sigma[2]:.3g} arcsec)"
+        )
+
     @property
     def errors(self) -> AttitudeErrors:
         """Errors by cause, the response to the camera and shared flags: what an image keeps of them."""
@@ -190,7 +198,7 @@ class AttitudeFix(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CenterFix(Value):
+class CenterFix(Pictured, Value):
     """Position of the center of a body (the origin of its shape model) in an image.
 
     Parameters
@@ -255,6 +263,15 @@ class CenterFix(Value):
             self._require_sums()
         Value.__post_init__(self)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._words()})"
+
+    def _words(self) -> str:
+        """Target, status and place with its standard deviations."""
+        (x, y), (sigma_x, sigma_y) = self.center_px, np.sqrt(np.diag(self.covariance_px2))
+        place = f"({x:.3f}, {y:.3f}) +- ({sigma_x:.2g}, {sigma_y:.2g}) px"
+        return f"{self.target} by {self.estimator}: {_status(self.flags)}, center {place}"
+
     def _require_sums(self) -> None:
         """Raise unless the parts sum to the covariances."""
         require_sum(self.parts, IN_IMAGE, self.covariance_px2, "covariance_px2")
@@ -312,6 +329,9 @@ class PositionFix(CenterFix):
         along = {cause: part[2:, 2:] for cause, part in self.parts.items()}
         require_sum(along, IN_POSITION, variance, "the relative variance of range in covariance_camera_km2")
 
+    def __repr__(self) -> str:
+        return f"PositionFix({self._words()}, range {self.range_km:.8g} +- {self.sigma_range_km:.2g} km)"
+
     @property
     def _size(self) -> int:
         """Number of the measured coordinates: x, y and the logarithm of the range."""
@@ -327,3 +347,9 @@ class PositionFix(CenterFix):
         """Standard deviation of :attr:`range_km`, km."""
         direction = self.position_camera_km / self.range_km
         return float(np.sqrt(direction @ self.covariance_camera_km2 @ direction))
+
+
+def _status(flags: Quality) -> str:
+    """Status of a fix with these flags, and their names."""
+    names = f" ({', '.join(flags.names())})" if flags else ""
+    return ("suspect" if flags.suspect else "ok") + names

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -17,9 +17,13 @@ from giantlike.camera import Camera
 from giantlike.campaign.store.edits import read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, RunSummary
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
+from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError
 from giantlike.core.values import Value
 from giantlike.io.attitude_series import AttitudeSeries
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
 
 Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
@@ -84,7 +88,7 @@ class StepCount:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RunResult(Value):
+class RunResult(Pictured, Value):
     """A finished run.
 
     Parameters
@@ -123,6 +127,36 @@ class RunResult(Value):
     time_s: float
     calibration: dict[str, Any] | None = None
     steps: Mapping[str, StepCount] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        images, fixes = StatusCounts.of(self.attitudes), StatusCounts.of(self.observations)
+        return (
+            f"RunResult({self.name!r}, {len(self.attitudes)} images: {images.ok} ok, {images.suspect} suspect, "
+            f"{images.failed} failed; {len(self.observations)} observations: {fixes.ok} ok, {fixes.suspect} suspect, "
+            f"{fixes.failed} failed)"
+        )
+
+    def table(self, name: str = "observations") -> QTable:
+        """Return a table of the run, with units.
+
+        Parameters
+        ----------
+        name : {'observations', 'attitudes'}
+
+        Returns
+        -------
+        astropy QTable
+            A column for each of docs/tables.md that a CSV file has, cells without a value masked. ``table.to_pandas()``
+            makes a data frame of it where pandas is installed.
+
+        Raises
+        ------
+        InputError
+            There is no such table.
+        """
+        from giantlike.campaign.store.tables import table_of
+
+        return table_of(name, self.attitudes, self.observations)
 
     @property
     def observations(self) -> tuple[ObservationRecord, ...]:

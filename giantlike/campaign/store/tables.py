@@ -7,16 +7,21 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from giantlike.campaign.store.record_values import Matrix
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
+from giantlike.core.arrays import require
 from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.io.run_tables import AttitudeRow, ObservationRow
-from giantlike.io.tables import write_rows
+from giantlike.io.tables import columns_of, write_rows
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
 
 Row = TypeVar("Row", AttitudeRow, ObservationRow)
 
@@ -24,6 +29,8 @@ _TOTAL = tuple(cause for cause in Cause if cause is not Cause.EPHEMERIS)
 """Causes in ``covariance_with_attitude_px2``."""
 
 
+_UNITS = MappingProxyType({"px": "pix", "arcsec": "arcsec", "deg": "deg", "km": "km", "s": "s"})
+"""Units of columns, as astropy writes them."""
 TABLE_FILES = tuple(f"{table}.{form}" for table in ("attitudes", "observations") for form in ("csv", "parquet"))
 """Names of the tables in the run folder."""
 
@@ -45,6 +52,48 @@ def write_tables(folder: Path, attitudes: Sequence[AttitudeRecord], observations
     """
     write_rows(folder / "attitudes", AttitudeRow, [_attitude_row(record) for record in attitudes])
     write_rows(folder / "observations", ObservationRow, [_observation_row(record) for record in observations])
+
+
+def table_of(name: str, attitudes: Iterable[AttitudeRecord], observations: Iterable[ObservationRecord]) -> QTable:
+    """Return a table of a run in memory.
+
+    Parameters
+    ----------
+    name : {'attitudes', 'observations'}
+    attitudes : iterable of AttitudeRecord
+    observations : iterable of ObservationRecord
+
+    Returns
+    -------
+    astropy QTable
+        The columns of the CSV file, with units; cells without a value are masked.
+
+    Raises
+    ------
+    InputError
+        There is no such table.
+    """
+    from astropy.table import MaskedColumn, QTable
+
+    require(name in ("attitudes", "observations"), f"there is no table {name!r}; there are attitudes and observations")
+    kind: type[AttitudeRow] | type[ObservationRow]
+    rows: list[Any]
+    if name == "attitudes":
+        kind, rows = AttitudeRow, [_attitude_row(record) for record in attitudes]
+    else:
+        kind, rows = ObservationRow, [_observation_row(record) for record in observations]
+    table = QTable(meta={"name": name})
+    for column in columns_of(kind):
+        if not column.csv:
+            continue
+        cells = [getattr(row, column.name) for row in rows]
+        missing = [cell is None for cell in cells]
+        blank = {"text": "", "integer": 0, "number": np.nan}.get(column.kind, False)
+        values = [blank if cell is None else cell for cell in cells]
+        table[column.name] = MaskedColumn(values, mask=missing, description=column.description)
+        if column.unit in _UNITS:
+            table[column.name].unit = _UNITS[column.unit]
+    return table
 
 
 def _attitude_row(record: AttitudeRecord) -> AttitudeRow:

@@ -1,0 +1,108 @@
+"""Pictures of values: ``value.plot()`` and what a notebook shows, drawn by whoever provides it.
+
+Values lie below what draws them. A painter is registered for a class by the module that draws; :func:`provide` names
+such a module, which is imported when the first picture is wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_PAINTERS: dict[type[Any], Callable[..., Axes]] = {}
+_PROVIDERS: list[str] = []
+
+
+def provide(module: str) -> None:
+    """Name a module that registers painters when it is imported.
+
+    Parameters
+    ----------
+    module : str
+    """
+    if module not in _PROVIDERS:
+        _PROVIDERS.append(module)
+
+
+def paints(kind: type[Any]) -> Callable[[Callable[..., Axes]], Callable[..., Axes]]:
+    """Decorator for the function that draws values of a class on axes.
+
+    Parameters
+    ----------
+    kind : type
+        Of the values, and of those of its subclasses that have no painter of their own.
+
+    Returns
+    -------
+    callable
+        Decorator; the function takes the value, the axes or None, and options by keyword, and returns the axes.
+    """
+
+    def register(painter: Callable[..., Axes]) -> Callable[..., Axes]:
+        _PAINTERS[kind] = painter
+        return painter
+
+    return register
+
+
+def painter_of(kind: type[Any]) -> Callable[..., Axes]:
+    """Return the function that draws values of a class.
+
+    Parameters
+    ----------
+    kind : type
+
+    Returns
+    -------
+    callable
+
+    Raises
+    ------
+    TypeError
+        Nothing draws them.
+    """
+    for module in _PROVIDERS:
+        import_module(module)
+    for base in kind.__mro__:
+        if base in _PAINTERS:
+            return _PAINTERS[base]
+    raise TypeError(f"nothing draws a {kind.__name__}: import giantlike first")
+
+
+class Pictured:
+    """Base of values that can be drawn: ``plot`` on axes, and a picture with the main numbers in a notebook."""
+
+    __slots__ = ()
+
+    def plot(self, axes: Axes | None = None, **options: Any) -> Axes:
+        """Draw on axes.
+
+        Parameters
+        ----------
+        axes : matplotlib Axes, optional
+            Default: those of a new figure.
+        **options
+            Of the painter, see docs/notebooks.md.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        return painter_of(type(self))(self, axes, **options)
+
+    def _repr_html_(self) -> str:
+        import base64
+        import html
+        import io
+
+        buffer = io.BytesIO()
+        figure = self.plot().get_figure(root=True)
+        assert figure is not None
+        figure.savefig(buffer, format="png", dpi=72)
+        picture = base64.b64encode(buffer.getvalue()).decode("ascii")
+        caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
+        return f'<figure><img src="data:image/png;base64,{picture}">{caption}</figure>'
