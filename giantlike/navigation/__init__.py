@@ -32,7 +32,14 @@ from giantlike.navigation.camera_sources import (
     take_pair,
     trigger_plan,
 )
-from giantlike.navigation.cislunar_covariance import Dispersed, after_coast, after_correction, after_image
+from giantlike.navigation.cislunar_covariance import (
+    Dispersed,
+    after_coast,
+    after_correction,
+    after_image,
+    after_steps,
+    reference_steps,
+)
 from giantlike.navigation.cislunar_filter import (
     BodyObservation,
     FilterModel,
@@ -151,6 +158,7 @@ __all__ = [
     "after_coast",
     "after_correction",
     "after_image",
+    "after_steps",
     "angular_diameter",
     "carried_attitude",
     "chandrasekhar_sphere",
@@ -187,6 +195,7 @@ __all__ = [
     "range_from_disk_diameter",
     "range_per_diameter",
     "range_sigma",
+    "reference_steps",
     "refracted",
     "scalar_update",
     "sightline_of_fix",

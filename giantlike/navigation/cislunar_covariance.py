@@ -7,6 +7,7 @@ biases in its images.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from giantlike.navigation.cislunar_filter import (
     BodyObservation,
     FilterModel,
     FilterState,
+    Transition,
     coast,
     maneuver,
     predicted,
@@ -48,6 +50,47 @@ class Dispersed(NamedTuple):
     state: FilterState
 
 
+def reference_steps(model: FilterModel, et: float, mean: Float, until: float) -> list[Transition]:
+    """Steps of free flight along a reference, which several analyses may share.
+
+    Parameters
+    ----------
+    model : FilterModel
+    et, until : float, TDB seconds past J2000
+    mean : (21,) float64
+        At the start.
+
+    Returns
+    -------
+    list of Transition
+    """
+    steps = []
+    for end in step_ends(et, until, model.longest_step_s):
+        steps.append(coast(model, et, mean, end))
+        et, mean = end, steps[-1].mean
+    return steps
+
+
+def after_steps(at: Dispersed, steps: Iterable[Transition]) -> Dispersed:
+    """Dispersions after steps of the reference.
+
+    Parameters
+    ----------
+    at : Dispersed
+    steps : iterable of Transition
+        Of the filter and of the world.
+
+    Returns
+    -------
+    Dispersed
+    """
+    joint, state = at
+    for step in steps:
+        joint = dispersed_step(joint, step.matrix(), step.noise())
+        state = FilterState(step.et, step.mean, step.apply(state.factors))
+    return Dispersed(joint, state)
+
+
 def after_coast(at: Dispersed, until: float, model: FilterModel) -> Dispersed:
     """Dispersions after free flight.
 
@@ -62,12 +105,7 @@ def after_coast(at: Dispersed, until: float, model: FilterModel) -> Dispersed:
     -------
     Dispersed
     """
-    joint, state = at
-    for end in step_ends(state.et, until, model.longest_step_s):
-        step = coast(model, state.et, state.mean, end)
-        joint = dispersed_step(joint, step.matrix(), step.noise())
-        state = FilterState(end, step.mean, step.apply(state.factors))
-    return Dispersed(joint, state)
+    return after_steps(at, reference_steps(model, at.state.et, at.state.mean, until))
 
 
 def after_image(

@@ -26,6 +26,8 @@ AU_KM = 149_597_870.7
 """km, by definition."""
 J2000_JD = 2_451_545.0
 """Julian day of the epoch of TDB seconds."""
+SPLINE_STEP_S = 3600.0
+"""The Moon turns by 0.01 rad: a cubic spline errs by a fourth power of it, some millimeters."""
 RELATIVE_TOLERANCE = 1e-11
 """Of the integrator: 4 mm at the distance of the Moon, a hundred-thousandth of the best optical range."""
 ABSOLUTE_TOLERANCE = 1e-9
@@ -117,16 +119,46 @@ def sun_position_km(et: float) -> Float:
     return -np.asarray(erfa.epv00(J2000_JD, et / 86_400.0)[0]["p"]) * AU_KM
 
 
-def cislunar() -> PointMasses:
+def splined(position_km: Callable[[float], Float], first: float, last: float) -> Callable[[float], Float]:
+    """Positions by a cubic spline through hourly ones, in a tenth of the time.
+
+    Parameters
+    ----------
+    position_km : callable
+        Of a body, at a time in TDB seconds past J2000.
+    first, last : float, TDB seconds past J2000
+        Times between which it is asked.
+
+    Returns
+    -------
+    callable
+        Of the Moon within a centimeter.
+    """
+    from scipy.interpolate import CubicSpline
+
+    ets = np.arange(first - 3.0 * SPLINE_STEP_S, last + 4.0 * SPLINE_STEP_S, SPLINE_STEP_S)
+    spline = CubicSpline(ets, [position_km(et) for et in ets.tolist()])
+    return lambda et: np.asarray(spline(et))
+
+
+def cislunar(first: float | None = None, last: float | None = None) -> PointMasses:
     """Gravity of the Earth, with the Moon and the Sun by analytic theories.
+
+    Parameters
+    ----------
+    first, last : float, TDB seconds past J2000, optional
+        Times of the flight: places are then splined, which is faster.
 
     Returns
     -------
     PointMasses
         About the Earth.
     """
-    bodies = (ThirdBody(GM_MOON_KM3_S2, moon_position_km), ThirdBody(GM_SUN_KM3_S2, sun_position_km))
-    return PointMasses(GM_EARTH_KM3_S2, bodies)
+    places: tuple[Callable[[float], Float], ...] = (moon_position_km, sun_position_km)
+    if first is not None and last is not None:
+        places = tuple(splined(place, first, last) for place in places)
+    pulls = zip((GM_MOON_KM3_S2, GM_SUN_KM3_S2), places, strict=True)
+    return PointMasses(GM_EARTH_KM3_S2, tuple(ThirdBody(gm, place) for gm, place in pulls))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

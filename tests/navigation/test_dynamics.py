@@ -79,3 +79,9 @@ def test_the_moon_and_the_sun_are_where_an_integrated_ephemeris_has_them() -> No
 def test_a_flight_into_a_center_of_gravity_is_refused() -> None:
     with pytest.raises(InputError, match="cannot be integrated"):
         fly(PointMasses(GM_EARTH_KM3_S2), 0.0, [7000.0, 0.0, 0.0, 0.0, 0.0, 0.0], 2000.0)
+
+
+def test_splined_bodies_pull_alike() -> None:
+    end = START_ET + 36_000.0
+    direct, quick = (fly(each, START_ET, START, end) for each in (cislunar(), cislunar(START_ET, end)))
+    assert_allclose(quick.state, direct.state, rtol=0.0, atol=SETTLED)

@@ -1,0 +1,155 @@
+"""The laboratory calibration of III.A: a collimated point at every place of a gimbal grid, eq. 39, and the fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from giantlike.calibration import CalibrationResult, ImageObservations, calibrate, collimator_directions
+from giantlike.camera_models import BrownModel
+from giantlike.core.arrays import Float
+from giantlike.core.detector import Detector
+from giantlike.core.outcomes import Failure
+from giantlike.core.values import Value
+from giantlike.independent import PinholeView, Psf, Recorder, StarField, record, star_image
+from giantlike.missions.orion.constants import focal_px, table
+from giantlike.processing import detect_sources
+
+FOCAL_ERROR, K1, P1, P2 = 1.002, -0.08, 1e-4, -5e-5
+"""The made-up lens: the paper shows that of the flight camera as a picture only."""
+OFF_CENTER_PX = (3.2, -2.1)
+STAR_DN = 13_000.0
+"""Of a collimated point over all pixels: its peak of some 3,600 DN does not saturate."""
+FOCUSED_PX, STAKED_PX = 0.1, 0.7
+"""Blur of the lens in focus, and as it is staked."""
+READ_NOISE_DN = 5.0
+MATCH_PX = 40.0
+"""Farther than the lens moves a point, nearer than half of the 255 px between points."""
+
+
+def gimbal_angles() -> tuple[Float, Float]:
+    """Azimuths and elevations, rad, of the least grid in steps of 2 degrees that covers the field."""
+    gimbal = table("paper")["gimbal"]
+    half = [math.ceil(field / 2.0 / gimbal["step_deg"]) for field in gimbal["field_deg"]]
+    axes = [np.radians(gimbal["step_deg"]) * np.arange(-count, count + 1) for count in half]
+    azimuth, elevation = np.meshgrid(*axes)
+    return azimuth.ravel(), elevation.ravel()
+
+
+def lens() -> PinholeView:
+    """The made-up camera: as many pixels as the field of the paper has with its focal length."""
+    half = np.radians(np.array(table("paper")["gimbal"]["field_deg"]) / 2.0)
+    columns, rows = (round(2.0 * focal_px() * math.tan(each)) for each in half)
+    center = ((columns - 1) / 2.0 + OFF_CENTER_PX[0], (rows - 1) / 2.0 + OFF_CENTER_PX[1])
+    return PinholeView(focal_px() * FOCAL_ERROR, center, columns, rows, k1=K1, p1=P1, p2=P2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid(Value):
+    """The composite of all images, measured.
+
+    Parameters
+    ----------
+    azimuth_rad, elevation_rad : (n,) float64, rad
+        Of the points that fell on the detector and were found.
+    points_px : (n, 2) float64, px
+    true_px : (n, 2) float64, px
+    eq39_px : (n,) float64, px
+        Error of eq. 39: centroids against tangents of the gimbal's angles.
+    fitted : CalibrationResult
+        Of a Brown model to the same centroids.
+    residuals_px : (n, 2) float64, px
+        After it.
+    """
+
+    azimuth_rad: Float
+    elevation_rad: Float
+    points_px: Float
+    true_px: Float
+    eq39_px: Float
+    fitted: CalibrationResult
+    residuals_px: Float
+
+
+def measure_grid(seed: int) -> Grid | Failure:
+    """Take all images, combine them, find the points, and calibrate."""
+    azimuth, elevation = gimbal_angles()
+    targets, view, rng = collimator_directions(azimuth, elevation), lens(), np.random.default_rng(seed)
+    field = StarField(targets, np.zeros(len(targets)))
+    light, places = star_image(field, view, Rotation.identity(), psf=Psf(STAKED_PX), zero_point_dn=STAR_DN)
+    seen = record(light, rng, Recorder(read_noise_e=READ_NOISE_DN, saturation_dn=4095.0))
+    found = detect_sources(
+        seen.pixels.astype(np.int16), detector=Detector(read_noise_e=READ_NOISE_DN), psf_sigma_px=STAKED_PX
+    )
+    if isinstance(found, Failure):
+        return found
+    ideal = BrownModel(fx_px=focal_px(), fy_px=focal_px(), cx_px=(view.columns - 1) / 2.0, cy_px=(view.rows - 1) / 2.0)
+    expected = ideal.project(targets)
+    found = found.select(found.flux_dn > STAR_DN / 3.0)  # a whole point, not one that the edge cuts
+    nearest, distance = _nearest(expected, found.points_px)
+    seen_here = distance < MATCH_PX
+    points = found.points_px[nearest[seen_here]]
+    sigmas = np.sqrt(np.trace(found.covariance_px2[nearest[seen_here]], axis1=1, axis2=2) / 2.0)
+    fitted = calibrate(
+        [ImageObservations(name="grid", targets=targets[seen_here], points_px=points, sigma_px=sigmas)],
+        ideal,
+        estimate=("fx_px", "fy_px", "cx_px", "cy_px", "k1", "p1", "p2"),
+        columns=view.columns,
+        rows=view.rows,
+    )
+    if isinstance(fitted, Failure):
+        return fitted
+    return Grid(
+        azimuth_rad=azimuth[seen_here],
+        elevation_rad=elevation[seen_here],
+        points_px=points,
+        true_px=places[seen_here],
+        eq39_px=equation_39(points - [ideal.cx_px, ideal.cy_px], azimuth[seen_here], elevation[seen_here]),
+        fitted=fitted,
+        residuals_px=fitted.observed_px - fitted.predicted_px,
+    )
+
+
+def equation_39(points_px: Float, azimuth_rad: Float, elevation_rad: Float) -> Float:
+    """Error (n,) of eq. 39, px: points from the principal point; y grows down here and elevation is up."""
+    ideal = focal_px() * np.column_stack([-np.tan(azimuth_rad), np.tan(elevation_rad)])
+    return np.asarray(np.linalg.norm(points_px - ideal, axis=1))
+
+
+def pinhole_error_px(azimuth_rad: Float, elevation_rad: Float) -> Float:
+    """Error (n,) that eq. 39 finds in a pinhole without any: its angles are not those of a gimbal, px."""
+    directions = collimator_directions(azimuth_rad, elevation_rad)
+    points = focal_px() * directions[:, :2] / directions[:, 2:]
+    return equation_39(points, azimuth_rad, elevation_rad)
+
+
+def centroid_errors_px(blur_px: float, count: int, seed: int) -> float:
+    """Root mean square error of centroids per axis, px, of points at random places on the pixels."""
+    rng, spacing, size = np.random.default_rng(seed), 20, 20 * count
+    view = PinholeView(focal_px(), ((size - 1) / 2.0, (size - 1) / 2.0), size, size)
+    rows, columns = np.mgrid[0:count, 0:count] * spacing + spacing / 2.0
+    places = np.column_stack([columns.ravel(), rows.ravel()]) + rng.uniform(-0.5, 0.5, (count**2, 2))
+    directions = view.directions(places)
+    field = StarField(directions / np.linalg.norm(directions, axis=1, keepdims=True), np.zeros(count**2))
+    light, places = star_image(field, view, Rotation.identity(), psf=Psf(blur_px), zero_point_dn=STAR_DN / 10.0)
+    seen = record(light, rng, Recorder(read_noise_e=READ_NOISE_DN, saturation_dn=4095.0))
+    found = detect_sources(
+        seen.pixels.astype(np.int16), detector=Detector(read_noise_e=READ_NOISE_DN), psf_sigma_px=blur_px
+    )
+    if isinstance(found, Failure):
+        return math.inf
+    _, distance = _nearest(places, found.points_px)
+    return float(np.sqrt(np.mean(np.minimum(distance, 1.0) ** 2) / 2.0))
+
+
+def _nearest(places_px: Float, points_px: Float) -> tuple[NDArray[np.intp], Float]:
+    """Index of the point nearest to each place, and its distance, px."""
+    if not len(points_px):
+        return np.zeros(len(places_px), dtype=np.intp), np.full(len(places_px), np.inf)
+    distances = np.linalg.norm(places_px[:, None] - points_px, axis=2)
+    nearest = np.argmin(distances, axis=1)
+    return nearest, distances[np.arange(len(places_px)), nearest]

@@ -1,0 +1,90 @@
+"""Rules by which a number of ours agrees with one of the paper."""
+
+from __future__ import annotations
+
+from giantlike.missions.replay import Comparison, ComparisonKind
+
+ROUNDING = 0.005
+"""Relative: numbers that the paper gives with three digits."""
+ANALYSIS = 0.10
+"""Relative: linear covariance against flown runs, as it is asked for."""
+MODEL = 0.5
+"""Relative: an error model fitted to other images of another renderer."""
+
+
+def near(
+    what: str, paper: float, ours: float, *, kind: ComparisonKind, within: float, reference: str, because: str
+) -> Comparison:
+    """Two numbers that agree within a relative tolerance.
+
+    Parameters
+    ----------
+    what : str
+    paper, ours : float
+    kind : ComparisonKind
+    within : float
+        Relative tolerance.
+    reference : str
+    because : str
+        Where ours comes from, or what makes the difference.
+
+    Returns
+    -------
+    Comparison
+    """
+    return Comparison(
+        what=what,
+        paper=float(paper),
+        ours=float(ours),
+        kind=kind,
+        agrees=abs(ours - paper) <= within * abs(paper),
+        reason=f"Agrees within {100.0 * within:g} %. {because}",
+        reference=reference,
+    )
+
+
+def bounded(what: str, paper: float, ours: float, *, kind: ComparisonKind, reference: str, because: str) -> Comparison:
+    """A number of ours that the paper's must not fall short of, such as an error within its model.
+
+    Parameters
+    ----------
+    what : str
+    paper, ours : float
+    kind : ComparisonKind
+    reference : str
+    because : str
+
+    Returns
+    -------
+    Comparison
+    """
+    return Comparison(
+        what=what,
+        paper=float(paper),
+        ours=float(ours),
+        kind=kind,
+        agrees=abs(ours) <= abs(paper),
+        reason=f"Agrees where ours is not larger. {because}",
+        reference=reference,
+    )
+
+
+def stated(
+    what: str, paper: str, ours: str, *, holds: bool, kind: ComparisonKind, reference: str, because: str
+) -> Comparison:
+    """A sentence of the paper, and whether ours bears it out.
+
+    Parameters
+    ----------
+    what, paper, ours : str
+    holds : bool
+        From a rule that ``because`` tells.
+    kind : ComparisonKind
+    reference : str
+    because : str
+
+    Returns
+    -------
+    Comparison
+    """
+    return Comparison(what=what, paper=paper, ours=ours, kind=kind, agrees=holds, reason=because, reference=reference)

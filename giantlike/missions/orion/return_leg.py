@@ -1,0 +1,370 @@
+"""The way back from the Moon: passes and corrections, their linear covariance, and flown runs of the same filter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.independent.flight import Processes, Sky, burned, fly_spacecraft, sighted
+from giantlike.missions.orion.constants import EARTH_KM, MOON_KM, earth_errors, focal_px, moon_errors, table
+from giantlike.missions.replay import ReplaySettings
+from giantlike.navigation import (
+    BodyErrorModel,
+    BodyObservation,
+    Dispersed,
+    FilterModel,
+    FilterState,
+    JointDispersion,
+    Transition,
+    UduFactors,
+    after_correction,
+    after_image,
+    after_steps,
+    cislunar,
+    maneuver,
+    measurement_update,
+    moon_position_km,
+    reference_steps,
+    sun_position_km,
+    time_update,
+    udu_factors,
+)
+from giantlike.navigation.cislunar_filter import ATTITUDE, PARAMETERS, POSITION, STATES
+from giantlike.navigation.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2
+
+HOUR_S = 3600.0
+MOON, EARTH = "Moon", "Earth"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Image(Value):
+    """An image of the plan, with the errors of the world."""
+
+    observation: BodyObservation
+    body: str
+    world_variances: Float
+    world_biases: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Leg(Value):
+    """A piece of the plan: flight, then one image or one correction."""
+
+    steps: tuple[Transition, ...]
+    image: Image | None
+    guidance: Float | None
+    told: Float
+
+    @property
+    def et(self) -> float:
+        """Its end."""
+        return self.steps[-1].et
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan(Value):
+    """The whole leg: passes, corrections, and the way to entry."""
+
+    model: FilterModel
+    reference: Float
+    legs: tuple[Leg, ...]
+    passes_h: tuple[float, ...]
+
+
+def hours_before_entry(et: float) -> float:
+    """Hours that are left."""
+    return float((table("return_leg")["trajectory"]["entry_et"] - et) / HOUR_S)
+
+
+def filter_model(longest_step_s: float) -> FilterModel:
+    """The filter of 21 states as it is assumed to be tuned; it does not estimate the attitude."""
+    numbers = table("return_leg")["filter"]
+    rows = [numbers[name] for name in ("attitude", "acceleration", "accelerometer_bias", "accelerometer_scale")]
+    pairs = np.repeat(np.array(rows), 3, axis=0)
+    center, radius = np.array(numbers["center_bias_px"]), np.array(numbers["radius_bias_px"])
+    optical = np.array([center, center, radius * [2.0, 1.0]]) / [focal_px(), 1.0]  # a diameter is two radii
+    both = np.concatenate([pairs, optical])
+    trajectory = table("return_leg")["trajectory"]
+    return FilterModel(
+        dynamics=cislunar(trajectory["start_et"], trajectory["entry_et"]),
+        sigmas=both[:, 0],
+        time_constants_s=both[:, 1],
+        considered=np.isin(np.arange(STATES), np.arange(STATES)[ATTITUDE]),
+        longest_step_s=longest_step_s,
+    )
+
+
+def make_plan(
+    longest_step_s: float, *, image_every_s: float, close_pass: bool = False, earth_as_moon: bool = True
+) -> Plan:
+    """Fly the reference and set down what happens on it.
+
+    ``close_pass`` adds the pass near the Moon that the paper leaves out, ``earth_as_moon`` gives images of the Earth
+    the noise of those of the Moon.
+    """
+    numbers = table("return_leg")
+    trajectory, schedule, paper = numbers["trajectory"], numbers["schedule"], table("paper")["passes"]
+    model = filter_model(longest_step_s)
+    first, last = schedule["first_pass_h"], schedule["last_pass_h"]
+    passes = np.arange(first, last - 1.0, -paper["every_h"]).tolist()
+    if close_pass:
+        passes = [schedule["close_pass_h"], *passes]
+    events: list[tuple[float, str]] = []
+    for begins in passes:
+        start = trajectory["entry_et"] - begins * HOUR_S
+        seconds = np.arange(0.0, paper["length_h"] * HOUR_S + 1.0, image_every_s)
+        half = paper["length_h"] * HOUR_S / 2.0
+        events += [(start + t, MOON if t <= half else EARTH) for t in seconds.tolist()]
+        if begins <= first:
+            pause = schedule["correction_after_pass_h"] + paper["length_h"]
+            events.append((start + pause * HOUR_S, "correction"))
+    events.append((trajectory["entry_et"], "entry"))
+    reference = np.concatenate([trajectory["state_km_km_s"], np.zeros(PARAMETERS)])
+    legs = list(_legs(model, trajectory["start_et"], reference, events, earth_errors(as_moon=earth_as_moon)))
+    return Plan(model=model, reference=reference, legs=_guided(legs), passes_h=tuple(passes))
+
+
+def _legs(
+    model: FilterModel, et: float, mean: Float, events: list[tuple[float, str]], earth: BodyErrorModel
+) -> Iterator[Leg]:
+    """Fly to each event in turn."""
+    errors, believed = {MOON: moon_errors(), EARTH: earth}, BodyErrorModel(noise_px=np.array(_believed_px()))
+    told = np.eye(3)
+    for time, what in events:
+        steps = reference_steps(model, et, mean, time)
+        et, mean = time, steps[-1].mean
+        image = None
+        if what in errors:
+            place = moon_position_km(et) if what == MOON else np.zeros(3)
+            radius_km = MOON_KM if what == MOON else EARTH_KM
+            toward = place - mean[POSITION]
+            distance, told = float(np.linalg.norm(toward)), _camera(toward, sun_position_km(et))
+            believed_sigmas = believed.measurement_sigmas(distance, radius_km, focal_px())
+            observation = BodyObservation(
+                et=et,
+                measured=np.zeros(3),
+                variances=believed_sigmas**2,
+                camera_from_inertial=told,
+                body_position_km=place,
+                radius_km=radius_km,
+            )
+            image = Image(
+                observation=observation,
+                body=what,
+                world_variances=errors[what].measurement_sigmas(distance, radius_km, focal_px()) ** 2,
+                world_biases=errors[what].measurement_biases(distance, radius_km, focal_px()),
+            )
+        guidance = np.zeros((3, 6)) if what == "correction" else None
+        yield Leg(steps=tuple(steps), image=image, guidance=guidance, told=told)
+
+
+def _believed_px() -> list[float]:
+    """Noise in images that the filter believes, px."""
+    return [float(each) for each in table("return_leg")["filter"]["noise_px"]]
+
+
+def _camera(toward: Float, sun: Float) -> Float:
+    """Attitude (3, 3) with the boresight to a body and the x axis to the side of the Sun."""
+    boresight = toward / np.linalg.norm(toward)
+    up = np.cross(boresight, sun)
+    up /= np.linalg.norm(up)
+    return np.array([np.cross(up, boresight), up, boresight])
+
+
+def _guided(legs: list[Leg]) -> tuple[Leg, ...]:
+    """Legs whose corrections aim at the place of the reference at entry, at the same time."""
+    to_entry, guided = np.eye(6), []
+    for leg in reversed(legs):
+        if leg.guidance is not None:
+            by_place, by_velocity = to_entry[:3, :3], to_entry[:3, 3:]
+            leg = replace(leg, guidance=np.hstack([-np.linalg.solve(by_velocity, by_place), -np.eye(3)]))
+        for step in reversed(leg.steps):
+            to_entry = to_entry @ step.by_state
+        guided.append(leg)
+    return tuple(reversed(guided))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class History(Value):
+    """Standard deviations and means along the leg.
+
+    ``error`` and ``strayed`` are of position and velocity (k, 6), after each leg: truth less estimate, and truth less
+    reference; ``believed`` are sigmas of the filter.
+    """
+
+    et: Float
+    error_mean: Float
+    error_sigma: Float
+    strayed_mean: Float
+    strayed_sigma: Float
+    believed: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Delivery(Value):
+    """What arrives at the entry interface: angle against the corridor, degrees."""
+
+    angle_mean_deg: float
+    angle_sigma_deg: float
+    error_mean_deg: float
+    error_sigma_deg: float
+
+
+def analyzed(plan: Plan, *, with_images: bool = True, as_believed: bool = False) -> tuple[History, Delivery, Dispersed]:
+    """Linear covariance of a plan; ``as_believed`` is a world with the noise that the filter believes and no biases."""
+    numbers = table("return_leg")
+    start, burns = numbers["start"], numbers["burns"]
+    error = np.diag(np.concatenate([np.repeat(start["navigation"], 3), plan.model.sigmas]) ** 2)
+    strayed = np.zeros((STATES, STATES))
+    strayed[:6, :6] = np.diag(np.repeat(start["dispersion"], 3) ** 2)
+    # The truth owns the errors of its parameters, of which the estimate knows nothing.
+    joint = JointDispersion.at_start(strayed, np.zeros((STATES, STATES)))
+    covariance = np.array(joint.covariance)
+    covariance[:6, :6] += error[:6, :6]
+    covariance[6:STATES, 6:STATES] += error[6:, 6:]
+    state = FilterState(numbers["trajectory"]["start_et"], plan.reference, udu_factors(error))
+    at, rows = Dispersed(JointDispersion(joint.mean, covariance), state), []
+    for leg in plan.legs:
+        at = after_steps(at, leg.steps)
+        if leg.image is not None and with_images:
+            believed = leg.image.observation.variances
+            at = after_image(
+                at,
+                leg.image.observation,
+                plan.model,
+                world_variances=believed if as_believed else leg.image.world_variances,
+                world_biases=np.zeros(3) if as_believed else leg.image.world_biases,
+            )
+        if leg.guidance is not None:
+            at = after_correction(
+                at,
+                leg.guidance,
+                leg.told.T,
+                duration_s=burns["duration_s"],
+                execution_km_s=burns["execution"],
+                sensing_km_s=burns["sensing"],
+            )
+        rows.append(_row(at))
+    history = History(**dict(zip(_COLUMNS, map(np.array, zip(*rows, strict=True)), strict=True)))
+    slope = angle_slope(at.state.mean)
+    parts = [(float(slope @ mean[:6]), float(np.sqrt(slope @ covariance[:6, :6] @ slope))) for mean, covariance in (
+        at.joint.truth(), at.joint.navigation_error()
+    )]  # fmt: skip
+    delivery = Delivery(
+        angle_mean_deg=float(entry_angle_deg(at.state.mean[:6])) + parts[0][0],
+        angle_sigma_deg=parts[0][1],
+        error_mean_deg=parts[1][0],
+        error_sigma_deg=parts[1][1],
+    )
+    return history, delivery, at
+
+
+_COLUMNS = ("et", "error_mean", "error_sigma", "strayed_mean", "strayed_sigma", "believed")
+
+
+def _row(at: Dispersed) -> tuple[Any, ...]:
+    """A row of the history."""
+    (error, spread), (strayed, far) = at.joint.navigation_error(), at.joint.truth()
+    sigmas = [np.sqrt(np.diag(each))[:6] for each in (spread, far)]
+    return at.state.et, error[:6], sigmas[0], strayed[:6], sigmas[1], at.state.factors.sigmas()[:6]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Flown(Value):
+    """Flown runs: their history and delivery, and of each run the angle, degrees, and the speed, km/s, at entry."""
+
+    history: History
+    delivery: Delivery
+    angles_deg: Float
+    speeds_km_s: Float
+
+
+def flown(plan: Plan, settings: ReplaySettings, runs: int) -> Flown:
+    """The same plan flown: independent truths, each with its filter."""
+    numbers, rng = table("return_leg"), np.random.default_rng(settings.seed)
+    start = numbers["start"]
+    sigmas = np.concatenate([np.repeat(start["navigation"], 3), plan.model.sigmas])
+    strayed = np.zeros((runs, STATES))
+    strayed[:, :6] = rng.normal(0.0, np.repeat(start["dispersion"], 3), (runs, 6))
+    mean = plan.reference + strayed
+    truth = mean + rng.normal(0.0, sigmas, (runs, STATES))
+    factors = UduFactors(np.tile(np.eye(STATES), (runs, 1, 1)), np.tile(sigmas**2, (runs, 1)))
+    state = FilterState(numbers["trajectory"]["start_et"], mean, factors)
+    moon, sun = (each.position_km for each in plan.model.dynamics.third_bodies)
+    sky = Sky(GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2, moon, sun)
+    processes = Processes(plan.model.sigmas, plan.model.time_constants_s)
+    rows = []
+    for done, leg in enumerate(plan.legs):
+        settings.progress("flown runs", done, len(plan.legs))
+        truth = fly_spacecraft(truth, state.et, leg.et, sky, processes, rng)
+        state = time_update(state, leg.et, plan.model)
+        reference = leg.steps[-1].mean
+        if leg.image is not None:
+            seen = _seen(leg.image, truth, rng)
+            state, _ = measurement_update(state, seen, plan.model)
+        if leg.guidance is not None:
+            truth, state = _corrected(leg, truth, state, rng)
+        error, away = state.error(truth)[:, :6], (truth - reference)[:, :6]
+        sigma = state.factors.sigmas()[:, :6].mean(axis=0)
+        rows.append((leg.et, error.mean(axis=0), error.std(axis=0), away.mean(axis=0), away.std(axis=0), sigma))
+    history = History(**dict(zip(_COLUMNS, map(np.array, zip(*rows, strict=True)), strict=True)))
+    angles, believed = (entry_angle_deg(each[:, :6]) for each in (truth, state.mean))
+    delivery = Delivery(
+        angle_mean_deg=float(angles.mean()),
+        angle_sigma_deg=float(angles.std()),
+        error_mean_deg=float((angles - believed).mean()),
+        error_sigma_deg=float((angles - believed).std()),
+    )
+    speeds = np.linalg.norm(truth[:, 3:6], axis=1)
+    return Flown(history=history, delivery=delivery, angles_deg=angles, speeds_km_s=speeds)
+
+
+def _seen(image: Image, truth: Float, rng: np.random.Generator) -> BodyObservation:
+    """The image as many spacecraft take it, each with the world's noise and bias."""
+    plan = image.observation
+    exact = sighted(truth, plan.camera_from_inertial, plan.body_position_km, plan.radius_km, np.zeros((len(truth), 3)))
+    noise = rng.normal(0.0, np.sqrt(image.world_variances), exact.shape)
+    return replace(plan, measured=exact + image.world_biases + noise)
+
+
+def _corrected(leg: Leg, truth: Float, state: FilterState, rng: np.random.Generator) -> tuple[Float, FilterState]:
+    """Truth and estimate after a correction that the estimate commands."""
+    burns, guidance = table("return_leg")["burns"], leg.guidance
+    assert guidance is not None
+    away = (state.mean - leg.steps[-1].mean)[:, :6]
+    change = away @ guidance.T + rng.normal(0.0, burns["execution"], (len(truth), 3))
+    truth, sensed = burned(truth, change, leg.told, burns["duration_s"])
+    sensed = sensed + rng.normal(0.0, burns["sensing"], sensed.shape)
+    inertial = np.tile(leg.told.T, (len(truth), 1, 1))
+    step = maneuver(state.et, state.mean, sensed, inertial, duration_s=burns["duration_s"], sigma_km_s=burns["sensing"])
+    return truth, FilterState(step.et, step.mean, step.apply(state.factors))
+
+
+def entry_angle_deg(states: Float) -> Float:
+    """Flight path angle (...) where states (..., 6) near the Earth cross the entry interface; -0 where they pass it by.
+
+    Of the ellipse through each state: energy and angular momentum say how steep it crosses that radius.
+    """
+    radius = EARTH_KM + table("return_leg")["trajectory"]["entry_altitude_km"]
+    position, velocity = states[..., :3], states[..., 3:6]
+    distance = np.linalg.norm(position, axis=-1)
+    energy = np.sum(velocity**2, axis=-1) / 2.0 - GM_EARTH_KM3_S2 / distance
+    speed = np.sqrt(2.0 * (energy + GM_EARTH_KM3_S2 / radius))
+    momentum = np.linalg.norm(np.cross(position, velocity), axis=-1)
+    return np.asarray(-np.degrees(np.arccos(np.minimum(momentum / (radius * speed), 1.0))))
+
+
+def angle_slope(mean: Float) -> Float:
+    """Derivative (6,) of the entry angle by position and velocity, degrees per km and per km/s, by differences."""
+    slope = np.zeros(6)
+    for k, step in enumerate(np.repeat([0.1, 1e-4], 3)):
+        ends = np.tile(mean[:6], (2, 1))
+        ends[:, k] += [step, -step]
+        high, low = entry_angle_deg(ends)
+        slope[k] = (high - low) / (2.0 * step)
+    return slope
