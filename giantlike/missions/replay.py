@@ -28,6 +28,7 @@ REPLAYS: Mapping[str, str] = MappingProxyType(
         "odin": "ODIN: modes, target determination, calibration and pose of an instrument for small satellites",
         "osiris_rex": "calibration and four phases at Bennu (Liounis et al., independent optical navigation "
         "of OSIRIS-REx)",
+        "orion": "Orion before Exploration Mission 1: filter, linear covariance, error models, gimbal grid",
     }
 )
 """Name of the package of a mission in this folder, and what it replays."""

@@ -8,16 +8,17 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.missions.orion.constants import table
+from giantlike.missions.orion.constants import earth_errors, table
 from giantlike.missions.orion.judging import ANALYSIS, bounded, near, stated
-from giantlike.missions.orion.return_leg import Delivery, Flown, History, Plan, analyzed, flown, make_plan
+from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyzed, flown
+from giantlike.missions.orion.return_plan import Plan, make_plan, with_earth, without_close_pass
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
 from giantlike.navigation.cislunar_filter import STATES
 
-RUNS, SMALL_RUNS = 800, 50
+RUNS, SMALL_RUNS = 500, 40
 STEP_S, SMALL_STEP_S = 900.0, 3600.0
 """Longest steps of the filter, s; the unmodeled acceleration has 6 h."""
-SMALL_IMAGES_S = 1200.0
+SMALL_IMAGES_S = 1800.0
 SEVERE_SIGMAS = 3.0
 """A mean error of more than this many of the filter's own sigmas: it does not know how wrong it is."""
 
@@ -45,7 +46,8 @@ def studied(settings: ReplaySettings) -> Study:
     """Analyze and fly the leg."""
     step_s = SMALL_STEP_S if settings.small else STEP_S
     every_s = SMALL_IMAGES_S if settings.small else table("return_leg")["schedule"]["image_every_s"]
-    plan = make_plan(step_s, image_every_s=every_s)
+    close = make_plan(step_s, every_s)
+    plan = without_close_pass(close)
     history, delivery, _ = analyzed(plan)
     believed = analyzed(plan, as_believed=True)[2]
     dense = believed.joint.navigation_error()[1]
@@ -57,8 +59,8 @@ def studied(settings: ReplaySettings) -> Study:
         delivery=delivery,
         runs=flown(plan, settings, SMALL_RUNS if settings.small else RUNS),
         blind=analyzed(plan, with_images=False)[1],
-        edge_earth=analyzed(make_plan(step_s, image_every_s=every_s, earth_as_moon=False))[1],
-        close_history=analyzed(make_plan(step_s, image_every_s=every_s, close_pass=True))[0],
+        edge_earth=analyzed(with_earth(plan, earth_errors(as_moon=False)))[1],
+        close_history=analyzed(close)[0],
         dense_difference=float(difference.max()),
     )
 

@@ -18,7 +18,7 @@ from giantlike.missions.orion.delivery import Study
 from giantlike.missions.orion.gimbal import Grid, lens
 from giantlike.missions.orion.images import Measured, Photograph
 from giantlike.missions.orion.models import AXES, spread_px
-from giantlike.missions.orion.return_leg import hours_before_entry
+from giantlike.missions.orion.return_plan import hours_before_entry
 from giantlike.missions.replay import ReplayFigure
 from giantlike.navigation import moon_position_km
 from giantlike.plotting.style import BLUE, GRAY, GREEN, INK, ORANGE, RED, SERIES, drawing
@@ -102,9 +102,9 @@ def diameter_figure() -> ReplayFigure:
             axes.plot([distance, touch[0]], [0.0, side * touch[1]], color=GRAY, linewidth=0.8)
         axes.plot([0.0, distance], [0.0, 0.0], color=GRAY, linestyle="--", linewidth=0.8)
         axes.plot([1.0, 1.0], [-math.tan(half), math.tan(half)], color=RED, linewidth=2.0)
-        axes.text(1.02, 0.42, r"$\delta = 2\tan(A/2) = n_d/(f s)$", color=RED)
+        axes.text(0.55, 0.78, r"$\delta = 2\tan(A/2) = n_d/(f s)$", color=RED)
         axes.text(0.35, 0.02, "A", color=BLUE)
-        axes.text(2.2, 0.04, r"$\rho$", color=INK)
+        axes.text(1.6, 0.04, r"$\rho$", color=INK)
         axes.text(distance, 0.35, r"$R_p$", color=INK)
         axes.set(aspect="equal", xlim=(-0.1, 4.4), ylim=(-1.1, 1.1))
         axes.axis("off")
@@ -133,7 +133,9 @@ def errors_figure(found: Mapping[str, Sequence[Measured]]) -> ReplayFigure:
                 distances = sorted({each.view.range_km for each in results})
                 ours = [spread_px(results, each)[k] for each in distances]
                 axes.loglog(distances, ours, marks[name][0], color=marks[name][1], label=f"{name}, ours")
-            axes.set(title=axis, xlabel="range, km", ylim=(1e-3, 3.0))
+            axes.set(title=axis, xlabel="range, 1000 km", ylim=(1e-3, 3.0))
+            axes.minorticks_off()
+            axes.set_xticks([2e4, 5e4, 1e5, 2e5, 4e5], ["20", "50", "100", "200", "400"])
         panels[0].set_ylabel("px")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return ReplayFigure(
@@ -166,6 +168,7 @@ def history_figure(study: Study) -> ReplayFigure:
             for start in study.plan.passes_h:
                 axes.axvspan(-start, -start + 2.0, color="#e4e8ec")
             axes.set(xlabel="hours to entry", title=f"error of {label}")
+            axes.minorticks_off()
             axes.set_ylim(bottom=float(scale * np.linalg.norm(ours.error_sigma[:, part], axis=1).min()) / 5.0)
         panels[0].legend(loc="best")
     return ReplayFigure(
@@ -194,7 +197,7 @@ def corridor_figure(study: Study) -> ReplayFigure:
         axes.set(
             xlabel="speed, km/s", ylabel="flight path angle, deg", ylim=(reference - 1.3 * half, reference + 1.3 * half)
         )
-        axes.legend(loc="upper right")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=2)
     return ReplayFigure(
         reference="Fig. 4",
         title="Entry interface: delivery against the corridor",

@@ -37,7 +37,7 @@ def near(
         paper=float(paper),
         ours=float(ours),
         kind=kind,
-        agrees=abs(ours - paper) <= within * abs(paper),
+        agrees=bool(abs(ours - paper) <= within * abs(paper)),
         reason=f"Agrees within {100.0 * within:g} %. {because}",
         reference=reference,
     )
@@ -63,7 +63,7 @@ def bounded(what: str, paper: float, ours: float, *, kind: ComparisonKind, refer
         paper=float(paper),
         ours=float(ours),
         kind=kind,
-        agrees=abs(ours) <= abs(paper),
+        agrees=bool(abs(ours) <= abs(paper)),
         reason=f"Agrees where ours is not larger. {because}",
         reference=reference,
     )
@@ -87,4 +87,6 @@ def stated(
     -------
     Comparison
     """
-    return Comparison(what=what, paper=paper, ours=ours, kind=kind, agrees=holds, reason=because, reference=reference)
+    return Comparison(
+        what=what, paper=paper, ours=ours, kind=kind, agrees=bool(holds), reason=because, reference=reference
+    )

@@ -1,8 +1,7 @@
-"""The way back from the Moon: passes and corrections, their linear covariance, and flown runs of the same filter."""
+"""The way back from the Moon: linear covariance of a plan, and flown runs of the same filter."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,182 +10,25 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.independent.flight import Processes, Sky, burned, fly_spacecraft, sighted
-from giantlike.missions.orion.constants import EARTH_KM, MOON_KM, earth_errors, focal_px, moon_errors, table
+from giantlike.missions.orion.constants import EARTH_KM, table
+from giantlike.missions.orion.return_plan import Image, Leg, Plan
 from giantlike.missions.replay import ReplaySettings
 from giantlike.navigation import (
-    BodyErrorModel,
     BodyObservation,
     Dispersed,
-    FilterModel,
     FilterState,
     JointDispersion,
-    Transition,
     UduFactors,
     after_correction,
     after_image,
     after_steps,
-    cislunar,
     maneuver,
     measurement_update,
-    moon_position_km,
-    reference_steps,
-    sun_position_km,
     time_update,
     udu_factors,
 )
-from giantlike.navigation.cislunar_filter import ATTITUDE, PARAMETERS, POSITION, STATES
+from giantlike.navigation.cislunar_filter import STATES
 from giantlike.navigation.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2
-
-HOUR_S = 3600.0
-MOON, EARTH = "Moon", "Earth"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Image(Value):
-    """An image of the plan, with the errors of the world."""
-
-    observation: BodyObservation
-    body: str
-    world_variances: Float
-    world_biases: Float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Leg(Value):
-    """A piece of the plan: flight, then one image or one correction."""
-
-    steps: tuple[Transition, ...]
-    image: Image | None
-    guidance: Float | None
-    told: Float
-
-    @property
-    def et(self) -> float:
-        """Its end."""
-        return self.steps[-1].et
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Plan(Value):
-    """The whole leg: passes, corrections, and the way to entry."""
-
-    model: FilterModel
-    reference: Float
-    legs: tuple[Leg, ...]
-    passes_h: tuple[float, ...]
-
-
-def hours_before_entry(et: float) -> float:
-    """Hours that are left."""
-    return float((table("return_leg")["trajectory"]["entry_et"] - et) / HOUR_S)
-
-
-def filter_model(longest_step_s: float) -> FilterModel:
-    """The filter of 21 states as it is assumed to be tuned; it does not estimate the attitude."""
-    numbers = table("return_leg")["filter"]
-    rows = [numbers[name] for name in ("attitude", "acceleration", "accelerometer_bias", "accelerometer_scale")]
-    pairs = np.repeat(np.array(rows), 3, axis=0)
-    center, radius = np.array(numbers["center_bias_px"]), np.array(numbers["radius_bias_px"])
-    optical = np.array([center, center, radius * [2.0, 1.0]]) / [focal_px(), 1.0]  # a diameter is two radii
-    both = np.concatenate([pairs, optical])
-    trajectory = table("return_leg")["trajectory"]
-    return FilterModel(
-        dynamics=cislunar(trajectory["start_et"], trajectory["entry_et"]),
-        sigmas=both[:, 0],
-        time_constants_s=both[:, 1],
-        considered=np.isin(np.arange(STATES), np.arange(STATES)[ATTITUDE]),
-        longest_step_s=longest_step_s,
-    )
-
-
-def make_plan(
-    longest_step_s: float, *, image_every_s: float, close_pass: bool = False, earth_as_moon: bool = True
-) -> Plan:
-    """Fly the reference and set down what happens on it.
-
-    ``close_pass`` adds the pass near the Moon that the paper leaves out, ``earth_as_moon`` gives images of the Earth
-    the noise of those of the Moon.
-    """
-    numbers = table("return_leg")
-    trajectory, schedule, paper = numbers["trajectory"], numbers["schedule"], table("paper")["passes"]
-    model = filter_model(longest_step_s)
-    first, last = schedule["first_pass_h"], schedule["last_pass_h"]
-    passes = np.arange(first, last - 1.0, -paper["every_h"]).tolist()
-    if close_pass:
-        passes = [schedule["close_pass_h"], *passes]
-    events: list[tuple[float, str]] = []
-    for begins in passes:
-        start = trajectory["entry_et"] - begins * HOUR_S
-        seconds = np.arange(0.0, paper["length_h"] * HOUR_S + 1.0, image_every_s)
-        half = paper["length_h"] * HOUR_S / 2.0
-        events += [(start + t, MOON if t <= half else EARTH) for t in seconds.tolist()]
-        if begins <= first:
-            pause = schedule["correction_after_pass_h"] + paper["length_h"]
-            events.append((start + pause * HOUR_S, "correction"))
-    events.append((trajectory["entry_et"], "entry"))
-    reference = np.concatenate([trajectory["state_km_km_s"], np.zeros(PARAMETERS)])
-    legs = list(_legs(model, trajectory["start_et"], reference, events, earth_errors(as_moon=earth_as_moon)))
-    return Plan(model=model, reference=reference, legs=_guided(legs), passes_h=tuple(passes))
-
-
-def _legs(
-    model: FilterModel, et: float, mean: Float, events: list[tuple[float, str]], earth: BodyErrorModel
-) -> Iterator[Leg]:
-    """Fly to each event in turn."""
-    errors, believed = {MOON: moon_errors(), EARTH: earth}, BodyErrorModel(noise_px=np.array(_believed_px()))
-    told = np.eye(3)
-    for time, what in events:
-        steps = reference_steps(model, et, mean, time)
-        et, mean = time, steps[-1].mean
-        image = None
-        if what in errors:
-            place = moon_position_km(et) if what == MOON else np.zeros(3)
-            radius_km = MOON_KM if what == MOON else EARTH_KM
-            toward = place - mean[POSITION]
-            distance, told = float(np.linalg.norm(toward)), _camera(toward, sun_position_km(et))
-            believed_sigmas = believed.measurement_sigmas(distance, radius_km, focal_px())
-            observation = BodyObservation(
-                et=et,
-                measured=np.zeros(3),
-                variances=believed_sigmas**2,
-                camera_from_inertial=told,
-                body_position_km=place,
-                radius_km=radius_km,
-            )
-            image = Image(
-                observation=observation,
-                body=what,
-                world_variances=errors[what].measurement_sigmas(distance, radius_km, focal_px()) ** 2,
-                world_biases=errors[what].measurement_biases(distance, radius_km, focal_px()),
-            )
-        guidance = np.zeros((3, 6)) if what == "correction" else None
-        yield Leg(steps=tuple(steps), image=image, guidance=guidance, told=told)
-
-
-def _believed_px() -> list[float]:
-    """Noise in images that the filter believes, px."""
-    return [float(each) for each in table("return_leg")["filter"]["noise_px"]]
-
-
-def _camera(toward: Float, sun: Float) -> Float:
-    """Attitude (3, 3) with the boresight to a body and the x axis to the side of the Sun."""
-    boresight = toward / np.linalg.norm(toward)
-    up = np.cross(boresight, sun)
-    up /= np.linalg.norm(up)
-    return np.array([np.cross(up, boresight), up, boresight])
-
-
-def _guided(legs: list[Leg]) -> tuple[Leg, ...]:
-    """Legs whose corrections aim at the place of the reference at entry, at the same time."""
-    to_entry, guided = np.eye(6), []
-    for leg in reversed(legs):
-        if leg.guidance is not None:
-            by_place, by_velocity = to_entry[:3, :3], to_entry[:3, 3:]
-            leg = replace(leg, guidance=np.hstack([-np.linalg.solve(by_velocity, by_place), -np.eye(3)]))
-        for step in reversed(leg.steps):
-            to_entry = to_entry @ step.by_state
-        guided.append(leg)
-    return tuple(reversed(guided))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

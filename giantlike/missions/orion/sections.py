@@ -21,7 +21,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
     study = delivery.studied(settings)
     found = models.images_of_bodies(settings)
     grid = laboratory.measured_grid(settings)
-    pictures, crescents = thin.shown(), thin.crescents(settings)
+    pictures, crescents = thin.shown(settings), thin.crescents(settings)
     return (
         Section(
             title="I. Passes and filter",
