@@ -13,7 +13,7 @@ from giantlike.missions.replay import Replay, ReplaySettings
 NAME = "osiris_rex"
 _SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4
 """Cameras that a small replay calibrates, and the number of their images."""
-_SMALL_CAMPAIGNS = {("approach", "mapcam"): (4, 8), ("preliminary_survey", "navcam1"): (0,)}
+_SMALL_CAMPAIGNS = {("approach", "mapcam"): (2, 7), ("preliminary_survey", "navcam1"): (0,)}
 """Campaigns of a small replay, and the numbers of their visits."""
 
 

@@ -19,7 +19,7 @@ from giantlike.core.time import et_from_time, time_from_et, time_from_utc
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
 from giantlike.core.values import Value
 from giantlike.image import Image, ObserverState
-from giantlike.missions.osiris_rex.images import detector_model, sky_for
+from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, detector_model, sky_for
 from giantlike.missions.osiris_rex.setup import CameraSetup, Mission
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.simulation import Photometry, Shot, SimulationOptions, Sources, simulate_image
@@ -157,11 +157,11 @@ def calibrate_camera(
     -----
     It starts from a nominal focal length, no distortion and the middle of the frame, as the paper does.
     """
-    setup, truth, told = mission.cameras[key], mission.true_camera(key), mission.told_camera(key)
+    setup, told = mission.cameras[key], mission.told_camera(key)
     rng = np.random.default_rng([seed, 20, sum(key.encode())])
     attitudes = [Rotation.random(random_state=rng) for _ in range(images)]
-    catalog: StarCatalog = sky_for(setup, truth, attitudes, seed=seed) or load_catalog("default")
-    options = StarOptions(max_magnitude=setup.max_magnitude, all_stars=True)
+    catalog: StarCatalog = sky_for(mission, key, attitudes, seed=seed) or load_catalog("default")
+    options = StarOptions(max_magnitude=mission.max_magnitude(key), all_stars=True)
     detection = DetectionOptions(threshold_sigma=mission.threshold_sigma)
     navigation = StarNavigation(told, catalog, options, detection=detection)
     identified: list[StarImage] = []
@@ -214,6 +214,6 @@ def _star_image(
         Sources(catalog=catalog, photometry=Photometry(zero_point_e_s=setup.zero_point_e_s)),
         seed=seed,
         detector=detector_model(mission, setup, seed=seed[0]),
-        options=SimulationOptions(max_magnitude=setup.max_magnitude + 1.0),
+        options=SimulationOptions(max_magnitude=mission.max_magnitude(setup.key) + BEYOND_LIMIT),
     )
     return taken.image

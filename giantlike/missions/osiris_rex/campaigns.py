@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
+from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.records import AttitudeRecord
+from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import make_folder, write_text_atomic
+from giantlike.core.frames import rotate, rotation_from_xyzw
 from giantlike.core.values import Value
 from giantlike.io import write_fits, write_geometry
 from giantlike.io.csv_rows import write_csv_rows
-from giantlike.missions.osiris_rex.images import TARGET, Planner, sky_for
+from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, TARGET, Planner, sky_for
 from giantlike.missions.osiris_rex.setup import CampaignSetup
 from giantlike.missions.osiris_rex.trajectory import Visit
 from giantlike.shapes import TriangleMesh
 from giantlike.shapes.files.exchange import write_obj
 from giantlike.simulation import DetectorModel, Frame, SimulationOptions, Sources, simulate_image
-from giantlike.simulation.compare import Comparison, compare_run
+from giantlike.simulation.compare import ObservationError, compare_run
 from giantlike.simulation.write import (
     CAMPAIGN_FILE,
     TRUTH_COLUMNS,
@@ -85,11 +88,14 @@ class CampaignResult(Value):
     label : str
         Of the camera.
     visits : tuple of Visit
+    diameter_km : float, km
+        Of the sphere of Bennu's volume.
     diameters_px : (v,) float64, px
-        Apparent diameter of the sphere of Bennu's volume, by visit.
+        Apparent diameter of that sphere, by visit.
     stars : StarResiduals
-    comparison : Comparison
-        Centers and ranges against the truth.
+    observations : tuple of ObservationError
+        Centers and ranges against the true trajectory: a center less the place where the estimated attitude and the
+        calibrated camera expect it, as in the paper. ``error_px`` is None without an attitude from stars.
     days : mapping of str to float
         Days since the first visit, by image file.
     columns, rows : int
@@ -100,9 +106,10 @@ class CampaignResult(Value):
     camera: str
     label: str
     visits: tuple[Visit, ...]
+    diameter_km: float
     diameters_px: Float
     stars: StarResiduals
-    comparison: Comparison
+    observations: tuple[ObservationError, ...]
     days: dict[str, float]
     columns: int
     rows: int
@@ -162,13 +169,29 @@ class CampaignJob(Value):
             camera=planner.setup.key,
             label=planner.setup.label,
             visits=self.visits,
+            diameter_km=2.0 * radius_km,
             diameters_px=np.array([2.0 * radius_km * focal_px / visit.range_km for visit in self.visits]),
             stars=_star_residuals(result.folder, days),
-            comparison=compare_run(result.folder, self.folder / TRUTH_FILE, self.told),
+            observations=tuple(self._residuals(result)),
             days=days,
             columns=self.told.columns,
             rows=self.told.rows,
         )
+
+    def _residuals(self, result: RunResult) -> Iterator[ObservationError]:
+        """Observations against the place where attitude and camera of the run expect the true body."""
+        compared = compare_run(result.folder, self.folder / TRUTH_FILE, self.told)
+        found = {
+            record.file: record.attitude.rotation
+            for record in result.attitudes
+            if record.attitude is not None and record.status != "failed"
+        }
+        moved = {row.file: _moved_px(row, found[row.file], self.told) for row in compared.truth if row.file in found}
+        for error in compared.observations:
+            if error.error_px is None or error.file not in moved:
+                yield replace(error, error_px=None, sigma_px=None)
+            else:
+                yield replace(error, error_px=error.error_px - moved[error.file])
 
     def _write(self, progress: Callable[[int, int], None]) -> Path:
         """Take the images and write the campaign; return its file."""
@@ -192,7 +215,7 @@ class CampaignJob(Value):
         """Stars of the images; a made-up sky is written for the campaign, and read back so that both have the same."""
         planner = self.planner
         attitudes = [frame.shot.camera_from_inertial for frame in frames if frame.star_image]
-        sky = sky_for(planner.setup, planner.camera, attitudes, seed=planner.seed)
+        sky = sky_for(planner.mission, planner.setup.key, attitudes, seed=planner.seed)
         if sky is None:
             return load_catalog("default")
         stars = sky.stars
@@ -215,7 +238,7 @@ class CampaignJob(Value):
 
     def _options(self, frame: Frame) -> SimulationOptions:
         planner = self.planner
-        limit = planner.setup.max_magnitude + 1.0
+        limit = planner.mission.max_magnitude(planner.setup.key) + BEYOND_LIMIT
         if frame.star_image:
             return SimulationOptions(rays_per_pixel_side=1, min_rays_across=64, max_magnitude=limit)
         reach_px = float(
@@ -238,7 +261,7 @@ class CampaignJob(Value):
             "camera": {"file": "camera.toml"},
             "stars": {
                 "catalog": _SKY_FILE if sky.exists() else "default",
-                "max_magnitude": camera.max_magnitude,
+                "max_magnitude": mission.max_magnitude(camera.key),
                 "long_exposure_s": _STARS_SHARE * camera.long_exposure_s,
                 "transfer": "propagate",
                 "drift_arcsec_per_sqrt_s": mission.pointing.jitter_arcsec_per_sqrt_s,
@@ -257,6 +280,14 @@ class CampaignJob(Value):
                 }
             ],
         }
+
+
+def _moved_px(row: TruthRow, found: Rotation, camera: Camera) -> Float:
+    """Place (2,) of the true body by an attitude and a camera, less its true place, px."""
+    true = rotation_from_xyzw(np.array([row.qx, row.qy, row.qz, row.qw]))
+    position_km = np.array([row.x_camera_km, row.y_camera_km, row.z_camera_km], dtype=np.float64)
+    moved: Float = camera.model.project(rotate(found * true.inv(), position_km)) - np.array([row.x_px, row.y_px])
+    return moved
 
 
 def _star_residuals(folder: Path, days: dict[str, float]) -> StarResiduals:

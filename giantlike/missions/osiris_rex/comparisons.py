@@ -35,6 +35,8 @@ SIZE_SHARE = 0.2
 def fixes(result: CampaignResult, estimators: Sequence[str]) -> tuple[ObservationError, ...]:
     """Return what estimators found where the paper uses them, suspect or not: the paper flags nothing.
 
+    Images without an attitude from stars have no residual of the center and are left out.
+
     Parameters
     ----------
     result : CampaignResult
@@ -46,7 +48,7 @@ def fixes(result: CampaignResult, estimators: Sequence[str]) -> tuple[Observatio
     """
     made_for = {"unresolved": (0.0, UNRESOLVED_PX), "limb_matching": (LIMB_PX, np.inf)}
     found = []
-    for error in result.comparison.observations:
+    for error in result.observations:
         low, high = made_for.get(error.estimator, (UNRESOLVED_PX, np.inf))
         if error.estimator in estimators and error.error_px is not None and low < error.diameter_px <= high:
             found.append(error)
@@ -154,9 +156,9 @@ def star_comparison(result: CampaignResult, phase: PhaseSetup, reference: str) -
 
 
 _WHY_STARS = (
-    "It follows from signal to noise: stars down to 8 sigma are used, whose places are good to a tenth of "
-    "the width of the "
-    "point spread function; how many are so faint depends on exposures and catalog, which the paper does not state."
+    "It follows from signal to noise: detections reach down to 8 sigma, where a place is good to a tenth of a pixel, "
+    "and the catalog is deeper than that, as the paper's is. Its centroids are unweighted fits to thresholded pixels, "
+    "ours weighted by the noise."
 )
 
 
@@ -194,7 +196,9 @@ def center_comparison(
         agrees=share >= TYPICAL_SHARE,
         reason=(
             f"{_counted(errors)}; agrees where {TYPICAL_SHARE:.0%} of the residuals per axis are below "
-            f"{CENTER_PX:g} px."
+            f"{CENTER_PX:g} px. They are {_rms_m(errors, result.diameter_km):.2f} m rms on Bennu; the shape "
+            f"model's heights "
+            f"err by {phase.model.error_m:g} m."
         ),
         reference=reference,
     )
@@ -364,6 +368,12 @@ def _ranges(errors: Sequence[ObservationError]) -> Float:
 
 def _rms(values: Float) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _rms_m(errors: Sequence[ObservationError], diameter_km: float) -> float:
+    """Root mean square of residuals on Bennu, m, per axis."""
+    scale = np.array([1e3 * diameter_km / error.diameter_px for error in errors])
+    return _rms(errors_px(errors) * scale[:, None])
 
 
 def _counted(errors: Sequence[ObservationError]) -> str:

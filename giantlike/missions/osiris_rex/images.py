@@ -38,8 +38,8 @@ _STARS_PER_DEG2 = 11.7
 """Stars down to magnitude 10 in a square degree: 482,000 of the default catalog over the sky."""
 _BRIGHTEST = 5.0
 """Magnitude of the brightest star of a made-up sky, of which there is one in 30 square degrees."""
-_BEYOND_LIMIT = 0.5
-"""Magnitudes by which a made-up sky is deeper than the stars used: fainter light is in images too [assumed]."""
+BEYOND_LIMIT = 0.5
+"""Magnitudes by which the sky of images is deeper than the stars used: fainter light is in images too [assumed]."""
 _SKY_MARGIN = 1.3
 """Radius of a made-up sky around an image, over half the diagonal of the frame: room for errors of the pointing."""
 _PEAK_OF_FULL_SCALE = 0.7
@@ -224,13 +224,14 @@ def _observer(visit: Visit, body: VisitedBody, et: float) -> ObserverState:
     return ObserverState(position_km=position + away_km, velocity_km_s=velocity + visit.velocity_km_s)
 
 
-def sky_for(setup: CameraSetup, camera: Camera, attitudes: Sequence[Rotation], *, seed: int) -> MemoryCatalog | None:
+def sky_for(mission: Mission, key: str, attitudes: Sequence[Rotation], *, seed: int) -> MemoryCatalog | None:
     """Make up the stars that a camera sees where the default catalog is not deep enough.
 
     Parameters
     ----------
-    setup : CameraSetup
-    camera : Camera
+    mission : Mission
+    key : str
+        Of the camera.
     attitudes : sequence of Rotation
         ``camera_from_inertial`` of the images.
     seed : int
@@ -241,10 +242,10 @@ def sky_for(setup: CameraSetup, camera: Camera, attitudes: Sequence[Rotation], *
         As many stars to a square degree as the real sky has on average, without motions; None where the default
         catalog serves.
     """
-    if setup.max_magnitude <= DEEPEST_DEFAULT:
+    if mission.max_magnitude(key) <= DEEPEST_DEFAULT:
         return None
-    limit = setup.max_magnitude + _BEYOND_LIMIT
-    radius_rad = _SKY_MARGIN * camera.half_diagonal_rad
+    limit = mission.max_magnitude(key) + BEYOND_LIMIT
+    radius_rad = _SKY_MARGIN * mission.true_camera(key).half_diagonal_rad
     density = _STARS_PER_DEG2 * 10.0 ** (DECADE_PER_MAGNITUDE * (limit - DEEPEST_DEFAULT))
     count = round(density * math.pi * math.degrees(radius_rad) ** 2)
     rng = np.random.default_rng([seed, 12])

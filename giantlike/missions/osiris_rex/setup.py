@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ from giantlike.core.values import Value
 from giantlike.io.mission_frame import from_mission_frame
 from giantlike.missions.osiris_rex.trajectory import Orbit, PlannedVisit
 
+_BELOW_THRESHOLD = 0.3
+"""Magnitudes from the limit of detection to the end of the catalog: noise lifts fainter stars above it too."""
 _SHAPE_PATTERNS = ("*ennu*.obj", "*ennu*.ply", "*ennu*.bds")
 """Names of shape files of Bennu, in km."""
 
@@ -41,8 +44,6 @@ class CameraSetup:
     zero_point_e_s : float, electron/s
         Signal of a star of magnitude 0.
     long_exposure_s, longest_short_s : float, s
-    max_magnitude : float
-        Faintest star of the catalog used.
     calibration_images : int
     temperatures_c : (float, float), Celsius
         Coldest and warmest calibration image.
@@ -59,7 +60,6 @@ class CameraSetup:
     zero_point_e_s: float
     long_exposure_s: float
     longest_short_s: float
-    max_magnitude: float
     calibration_images: int
     temperatures_c: tuple[float, float]
     printed_fy_px: float | None = None
@@ -148,6 +148,19 @@ class Mission(Value):
     pointing: PointingSetup
     threshold_sigma: float
     phases: tuple[PhaseSetup, ...]
+
+    def max_magnitude(self, key: str) -> float:
+        """Faintest star of the catalog that a camera uses: a little fainter than its long exposures show.
+
+        The paper's catalog is deeper than its images, so that the signal to noise of detections decides which stars
+        there are, and not the end of the catalog.
+        """
+        setup, detector = self.cameras[key], self.detector
+        area_px = 4.0 * math.pi * (detector.psf_sigma_px**2 + 1.0 / 12.0)  # of equal noise; the pixel widens the star
+        half = 0.5 * self.threshold_sigma**2
+        faintest_e = half + math.sqrt(half**2 + area_px * (self.threshold_sigma * detector.read_noise_e) ** 2)
+        limit = 2.5 * math.log10(setup.zero_point_e_s * setup.long_exposure_s / faintest_e)
+        return round(limit + _BELOW_THRESHOLD, 2)
 
     def true_camera(self, key: str) -> Camera:
         """Return a camera as it is: Table 1, and the true point spread function."""
