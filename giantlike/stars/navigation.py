@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
 from giantlike.image import Image
-from giantlike.processing.detection.detect import detect_sources
+from giantlike.processing.detection.detect import detect_in_parts
 from giantlike.processing.detection.detections import DetectionFlag, Detections, UnmeasuredSources
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.apriori import identify_apriori
@@ -126,19 +126,15 @@ class StarNavigation:
         InputError
             The image and the camera differ in size.
         """
-        if not self.options.all_stars:
-            share = min(_MEASURED_FIRST, self.detection.information)
-            detections = self.detect(image, replace(self.detection, information=share))
+        first = 1.0 if self.options.all_stars else _MEASURED_FIRST
+        shares = sorted({min(first, self.detection.information), self.detection.information})
+        for detections in self._detections(image, self.detection, shares):
             if isinstance(detections, Failure):
                 return detections, detections
-            outcome = self.solve_detections(image, detections)
-            left = detections.left_out
+            outcome, left = self.solve_detections(image, detections), detections.left_out
             if left is None or (isinstance(outcome, AttitudeFix) and _enough(detections, outcome, left)):
-                return detections, outcome
-        detections = self.detect(image)
-        if isinstance(detections, Failure):
-            return detections, detections
-        return detections, self.solve_detections(image, detections)
+                break
+        return detections, outcome
 
     def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:
         """Detect the point sources of an image.
@@ -158,13 +154,21 @@ class StarNavigation:
         InputError
             The image and the camera differ in size.
         """
+        options = self.detection if options is None else options
+        return next(self._detections(image, options, (options.information,)))
+
+    def _detections(
+        self, image: Image, options: DetectionOptions, shares: Sequence[float]
+    ) -> Iterator[Detections | Failure]:
+        """Sources of an image, more of them as long as more are asked for."""
         self.camera.require_image(image)
-        return detect_sources(
+        return detect_in_parts(
             image.pixels,
+            shares,
             detector=image.detector or self.camera.detector,
             psf_sigma_px=None if self.camera.psf is None else self.camera.psf.sigma_px,
             mask=image.mask,
-            options=self.detection if options is None else options,
+            options=options,
         )
 
     def solve_detections(self, image: Image, detections: Detections) -> AttitudeFix | Failure:

@@ -15,6 +15,7 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.image import Image
 from giantlike.independent import PinholeView, Psf, Recorder, StarField, background, random_stars, record, star_image
 from giantlike.processing import Detections
+from giantlike.processing.detection.detect import detect_in_parts
 from giantlike.stars import StarNavigation, StarOptions
 from tests.stars.test_attitude_errors import EPOCH, STILL, _catalog
 from tests.tolerances import FALSE_ALARM
@@ -104,3 +105,27 @@ def test_calibrations_get_all_stars() -> None:
     assert isinstance(detections, Detections)
     assert detections.left_out is None
     assert not StarOptions().all_stars
+
+
+def test_sources_measured_in_two_parts_are_those_measured_at_once() -> None:
+    image, navigation, _ = _scene(0)
+    assert navigation.camera.psf is not None
+    parts = detect_in_parts(
+        image.pixels,
+        (0.9, 1.0),
+        detector=navigation.camera.detector,
+        psf_sigma_px=navigation.camera.psf.sigma_px,
+        options=navigation.detection,
+    )
+    first, both, at_once = next(parts), next(parts), navigation.detect(image)
+    assert isinstance(first, Detections)
+    assert isinstance(both, Detections)
+    assert isinstance(at_once, Detections)
+    assert first.left_out is not None
+    assert both.left_out is None
+    assert len(first) < len(both) == len(at_once)
+    by_place = [found.select(np.lexsort(np.rint(found.points_px).T)) for found in (both, at_once)]
+    alike = np.linalg.norm(by_place[0].points_px - by_place[1].points_px, axis=1) / by_place[1].sigma_px
+    # stars of two parts that overlap are fitted with each other, but not always in the same rounds
+    assert np.quantile(alike, 0.98) < 0.01
+    assert np.mean(by_place[0].flags == by_place[1].flags) > 0.98

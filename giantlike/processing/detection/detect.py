@@ -15,7 +15,7 @@ Gaussian fit), with a linear filter instead of the 5 x 5 median, which removes l
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -121,38 +121,78 @@ def detect_sources(
     >>> found.points_px.round(1).tolist()
     [[41.0, 31.0]]
     """
+    options = DetectionOptions() if options is None else options
+    parts = detect_in_parts(
+        pixels, (options.information,), detector=detector, psf_sigma_px=psf_sigma_px, mask=mask, options=options
+    )
+    return next(parts)
+
+
+def detect_in_parts(
+    pixels: ArrayLike,
+    shares: Sequence[float],
+    *,
+    detector: Detector,
+    psf_sigma_px: float | None = None,
+    mask: ArrayLike | None = None,
+    options: DetectionOptions,
+) -> Iterator[Detections | Failure]:
+    """Detect sources, and measure more of them as long as more are asked for.
+
+    Parameters
+    ----------
+    pixels, detector, psf_sigma_px, mask, options
+        As in :func:`detect_sources`; ``options.information`` is not looked at.
+    shares : sequence of float
+        Growing shares of the information, as ``options.information``.
+
+    Yields
+    ------
+    Detections or Failure
+        For each share; those measured for one before are not measured again. One failure is the last.
+
+    Raises
+    ------
+    InputError
+        As :func:`detect_sources`.
+    """
     if psf_sigma_px is not None:
         require_number(psf_sigma_px, "psf_sigma_px", least=0.0)
-    options = DetectionOptions() if options is None else options
     frame = frame_of(pixels, mask, detector, options)
     if isinstance(frame, Failure):
-        return frame
+        yield frame
+        return
     psf, filtered, found = _search(frame, psf_sigma_px, options)
     streak = None if options.streak is False else _common_streak(frame, found, psf_sigma_px)
     if streak is not None:
         psf = streak.sigma_px
         filtered, found = _search_with(frame, psf, options, streak.half_px)
     elif options.streak:
-        return Failure(
+        yield Failure(
             Reason.NO_SIGNAL,
             "the brightest sources have no common streak of one direction and length: do not require one",
         )
+        return
     noise = frame.noise_dn
     if noise is None:
         noise = noise_between(filtered, frame.bad, found.peaks_px, frame.noise_floor_dn)
     noise_dn = float(np.median(noise[::8, ::8]))
     found = found.select(slice(options.max_sources))
-    if not len(found):
-        return Detections.empty(psf_sigma_px=psf, noise_dn=noise_dn)
     at_peaks = noise[found.peaks_px[:, 1], found.peaks_px[:, 0]].astype(np.float64)
     found = replace(found, noise_dn=at_peaks)
-    if streak is not None:
-        detections = _measure_lines(frame, found, streak, noise_dn)
-    elif options.information < 1.0:
-        detections = _measure_enough(frame, found, psf, noise_dn, options.information)
-    else:
-        detections = _measure(frame, found, psf, noise_dn)
-    return detections.select(np.argsort(-detections.flux_dn, kind="stable"))
+    measured: Detections | None = None
+    for share in shares:
+        if not len(found):
+            measured = Detections.empty(psf_sigma_px=psf, noise_dn=noise_dn)
+        elif streak is not None:
+            measured = _measure_lines(frame, found, streak, noise_dn)
+        elif share < 1.0:
+            measured = _measure_enough(frame, found, psf, noise_dn, share)
+        elif measured is None or measured.left_out is None:
+            measured = _measure(frame, found, psf, noise_dn)
+        else:
+            measured = _measure_up_to(len(found), frame, found, psf, noise_dn, measured)
+        yield measured.select(np.argsort(-measured.flux_dn, kind="stable"))
 
 
 def _search(
@@ -240,17 +280,11 @@ def _measure_enough(
     variance = _expected_variance_px2(found.significance, found.flux_dn, psf_sigma_px, gain)
     worth = np.where(found.extended | found.plateau, 0.0, 1.0 / variance)
     beyond = np.append(np.cumsum(worth[::-1])[::-1], 0.0)  # what those from the n-th on hold
-    pairs = neighbor_pairs(found.peaks_px.astype(np.float64), neighbor_reach_px(_half_patch_px(psf_sigma_px)))
-    least, known, number = (1.0 - information) * beyond[0], 0, np.arange(len(found))
+    least, known = (1.0 - information) * beyond[0], 0
     measured: Detections | None = None
     while True:
         count = max(int(np.argmax(beyond <= least)), _LEAST_MEASURED, math.ceil(_GROWTH * known))
-        chosen = (number >= known) & (number < count)
-        fitted = chosen.copy()
-        fitted[pairs[chosen[pairs[:, 0]], 1]] = True  # a star is fitted with the neighbors that overlap it
-        usual = None if measured is None else _usual_of(measured)
-        more = _measure(frame, found.select(fitted), psf_sigma_px, noise_dn, usual).select(chosen[fitted])
-        measured = more if measured is None else measured.joined(more)
+        measured = _measure_up_to(count, frame, found, psf_sigma_px, noise_dn, measured)
         if count >= len(found):
             return measured
         stars = measured.select(measured.clean)
@@ -259,9 +293,22 @@ def _measure_enough(
         held = float(np.sum(stars.sigma_px**-2)) * scale
         least, known = (1.0 - information) * (held + beyond[count]), count
         if beyond[count] <= least:
-            rest = number >= count
-            left = UnmeasuredSources(peaks_px=found.peaks_px[rest], sigma_px=np.sqrt(scale * variance[rest]))
+            left = UnmeasuredSources(peaks_px=found.peaks_px[count:], sigma_px=np.sqrt(scale * variance[count:]))
             return replace(measured, left_out=left)
+
+
+def _measure_up_to(
+    count: int, frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float, measured: Detections | None
+) -> Detections:
+    """Measure so many candidates, of which the first may be measured."""
+    number, known = np.arange(len(found)), 0 if measured is None else len(measured)
+    chosen = (number >= known) & (number < count)
+    pairs = neighbor_pairs(found.peaks_px.astype(np.float64), neighbor_reach_px(_half_patch_px(psf_sigma_px)))
+    fitted = chosen.copy()
+    fitted[pairs[chosen[pairs[:, 0]], 1]] = True  # a star is fitted with the neighbors that overlap it
+    usual = None if measured is None else _usual_of(measured)
+    more = _measure(frame, found.select(fitted), psf_sigma_px, noise_dn, usual).select(chosen[fitted])
+    return more if measured is None else measured.joined(more)
 
 
 def _usual_of(measured: Detections) -> float | None:
