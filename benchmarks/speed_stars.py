@@ -1,8 +1,9 @@
 """Jobs of ``speed.py`` on star images: detection and attitude of rich fields of 1024 x 1024 px.
 
 Truth is ``giantlike.independent``, with a new sky, attitude and noise for each image. ``growth`` goes over the number
-of stars and sets sep, photutils and tetra3rs beside, on the same images in the same run: sep extracts and refines by
-windows, photutils finds (DAOFIND), and neither gives a covariance; tetra3rs identifies our detections of real stars.
+of stars and sets sep, OpenCV, photutils and tetra3rs beside, on the same images in the same run: sep extracts and
+refines by windows, OpenCV lists connected pixels, photutils finds (DAOFIND), and none of them gives a covariance;
+tetra3rs identifies our detections of real stars.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import cv2
 import numpy as np
 import sep
 import tetra3rs
@@ -119,6 +121,7 @@ def _of_stars(stars: int, unit: Callable[[], None]) -> dict[str, Any]:
         "detect_and_solve": lambda field: navigation(field).solve(field.image),
         "detect_and_solve_all_stars": lambda field: navigation(field, all_stars=True).solve(field.image),
         "sep": _with_sep,
+        "opencv": _with_opencv,
         "photutils_daofind": lambda field: with_daofind(field.image.pixels),
     }
     spent: dict[str, list[float]] = {name: [] for name in tools}
@@ -144,6 +147,16 @@ def _of_stars(stars: int, unit: Callable[[], None]) -> dict[str, Any]:
         row |= {"used": np.median(counts, axis=0).tolist(), "sigma_px": round(few * FOCAL_PX, 5)}
         row["sigma_over_that_of_all"] = round(few / every, 4)
     return row | {"images": IMAGES_EACH, "solved": len(sigmas)}
+
+
+def _with_opencv(field: RichField) -> Float:
+    """Centers of components above five sigma, unweighted: no window, no neighbors, no covariance."""
+    pixels = field.image.pixels.astype(np.float32)
+    pixels -= np.median(pixels)
+    noise = 1.4826 * float(np.median(np.abs(pixels)))
+    bright = (pixels > 5.0 * noise).astype(np.uint8)
+    _, _, _, centers = cv2.connectedComponentsWithStats(bright)
+    return np.asarray(centers[1:], dtype=np.float64)
 
 
 def _with_sep(field: RichField) -> Float:
