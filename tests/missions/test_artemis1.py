@@ -19,6 +19,7 @@ from giantlike.missions.artemis1.images import (
 from giantlike.missions.artemis1.measure import iterative, non_iterative, residual_px
 from giantlike.missions.artemis1.passes import load, preflight_sigmas_px, sun_direction, times_of
 from giantlike.missions.artemis1.simulate import exposures_of
+from giantlike.missions.artemis1.terrain import made_up_moon, mapped_limb_km, seen_limb_km
 from giantlike.relative.horizon.geometry import Altitude, horizon_residuals
 from tests.tolerances import PLACE_PX
 
@@ -57,6 +58,21 @@ def test_the_limb_of_the_earth_and_the_bias_of_the_filter_come_out_as_flown(told
         bias = found[f"bias of the radius at the end of pass {number} in a filter that assumes 35 km, km"]
         assert isinstance(bias.ours, float)
         assert altitude.ours + bias.ours == pytest.approx(35.0, abs=1.0)  # two ways to the same
+
+
+def test_a_height_map_predicts_the_bias_that_a_limb_makes(told: tuple[Replay, Path]) -> None:
+    replay, _ = told
+    (found,) = [each for each in replay.comparisons if "what a height map" in each.what]
+    assert found.agrees
+
+
+def test_the_limb_of_the_made_up_moon_is_what_its_map_predicts() -> None:
+    ground = made_up_moon(SETTING, 5)
+    for number in (6, 24):
+        seen, mapped = (limb(ground, SETTING.of(number)) for limb in (seen_limb_km, mapped_limb_km))
+        assert seen.std() > 0.5
+        assert np.std(seen - mapped) < 0.2 * seen.std()
+        assert abs(float(np.mean(seen - mapped))) < 0.1  # km; what the map does not resolve is in it as expected
 
 
 def test_the_passes_are_those_of_table_1() -> None:

@@ -18,7 +18,6 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import Detector
 from giantlike.core.values import Value
 from giantlike.missions.artemis1.passes import Setting
-from giantlike.navigation import limb_waves, wave_amplitudes
 from giantlike.relative.horizon.geometry import Figure
 
 _MARGIN_PX = 14
@@ -50,15 +49,6 @@ class Shot(Value):
     corner_px: Float
     position_camera_km: Float
     radius_px: float
-
-
-def relief_profile(setting: Setting, rng: np.random.Generator, angles_rad: Float) -> Float:
-    """Heights (n,), km, of a made-up limb of the Moon at position angles; its waves are drawn from ``rng``."""
-    moon = setting.data["moon"]
-    amplitudes = wave_amplitudes(moon["relief_km"], moon["relief_length"], moon["relief_waves"])
-    drawn = rng.normal(size=2 * moon["relief_waves"] + 1)
-    heights: Float = limb_waves(angles_rad, amplitudes) @ drawn
-    return heights
 
 
 def atmosphere_light(altitude_km: Float, optical_depth: float, scale_height_km: float) -> Float:

@@ -17,14 +17,14 @@ from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
-from giantlike.missions.artemis1.images import earth_shot, limb_px, moon_shot, relief_profile
+from giantlike.missions.artemis1.images import earth_shot, limb_px, moon_shot
 from giantlike.missions.artemis1.measure import non_iterative, residual_px
 from giantlike.missions.artemis1.passes import SUN_AZIMUTH_DEG, Pass, Setting, sun_direction, times_of
+from giantlike.missions.artemis1.terrain import ANGLES, Ground, seen_limb_km
 from giantlike.missions.replay import ReplaySettings
 from giantlike.relative.horizon.geometry import Altitude, CraMethod, christian_robinson, horizon_residuals
 
-_PROFILE = 720  # heights along a limb
-_VELOCITY_SIGMA_KM_S = 2e-4
+VELOCITY_SIGMA_KM_S = 2e-4
 """Error of the velocity of the trajectory, assumed: a range error that grows by a fifth of itself in a pass."""
 
 
@@ -73,13 +73,13 @@ class Track(Value):
     heights_km: Float
 
 
-def track_of(setting: Setting, one: Pass, rng: np.random.Generator, *, knowledge: bool = True) -> Track:
+def track_of(setting: Setting, one: Pass, ground: Ground, rng: np.random.Generator) -> Track:
     """Draw the track of a pass, its errors and its limb."""
     attitude, times = setting.data["attitude"], times_of(setting, one)
-    range_sigma_km, pointing_px = setting.knowledge(one.target) if knowledge else (0.0, 0.0)
+    range_sigma_km, pointing_px = setting.knowledge(one.target)
     pointing = pointing_px / setting.model.fx_px
     bias = rng.normal(size=2) * pointing / math.sqrt(2.0)
-    off_km = rng.normal() * range_sigma_km + rng.normal() * _VELOCITY_SIGMA_KM_S * times
+    off_km = rng.normal() * range_sigma_km + rng.normal() * VELOCITY_SIGMA_KM_S * times
     ranges = one.range_km + one.range_rate_km_s * times
     # The vehicle turns to and fro in its deadband, mostly across the Sun.
     rate = attitude["rate_arcsec_s"] / ARCSEC_PER_RAD
@@ -96,14 +96,13 @@ def track_of(setting: Setting, one: Pass, rng: np.random.Generator, *, knowledge
     truth = _positions(seen, ranges + late * one.range_rate_km_s)
     known = _positions(told, ranges + off_km)
     slope = np.column_stack([turning * ranges[:, None], np.full(times.size, one.range_rate_km_s)])
-    spread = 2.0 * np.pi * np.arange(_PROFILE) / _PROFILE
     return Track(
         times_s=times,
         true_km=truth,
         known_km=known,
         rates_km_s=slope,
         exposures_us=exposures_of(setting, times.size) if one.target == "earth" else np.zeros(times.size),
-        heights_km=relief_profile(setting, rng, spread) if one.target == "moon" else np.zeros(_PROFILE),
+        heights_km=seen_limb_km(ground, one) if one.target == "moon" else np.zeros(ANGLES),
     )
 
 
@@ -142,7 +141,7 @@ def edge_errors(setting: Setting, one: Pass, exposure_us: float, rng: np.random.
         if one.target == "earth":
             shot = earth_shot(setting, position, sun, exposure_us, rng)
         else:
-            shot = moon_shot(setting, position, sun, np.zeros(_PROFILE), rng)
+            shot = moon_shot(setting, position, sun, np.zeros(ANGLES), rng)
         fitted = non_iterative(setting, shot, sun, figure)
         if isinstance(fitted, Failure):
             continue
@@ -167,7 +166,7 @@ def limb_points(
     angles = math.radians(SUN_AZIMUTH_DEG) + np.linspace(-half, half, limb["points"])
     position = track.true_km[index]
     points, normals = limb_px(setting.model, setting.figure(one.target), position, angles)
-    around = 2.0 * np.pi * np.arange(_PROFILE + 1) / _PROFILE
+    around = 2.0 * np.pi * np.arange(ANGLES + 1) / ANGLES
     heights = np.interp(angles % (2.0 * np.pi), around, np.append(track.heights_km, track.heights_km[0]))
     sun = sun_direction(one.phase_deg)[:2]
     toward = normals @ (sun / np.linalg.norm(sun))
@@ -219,15 +218,18 @@ class FlownPass(Value):
     residuals_px: Float
 
 
-def fly(setting: Setting, one: Pass, settings: ReplaySettings) -> FlownPass:
+def fly(setting: Setting, one: Pass, ground: Ground, settings: ReplaySettings) -> FlownPass:
     """Simulate a pass: every image as limb points, with errors of edges from full images."""
     rng = np.random.default_rng([settings.seed, one.number])
-    track = track_of(setting, one, rng)
+    track = track_of(setting, one, ground, rng)
     if settings.small:
         track = select_rows_of(track, np.arange(3 if one.target == "earth" else 0, track.times_s.size, 5))
-    images = 1 if settings.small else 3
+    usual = (0.0, *sorted(set(track.exposures_us.tolist()))[:2])  # longer exposures are of the first images only
     levels = sorted(set(track.exposures_us.tolist()))
-    edges = {level: edge_errors(setting, one, level, rng, images) for level in levels}
+    edges = {
+        level: edge_errors(setting, one, level, rng, 1 if settings.small or level not in usual else 2)
+        for level in levels
+    }
     points = [
         limb_points(setting, one, track, k, edges[level], rng) for k, level in enumerate(track.exposures_us.tolist())
     ]
