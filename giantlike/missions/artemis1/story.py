@@ -31,7 +31,7 @@ ASSUMPTIONS = (
     "exposures of 1 and 50.",
     "The automatic exposure goes in steps of 50 microseconds down to 1, an assumed rule that toggles as the "
     "paper's does.",
-    "Attitude while images are taken (noise 1.2 arcsec, turn of 36 arcsec/s across the Sun, late tags of "
+    "Attitude while images are taken (noise 1.2 arcsec, turn of 24 arcsec/s across the Sun, late tags of "
     "0.1 s and some of 0.8 s) is "
     "assumed; turn and jitter are TUNED to the scatter of 0.117 px in y of Table 2.",
     "Error of the velocity of the trajectory: 0.2 m/s, assumed.",
