@@ -86,8 +86,8 @@ class ImageSums(Value):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Normal:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Normal(Value):
     """Normal equations of a pass in its k parameters.
 
     Parameters
