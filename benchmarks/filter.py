@@ -52,14 +52,20 @@ def consistency(runs: int, model: FilterModel) -> dict[str, Any]:
     result = flown(runs, SEED, model)
     measurements = 3 * len(result.innovations)
     squared = {
-        "nees": (result.state.squared_error(result.truth).sum(), 21),
-        "nis": (sum(each.squared().sum() for each in result.innovations), measurements),
+        "nees": (result.state.squared_error(result.truth), 21),
+        "nis": (np.sum([each.squared() for each in result.innovations], axis=0), measurements),
     }
     found: dict[str, Any] = {"cpu_s": time.process_time() - started}
-    for name, (total, degrees) in squared.items():
+    for name, (each_run, degrees) in squared.items():
         band = [float(each) / runs for each in chi2.ppf([0.025, 0.975], degrees * runs)]
-        value = float(total) / runs
-        found[name] = {"mean": value, "degrees": degrees, "band_95": band, "in_band": band[0] <= value <= band[1]}
+        value = float(np.mean(each_run))
+        found[name] = {
+            "mean": value,
+            "standard_error": float(np.std(each_run, ddof=1)) / np.sqrt(runs),
+            "degrees": degrees,
+            "band_95": band,
+            "in_band": band[0] <= value <= band[1],
+        }
     error = result.state.error(result.truth)
     found["rms_over_sigma"] = np.sqrt(np.mean((error / result.state.factors.sigmas()) ** 2, axis=0)).round(3).tolist()
     return found
