@@ -6,6 +6,7 @@ covariance, which is 1 where the covariance is honest (3 degrees of freedom of a
 is the 95 % range of the mean when views are drawn again with replacement: draws of one view share the error of a model.
 
 Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--draws 8] [--output F]
+[--results R.json [--missing]]
 """
 
 from __future__ import annotations
@@ -290,20 +291,22 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=8, help="noise draws by view")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--results", type=Path, help="JSON of earlier runs that this one is added to")
+    parser.add_argument("--missing", action="store_true", help="only what --results lacks, as after an interrupted run")
     parser.add_argument("--output", type=Path, help="Markdown file for the table of all of them")
     wanted = parser.parse_args()
     parts = [part for part in wanted.cases.split(",") if part]
     known = (*CASES, *STAR_CASES, CORNER_CASE)
     chosen = [case for case in known if not parts or any(part in case.name for part in parts)]
     only = {name for name in wanted.estimators.split(",") if name}
-    jobs = [
-        (case, names, wanted.views, wanted.draws)
-        for case in chosen
-        if (names := tuple(name for name in case.estimators if not only or name in only))
-    ]
     report: dict[str, dict[str, dict[str, object]]] = {}
     if wanted.results and wanted.results.exists():
         report = json.loads(wanted.results.read_text(encoding="utf-8"))
+    done = {(case, name) for case, cells in report.items() for name in cells} if wanted.missing else set()
+    jobs = [
+        (case, names, wanted.views, wanted.draws)
+        for case in chosen
+        if (names := tuple(n for n in case.estimators if (not only or n in only) and (case.name, n) not in done))
+    ]
     with ProcessPoolExecutor(wanted.workers) as pool:
         for name, cells in pool.map(_job, jobs):
             report[name] = report.get(name, {}) | cells
