@@ -18,8 +18,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.statistics import whitened
 from giantlike.core.values import Value
 
-MOST_WEIGHED = 64
-"""Stars up to which all sizes and lengths of their errors are weighed, which takes 1 ms for 12 and 10 ms for 64. More
+MOST_WEIGHED = 50
+"""Stars up to which all sizes and lengths of their errors are weighed, which takes 1 ms for 12 and 5 ms for 50. More
 show their errors themselves."""
 _NONE = 0.5
 """Probability a priori that there are no errors beyond those of the stars themselves; the rest is for errors of each
