@@ -157,8 +157,8 @@ def star_comparison(result: CampaignResult, phase: PhaseSetup, reference: str) -
 
 _WHY_STARS = (
     "It follows from signal to noise: detections reach down to 8 sigma, where a place is good to a tenth of a pixel, "
-    "and the catalog is deeper than that, as the paper's is. Its centroids are unweighted fits to thresholded pixels, "
-    "ours weighted by the noise."
+    "and the catalog is deeper than that, as the paper's is. The paper's centroids are unweighted fits to thresholded "
+    "pixels, ours are weighted by the noise."
 )
 
 
@@ -188,18 +188,21 @@ def center_comparison(
         return _nothing(what, judgement, reference)
     residuals = np.abs(errors_px(errors))
     share = float(np.mean(residuals < CENTER_PX))
+    reason = (
+        f"{_counted(errors)}; agrees where {TYPICAL_SHARE:.0%} of the residuals per axis are below {CENTER_PX:g} px."
+    )
+    if phase.key != "approach":  # where sizes differ by a factor of ten thousand
+        reason += (
+            f" They are {_rms_m(errors, result.diameter_km):.2f} m rms on Bennu; the heights of the shape model err by "
+            f"{phase.model.error_m:g} m."
+        )
     return Comparison(
         what=what,
         paper=judgement,
         ours=f"rms {_rms(residuals):.3f}, {share:.0%} below 1",
         kind=ComparisonKind.INDEPENDENT,
         agrees=share >= TYPICAL_SHARE,
-        reason=(
-            f"{_counted(errors)}; agrees where {TYPICAL_SHARE:.0%} of the residuals per axis are below "
-            f"{CENTER_PX:g} px. They are {_rms_m(errors, result.diameter_km):.2f} m rms on Bennu; the shape "
-            f"model's heights "
-            f"err by {phase.model.error_m:g} m."
-        ),
+        reason=reason,
         reference=reference,
     )
 
@@ -219,13 +222,12 @@ def range_comparison(
     if phase.key != "approach":
         radius_px = 0.5 * float(np.median([error.diameter_px for error in errors]))
         reason += (
-            f" 0.01 % is {1e-4 * radius_px:.3f} px of the radius, and 2.5 cm on Bennu. The scale of the shape "
-            f"model alone is "
-            f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range: mean "
-            f"{np.mean(percent):+.3f} %; "
-            f"around it they scatter by {np.std(percent):.3f} %, by errors of the heights of the model of "
-            f"{phase.model.error_m:g} m and by the law of reflection. Orbit determination that estimates the "
-            f"scale takes out the mean only."
+            f" 0.01 % is {1e-4 * radius_px:.3f} px of the radius, and 2.5 cm on Bennu. The scale of the shape model is "
+            f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range, as it does the mean "
+            f"of errors of height: mean {np.mean(percent):+.3f} %. Around it they scatter by "
+            f"{np.std(percent):.3f} %: errors "
+            f"of height of {phase.model.error_m:g} m, relief finer than facets of the model. Orbit determination "
+            "that estimates the scale takes out the mean only."
         )
     return Comparison(
         what=what,
