@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,6 +14,9 @@ from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.plotting import Series, charts_figure, series_charts, star_residual_charts
 from giantlike.plotting.style import GRAY, MARKERS, SERIES, drawing, new_panels
 from giantlike.simulation.compare import ObservationError
+
+_HALF_IN, _HEIGHT_IN = 3.8, 2.2
+"""Size of two panels side by side, inches, so that they are legible in half the width of a page."""
 
 
 def calibration_figure(calibration: CameraCalibration) -> Figure:
@@ -53,7 +57,8 @@ def center_figure(result: CampaignResult, errors: Sequence[ObservationError], ti
                 suspect=np.array([error.status == "suspect" for error in mine]),
             )
         )
-    return charts_figure(series_charts(series, ("x, px", "y, px"), "days since the first image", title))
+    sheet = series_charts(series, ("x, px", "y, px"), "days since the first image", title)
+    return charts_figure(replace(sheet, width_in=_HALF_IN, height_in=_HEIGHT_IN))
 
 
 def range_figure(result: CampaignResult, errors: Sequence[ObservationError], title: str) -> Figure:

@@ -127,13 +127,14 @@ def _panels(phase: PhaseSetup, result: CampaignResult) -> tuple[_Panel, ...]:
     numbers = PHASE_FIGURES[result.phase, result.camera]
     centers, limbs = (comparisons.fixes(result, names) for names in (_CENTERS, ("limb_matching",)))
     where, less = f"{phase.title}, {result.label}", "typically less than 1"
+    stars = "less than" if phase.key == "orbital_a" else "around"
     bars = "Bars are the standard deviations that the fixes state, hollow marks are flagged suspect."
     return (
         _Panel(
             number=numbers.stars,
             title=f"{where}: stars",
             caption=(
-                f"{len(result.stars.residuals_px)} stars of {result.stars.solved} images. The paper: around 0.1 px."
+                f"{len(result.stars.residuals_px)} stars of {result.stars.solved} images. The paper: {stars} 0.1 px."
             ),
             figure=figures.star_figure(result) if len(result.stars.residuals_px) else None,
             comparison=comparisons.star_comparison(result, phase, f"Fig. {numbers.stars}"),
