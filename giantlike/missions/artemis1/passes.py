@@ -17,6 +17,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
+from giantlike.navigation import BodyErrorModel
 from giantlike.relative.horizon.geometry import Figure
 
 KM_PER_NMI = 1.852
@@ -25,6 +26,16 @@ DAY_S = 86400.0
 """Passes are "approximately once per day"."""
 SUN_AZIMUTH_DEG = 180.0
 """Direction to the Sun in the image, from +x: "the illumination direction is approximately parallel" with it."""
+
+
+_RELIEF_PX_KM = 7291.7 * 6562.0 * KM_PER_KFT / 1000.0
+_PREFLIGHT = {
+    "moon": BodyErrorModel(
+        noise_px=np.array([0.15, 0.06, 0.12]), relief_px_km=_RELIEF_PX_KM * np.array([1.0, 0.5, 1.0])
+    ),
+    "earth": BodyErrorModel(noise_px=np.array([0.065, 0.025, 0.058])),
+}
+"""Errors expected before flight: Holt et al. (2018), eqs. 28 to 30 and 34 to 36, without their biases."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,9 +171,4 @@ def preflight_sigmas_px(target: str, range_km: Float | float) -> Float:
     ----------
     .. [1] Holt, D'Souza and Saley (2018), eqs. 28 to 30 for the Moon and 34 to 36 for the Earth.
     """
-    ranges = np.asarray(range_km, dtype=np.float64)[..., None]
-    if target == "earth":
-        return np.broadcast_to([0.065, 0.025, 0.058], (*ranges.shape[:-1], 3))
-    relief_px_km = 7291.7 * 6562.0 * KM_PER_KFT / 1000.0
-    result: Float = np.hypot([0.15, 0.06, 0.12], relief_px_km * np.array([1.0, 0.5, 1.0]) / ranges)
-    return result
+    return _PREFLIGHT[target].sigmas_px(range_km)
