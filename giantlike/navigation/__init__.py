@@ -75,7 +75,7 @@ from giantlike.navigation.pass_fix import PassFix, TermTest, TimetagJitter, Weak
 from giantlike.navigation.pass_images import LimbPoints, MeasuredPosition, NavigationPass, PassImage
 from giantlike.navigation.pass_run import RunPass, pass_from_rows, pass_from_run
 from giantlike.navigation.pass_terms import PassOptions, PassTerm, Treatment
-from giantlike.navigation.refraction import Atmosphere, refracted, unrefracted
+from giantlike.navigation.refraction import SiteAtmosphere, refracted, unrefracted
 from giantlike.navigation.sightlines import (
     Sightline,
     StarEphemeris,
@@ -104,7 +104,6 @@ from giantlike.navigation.udu import (
 )
 
 __all__ = [
-    "Atmosphere",
     "BatchSolution",
     "BodyErrorModel",
     "BodyLight",
@@ -140,6 +139,7 @@ __all__ = [
     "SeenPatch",
     "Sightline",
     "SimulatedCamera",
+    "SiteAtmosphere",
     "Slew",
     "StarEphemeris",
     "TangentCamera",

@@ -16,7 +16,7 @@ _STEPS = 6  # of the inverse: each gains a factor of the refraction's slope, bel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Atmosphere:
+class SiteAtmosphere:
     """Air at the camera.
 
     Parameters
@@ -60,7 +60,7 @@ class Atmosphere:
         return float(a), float(b)
 
 
-def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: Atmosphere) -> Float:
+def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
     """Raise directions toward the zenith as the atmosphere does.
 
     Parameters
@@ -69,7 +69,7 @@ def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: Atmosphere) 
         Vectors to sources outside the atmosphere; their length is kept.
     zenith : (3,), the same axes
         Direction of the local vertical; other lengths are normalized.
-    atmosphere : Atmosphere
+    atmosphere : SiteAtmosphere
 
     Returns
     -------
@@ -94,7 +94,7 @@ def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: Atmosphere) 
     return _turned(vectors, up, length, seen)
 
 
-def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: Atmosphere) -> Float:
+def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
     """Take refraction out of directions measured on the ground.
 
     Parameters
@@ -102,7 +102,7 @@ def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: Atmosphere
     directions : (..., 3), any axes
         Vectors as seen from the ground; their length is kept.
     zenith : (3,), the same axes
-    atmosphere : Atmosphere
+    atmosphere : SiteAtmosphere
 
     Returns
     -------

@@ -16,10 +16,10 @@ from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
 from giantlike.missions.odin.ground import shell_refraction
 from giantlike.navigation import (
-    Atmosphere,
     BodyLight,
     PatchOfLight,
     PhotometricCamera,
+    SiteAtmosphere,
     chandrasekhar_sphere,
     expected_dn,
     find_patches,
@@ -28,7 +28,7 @@ from giantlike.navigation import (
     unrefracted,
 )
 
-AIR = Atmosphere(pressure_hpa=1010.0, temperature_c=15.0)
+AIR = SiteAtmosphere(pressure_hpa=1010.0, temperature_c=15.0)
 SHELLS_ARCSEC = 2.0  # one exponential of the density instead of the air's own, at 11 degrees; 0.2 above 20
 CLOSED_FORM_OF_H = 0.05  # Hapke's H, 4 % off for the brightest media
 
@@ -51,7 +51,7 @@ def test_refraction_raises_toward_the_zenith_and_is_undone() -> None:
     seen = refracted(directions, zenith, AIR)
     assert (unit(seen) @ unit(zenith) >= directions @ unit(zenith)).all()
     assert_allclose(unrefracted(seen, zenith, AIR), directions, atol=1e-12)
-    assert_allclose(refracted(directions, zenith, Atmosphere(pressure_hpa=0.0)), directions, atol=1e-15)
+    assert_allclose(refracted(directions, zenith, SiteAtmosphere(pressure_hpa=0.0)), directions, atol=1e-15)
     with pytest.raises(InputError, match="elevations of 10 degrees"):
         refracted([1.0, 0.0, 0.05], [0.0, 0.0, 1.0], AIR)
 

@@ -15,6 +15,7 @@ from giantlike.core.light import boosted
 from giantlike.core.observer import ObserverState
 from giantlike.core.time import time_from_et
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, SECONDS_PER_DAY, SPEED_OF_LIGHT_KM_S
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.independent import (
     EllipsoidBody,
@@ -46,7 +47,7 @@ MOON_PEAK = 0.6  # of the full well
 
 
 @dataclass(frozen=True, eq=False)
-class Sky:
+class Sky(Value):
     """States at an epoch, ICRF axes, barycentric, and the vertical of the site."""
 
     et: float

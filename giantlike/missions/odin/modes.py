@@ -27,7 +27,7 @@ from giantlike.missions.odin.narrow import (
     true_interlock,
 )
 from giantlike.missions.odin.paper import paper, rough_narrow_camera
-from giantlike.missions.odin.wide import CislunarScene, Found, search, wide_image
+from giantlike.missions.odin.wide import EXPOSURES_S, CislunarScene, Found, search, wide_image
 from giantlike.navigation.body_search import pointing_slew
 from giantlike.navigation.camera_sources import CameraSource, ExposureRequest, SimulatedCamera, take_pair
 from giantlike.navigation.mode_machine import InstrumentState, Mode, ModeMachine, Slew, Telemetry
@@ -71,7 +71,7 @@ class Vehicle:
             },
             albedo=self.scene.albedo,
         )
-        return wide_image(turned, index, self.rng, exposure_s=request.exposure_s)
+        return wide_image(turned, index, self.rng, request.exposure_s)
 
 
 def vehicle_in_space(rng: np.random.Generator) -> Vehicle:
@@ -141,16 +141,21 @@ def calibrated(images: list[Image], rough: Camera) -> Camera | Failure:
 
 
 def determination_task(
-    state: InstrumentState, *, wide: tuple[CameraSource, CameraSource], exposure_s: float, told_sun: Float | None
+    state: InstrumentState,
+    *,
+    wide: tuple[CameraSource, CameraSource],
+    exposures_s: tuple[float, ...],
+    told_sun: Float | None,
 ) -> InstrumentState | Failure:
     """Search the wide images and ask for the slew that puts the Moon, else the Earth, into the second narrow camera."""
     images = []
-    for source in wide:
-        image = source.take(ExposureRequest(et=NIGHT_ET, exposure_s=exposure_s))
-        if isinstance(image, Failure):
-            return image
-        images.append(image)
-    found = search((images[0], images[1]), told_sun)
+    for exposure_s in exposures_s:
+        for source in wide:
+            image = source.take(ExposureRequest(et=NIGHT_ET, exposure_s=exposure_s))
+            if isinstance(image, Failure):
+                return image
+            images.append(image)
+    found = search(images, told_sun)
     named: dict[str, Found] = {each.name: each for each in found if each.name is not None}
     for target in ("MOON", "EARTH"):
         if target in named:
@@ -204,7 +209,7 @@ class Flight:
         return float(np.sqrt(error @ np.linalg.solve(pose.covariance_inertial_km2, error)))
 
 
-def fly(rng: np.random.Generator, *, images: int, exposure_s: float) -> Flight:
+def fly(rng: np.random.Generator, *, images: int) -> Flight:
     """Command the modes one after the other, with what a state does not allow tried first.
 
     Parameters
@@ -212,8 +217,6 @@ def fly(rng: np.random.Generator, *, images: int, exposure_s: float) -> Flight:
     rng : Generator
     images : int
         Pairs of the calibration.
-    exposure_s : float, s
-        Of the wide cameras.
 
     Returns
     -------
@@ -225,7 +228,7 @@ def fly(rng: np.random.Generator, *, images: int, exposure_s: float) -> Flight:
     machine = ModeMachine(
         {
             Mode.CALIBRATION: partial(calibration_task, narrow=narrow, vehicle=vehicle, images=images),
-            Mode.TARGET_DETERMINATION: partial(determination_task, wide=wide, exposure_s=exposure_s, told_sun=sun),
+            Mode.TARGET_DETERMINATION: partial(determination_task, wide=wide, exposures_s=EXPOSURES_S, told_sun=sun),
             Mode.PROCESSING: partial(processing_task, narrow=narrow, vehicle=vehicle),
         }
     )

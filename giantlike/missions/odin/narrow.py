@@ -16,11 +16,12 @@ from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import camera_from_inertial_of_pointing, radec_from_direction, rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, PositionFix
 from giantlike.core.units import RAD_PER_ARCSEC
+from giantlike.core.values import Value
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.missions.odin.ground import MOON_RADIUS_KM, Sky, catalog, moon_frame, sky_at, star_frame
 from giantlike.missions.odin.paper import narrow_camera, rough_narrow_camera
-from giantlike.navigation.refraction import Atmosphere, unrefracted
+from giantlike.navigation.refraction import SiteAtmosphere, unrefracted
 from giantlike.navigation.two_camera_pose import Interlock, PairPose, carried_attitude, pose_of_pair
 from giantlike.relative import EllipsoidCRA
 from giantlike.scene import Scene, Target
@@ -28,7 +29,7 @@ from giantlike.shapes import Ellipsoid
 from giantlike.stars import StarNavigation, StarOptions
 
 NIGHT_ET = 793_039_000.0  # 2025-02-17, Moon rising at the site, 12 days after new
-AIR = Atmosphere(pressure_hpa=1010.0, temperature_c=15.0)
+AIR = SiteAtmosphere(pressure_hpa=1010.0, temperature_c=15.0)
 LEAST_ELEVATION_RAD = np.radians(25.0)
 """Lowest boresight of a star camera: below, trees, and refraction that changes by 10 arcsec over the field."""
 ESTIMATED = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "p1", "p2")
@@ -125,7 +126,7 @@ def solved(image: Image, camera: Camera, near: Rotation | None) -> AttitudeFix |
 
 
 @dataclass(frozen=True, eq=False)
-class InterlockStudy:
+class InterlockStudy(Value):
     """Rotations between the cameras from pairs of star images.
 
     Rotations of n pairs as the stars show them and with refraction taken out, the orientation (n,) of each, covariances
@@ -226,7 +227,7 @@ def scatter_by_air(sets: int, orientations: int, rng: np.random.Generator) -> Fl
 
 
 @dataclass(frozen=True, eq=False)
-class MoonPair:
+class MoonPair(Value):
     """A pair of images of the stars and the Moon: truth, poses as the stars show them and with refraction taken out."""
 
     sky: Sky

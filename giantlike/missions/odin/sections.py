@@ -23,7 +23,7 @@ from giantlike.missions.odin.narrow import (
 )
 from giantlike.missions.odin.optics import choices, coverage
 from giantlike.missions.odin.paper import paper
-from giantlike.missions.odin.wide import EXPOSURE_S, wide_study
+from giantlike.missions.odin.wide import wide_study
 from giantlike.missions.replay import Replay, ReplayFigure, ReplaySettings, Section
 
 ORIENTATIONS = 3  # "the test unit was reoriented a couple of times"
@@ -44,7 +44,7 @@ ASSUMPTIONS = (
     "Eq. 23 is used without its second mean irradiance, eq. 21 without the aperture that eq. 22 multiplies by again.",
     "Set with the paper known: the mean quantum efficiency (0.397) is the one by which eq. 23 gives what eq. 22"
     " gives for"
-    " sunlight; the exposure of the wide cameras suits the Earth; the limits of 0.1 % and 50,000 km of the lens trade.",
+    " sunlight; the exposures of the wide cameras (4 and 40 us) suit Earth and Moon; the limits of 0.1 % and 50,000 km of the lens trade.",
     "The 30 s are those of the Artemis I flight code that the software is built from: this paper states no time.",
 )
 
@@ -79,7 +79,7 @@ def whole_replay(settings: ReplaySettings) -> Replay:
     locked = interlock_study(count, turns, streams[3], lambda done: report("star pairs", done, count))
     by_air = scatter_by_air(40 if small else 1000, ORIENTATIONS, streams[4])
     pairs, failed = moon_study(locked, settings, streams[5])
-    flight = fly(streams[6], images=2 if small else 4, exposure_s=EXPOSURE_S)
+    flight = fly(streams[6], images=2 if small else 4)
     narrow_figures = (
         ReplayFigure(
             reference="Table 3", title="Residuals of the calibration", figure=figures.lens_figure(lens),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,6 +16,7 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
 from giantlike.core.time import time_from_et
 from giantlike.core.units import AU_KM
+from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.independent import LAWS
 from giantlike.missions.odin.paper import FULL_WELL_E, PSF_SIGMA_PX, paper, wide_camera
@@ -40,8 +41,9 @@ MODEL_SIGMA = {"EARTH": 0.25, "MOON": 0.15}
 """Relative errors of the models told to the identification: clouds, and the side of the Moon that is seen."""
 SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 gives what eq. 22 gives for sunlight on the sensor assumed here
 STEEPEST_RAD = np.radians(87.0)  # from the boresight: beyond, the foreshortened aperture is no measure of light
-EXPOSURE_S = 4e-6
-"""The sunlit Earth fills 60 % of the well through 1.45 mm; longer exposures need a filter in front."""
+EXPOSURES_S = (4e-6, 4e-5)
+"""For the sunlit Earth, which fills 60 % of the well through 1.45 mm in the shorter one, and for the Moon."""
+SAME_BODY_RAD = np.radians(2.0)  # patches of two exposures that are closer are one body
 LEAST_PIXELS = 6  # area of the disk: a smaller body has no size to compare its brightness with
 SUN_HALO_PX = 6.0  # width of the light that the lens scatters around the Sun
 SUPERSAMPLES, SUPERSAMPLES_OF_LARGE, LARGE_PX = 7, 2, 30.0  # rays along the side of a pixel, by radius of the disk
@@ -123,7 +125,7 @@ def random_scene(rng: np.random.Generator) -> CislunarScene:
     )
 
 
-def wide_image(scene: CislunarScene, index: int, rng: np.random.Generator, *, exposure_s: float = EXPOSURE_S) -> Image:
+def wide_image(scene: CislunarScene, index: int, rng: np.random.Generator, exposure_s: float) -> Image:
     """Image of a wide camera.
 
     Parameters
@@ -262,7 +264,7 @@ def models(*, measured: bool) -> tuple[BodyLight, BodyLight]:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Found(Value):
     """A body that the search found: its name, the direction in instrument axes, or why it has no name."""
 
     name: str | None
@@ -271,12 +273,13 @@ class Found:
     why: str = ""
 
 
-def search(images: tuple[Image, Image], sun_direction: Float | None, *, measured: bool = True) -> tuple[Found, ...]:
-    """Search both wide images and tell bodies by their brightness.
+def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bool = True) -> tuple[Found, ...]:
+    """Search wide images and tell bodies by their brightness.
 
     Parameters
     ----------
-    images : (2,) Image
+    images : sequence of Image
+        Of both cameras in turn, at one or several exposures; the longest that does not saturate a body tells it.
     sun_direction : (3,), instrument axes, optional
         From ephemeris and attitude, where known; else the Sun must be in an image: the brightest saturated patch.
     measured : bool
@@ -287,28 +290,42 @@ def search(images: tuple[Image, Image], sun_direction: Float | None, *, measured
     tuple of Found
         Brightest first.
     """
-    seen: list[tuple[SeenPatch, Float]] = []
-    for index, image in enumerate(images):
+    seen: list[tuple[SeenPatch, Float, float]] = []
+    for k, image in enumerate(images):
         patches = find_patches(image, wide_camera(image.name), SearchOptions())
-        if not isinstance(patches, Failure):
-            seen += [(patch, rotate(OUTWARD[index].inv(), patch.direction_camera)) for patch in patches]
-    saturated = [direction for patch, direction in seen if patch.saturated]
-    suns = sorted((each for each in seen if each[0].saturated), key=lambda each: -each[0].dn)
-    if sun_direction is None and not saturated:
-        return tuple(
-            Found(None, direction, patch, "the direction of the Sun is not known") for patch, direction in seen
-        )
+        if not isinstance(patches, Failure) and image.exposure_s is not None:
+            turn = OUTWARD[k % 2].inv()
+            seen += [(patch, rotate(turn, patch.direction_camera), image.exposure_s) for patch in patches]
+    suns = sorted((each for each in seen if each[0].saturated), key=lambda each: -each[0].dn / each[2])
+    if sun_direction is None and not suns:
+        why = "the direction of the Sun is not known"
+        return tuple(Found(None, direction, patch, why) for patch, direction, _ in seen)
     sun = suns[0][1] if sun_direction is None else sun_direction
     found = []
-    for patch, direction in sorted(seen, key=lambda each: -each[0].dn):
+    for patch, direction, exposure_s in _told_once(seen):
         if float(direction @ sun) > np.cos(np.radians(1.0)):
             found.append(Found("SUN", direction, patch))
         else:
-            found.append(named(patch, direction, sun, measured=measured))
+            found.append(named(patch, direction, sun, exposure_s, measured=measured))
     return tuple(found)
 
 
-def named(patch: SeenPatch, direction: Float, sun: Float, *, measured: bool) -> Found:
+def _told_once(seen: list[tuple[SeenPatch, Float, float]]) -> list[tuple[SeenPatch, Float, float]]:
+    """Of patches at one place, that of the longest exposure without saturation, else of the shortest; brightest first."""
+    best = sorted(seen, key=lambda each: (each[0].saturated, each[2] if each[0].saturated else -each[2]))
+    kept: list[tuple[SeenPatch, Float, float]] = []
+    for each in best:
+        if all(float(each[1] @ other[1]) < np.cos(SAME_BODY_RAD + _reach(each[0], other[0])) for other in kept):
+            kept.append(each)
+    return sorted(kept, key=lambda each: -each[0].dn / each[2])
+
+
+def _reach(first: SeenPatch, second: SeenPatch) -> float:
+    """Angular radius of the larger of two patches."""
+    return max(float(np.sqrt(max(np.trace(patch.second_moment_rad2), 0.0))) for patch in (first, second))
+
+
+def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, measured: bool) -> Found:
     """Name of one patch, and the direction of its center by the offset of the center of light."""
     axes = wide_axes(patch, direction)
     half_angle = patch.half_angle_rad(rotate(axes, sun))
@@ -330,7 +347,7 @@ def named(patch: SeenPatch, direction: Float, sun: Float, *, measured: bool) -> 
         half_angle_sigma_rad=half_angle * float(np.hypot(SIZE_SIGMA, 1.5 / pixels)),
         phase_rad=phase,
         angle_rad=angle,
-        exposure_s=EXPOSURE_S,
+        exposure_s=exposure_s,
     )
     answer = identify_body(light, models(measured=measured), photometric_camera())
     if isinstance(answer, Failure):
@@ -345,7 +362,7 @@ def wide_axes(patch: SeenPatch, direction: Float) -> Rotation:
 
 
 @dataclass(frozen=True, eq=False)
-class WideStudy:
+class WideStudy(Value):
     """Searches of many scenes, for each body that a camera saw whole.
 
     True name, name given by the observed curve of the Moon and by the paper's sphere, why there is none, error of the
@@ -377,7 +394,7 @@ def wide_study(scenes: int, rng: np.random.Generator, progress: Callable[[int], 
     camera = wide_camera()
     for k in range(scenes):
         scene = random_scene(rng)
-        images = (wide_image(scene, 0, rng), wide_image(scene, 1, rng))
+        images = [wide_image(scene, index, rng, exposure) for exposure in EXPOSURES_S for index in (0, 1)]
         sun = unit(scene.bodies_km["SUN"])
         observed, sphere = (search(images, sun, measured=measured) for measured in (True, False))
         for name in ("EARTH", "MOON"):
