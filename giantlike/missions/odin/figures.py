@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
-from giantlike.missions.odin.optics import EARTH_RADIUS_KM, MOON_RADIUS_KM, Choice, diameters_px
+from giantlike.missions.odin.optics import EARTH_RADIUS_KM, MOON_RADIUS_KM, Choice, diameters_px, shrinkage_along_radius
 from giantlike.missions.odin.paper import narrow_camera, paper
 from giantlike.missions.odin.wide import (
     GEOMETRIC_ALBEDO,
@@ -33,8 +33,10 @@ def sizes_figure() -> Figure:
                 center, edge = diameters_px(radius, ranges, wide=wide)
                 panel.fill_between(ranges, center, edge, color=color, alpha=0.35, label=f"{name}, middle to edge")
                 panel.plot(ranges, center, color=color, lw=1.2)
+                if wide:
+                    panel.plot(ranges, center * shrinkage_along_radius(), color=color, lw=1.0, ls="--")
             panel.set(xscale="log", yscale="log", xlabel="range, km", ylabel="diameter, px")
-            panel.set_title("wide camera (Table 2)" if wide else "narrow camera (Table 3)")
+            panel.set_title("wide (dashed: along the radius, edge)" if wide else "narrow")
             panel.axhline(1.0 if wide else 12.0, color=GRAY, lw=0.8, ls=":")
             panel.legend(loc="lower left")
     return figure
@@ -74,6 +76,8 @@ def trade_figure(choices: Sequence[Choice]) -> Figure:
                 if taken:
                     panel.plot(each.fov_deg, value, "o", mfc="none", mec=RED, ms=15, mew=1.6)
             panel.set(xscale="log", yscale="log", xlabel="field of view, deg")
+            panel.set_xticks([6, 10, 20, 40, 60], labels=["6", "10", "20", "40", "60"])
+            panel.minorticks_off()
         panels[0].set_ylabel("IFOV, arcsec")
         panels[1].set_ylabel("sigma of the Moon's range from Earth, %")
         panels[1].axhline(0.1, color=GRAY, ls=":")
@@ -229,5 +233,7 @@ def search_figure(study: WideStudy) -> Figure:
         panels[1].set(xscale="log", yscale="log", xlabel="diameter, px", ylabel="error of direction, deg")
         panels[1].axhline(8.0, color=GRAY, ls=":")
         for panel in panels:
+            panel.set_xticks([3, 10, 30, 100, 300], labels=["3", "10", "30", "100", "300"])
+            panel.minorticks_off()
             panel.legend(loc="best", fontsize=7)
     return figure

@@ -147,6 +147,14 @@ def fisheye_radius_px(angles_rad: Float) -> Float:
     return np.asarray(camera.model.project(directions)[:, 0] - camera.model.parameters[2])
 
 
+def shrinkage_along_radius() -> float:
+    """Scale along the radius at the edge of the field over that in the middle, by Table 2."""
+    edge = np.radians(paper()["wide"]["fov_deg"] / 2.0)
+    step = 0.01
+    near, far = fisheye_radius_px(np.array([edge - step, edge + step]))
+    return float((far - near) / (2.0 * step) / paper()["fisheye"]["a0"])
+
+
 def projections(angles_rad: Float) -> dict[str, Float]:
     """Radii of the usual fisheye projections with the focal length of Table 2, px."""
     focal = float(paper()["fisheye"]["a0"])

@@ -44,7 +44,8 @@ ASSUMPTIONS = (
     "Eq. 23 is used without its second mean irradiance, eq. 21 without the aperture that eq. 22 multiplies by again.",
     "Set with the paper known: the mean quantum efficiency (0.397) is the one by which eq. 23 gives what eq. 22"
     " gives for"
-    " sunlight; the exposures of the wide cameras (4 and 40 us) suit Earth and Moon; the limits of 0.1 % and 50,000 km of the lens trade.",
+    " sunlight; the exposures of the wide cameras (4 and 40 us) suit Earth and Moon;"
+    " the limits of 0.1 % and 50,000 km of the lens trade.",
     "The 30 s are those of the Artemis I flight code that the software is built from: this paper states no time.",
 )
 

@@ -311,7 +311,7 @@ def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bo
 
 
 def _told_once(seen: list[tuple[SeenPatch, Float, float]]) -> list[tuple[SeenPatch, Float, float]]:
-    """Of patches at one place, that of the longest exposure without saturation, else of the shortest; brightest first."""
+    """Of patches at one place, that of the longest exposure not saturated, else of the shortest; brightest first."""
     best = sorted(seen, key=lambda each: (each[0].saturated, each[2] if each[0].saturated else -each[2]))
     kept: list[tuple[SeenPatch, Float, float]] = []
     for each in best:
