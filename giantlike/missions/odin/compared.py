@@ -69,7 +69,7 @@ def of_photometry(study: WideStudy) -> tuple[Comparison, ...]:
             kind=INDEPENDENT,
             agrees=wrong == 0,
             reference="text, Target Identification",
-            reason=f"none of {len(study.true)} bodies found ({told} with a name, {study.missed_px.size} others not found,"
+            reason=f"none of {len(study.true)} bodies found ({told} with a name, {study.missed_px.size} not found,"
             f" the largest {study.missed_px.max(initial=0.0):.1f} px wide) in {study.scenes} scenes",
         ),
         Comparison(
