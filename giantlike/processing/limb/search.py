@@ -198,21 +198,21 @@ class _ContrastSearch:
     def best(self, center_px: Float, about_px: Float, shifts_px: Float, scales: Float, *, steepest: bool) -> CoarseLimb:
         """Find the highest contrast among a square of shifts about one, for every scale.
 
-        Or the largest difference across, which is sharper but rises with every bright edge.
+        Or the largest difference across, DN, which is sharper but rises with every bright edge.
         """
         found = []
         for scale in scales:
-            contrast, difference = self._contrast(center_px + about_px + float(scale) * self._arms, shifts_px)
-            value = difference if steepest else contrast
+            middle = center_px + about_px + float(scale) * self._arms
+            value = self._across(middle, shifts_px, steepest=steepest)
             winner = int(np.argmax(value))
-            found.append((float(value[winner]), float(scale), winner, float(contrast[winner])))
-        _, scale_best, winner, contrast_best = max(found)
+            found.append((float(value[winner]), float(scale), winner))
+        best, scale_best, winner = max(found)
         down, across = divmod(winner, len(shifts_px))
         shift_px = about_px + shifts_px[[across, down]]
-        return CoarseLimb(shift_px=shift_px, scale=scale_best, contrast=contrast_best)
+        return CoarseLimb(shift_px=shift_px, scale=scale_best, contrast=best)
 
-    def _contrast(self, middle: Float, shifts: Float) -> tuple[Float, Float]:
-        """Mean contrast (k k,) across points (n, 2) at shifts (k,) along both axes, and mean difference, DN.
+    def _across(self, middle: Float, shifts: Float, *, steepest: bool) -> Float:
+        """Mean contrast (k k,) across points (n, 2) at shifts (k,) along both axes, or mean difference, DN.
 
         Outlines that lie mostly outside the image count as if half inside.
         """
@@ -220,11 +220,12 @@ class _ContrastSearch:
         valid = self._good[inner] & self._good[outer]
         light, dark = self._values[inner], self._values[outer]
         difference = light - dark
-        contrast = difference / (np.abs(light) + np.abs(dark) + self._floor)
+        if not steepest:
+            difference /= np.abs(light) + np.abs(dark) + self._floor
         weights = valid * self._weights
         weight = weights.sum(axis=1)
         weight = np.maximum(weight, 0.5 * max(float(weight.max()), 1.0))
-        return np.einsum("kn,kn->k", contrast, weights) / weight, np.einsum("kn,kn->k", difference, weights) / weight
+        return np.asarray(np.einsum("kn,kn->k", difference, weights) / weight)
 
     def _index(self, points: Float, shifts: Float) -> NDArray[np.int32]:
         """Flat index (k k, n) of pixels nearest to points (n, 2) moved along both axes, or as near as the border."""

@@ -60,6 +60,8 @@ class LimbView(Value):
     @property
     def clipped(self) -> Mask:
         """Saturated pixels (rows, columns) where some lie in a patch, of a bright body; single ones are defects."""
+        if not self.saturated.any():
+            return self.saturated
         patch = np.ones((_PATCH_PX, _PATCH_PX), np.uint8)
         in_patches = cv2.erode(self.saturated.astype(np.uint8), patch, borderValue=0).any()
         return self.saturated if in_patches else np.zeros_like(self.saturated)
@@ -67,7 +69,8 @@ class LimbView(Value):
     @property
     def with_clipped(self) -> Mask:
         """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever it holds."""
-        return np.asarray(self.usable | self.clipped)
+        clipped = self.clipped
+        return np.asarray(self.usable | clipped) if clipped.any() else self.usable
 
     @property
     def dark_noise_dn(self) -> float:

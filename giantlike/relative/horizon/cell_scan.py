@@ -67,8 +67,8 @@ _STEP_LAW_SIGMA = 2.0
 """The same at its cube, where no law is used."""
 _FIRST_BLUR_PX2 = 2.0
 """Variance added to the blur while the horizon is known to a pixel or two only: wider profiles catch from farther."""
-_FIRST_CELLS = 24
-"""Cells of the first measurement, which only needs to be good to the width of a profile."""
+_FIRST_CELLS, _FEW_CELLS_ROUNDS = 24, 2
+"""Cells of the first measurements, which only need to be good to a part of the width of a profile, and their number."""
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _BLUR_REST, _BLUR_REST_LATER = 0.1, 0.5
 """Steps of the variance of the blur, over that variance, in which profiles are linear: to 1 % of their width at first;
@@ -177,11 +177,14 @@ class CellMeasurement(LimbMeasurement):
         Information on the shared errors before the measurement: the first is the blur, the others belong to the law.
     expected : (s,) float64
         Their values before the measurement.
+    whole : bool
+        All of the arc was measured, not only a few cells of it.
     """
 
     fits: CellFits
     prior: Float
     expected: Float
+    whole: bool
 
     @property
     def noise_scale2(self) -> float:
@@ -360,15 +363,24 @@ class CellScan(Value):
         return select_rows(whole, chosen), light[chosen], cut_by_frame
 
     def measure(self, state: LimbState) -> CellMeasurement | Failure:
-        """Measure the horizon at a position: at first with few cells, more blur and a stiff profile."""
-        position, first = state.position_camera_km, state.iteration == 0
-        lit = self.lit(position, reach_px=0.0)
+        """Measure the horizon at a position: at first in few cells, and before all with more blur, a stiff profile."""
+        lit = self.lit(state.position_camera_km, reach_px=0.0)
         if isinstance(lit, Failure):
             return lit
-        view, options, (arc, _, cut_by_frame) = self.view, self.options, lit
-        if first:
-            count = len(arc.points_px) * arc.spacing_px / self.cell_px
-            arc = arc.thinned(self.cell_px, math.ceil(count / _FIRST_CELLS))
+        arc, _, cut_by_frame = lit
+        every = math.ceil(len(arc.points_px) * arc.spacing_px / self.cell_px / _FIRST_CELLS)
+        if every > 1 and state.iteration < _FEW_CELLS_ROUNDS:
+            few = self._measured(arc.thinned(self.cell_px, every), state, cut_by_frame=cut_by_frame, whole=False)
+            if state.iteration == 0 or isinstance(few, CellMeasurement):
+                return few
+        return self._measured(arc, state, cut_by_frame=cut_by_frame, whole=True)
+
+    def _measured(
+        self, arc: HorizonArc, state: LimbState, *, cut_by_frame: bool, whole: bool
+    ) -> CellMeasurement | Failure:
+        """Measure the cells of an arc."""
+        view, options = self.view, self.options
+        position, first = state.position_camera_km, state.iteration == 0
         psf_px2 = state.psf_px2 + (_FIRST_BLUR_PX2 if first else 0.0)
         table = profile_table(
             arc,
@@ -411,6 +423,7 @@ class CellScan(Value):
             fits=cells.fits,
             prior=prior,
             expected=np.concatenate([[self.nominal_psf_px2 - psf_px2], np.zeros(prior.size - 1)]),
+            whole=whole,
         )
 
     def step(self, measured: CellMeasurement, state: LimbState) -> LimbStep:
@@ -437,7 +450,7 @@ class CellScan(Value):
         blurred_px2 = step.psf_px2 or float(kept.blur_and_law()[0][0])
         linear = _BLUR_REST if state.iteration <= PATIENCE else _BLUR_REST_LATER
         blurred = not self.held and abs(blurred_px2) > linear * (state.psf_px2 + PIXEL_VARIANCE_PX2)
-        if state.iteration == 0 or blurred:
+        if state.iteration == 0 or blurred or not measured.whole:
             return False
         full_px = float(np.max(np.abs(kept.design[step.keep] @ step.position_km)))
         return full_px**2 < self.search.tolerance_px or full_px < kept.motion_sigma_px(step.position_km)

@@ -13,16 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value, select_rows
-from giantlike.relative.horizon.geometry import PixelRays, ray_residuals
 from giantlike.relative.horizon.profile import ArcPlaces, HorizonArc, Indices, ProfileTable
 
 _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
 """Steps in which pixels are gathered, px: less than 1 / sqrt(2), so that none is left out."""
-_FOOT_STEPS = 3
-"""Newton steps to the nearest point of the horizon, from within the window."""
 _RIDGE = 1e-12
 """Added to normal matrices of unit diagonal: beyond rounding, below all information."""
 _NOTHING = 1e-100
@@ -137,7 +133,7 @@ class CellFits(Value):
 
 
 def limb_pixels(
-    arc: HorizonArc, model: CameraModel, usable: Mask, *, window_px: float, cell_px: float, displaced_px: Float
+    arc: HorizonArc, usable: Mask, *, window_px: float, cell_px: float, displaced_px: Float
 ) -> LimbPixels | None:
     """Gather the pixels near a horizon in cells.
 
@@ -145,7 +141,6 @@ def limb_pixels(
     ----------
     arc : HorizonArc
         Part of the horizon that counts.
-    model : CameraModel
     usable : (rows, columns) bool
     window_px : float, px
         Reach to both sides of the horizon.
@@ -174,14 +169,13 @@ def limb_pixels(
     pixels, nodes = pixels[inside], nodes[inside]
     first = _firsts(pixels)
     pixels, nodes = pixels[first], nodes[first]
-    rays = PixelRays(model.unproject(pixels.astype(np.float64)), arc.by_pixel[nodes])
-    outward, _, normals = ray_residuals(rays, arc.body.figure, arc.body.position_camera_km, steps=_FOOT_STEPS)
+    outward, feet_px = arc.seen_from(pixels, nodes)
     apart = outward - displaced_px[nodes]
     near = (np.abs(apart) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
     if not near.any():
         return None
     pixels, nodes, outward = pixels[near], nodes[near], outward[near]
-    feet = ArcPlaces.of(arc, pixels - outward[:, None] * normals[near], nodes)
+    feet = ArcPlaces.of(arc, feet_px[near], nodes)
     return _in_cells(arc, pixels, feet, apart[near], window_px, cell_px)
 
 

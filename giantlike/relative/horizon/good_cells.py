@@ -139,9 +139,7 @@ def _fitted(
     view: LimbView, arc: HorizonArc, table: ProfileTable, clear: Mask, displaced_px: Float, rules: CellRules
 ) -> GoodCells | NoCells:
     """Fit the cells about a horizon that is displaced (k,), px, from that of the ellipsoid."""
-    pixels = limb_pixels(
-        arc, view.model, clear, window_px=rules.window_px, cell_px=rules.cell_px, displaced_px=displaced_px
-    )
+    pixels = limb_pixels(arc, clear, window_px=rules.window_px, cell_px=rules.cell_px, displaced_px=displaced_px)
     if pixels is None:
         return NoCells(good=np.zeros(0, dtype=np.bool_), rejected={})
     fits = fit_cells(

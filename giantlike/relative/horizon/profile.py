@@ -75,6 +75,8 @@ class HorizonArc(Value):
         Of the points.
     by_pixel : (k, 3, 2) float64, 1/px
         Change of the directions with the pixel.
+    curvature : (k,) float64, 1/px
+        Of the horizon in the image, positive where it bulges outward.
     body : PlacedFigure
         The ellipsoid.
     """
@@ -89,6 +91,7 @@ class HorizonArc(Value):
     complete: bool
     directions: Float
     by_pixel: Float
+    curvature: Float
     body: PlacedFigure
 
     @property
@@ -101,6 +104,35 @@ class HorizonArc(Value):
         """Change (k, 3) of the directions by one pixel inward, 1/px."""
         result: Float = -(self.by_pixel @ self.normals_px[..., None])[..., 0]
         return result
+
+    def seen_from(self, pixels: Indices, nodes: Indices) -> tuple[Float, Float]:
+        """Distances of pixels (n, 2) from the horizon, and the nearest points on it.
+
+        Parameters
+        ----------
+        pixels : (n, 2) int64, px
+        nodes : (n,) int64
+            A point of the horizon near each: a piece of a circle through it stands for the horizon.
+
+        Returns
+        -------
+        outward_px : (n,) float64, px
+        feet_px : (n, 2) float64, px
+        """
+        points, normals = self.points_px[nodes], self.normals_px[nodes]
+        x, y = pixels[:, 0] - points[:, 0], pixels[:, 1] - points[:, 1]
+        high, aside = x * normals[:, 0] + y * normals[:, 1], y * normals[:, 0] - x * normals[:, 1]
+        bend = self.curvature[nodes]
+        aside /= np.maximum(1.0 + bend * high, _LEAST_RADIUS)
+        drop = 0.5 * bend * aside**2  # of the horizon below its tangent
+        feet = np.stack(
+            [
+                points[:, 0] - aside * normals[:, 1] - drop * normals[:, 0],
+                points[:, 1] + aside * normals[:, 0] - drop * normals[:, 1],
+            ],
+            axis=-1,
+        )
+        return high + drop * (1.0 + bend * high), feet
 
     def thinned(self, cell_px: float, every: int) -> HorizonArc:
         """Return the points in every so many-th of the cells of a length, px."""
@@ -195,6 +227,12 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
     imaged = np.isfinite(pixels).all(axis=1)
     rays = PixelRays.through(pixels[imaged], model)
     _, design, normals = ray_residuals(rays, figure, position_camera_km)
+    _, conic = figure.cone(position_camera_km)
+    across, along_it = (
+        (rays.by_pixel @ way[..., None])[..., 0]
+        for way in (normals, np.stack([-normals[:, 1], normals[:, 0]], axis=-1))
+    )
+    slope = np.einsum("ki,ij,kj->k", rays.directions, conic, across)
     return HorizonArc(
         points_px=pixels[imaged],
         points_camera_km=points[imaged],
@@ -206,6 +244,7 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
         complete=bool(np.isfinite(corners).all()),
         directions=rays.directions,
         by_pixel=rays.by_pixel,
+        curvature=np.einsum("ki,ij,kj->k", along_it, conic, along_it) / slope,
         body=PlacedFigure(figure=figure, position_camera_km=position_camera_km),
     )
 
@@ -218,9 +257,10 @@ class ProfileTable(Value):
     ----------
     first_px, step_px : float, px
         The distances are ``first + i step``, positive outward.
-    values : (d, k, m, p + q) float64
-        The d-th derivative by distance, 1/px^d, at k points of the horizon and m distances, for p powers and q
-        profiles that may be mixed in: other laws, and the wings of the point spread function.
+    values : (k, m, 2 (p + q) + p) float64
+        Brightness at k points of the horizon and m distances, for p powers and q profiles that may be mixed in: other
+        laws, and the wings of the point spread function. Then its derivatives by distance, 1/px, and at last the second
+        derivatives of the powers, 1/px^2.
     powers : int
         The number p.
     """
@@ -242,24 +282,34 @@ class ProfileTable(Value):
 
         Returns
         -------
-        value, slope, curve : (n, p + q) float64
-            Brightness and its first two derivatives, 1/px and 1/px^2.
+        value : (n, p + q) float64
+            Brightness.
+        slope, curve : (n, p) float64
+            Its first two derivatives, 1/px and 1/px^2, for the powers.
         """
         place = (outward_px - self.first_px) / self.step_px
-        nodes, count = self.values.shape[1:3]
+        count, width = self.values.shape[1:]
         index = np.clip(np.floor(place).astype(np.int64), 0, count - 2)
         t = (place - index)[:, None]
-        share = places.share[:, None, None]
+        share = places.share[:, None]
         # One row for each place of the table: rows are taken in a fraction of the time of an index along each axis.
-        rows = np.moveaxis(self.values, 0, 2).reshape(nodes * count, 3, -1)
+        rows = self.values.reshape(-1, width)
         here, beside = (which * count + index for which in (places.nodes, places.beside))
         near, far = (
-            np.moveaxis((1.0 - share) * rows.take(here + step, axis=0) + share * rows.take(beside + step, axis=0), 1, 0)
-            for step in (0, 1)
+            (1.0 - share) * rows.take(here + step, axis=0) + share * rows.take(beside + step, axis=0) for step in (0, 1)
         )
-        value = _hermite(near[0], far[0], self.step_px * near[1], self.step_px * far[1], t)
-        slope = _hermite(near[1], far[1], self.step_px * near[2], self.step_px * far[2], t)
-        return value, slope, (1.0 - t) * near[2] + t * far[2]
+        half = (width - self.powers) // 2
+        values, slopes, curves = slice(half), slice(half, 2 * half), slice(2 * half, None)
+        value = self._cubic(near, far, values, slopes, t)
+        slope = self._cubic(near, far, slice(half, half + self.powers), curves, t)
+        return value, slope, (1.0 - t) * near[:, curves] + t * far[:, curves]
+
+    def _cubic(self, near: Float, far: Float, values: slice, slopes: slice, t: Float) -> Float:
+        """Cubic between two rows of the table, from columns of values and of slopes, at t of the way."""
+        s, step = 1.0 - t, self.step_px
+        result: Float = s * s * ((1.0 + 2.0 * t) * near[:, values] + (step * t) * near[:, slopes])
+        result += t * t * ((3.0 - 2.0 * t) * far[:, values] - (step * s) * far[:, slopes])
+        return result
 
 
 def profile_table(
@@ -311,7 +361,13 @@ def profile_table(
     offsets = np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)
     parts = [_blurred(arc, sun_direction_camera, (law, *others), powers, offsets, width_px)]
     parts += [_blurred(arc, sun_direction_camera, (law,), 1, offsets, wing_px) for wing_px in wings_px]
-    return ProfileTable(first_px=float(offsets[0]), step_px=step, values=np.concatenate(parts, axis=-1), powers=powers)
+    values = [*(part[0] for part in parts), *(part[1] for part in parts), parts[0][2]]
+    return ProfileTable(
+        first_px=float(offsets[0]),
+        step_px=step,
+        values=np.ascontiguousarray(np.moveaxis(np.concatenate(values), 0, -1)),
+        powers=powers,
+    )
 
 
 def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflectance) -> Float:
@@ -344,9 +400,8 @@ def blur_width_px(psf_variance_px2: float) -> float:
 
 def _blurred(
     arc: HorizonArc, sun: Float, laws: tuple[Reflectance | None, ...], powers: int, offsets: Float, width: float
-) -> Float:
-    """Blurred brightness and two derivatives (3, k, m, p + q): powers of the first law, then the other laws."""
-    _, conic = arc.body.figure.cone(arc.body.position_camera_km)
+) -> list[Float]:
+    """Blurred brightness, slopes (p + q, k, m) and curves (p, k, m): powers of the first law, then the other laws."""
     deepest = float(-offsets[0]) + _REACH_WIDTHS * width
     roots = 0.5 * math.sqrt(deepest) * (_DEPTHS + 1.0)
     depths, weights = roots**2, math.sqrt(deepest) * _DEPTH_WEIGHTS * roots
@@ -358,19 +413,18 @@ def _blurred(
             *(surface.brightness(other) for other in laws[1:]),
         ]
     )  # (p + q, k, depths)
-    sideways = (arc.by_pixel @ arc.tangents_px[..., None])[..., 0]
-    slope = 2.0 * np.einsum("ki,ij,kj->k", arc.directions, conic, arc.inward)
-    bend = -2.0 * np.einsum("ki,ij,kj->k", sideways, conic, sideways) / slope  # curvature, 1/px
+    bend = arc.curvature
     kernels = _kernels(offsets[None] + depths[:, None], width) * weights[:, None]
     bends = bend[:, None] / np.maximum(1.0 - bend[:, None] * depths, _LEAST_RADIUS)  # of the lines of equal depth
     turned, sharper = (0.5 * width**2 * basis * part for part in (bends, bends**2))
     flatter = basis * (_PIXEL_FOURTH_CUMULANT / 24.0 * np.sum(arc.normals_px**4, axis=1))[:, None]
-    return np.stack(
-        [
-            np.moveaxis((basis + sharper) @ kernels[d] + turned @ kernels[d + 1] + flatter @ kernels[d + 4], 0, -1)
-            for d in range(3)
-        ]
-    )
+    sharper += basis
+    return [
+        (sharper @ kernels[d] + turned @ kernels[d + 1] + flatter @ kernels[d + 4])
+        if d < 2
+        else (sharper[:powers] @ kernels[d] + turned[:powers] @ kernels[d + 1] + flatter[:powers] @ kernels[d + 4])
+        for d in range(3)
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -418,10 +472,3 @@ def _kernels(distances: Float, width: float) -> Float:
         before, here = here, z * here - (order - 1) * before
         kernels.append((-1.0 / width) ** order * here * bell)
     return np.stack(kernels)
-
-
-def _hermite(near: Float, far: Float, near_slope: Float, far_slope: Float, t: Float) -> Float:
-    """Cubic between two places from values and slopes per interval."""
-    s = 1.0 - t
-    result: Float = s * s * ((1.0 + 2.0 * t) * near + t * near_slope) + t * t * ((3.0 - 2.0 * t) * far - s * far_slope)
-    return result
