@@ -142,17 +142,17 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
     values, noise = cells.cropped(cells.values), cells.cropped(cells.variance)
     gain = _first_gain(values, design.own, fresh)
     relative_sigma, edge = _model_sigma(design, turn_rad, cells)
+    flat = design.columns.reshape(len(design.columns), -1)
     for _ in range(_ITERATIONS):
         model_sigma = gain * relative_sigma
         weights = 1.0 / (noise + model_sigma**2)
-        flat = design.columns[:, fresh]
-        weighted = flat * weights[fresh]
-        normal = weighted @ flat.T + np.diag(1.0 / (gain * design.sigma) ** 2)
-        solution = np.linalg.solve(normal, weighted @ values[fresh])
+        weighted = flat * np.where(fresh, weights, 0.0).ravel()
+        normal, projected = weighted @ flat.T + np.diag(1.0 / (gain * design.sigma) ** 2), weighted @ values.ravel()
+        solution = np.linalg.solve(normal, projected)
         if not solution[0] > 0.0:
             return _nothing_alike()
         gain = float(solution[0])
-        used, normalized = fresh, (values - np.tensordot(solution, design.columns, axes=1)) * np.sqrt(weights)
+        used, normalized = fresh, (values - (solution @ flat).reshape(values.shape)) * np.sqrt(weights)
         fresh = fresh & ~_isolated(normalized, fresh)
     fresh, lit = used, lit & used
     if not lit.any():
@@ -160,8 +160,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
     normalized = np.where(fresh, normalized, 0.0)
     misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
     shown_sigma = _scale(normalized, lit, edge) * model_sigma
-    influence = np.tensordot(np.linalg.inv(normal)[_GEOMETRY], design.columns * np.where(fresh, weights, 0.0), axes=1)
-    by_law = _OTHER_LAW * (solution - _without_laws(normal, weighted @ values[fresh]))[_GEOMETRY]
+    influence = (np.linalg.inv(normal)[_GEOMETRY] @ weighted).reshape(-1, *values.shape)
+    by_law = _OTHER_LAW * (solution - _without_laws(normal, projected))[_GEOMETRY]
     covariance = _covariance(influence, noise, shown_sigma, cells) + np.outer(by_law, by_law)
     place, strain, blur = (covariance[part, part] for part in _OF_GEOMETRY)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
