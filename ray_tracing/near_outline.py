@@ -25,6 +25,9 @@ _SPLINE_PX = 2  # reach of the cubic B-spline that samples the image, from the n
 _UNEVEN = 0.1  # difference between neighboring rays over the brightest, from which a pixel gets all of its rays
 _COARSER = 3.0  # rays along a pixel where light is uneven over those elsewhere; at 6, one ray where light falls off as
 # the root of the depth puts a limb at 15 deg of phase 0.012 px too far in, at 3 or less 0.003 px
+_EDGE_REACH_PX = 3
+"""Distance of pixels from an edge within which uneven ones get all of their rays. Of 24 draws of rocks of 300 px errors
+grew by 5 % with 3 px, by 11 % with 2, for 0.77 and 0.70 times the rays."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # golden ratio: fills an interval evenly whatever the number of points
 _DEPTHS, _ASIDES = np.array([0.005, 0.015, 0.025, 0.035]), np.array([-0.015, 0.0, 0.015])
 """Where the brightness is averaged, inward and along the outline, as fractions of the radius of the body."""
@@ -55,6 +58,7 @@ def render_near(
     *,
     sun_direction_camera: Float,
     rays_per_pixel_side: int,
+    edges_px: Float | None = None,
     other_laws: Sequence[Reflectance] = (),
 ) -> NearRender | Failure:
     """Brightness of a body, rendered only near given points, under one or several reflectance laws.
@@ -70,6 +74,9 @@ def render_near(
         Unit vector from body to Sun.
     rays_per_pixel_side : int
         Where light is uneven, as along the outline; elsewhere a third of that is enough.
+    edges_px : (k, 2) float64, px, optional
+        Points on the edge that the render is for, a pixel or two apart: far from it no pixel gets more rays. None for
+        all pixels.
     other_laws : sequence of Reflectance
         The same rays are shaded under each of these too.
 
@@ -104,7 +111,9 @@ def render_near(
     coarse = _light(view, axes, math.ceil(rays_per_pixel_side / _COARSER), laws)
     if not coarse[0].any():
         return Failure(Reason.NOT_LIT, "the body is dark at all points that were rendered")
-    uneven = np.any([_uneven(pixels, light) for light in coarse], axis=0)
+    uneven = _uneven(pixels, coarse[0])
+    if edges_px is not None:
+        uneven &= _about(edges_px, pixels)
     fine = _light(view, axes[uneven], rays_per_pixel_side, laws)
     first = pixels.min(axis=0) - reach
     columns, rows = (pixels.max(axis=0) + reach + 1 - first).tolist()
@@ -189,6 +198,18 @@ def _uneven(pixels: NDArray[np.int64], light: Float) -> Mask:
     around = np.ones((3, 3), np.uint8)
     range_around = cv2.dilate(most, around) - cv2.erode(least, around)
     return np.asarray(range_around[y, x] > _UNEVEN * float(light.max()))
+
+
+def _about(edges_px: Float, pixels: NDArray[np.int64]) -> Mask:
+    """Return True (n,) for pixels (n, 2) near points (k, 2) of an edge."""
+    first, last = pixels.min(axis=0), pixels.max(axis=0)
+    index = np.rint(edges_px).astype(np.int64)
+    index = index[np.all((index >= first) & (index <= last), axis=1)] - first
+    near = np.zeros((last - first + 1)[::-1], np.uint8)
+    near[index[:, 1], index[:, 0]] = 1
+    side = 2 * _EDGE_REACH_PX + 1
+    x, y = (pixels - first).T
+    return np.asarray(cv2.dilate(near, np.ones((side, side), np.uint8))[y, x] > 0)
 
 
 def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:

@@ -11,7 +11,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
     LimbMeasurement,
@@ -148,6 +148,11 @@ class Outline(Value):
         points = center_px + scale * (old.points_px - old.center_px)
         return replace(self, silhouette=replace(old, points_px=points, center_px=center_px))
 
+    def seen(self, view: LimbView, lines: LimbLines, margin_px: float) -> PredictedLimb:
+        """Interpolate the limb where ``lines`` meet it in the frame, ``margin_px`` from its edge."""
+        limb = self.at(lines)
+        return select_rows(limb, view.contains(limb.points_px, margin_px=margin_px))
+
 
 def lay_lines(
     view: LimbView, outline: Outline, *, spacing_px: float, max_lines: int, margin_px: float
@@ -234,7 +239,7 @@ def measure_by_lines(
     )
     if lines is None:
         return _not_seen(view, moved.silhouette, body, options.margin_px)
-    scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief)
+    scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief, outline=moved)
     closest_km = body.shape.circumscribing_radius_km
     start = LimbState(position_camera_km=position, psf_px2=(view.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2)
     return settle_limb(scan, start, search, min_points=options.min_lines, closest_km=closest_km)
@@ -267,6 +272,8 @@ class LineScan(Value):
     options : LimbScanOptions
     relief : SmoothError or None
         Departure of the true outline from that of the body; with it profiles need to be less alike.
+    outline : Outline or None
+        Where it was found as a whole: lines of the first measurement start there. None to trace it for that too.
     """
 
     view: LimbView
@@ -275,6 +282,7 @@ class LineScan(Value):
     search: IteratedSearch
     options: LimbScanOptions
     relief: SmoothError | None = None
+    outline: Outline | None = None
 
     @property
     def relief_px(self) -> float:
@@ -328,7 +336,7 @@ class LineScan(Value):
         """
         view, options, body = self.view, self.options, self.body.at(position_camera_km)
         search_px = options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
-        limb = _traced(self.view, body, self.lines, options)
+        limb = self._limb(body, first=psf_px2 is None)
         if isinstance(limb, Failure):
             return limb
         offsets = line_offsets(options.window_px + search_px, options.step_px)
@@ -372,6 +380,14 @@ class LineScan(Value):
             relief=self.relief,
             psf_px2=width**2 + found.psf_px2,
         )
+
+    def _limb(self, body: Body, *, first: bool) -> PredictedLimb | Failure:
+        """The limb where lines meet it in the frame; at first as it was found, which is near enough."""
+        if first and self.outline is not None and self.options.edges is EdgeModel.TEMPLATE:
+            limb = self.outline.seen(self.view, self.lines, self.options.margin_px)
+            if limb.points_px.size:
+                return limb
+        return _traced(self.view, body, self.lines, self.options)
 
 
 def _traced(view: LimbView, body: Body, lines: LimbLines, options: LimbScanOptions) -> PredictedLimb | Failure:

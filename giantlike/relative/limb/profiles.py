@@ -403,6 +403,7 @@ def _rendered(
         replace(view.plane, psf=GaussianPsf(sigma_px=math.sqrt(psf_px2))),
         sun_direction_camera=view.sun_direction_camera,
         rays_per_pixel_side=per_side,
+        edges_px=scans.points_px,
         other_laws=others,
     )
 
