@@ -130,6 +130,7 @@ def _shares(lows: Float, away: Float, half: float, sigma: float) -> _Shares:
     starts = np.concatenate([[0], np.cumsum(np.count_nonzero(inside, axis=1))])
     numbers = within[inside]
     place = away[numbers]
+    indices, ends = numbers.astype(np.int32), starts.astype(np.int32)  # as sparse matrices hold them, not made anew
     distance = np.broadcast_to(lows[:, None], within.shape)[inside] - place + np.array([[0.0], [1.0]])
     sides = np.stack([distance + half, distance - half])
     bell = np.exp(-0.5 * (sides / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
@@ -140,7 +141,7 @@ def _shares(lows: Float, away: Float, half: float, sigma: float) -> _Shares:
         return np.asarray(values[1] - values[0])
 
     def matrix(values: Float) -> csr_matrix[np.float64]:
-        return csr_matrix((values, numbers, starts), shape=(lows.size, count))
+        return csr_matrix((values, indices, ends), shape=(lows.size, count))
 
     by_center = -on_pixels(integral[0] - integral[1])
     by_half = on_pixels(integral[0] + integral[1])

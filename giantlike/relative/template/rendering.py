@@ -209,8 +209,9 @@ class TemplateRenderer(Value):
         self, state: TemplateState, laws: tuple[Reflectance, ...], *, fine: bool
     ) -> tuple[MovedBody, Float] | Failure:
         """Trace the body at a state, and shade it under some laws."""
-        margin_px = FIT_BORDER_PX + (math.ceil(2.0 * self.radius_px) if self.radius_px < _SMALL_RADIUS_PX else 0)
-        rough = not fine and self.radius_px >= _COARSE_RADIUS_PX
+        radius_px = self.radius_px
+        margin_px = FIT_BORDER_PX + (math.ceil(2.0 * radius_px) if radius_px < _SMALL_RADIUS_PX else 0)
+        rough = not fine and radius_px >= _COARSE_RADIUS_PX
         sampling = self.sampling(margin_px, spacing=ROUGH if rough else 1.0, min_rays=_FINE_RAYS if fine else 1)
         trace = self.trace(state, sampling)
         if isinstance(trace, Failure):
@@ -222,15 +223,15 @@ class TemplateRenderer(Value):
 
     def _near(self, first: TemplateState, second: TemplateState, *, fine: bool) -> bool:
         """Return True if the rays of a state serve for another: the same surface is seen, and not from elsewhere."""
-        size = np.array([self.plane.columns, self.plane.rows])
+        size, radius_px = np.array([self.plane.columns, self.plane.rows]), self.radius_px
         growth = first.log_range - second.log_range
-        ends = np.clip(first.center_px + self.radius_px * _AROUND, 0.0, size - 1.0) - first.center_px
+        ends = np.clip(first.center_px + radius_px * _AROUND, 0.0, size - 1.0) - first.center_px
         moved_px = float(np.abs(second.center_px - first.center_px + growth * ends).max())
-        past_px = float(np.max(np.abs(first.center_px - 0.5 * (size - 1)) + self.radius_px - 0.5 * size))
+        past_px = float(np.max(np.abs(first.center_px - 0.5 * (size - 1)) + radius_px - 0.5 * size))
         sights = self.plane.model.unproject(np.stack([first.center_px, second.center_px]))
-        turned_px = float(np.linalg.norm(sights[1] - sights[0])) * self.radius_px
+        turned_px = float(np.linalg.norm(sights[1] - sights[0])) * radius_px
         untraced = past_px > 0.0 and moved_px > _CUT_PX
-        return not untraced and abs(growth) * self.radius_px < _LIMB_PX and turned_px < _TURNED_PX[not fine]
+        return not untraced and abs(growth) * radius_px < _LIMB_PX and turned_px < _TURNED_PX[not fine]
 
 
 def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:
