@@ -57,7 +57,7 @@ def consistency(runs: int, model: FilterModel) -> dict[str, Any]:
     }
     found: dict[str, Any] = {"cpu_s": time.process_time() - started}
     for name, (each_run, degrees) in squared.items():
-        band = [float(each) / runs for each in chi2.ppf([0.025, 0.975], degrees * runs)]
+        band = [float(chi2.ppf(tail, degrees * runs)) / runs for tail in (0.025, 0.975)]
         value = float(np.mean(each_run))
         found[name] = {
             "mean": value,

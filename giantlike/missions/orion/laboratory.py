@@ -38,7 +38,7 @@ def measured_grid(settings: ReplaySettings) -> Grid:
     return grid.unwrap() if isinstance(grid, Failure) else grid
 
 
-def grid_comparisons(grid: Grid, settings: ReplaySettings) -> list[Comparison]:
+def grid_comparisons(grid: Grid) -> list[Comparison]:
     """Eq. 39, the grid and the fit."""
     gimbal, kind = table("paper")["gimbal"], ComparisonKind.INDEPENDENT
     azimuth, elevation = gimbal_angles()
@@ -47,11 +47,7 @@ def grid_comparisons(grid: Grid, settings: ReplaySettings) -> list[Comparison]:
         for each, field in zip((azimuth, elevation), gimbal["field_deg"], strict=True)
     ]
     arcsec = math.degrees(gimbal["pitch_mm"] / gimbal["focal_mm"]) * 3600.0
-    spot_px = gimbal["pinhole_um"] * 1e-3 / gimbal["collimator_mm"] * focal_px()
     residual = float(np.sqrt(np.mean(grid.residuals_px**2)))
-    focused, staked = (
-        centroid_errors_px(blur, POINTS[settings.small], settings.seed) for blur in (FOCUSED_PX, STAKED_PX)
-    )
     return [
         near(
             "images of the grid",
@@ -103,6 +99,17 @@ def grid_comparisons(grid: Grid, settings: ReplaySettings) -> list[Comparison]:
             "of the grid "
             f"leaves this. Before it eq. 39 finds up to {float(grid.eq39_px.max()):.1f} px.",
         ),
+    ]
+
+
+def focus_comparisons(settings: ReplaySettings) -> list[Comparison]:
+    """The collimator's point, and the focus of the lens as it is staked."""
+    gimbal, kind = table("paper")["gimbal"], ComparisonKind.INDEPENDENT
+    spot_px = gimbal["pinhole_um"] * 1e-3 / gimbal["collimator_mm"] * focal_px()
+    focused, staked = (
+        centroid_errors_px(blur, POINTS[settings.small], settings.seed) for blur in (FOCUSED_PX, STAKED_PX)
+    )
+    return [
         bounded(
             "image of the pinhole of the collimator, px",
             1.0,

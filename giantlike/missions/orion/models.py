@@ -66,16 +66,11 @@ def spread_px(results: Sequence[Measured], range_km: float | None = None) -> Flo
 
 
 def constants() -> list[Comparison]:
-    """Eqs. 21 to 38: numbers of the paper by other numbers of the paper."""
+    """Eqs. 21 to 30: numbers of the paper by other numbers of the paper."""
     paper = table("paper")
     camera, terrain = paper["camera"], paper["terrain"]
     derived, arcsec = ComparisonKind.DERIVED, math.degrees(1.0 / focal_px()) * 3600.0
     relief_mm = camera["relief_focal_px"] * camera["pitch_um"] * 1e-3
-    moon, earth = moon_errors(), earth_errors(as_moon=False)
-    lengths = {
-        "moon radius": (33, moon.bias_px_km[2] / focal_px()),
-        "moon center": (31, moon.bias_px_km[0] / focal_px()),
-    }
     return [
         near(
             "tangent of a pixel",
@@ -114,6 +109,19 @@ def constants() -> list[Comparison]:
             reference="eqs. 28-30",
             because="6562 ft.",
         ),
+    ]
+
+
+def biases() -> list[Comparison]:
+    """Eqs. 31 to 38: what biases and noise of the paper say as lengths, and beside each other."""
+    paper, derived = table("paper"), ComparisonKind.DERIVED
+    moon, earth = moon_errors(), earth_errors(as_moon=False)
+    lengths = {
+        "moon radius": (33, moon.bias_px_km[2] / focal_px()),
+        "moon center": (31, moon.bias_px_km[0] / focal_px()),
+    }
+    terrain = paper["terrain"]
+    return [
         *(
             bounded(
                 f"{name} bias that shrinks with range, as a length at the body, km",

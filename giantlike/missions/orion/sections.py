@@ -37,6 +37,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
             figures=(figures.diameter_figure(), figures.errors_figure(found)),
             comparisons=(
                 *models.constants(),
+                *models.biases(),
                 *models.range_errors(settings),
                 *models.image_comparisons(found),
             ),
@@ -46,7 +47,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
             text="World: noise and biases of eqs. 28 to 33 and 38, the Earth with the Moon's noise. Filter: constant "
             "noise. The same plan was flown by an independent truth, each run with its own filter.",
             figures=(figures.history_figure(study), figures.corridor_figure(study)),
-            comparisons=tuple(delivery.delivery_comparisons(study)),
+            comparisons=(*delivery.delivery_comparisons(study), *delivery.analysis_comparisons(study)),
         ),
         Section(
             title="III.A. Calibration and focus",
@@ -54,7 +55,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
             "model "
             "fitted to the centroids.",
             figures=(figures.distortion_figure(grid),),
-            comparisons=tuple(laboratory.grid_comparisons(grid, settings)),
+            comparisons=(*laboratory.grid_comparisons(grid), *laboratory.focus_comparisons(settings)),
         ),
         Section(
             title="III.B and D. Images",
