@@ -15,7 +15,7 @@ from giantlike.core.outcomes import CenterFix, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import with_larger_errors
-from giantlike.relative.quality import QualityChecks
+from giantlike.relative.quality import LEAST_CHANCE, QualityChecks
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.light_side import light_side
@@ -91,7 +91,7 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     What contradicts a fix makes it suspect; what is merely unlikely makes it less certain. The factor is the ratio by
     which Birge makes measurements consistent: the largest of squared motion, strain and, where the point spread
     function was told, blur beyond it, per degree of freedom, and at least 1. Of right fixes on right models none has
-    more.
+    more. A blur that contradicts the fix says nothing of its errors: it may be rings, or another exposure.
 
     Parameters
     ----------
@@ -116,7 +116,8 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     figure = _squared(fit.strain, fit.strain_covariance) / len(fit.strain)
     # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
     room = min(float(np.trace(fit.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
-    blur = _squared(fit.blur, fit.blur_covariance) / len(fit.blur) if psf_known else 0.0
+    blurred = psf_known and chance_of(fit.blur, fit.blur_covariance) > LEAST_CHANCE  # beyond, the fix is refused
+    blur = _squared(fit.blur, fit.blur_covariance) / len(fit.blur) if blurred else 0.0
     return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (blur - 1.0))
 
 
