@@ -16,10 +16,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from monte_carlo import bound_of, trials, truth_of
 
 from giantlike.core.outcomes import CenterFix, PositionFix
-from giantlike.plotting.style import MARKERS, SERIES, drawing, new_figure, svg_text
+from giantlike.plotting.style import MARKERS, SERIES, drawing, svg_text
 from giantlike.ray_tracing import McEwen
 from giantlike.relative import (
     CrossCorrelation,
@@ -78,7 +79,7 @@ def cell(diameter_px: float, phase_deg: float, draws: int, count: int) -> dict[s
 def figure(by_size: list[dict[str, object]], by_phase: list[dict[str, object]]) -> str:
     """Center and range over size and over phase, as SVG."""
     with drawing():
-        drawn = new_figure(10.0, 7.0)
+        drawn = Figure(figsize=(10.0, 7.0), facecolor="white", layout="constrained")
         panels = drawn.subplots(2, 2)
         for column, (cells, key, label) in enumerate(
             ((by_size, "diameter_px", f"diameter, px (phase {PHASE_DEG:g} deg)"),
