@@ -27,7 +27,7 @@ AU_KM = 149_597_870.7
 J2000_JD = 2_451_545.0
 """Julian day of the epoch of TDB seconds."""
 SPLINE_STEP_S = 3600.0
-"""The Moon turns by 0.01 rad: a cubic spline errs by a fourth power of it, some millimeters."""
+"""The Moon turns by 0.01 rad: a cubic spline errs by a fourth power of it, a centimeter or two."""
 RELATIVE_TOLERANCE = 1e-11
 """Of the integrator: 4 mm at the distance of the Moon, a hundred-thousandth of the best optical range."""
 ABSOLUTE_TOLERANCE = 1e-9
@@ -132,7 +132,7 @@ def splined(position_km: Callable[[float], Float], first: float, last: float) ->
     Returns
     -------
     callable
-        Of the Moon within a centimeter.
+        Of the Moon within two centimeters.
     """
     from scipy.interpolate import CubicSpline
 

@@ -133,7 +133,7 @@ def test_partials_are_those_of_the_measurement() -> None:
 
 def test_errors_lie_within_the_covariance_of_an_independent_truth() -> None:
     runs = 60
-    result = flown(runs, seed=7)
+    result = flown(runs, seed=7, spacing_s=1200.0)
     low, high = chi2_band(21 * runs)
     assert low < result.state.squared_error(result.truth).sum() < high
     squared = sum(each.squared().sum() for each in result.innovations)

@@ -10,7 +10,7 @@ from giantlike.core.errors import InputError
 from giantlike.independent.flight import Processes, fly_spacecraft
 from giantlike.navigation import PointMasses, cislunar, fly, moon_position_km, sun_position_km
 from giantlike.navigation.dynamics import AU_KM, GM_EARTH_KM3_S2
-from tests.navigation.cislunar_case import MODEL, SKY, START, START_ET
+from tests.navigation.cislunar_case import MODEL, MOON_KM, SKY, START, START_ET
 from tests.numerical import numerical_jacobian
 from tests.tolerances import FLOAT64_CHAIN, FLOAT64_SUM, SETTLED
 
@@ -84,4 +84,5 @@ def test_a_flight_into_a_center_of_gravity_is_refused() -> None:
 def test_splined_bodies_pull_alike() -> None:
     end = START_ET + 36_000.0
     direct, quick = (fly(each, START_ET, START, end) for each in (cislunar(), cislunar(START_ET, end)))
-    assert_allclose(quick.state, direct.state, rtol=0.0, atol=SETTLED)
+    assert_allclose(MOON_KM(START_ET + 1800.0), moon_position_km(START_ET + 1800.0), rtol=0.0, atol=2e-5)  # km
+    assert_allclose(quick.state, direct.state, rtol=0.0, atol=1e-5)  # km: less than the Moon is off
