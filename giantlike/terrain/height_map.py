@@ -54,6 +54,7 @@ class HeightMap(Value):
     sigma_km: float = 0.0
 
     def __post_init__(self) -> None:
+        Value.__post_init__(self)
         require_number(self.sigma_km, "sigma_km", least=0.0)
 
     @classmethod
