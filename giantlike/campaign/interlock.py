@@ -21,7 +21,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
-from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
+from giantlike.io.attitude_series import AttitudeSeries, read_attitude_table
 from giantlike.io.csv_rows import write_csv_rows
 
 _AXES = ("x", "y", "z")
@@ -44,7 +44,7 @@ class InterlockResult(Value):
     sigma_rad : (n, 3) float64, rad
         Standard deviations of each pair about the axes of the second sensor.
     unpaired : int
-        Attitudes of the first sensor without one of the second at their time.
+        Attitudes of the first sensor without one of the second at their time, or without an epoch.
     """
 
     alignment: AlignmentResult
@@ -86,7 +86,7 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
     ----------
     first, second : Path
         Run folders (their star attitudes that are not suspect are taken), or tables of attitudes as
-        :func:`~giantlike.io.attitude_series.read_attitude_csv` reads them.
+        :func:`~giantlike.io.attitude_series.read_attitude_table` reads them; rows without an epoch cannot be paired.
     tolerance_s : float, s
         Attitudes at most so far apart in time are a pair; the rotation in between is an error.
         The default was chosen without a study: at 1 arcsec/s it adds 0.05 arcsec.
@@ -103,7 +103,7 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
         A file is damaged, or a covariance is missing.
     """
     require(tolerance_s >= 0, f"tolerance_s must be >= 0, got {tolerance_s}")
-    one, other = _series(first), _series(second)
+    (one, untimed), (other, _) = _series(first), _series(second)
     pairs = _pairs(one.et, other.et, tolerance_s)
     if not pairs:
         nearest = float(np.abs(one.et - other.et[_nearest(one.et, other.et)]).min())
@@ -128,7 +128,7 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
         names=tuple((one.names[i], other.names[j]) for i, j in pairs),
         rotation_angles_rad=np.asarray(between.magnitude()),
         sigma_rad=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)),
-        unpaired=len(one.et) - len(pairs),
+        unpaired=len(one.et) - len(pairs) + untimed,
     )
 
 
@@ -160,13 +160,21 @@ def write_interlock(result: InterlockResult, folder: Path) -> tuple[Path, ...]:
     return files
 
 
-def _series(path: Path) -> AttitudeSeries:
+def _series(path: Path) -> tuple[AttitudeSeries, int]:
+    """Attitudes with an epoch, and the number of those without."""
     if not path.is_dir():
-        return read_attitude_csv(path)
-    good = [record for record in load_result(path).attitudes if record.status == "ok" and record.et is not None]
-    records = [record for record in good if record.attitude is not None and record.attitude.source == "stars"]
+        series, untimed = read_attitude_table(path)
+        if series is None:
+            raise DataError(path, "attitudes are paired by time, and no row has an epoch (epoch_utc or et)")
+        return series, len(untimed)
+    good = [
+        (record, attitude)
+        for record in load_result(path).attitudes
+        if record.status == "ok" and (attitude := record.attitude) is not None and attitude.source == "stars"
+    ]
+    records = [record for record, _ in good if record.et is not None]
     require(bool(records), f"{path}: the run has no attitude from stars with an epoch")
-    return attitude_series(records, camera_of_run(path))
+    return attitude_series(records, camera_of_run(path)), len(good) - len(records)
 
 
 def _pairs(first_et: Float, second_et: Float, tolerance_s: float) -> list[tuple[int, int]]:

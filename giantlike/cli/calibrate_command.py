@@ -13,7 +13,8 @@ from giantlike.campaign.calibration.solve import calibration_summary
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
-from giantlike.cli.arguments import Json, Resume, Workers
+from giantlike.cli.arguments import Frames, Json, Resume, Workers
+from giantlike.cli.frames_input import frames_table
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
@@ -46,6 +47,7 @@ def calibrate(
         typer.Option(help="Images show a checkerboard with so many inner corners.", metavar="COLUMNSxROWS"),
     ] = None,
     max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalog star.")] = None,
+    frames: Frames = None,
     output: Annotated[Path, typer.Option(help="For images: output folder.", metavar="DIR")] = Path("calibration"),
     workers: Workers = None,
     resume: Resume = False,
@@ -62,12 +64,20 @@ def calibrate(
         if fov is None:
             raise InputError("--board needs --fov DEG, the rough field of view along x")
         require(max_magnitude is None, "--max-magnitude is for stars")
+        require(frames is None, "--frames is for images of stars: give images of a board with frames taken off")
         return _calibrate_board(inputs, _board_setup(board, fov, model, estimate), output, json=json)
     if len(inputs) == 1 and path.suffix.lower() == ".toml":
         require(fov is None, "--fov goes with images; a campaign file has its own [camera]")
+        require(frames is None, "--frames goes with images; a campaign file has its own [calibration_frames]")
     else:
         require(fov is not None, "give a campaign file, or images with --fov DEG")
-        path = _campaign_of_images(inputs, fov, model, estimate or _ESTIMATE, max_magnitude, output)
+        tables: dict[str, Any] = {
+            "stars": {"lost_in_space": True} | ({} if max_magnitude is None else {"max_magnitude": max_magnitude}),
+            "calibration": {"model": model, "estimate": _names(estimate or _ESTIMATE)},
+        }
+        if frames is not None:
+            tables["calibration_frames"] = frames_table(frames)
+        path = _campaign_of_images(inputs, fov, tables, output)
     try:
         campaign = Campaign.load(path)
     except OpNavError:
@@ -88,22 +98,16 @@ def calibrate(
     return ExitCode.DONE if done else ExitCode.SOME_IMAGES_FAILED
 
 
-def _campaign_of_images(
-    images: Sequence[Path], fov_deg: float | None, model: str, estimate: str, max_magnitude: float | None, output: Path
-) -> Path:
+def _campaign_of_images(images: Sequence[Path], fov_deg: float | None, tables: dict[str, Any], output: Path) -> Path:
     """Write a campaign file for images that lie anywhere, and return its path."""
     import tomli_w
 
     first = Image.open(images[0])
-    stars: dict[str, Any] = {"lost_in_space": True}
-    if max_magnitude is not None:
-        stars["max_magnitude"] = max_magnitude
     table = {
         "campaign": {"name": output.name or "calibration", "output": "run"},
         "images": {"files": [str(image.resolve()) for image in images]},
         "camera": {"columns": first.columns, "rows": first.rows, "fov_deg": fov_deg},
-        "stars": stars,
-        "calibration": {"model": model, "estimate": _names(estimate)},
+        **tables,
     }
     path = output / _CAMPAIGN
     require(not path.exists(), f"{path}: there is a calibration already; give --output another folder")

@@ -45,8 +45,7 @@ class ImageReader:
         self._hdu, self._bottom_up = hdu, bottom_up
         self._files: FrameFiles | None = None
         if frames is not None:
-            content, _ = read_toml(frames, _FramesFile, "file of calibration frames", complete=_only_frames)
-            self._files = frames_of(frames, content.calibration_frames, bottom_up=bottom_up)
+            self._files = frames_of(frames, _section(frames), bottom_up=bottom_up)
 
     def open(self, path: Path, detector: Detector) -> Image:
         """Open an image.
@@ -73,6 +72,38 @@ class ImageReader:
         if self._files is None:
             return image
         return image.calibrated(_loaded(self._files, image.rows, image.columns), detector)
+
+
+def frames_table(frames: Path) -> dict[str, Any]:
+    """Table ``[calibration_frames]`` for a campaign file in another folder.
+
+    Parameters
+    ----------
+    frames : Path
+        TOML file with that table; names in it are relative to its folder.
+
+    Returns
+    -------
+    dict
+        With whole paths, and without the keys that were left out.
+
+    Raises
+    ------
+    DataError
+        The file has no such table, or a wrong one.
+    """
+    table, folder = _section(frames).model_dump(exclude_unset=True), frames.resolve().parent
+    for kind in ("bias", "dark", "flat"):
+        if kind in table:
+            table[kind] = [str(folder / name) for name in table[kind]]
+    if table.get("bad_pixels") is not None:
+        table["bad_pixels"] = str(folder / table["bad_pixels"])
+    return {key: value for key, value in table.items() if value is not None}
+
+
+def _section(frames: Path) -> CalibrationFramesSection:
+    content, _ = read_toml(frames, _FramesFile, "file of calibration frames", complete=_only_frames)
+    return content.calibration_frames
 
 
 def _only_frames(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.errors import DataError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, quaternion_xyzw
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.values import Value
@@ -169,7 +170,7 @@ def write_attitude_csv(
     path : path-like
     series : AttitudeSeries or None
     untimed : sequence of UntimedAttitude
-        They come last, with empty epochs; :func:`read_attitude_csv` refuses them.
+        They come last, with empty epochs; :func:`read_attitude_csv` refuses them, :func:`read_attitude_table` does not.
 
     Raises
     ------
@@ -208,9 +209,40 @@ def read_attitude_csv(path: str | Path) -> AttitudeSeries:
     InputError
         There is no row, or two rows have one time.
     """
+    series, untimed = read_attitude_table(path)
+    if untimed or series is None:
+        raise DataError(Path(path), f"{untimed[0].name}: an epoch is needed in every row, in epoch_utc or et")
+    return series
+
+
+def read_attitude_table(path: str | Path) -> tuple[AttitudeSeries | None, tuple[UntimedAttitude, ...]]:
+    """Read a table of attitudes of which some, or all, may have no epoch.
+
+    Parameters
+    ----------
+    path : path-like
+        See :func:`read_attitude_csv`; rows without an epoch need a ``name``.
+
+    Returns
+    -------
+    AttitudeSeries or None
+        The rows with an epoch; None if there are none.
+    tuple of UntimedAttitude
+        The others.
+
+    Raises
+    ------
+    DataError
+        The file is missing or damaged, or a cell is: the text says which.
+    InputError
+        There is no row, or two rows have one time.
+    """
     rows = read_csv_rows(path, _COLUMNS, _QUATERNION)
-    parts = sorted((_parsed(row) for row in rows), key=lambda part: part[0])
-    return AttitudeSeries(
+    untimed = tuple(_untimed(row) for row in rows if not _has_epoch(row))
+    parts = sorted((_parsed(row) for row in rows if _has_epoch(row)), key=lambda part: part[0])
+    if untimed and not parts:
+        return None, untimed
+    series = AttitudeSeries(
         et=np.array([et for et, _, _, _ in parts]),
         camera_from_inertial=Rotation.from_quat(
             np.reshape([rotation.as_quat() for _, rotation, _, _ in parts], (-1, 4))
@@ -218,6 +250,7 @@ def read_attitude_csv(path: str | Path) -> AttitudeSeries:
         covariance_rad2=np.reshape([covariance for _, _, covariance, _ in parts], (-1, 3, 3)),
         names=tuple(name for _, _, _, name in parts),
     )
+    return series, untimed
 
 
 def _terms(covariance: Float) -> list[float | None]:
@@ -225,8 +258,26 @@ def _terms(covariance: Float) -> list[float | None]:
     return covariance[_UPPER].tolist() if bool(np.isfinite(covariance).all()) else [None] * 6
 
 
+def _has_epoch(row: CsvRow) -> bool:
+    return bool(row.text("epoch_utc") or row.text("et"))
+
+
+def _untimed(row: CsvRow) -> UntimedAttitude:
+    rotation, covariance = _measured(row)
+    name = row.text("name")
+    if name is None:
+        raise row.error("name", "a row needs epoch_utc or et, or the name of its image")
+    return UntimedAttitude(name=name, camera_from_inertial=rotation, covariance_rad2=covariance)
+
+
 def _parsed(row: CsvRow) -> tuple[float, Rotation, Float, str]:
     """Epoch, attitude, covariance (3, 3) and name of a row."""
+    rotation, covariance = _measured(row)
+    return row.et(), rotation, covariance, row.text("name") or f"line {row.line}"
+
+
+def _measured(row: CsvRow) -> tuple[Rotation, Float]:
+    """Attitude of a row and its covariance (3, 3), not a number where unknown."""
     rotation, terms = row.needed(row.rotation(_QUATERNION), _QUATERNION), row.vector(_COVARIANCE)
     covariance = np.full((3, 3), np.nan)
     if terms is not None:
@@ -234,4 +285,4 @@ def _parsed(row: CsvRow) -> tuple[float, Rotation, Float, str]:
         covariance.T[_UPPER] = terms
         if not np.linalg.eigvalsh(covariance)[0] > 0.0:
             raise row.error("cov_xx_rad2", "the covariance must be positive definite")
-    return row.et(), rotation, covariance, row.text("name") or f"line {row.line}"
+    return rotation, covariance

@@ -146,6 +146,12 @@ def test_attitudes_of_a_table_and_of_a_c_kernel_differ_by_what_they_were_turned(
     found = rows(compare_external(run, tmp_path / "theirs.csv"))
     assert found["attitude", "x"]["mean"] == pytest.approx(3.0, abs=ARCSEC)
     assert found["attitude", "x"]["median_sigma"] == pytest.approx(np.sqrt(2.0), rel=1e-9)
+    header, *lines = (tmp_path / "theirs.csv").read_text().splitlines()
+    untimed = [",".join([cells[0], "", "", *cells[3:]]) for line in lines if (cells := line.split(","))]
+    (tmp_path / "untimed.csv").write_text("\n".join([header, *untimed]) + "\n")
+    by_name = rows(compare_external(run, tmp_path / "untimed.csv"))
+    assert by_name["attitude", "x"]["n"] == N
+    assert by_name["attitude", "x"]["mean"] == pytest.approx(3.0, abs=ARCSEC)
     options = ExportOptions(instrument_id=-999001, frame_name="GL_TEST_CAM", max_gap_s=1e4)
     files = export_run(truth, tmp_path / "theirs.bc", ExportFormat.CK, options).files
     others = tuple(str(file) for file in files if file.suffix != ".bc")

@@ -75,6 +75,22 @@ def test_attitudes_without_a_partner_in_time_are_left_out_and_counted(tmp_path: 
     assert result.names[0] == ("t2", "t2")
 
 
+def test_rows_without_an_epoch_are_left_out_and_counted(tmp_path: Path) -> None:
+    first, second = _two(np.random.default_rng(32), tmp_path, 10)
+    header, *lines = first.read_text().splitlines()
+    for k in (2, 6):
+        cells = lines[k].split(",")
+        lines[k] = ",".join([cells[0], "", "", *cells[3:]])
+    first.write_text("\n".join([header, *lines]) + "\n")
+    result = interlock_of(first, second)
+    assert (len(result.et), result.unpaired) == (8, 2)
+    with pytest.raises(DataError, match="t2: an epoch is needed"):
+        read_attitude_csv(first)
+    first.write_text("\n".join([header, lines[2]]) + "\n")
+    with pytest.raises(DataError, match="no row has an epoch"):
+        interlock_of(first, second)
+
+
 def test_sensors_that_never_look_at_once_have_no_interlock(tmp_path: Path) -> None:
     first, second = _two(np.random.default_rng(33), tmp_path, 3)
     with pytest.raises(InputError, match=r"within 0\.001 s, the nearest are 0\.005 s apart"):

@@ -18,6 +18,7 @@ from typer.testing import CliRunner, Result
 from giantlike.calibration.field_map import map_difference
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, model_to_mapping
+from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.store.run_folder import RESULTS_FILE
 from giantlike.cli.app import app
 from giantlike.core.detector import Detector, GaussianPsf
@@ -199,6 +200,29 @@ def test_a_calibration_that_misses_a_criterion_says_why_and_is_not_used(images: 
     assert {float(row["fov_deg"]) for row in attitudes(folder) if row["fov_deg"]} <= {TRUTH.fov_deg}
     summary = json.loads(result_text(folder))
     assert [one["temperature_c"] for one in summary["images"]] == [10.0, 30.0]
+
+
+def test_calibration_frames_of_a_file_go_with_images_of_stars(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    noise = np.random.default_rng(2).normal(size=(3, 200, 240))
+    for number in range(2):
+        write_fits(tmp_path / "frames" / f"dark{number}.fits", 100.0 + noise[number], header={"EXPTIME": 1.0})
+    header = navigation_header(epoch=time_from_utc("2024-05-01T00:00:00"), exposure_s=1.0)
+    write_fits(tmp_path / "empty_sky.fits", 100.0 + noise[2], header=header)
+    (tmp_path / "frames" / "frames.toml").write_text('[calibration_frames]\ndark = ["dark*.fits"]\n')
+    output = tmp_path / "out"
+    result = giantlike(
+        *("calibrate", tmp_path / "empty_sky.fits", "--fov", "18", "--frames", tmp_path / "frames" / "frames.toml"),
+        *("--output", output, "--workers", "1"),
+    )
+    assert result.exit_code == 1  # no stars
+    frames = Campaign.load(output / "campaign.toml").frames
+    assert frames is not None
+    assert [path.name for path in frames.dark] == ["dark0.fits", "dark1.fits"]
+    provenance = json.loads((output / "run" / "provenance.json").read_text())
+    assert list(provenance["inputs"]["calibration_frames_sha256"]["dark"]) == [
+        f"../frames/dark{k}.fits" for k in range(2)
+    ]
 
 
 def test_mistakes_are_one_line(images: Path) -> None:

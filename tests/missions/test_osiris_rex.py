@@ -97,6 +97,8 @@ def test_kernels_and_shape_of_the_mission_take_the_place_of_what_is_made_up(data
     assert [visit.from_kernels for visit in visits] == [True, True, False]
     assert 20.0 < visits[0].range_km < 30.0  # the end of Approach: Bennu larger than 1,000 px in PolyCam
     assert 6.0 < visits[1].range_km < 9.0  # a flyby of Preliminary Survey
+    for visit in visits[:2]:
+        assert np.linalg.norm(visit.velocity_km_s) < 1e-3  # slower than walking; not what the kernel stores
     pole = visits[1].inertial_from_body.apply([0.0, 0.0, 1.0])
     assert_allclose(pole, mission().orbit.inertial_from_body(visits[1].et).apply([0.0, 0.0, 1.0]), rtol=0, atol=2e-3)
     assert inputs.shape is not None

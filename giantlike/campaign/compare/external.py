@@ -21,7 +21,7 @@ from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import direction_from_radec, rotate, rotation_between, rotation_from_xyzw
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD, RAD_PER_DEG
-from giantlike.io.attitude_series import read_attitude_csv
+from giantlike.io.attitude_series import read_attitude_table
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
 from giantlike.io.spice import attitude as spice_attitude
 from giantlike.io.spice import load_kernels
@@ -99,7 +99,7 @@ def compare_external(folder: Path, other: Path, options: ExternalOptions = Exter
     folder : Path
         The run folder.
     other : Path
-        ``.csv`` (attitudes as :func:`~giantlike.io.attitude_series.read_attitude_csv` reads them, or observables with
+        ``.csv`` (attitudes as :func:`~giantlike.io.attitude_series.read_attitude_table` reads them, or observables with
         the columns ``x_px, y_px`` or ``ra_deg, dec_deg``), ``.tdm`` (CCSDS TDM, angles), ``.bc`` (C-kernel), ``.bsp``
         (trajectory).
     options : ExternalOptions
@@ -171,17 +171,21 @@ def _csv(run: _Run, path: Path) -> tuple[list[Difference], int]:
         raise DataError(path, f"cannot be read: {error}") from error
     if "qx" not in {name.strip() for name in header.split(",")}:
         return _observables(run, _rows(path))
-    series = read_attitude_csv(path)
+    series, untimed = read_attitude_table(path)
+    known = (
+        [] if series is None else zip(series.names, series.camera_from_inertial, series.covariance_rad2, strict=True)
+    )
+    theirs = [*known, *((one.name, one.camera_from_inertial, one.covariance_rad2) for one in untimed)]
+    names = {name: k for k, (name, _, _) in enumerate(theirs)}
     differences: list[Difference] = []
     matched = set()
-    names = {name: k for k, name in enumerate(series.names)}
     for record in run.result.attitudes:
-        k = names.get(record.file, _nearest(record.et, series.et))
+        k = names.get(record.file, None if series is None else _nearest(record.et, series.et))
         if k is None or record.attitude is None:
             continue
         matched.add(k)
-        differences += _attitude(record, series.camera_from_inertial[k], series.covariance_rad2[k])
-    return differences, len(series.et) - len(matched)
+        differences += _attitude(record, *theirs[k][1:])
+    return differences, len(theirs) - len(matched)
 
 
 def _c_kernel(run: _Run, path: Path, options: ExternalOptions) -> tuple[list[Difference], int]:

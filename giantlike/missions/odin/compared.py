@@ -347,7 +347,7 @@ def of_modes(flight: Flight, pairs: Sequence[MoonPair]) -> tuple[Comparison, ...
             ours=round(slowest, 1),
             kind=INDEPENDENT,
             agrees=slowest < cycle_s(),
-            reference="issue: 30 s",
+            reference="text, Flight Software",
             reason="below the 30 s of a cycle of the flight code; on a workstation's core, lost in space,"
             " 5-megapixel images:"
             " a Raspberry Pi 5 takes two to four times as long",

@@ -341,7 +341,7 @@ def _moon_attitude(sky: Sky, rng: np.random.Generator) -> Rotation:
 
 
 def moon_epochs(pairs: int) -> Float:
-    """Epochs of pairs over the evening, the Moon rising from 13 to 40 degrees."""
+    """Epochs of pairs over the evening, the Moon rising from 13 to 38 degrees."""
     return np.asarray(NIGHT_ET + np.linspace(0.0, 2.6 * 3600.0, pairs))
 
 

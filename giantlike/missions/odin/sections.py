@@ -29,7 +29,7 @@ from giantlike.missions.replay import Replay, ReplayFigure, ReplaySettings, Sect
 ORIENTATIONS = 3  # "the test unit was reoriented a couple of times"
 ASSUMPTIONS = (
     "Figures of the paper were read by their captions and the text: their curves are not in the text that was at hand.",
-    "Site (Atlanta), date (17 February 2025, the Moon rising from 13 to 40 degrees) and pointing are not in the paper.",
+    "Site (Atlanta), date (17 February 2025, the Moon rising from 13 to 38 degrees) and pointing are not in the paper.",
     "Air: 1,010 hPa, 15 C; refraction in the images by Snell's law through an exponential atmosphere, taken out by"
     " ERFA's"
     " constants; images move by 0.7 arcsec a frame.",

@@ -203,4 +203,12 @@ def _text(phase: PhaseSetup, results: Sequence[CampaignResult]) -> str:
             f" The moment algorithm with eq. 3, of which the paper shows no results, has an rms of {rms:.2f} "
             f"px per axis."
         )
+    features = [error for result in results for error in comparisons.fixes(result, ("surface_features",))]
+    if features:
+        percent = 100.0 * np.array([error.range_error for error in features if error.range_error is not None])
+        rms = float(np.sqrt(np.mean(comparisons.errors_px(features) ** 2)))
+        text += (
+            f" Surface feature navigation, of which the paper shows no results, finds {len(features)} of {len(visits)} "
+            f"images with an rms of {rms:.2f} px per axis and {np.sqrt(np.mean(percent**2)):.3f} % of the range."
+        )
     return text
