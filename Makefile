@@ -1,9 +1,9 @@
-# Two commands matter: `make demo` and `make test`; `make test-all` runs the slow tests as well. Each sets up what it needs in .venv.
+# Two commands matter: `make demo` and `make test`; `make test-all` runs the slow tests and builds the documentation as well. Each sets up what it needs in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-all check wheel clean
+.PHONY: demo test test-all check docs wheel clean
 demo: $(VENV)/installed
 	$(BIN)/giantlike demo --output demo-output
 
@@ -11,7 +11,7 @@ test: check
 	$(BIN)/pytest -m "not slow" -n 2 --dist worksteal
 	$(BIN)/pytest -q --doctest-modules giantlike
 
-test-all: test
+test-all: test docs
 	$(BIN)/pytest -m slow -n 2 --dist worksteal
 
 check: $(VENV)/installed-dev
@@ -19,6 +19,10 @@ check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy giantlike tests
 	$(BIN)/lint-imports
+
+docs: $(VENV)/installed-dev
+	$(BIN)/sphinx-build -q -W --keep-going -c docs . docs/_build/html
+	@echo docs/_build/html/index.html
 
 wheel: $(VENV)/installed-dev
 	$(BIN)/python -m build
@@ -35,4 +39,4 @@ $(VENV)/installed-dev: pyproject.toml | $(VENV)/bin/python
 	touch $@ $(VENV)/installed
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis demo-output
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis demo-output docs/_build docs/api

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
+import time
 from pathlib import Path
 
 import pytest
+
+from giantlike.camera import Camera
+from giantlike.campaign.demo import DemoReport, run_demo
+from giantlike.simulation.compare import compare_run
+from giantlike.simulation.write import TRUTH_FILE
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("GIANTLIKE_TEST_DATA", BESIDE))
@@ -17,3 +24,32 @@ def data_dir() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"real data not found at {DATA}")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def demo_report(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> DemoReport:
+    """The demonstration, made once for all workers; what is in its folder is not to be changed."""
+    root = tmp_path_factory.mktemp("demo") if worker_id == "master" else tmp_path_factory.getbasetemp().parent
+    folder, seconds = root / "demo-output", root / "demo-seconds.json"
+    try:
+        (root / "demo-begun").mkdir()
+    except FileExistsError:  # another worker is at it
+        while not seconds.is_file():
+            time.sleep(0.2)
+        return _report_of(folder, seconds)
+    times = {}
+    try:
+        report = run_demo(folder, workers=2)
+        times = {"simulate_s": report.simulate_s, "run_s": report.run_s}
+    finally:  # an empty file tells the others that the demonstration failed
+        written = seconds.with_suffix(".part")
+        written.write_text(json.dumps(times))
+        written.replace(seconds)
+    return report
+
+
+def _report_of(folder: Path, seconds: Path) -> DemoReport:
+    times = json.loads(seconds.read_text())
+    assert times, "the demonstration failed in another worker"
+    comparison = compare_run(folder / "run", folder / TRUTH_FILE, Camera.load(folder / "camera.toml"))
+    return DemoReport(output=folder, comparison=comparison, **times)

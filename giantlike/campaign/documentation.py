@@ -39,12 +39,13 @@ has its unit, frame and description as metadata in the file, the file those of f
 as Parquet where `--output` ends in `.parquet`. `observations.csv` stays as the view for people ([tables](tables.md)).
 
 ```python
-import numpy as np, pandas as pd
+import numpy as np
+import pyarrow.parquet as pq
 
-table = pd.read_parquet("run/observables.parquet")
-fixes = table[(table.kind == "body") & table.preferred]
-position_km = np.stack(fixes.geometric_position_icrf_km)  # spacecraft to target, both at the epoch
-covariance_km2 = np.stack(fixes.covariance_position_icrf_km2).reshape(-1, 3, 3)
+rows = pq.read_table("demo-output/run/observables.parquet").to_pylist()  # pandas.read_parquet reads the file too
+fixes = [row for row in rows if row["kind"] == "body" and row["preferred"] and row["geometric_position_icrf_km"]]
+position_km = np.array([row["geometric_position_icrf_km"] for row in fixes])  # spacecraft to target, both at the epoch
+covariance_km2 = np.array([row["covariance_position_icrf_km2"] for row in fixes]).reshape(-1, 3, 3)
 ```
 
 ## Which direction to take

@@ -291,42 +291,32 @@ def test_files_behind_a_link_in_the_folder_of_a_demonstration_are_kept(
 # the demonstration itself ---------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("home")
-
-
-@pytest.fixture(scope="module")
-def report(home: Path) -> DemoReport:
-    return run_demo(home / "demo-output", workers=2)
-
-
-def test_the_demonstration_reaches_its_goals(report: DemoReport) -> None:
-    missed = [f"{goal.text}: {goal.value:.3g}" for goal in report.goals if not goal.met]
+def test_the_demonstration_reaches_its_goals(demo_report: DemoReport) -> None:
+    missed = [f"{goal.text}: {goal.value:.3g}" for goal in demo_report.goals if not goal.met]
     assert missed == []
-    assert report.met
+    assert demo_report.met
 
 
-def test_every_estimator_and_every_way_to_an_attitude_is_exercised(report: DemoReport) -> None:
-    attitudes = report.attitude_scores()
+def test_every_estimator_and_every_way_to_an_attitude_is_exercised(demo_report: DemoReport) -> None:
+    attitudes = demo_report.attitude_scores()
     assert (attitudes["stars"].n_fixes, attitudes["interpolated"].n_fixes) == (26, 13)
-    fixes = {pair: score.n_fixes for pair, score in report.estimator_scores().items()}
+    fixes = {pair: score.n_fixes for pair, score in demo_report.estimator_scores().items()}
     assert fixes[("ROCK", "unresolved")] == 3
     assert fixes[("ROCK", "cross_correlation")] == 11
     assert fixes[("ROCK", "limb_matching")] >= 6
     assert fixes[("MOON", "ellipsoid_cra")] == 2
 
 
-def test_the_lost_visit_is_solved_without_an_a_priori_attitude(report: DemoReport) -> None:
-    with (report.output / "geometry.csv").open() as stream:
+def test_the_lost_visit_is_solved_without_an_a_priori_attitude(demo_report: DemoReport) -> None:
+    with (demo_report.output / "geometry.csv").open() as stream:
         lost = {row["file"] for row in csv.DictReader(stream) if not row["qx"]}
     assert lost == {"rock_07_long1.fits", "rock_07_short.fits", "rock_07_long2.fits"}
-    assert {error.status for error in report.comparison.attitudes if error.file in lost} == {"ok"}
+    assert {error.status for error in demo_report.comparison.attitudes if error.file in lost} == {"ok"}
 
 
-def test_geometric_observables_are_where_the_bodies_were_within_their_covariance(report: DemoReport) -> None:
+def test_geometric_observables_are_where_the_bodies_were_within_their_covariance(demo_report: DemoReport) -> None:
     """Of the preferred fixes, against the true orbits at the epoch: no light time, no aberration, no camera."""
-    rows, _ = read_observables(report.output / "run" / "observables.parquet")
+    rows, _ = read_observables(demo_report.output / "run" / "observables.parquet")
     truth = dict[str, Float]()
     for frame in plan_approach().frames:
         orbit, observer = frame.scene.target().ephemeris, frame.shot.observer
@@ -352,10 +342,10 @@ def test_geometric_observables_are_where_the_bodies_were_within_their_covariance
     assert low < squared < high
 
 
-def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(report: DemoReport) -> None:
+def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(demo_report: DemoReport) -> None:
     """A straight path between two visits, in the axes of the moon: its position and velocity at the first."""
     example = orbit_example()
-    observations = example.read(str(report.output / "run" / "observables.parquet"), "MOON")
+    observations = example.read(str(demo_report.output / "run" / "observables.parquet"), "MOON")
     solution = example.solve(observations)
     places = dict[float, Float]()
     for frame in plan_approach().frames:
@@ -371,24 +361,12 @@ def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(report: De
     assert float(error @ np.linalg.solve(solution.covariance[:6, :6], error)) < float(chi2.ppf(0.999, 6))
 
 
-def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(report: DemoReport) -> None:
-    text, table = report.text(), json.loads(report.to_json())
+def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(demo_report: DemoReport) -> None:
+    text, table = demo_report.text(), json.loads(demo_report.to_json())
     assert len(re.findall(r"[+-]\d\.\d{3} \+- \d\.\d{3}", text)) >= 2 * 24
     assert "MISSED" not in text
     assert table["met"] is True
     assert {entry["estimator"] for entry in table["estimators"]} >= {"unresolved", "limb_matching", "ellipsoid_cra"}
-
-
-def test_the_python_example_of_the_readme_runs(
-    report: DemoReport, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    readme = Path(__file__).resolve().parents[2] / "README.md"
-    (example,) = re.findall(r"```python\n(.*?)```", readme.read_text(), flags=re.DOTALL)
-    monkeypatch.chdir(home)
-    exec(compile(example, "README.md", "exec"), {})
-    shown = capsys.readouterr().out
-    assert "cross_correlation [" in shown
-    assert "limb_matching [" in shown
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +14,14 @@ from giantlike import ApparentGeometry, Camera, CenterFix, DataError, Failure, I
 from giantlike.camera_models import CameraModel
 from giantlike.relative import Estimator
 from giantlike.shapes import Ellipsoid
+from tests.documentation.pages import ROOT, run_page
 from tests.tolerances import FLOAT64_SUM
-
-GUIDE = Path(__file__).resolve().parents[1] / "CONTRIBUTING.md"
 
 
 @pytest.fixture(scope="module")
 def examples() -> dict[str, Any]:
     """Names that the Python examples define."""
-    names: dict[str, Any] = {"__name__": "contributing"}
-    for block in re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), flags=re.DOTALL):
-        exec(compile(block, GUIDE.name, "exec", dont_inherit=True), names)
-    return names
+    return run_page(ROOT / "CONTRIBUTING.md", slow=False)
 
 
 def test_the_estimator_finds_its_pixel_and_fails_as_a_value(examples: dict[str, Any]) -> None:

@@ -1,0 +1,65 @@
+"""Every example of every page runs; how, and how a block is left out: tests/documentation/pages.py."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+
+from giantlike.campaign.demo import DemoReport
+from tests.documentation.pages import ROOT, blocks_of, pages, run_page
+
+DEMO = "demo-output"
+LANGUAGES = {"python", "console", "text", "toml", "json", "csv", "bash", "{toctree}", "{math}", "{image}", "{figure}"}
+RUN = {"python", "console"}
+WITH_EXAMPLES = [page for page in pages() if any(block.language in RUN for block in blocks_of(page))]
+FAST = [page for page in WITH_EXAMPLES if any(each.language in RUN and not each.slow for each in blocks_of(page))]
+SLOW = [page for page in WITH_EXAMPLES if any(block.slow for block in blocks_of(page))]
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.fixture
+def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to be in, with the examples of the project, and the demonstration where a page names it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("__pycache__"))
+    page: Path = request.getfixturevalue("page")
+    if DEMO in page.read_text(encoding="utf-8"):
+        report: DemoReport = request.getfixturevalue("demo_report")
+        images = report.output / "images"
+        shutil.copytree(report.output, tmp_path / DEMO, ignore=lambda path, names: names if path == str(images) else ())
+        shutil.copytree(images, tmp_path / DEMO / "images", copy_function=os.link, dirs_exist_ok=True)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", FAST, ids=name)
+@pytest.mark.usefixtures("folder")
+def test_the_examples_of_a_page_run(page: Path) -> None:
+    run_page(page, slow=False)
+    plt.close("all")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", SLOW, ids=name)
+@pytest.mark.usefixtures("folder")
+def test_all_examples_of_a_page_run(page: Path) -> None:
+    run_page(page, slow=True)
+    plt.close("all")
+
+
+@pytest.mark.parametrize("page", pages(), ids=name)
+def test_every_block_says_its_language_and_every_python_block_compiles(page: Path) -> None:
+    blocks = blocks_of(page)
+    assert {block.language for block in blocks} <= LANGUAGES, "a block without a language is neither run nor exempted"
+    for block in blocks:
+        if block.language == "python":
+            compile(block.text, f"{page.name}:{block.line}", "exec", dont_inherit=True)
+        if block.language == "console":
+            assert block.text.startswith("$ "), f"{page.name}:{block.line}: no command"
