@@ -21,6 +21,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from multiprocessing import get_context
@@ -36,7 +37,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality
@@ -86,6 +87,8 @@ class Frame:
     ----------
     name : str
     pixels : (rows, columns), DN
+    mask : (rows, columns) bool
+        True where nothing was sent or measured.
     camera : Camera
     target : str
     shape : Shape
@@ -108,6 +111,7 @@ class Frame:
 
     name: str
     pixels: NDArray[Any]
+    mask: Mask
     camera: Camera
     target: str
     shape: Shape
@@ -146,7 +150,9 @@ class Frame:
 
     def image(self) -> Image:
         """The image in camera axes."""
-        return Image(pixels=self.pixels, camera_from_inertial=Rotation.identity(), name=self.name)
+        return Image(
+            pixels=self.pixels, mask=self.mask, camera_from_inertial=Rotation.identity(), name=self.name
+        )
 
 
 def frames(data: Path, output: Path) -> list[Frame]:
@@ -193,6 +199,7 @@ def frame_of(case: Case, known: dict[str, list[float]]) -> Frame:
     frame = Frame(
         name=case.name,
         pixels=pixels,
+        mask=case.image.mask,
         camera=camera,
         target=geometry.target.name,
         shape=geometry.target.shape,
@@ -211,8 +218,9 @@ def _binned(frame: Frame) -> Frame:
     """Vesta in pixels of 2 x 2: a quarter of the time of a frame of 1024 x 1024 that the body fills."""
     rows, columns = (size // 2 for size in frame.pixels.shape)
     mean = frame.pixels[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2).mean(axis=(1, 3))
+    mask = frame.mask[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2).any(axis=(1, 3))
     camera = frame.camera.binned(2, detector=replace(frame.camera.detector, gain_e_per_dn=4.0, read_noise_e=2.0))
-    return replace(frame, pixels=mean.astype(np.float32), camera=camera, sigma_px=0.5 * frame.sigma_px)
+    return replace(frame, pixels=mean.astype(np.float32), mask=mask, camera=camera, sigma_px=0.5 * frame.sigma_px)
 
 
 def peak_dn(frame: Frame) -> float:
@@ -253,6 +261,7 @@ def turned(frame: Frame, quarters: int) -> Frame:
         frame = replace(
             frame,
             pixels=np.ascontiguousarray(np.rot90(frame.pixels, -1)),
+            mask=np.ascontiguousarray(np.rot90(frame.mask, -1)),
             camera=replace(frame.camera, columns=rows, rows=frame.camera.columns, model=lens),
             turn=turn * frame.turn,
             sun=rotate(turn, frame.sun),
@@ -267,7 +276,8 @@ def misread(frame: Frame, flip: Callable[[NDArray[Any]], NDArray[Any]], columns:
     x, y = frame.center_px
     moved = np.array([frame.camera.columns - 1.0 - x if columns else x, frame.camera.rows - 1.0 - y])
     position = float(np.linalg.norm(frame.position_km)) * frame.camera.model.unproject(moved)
-    return replace(frame, pixels=np.ascontiguousarray(flip(frame.pixels)), position_km=position)
+    pixels, mask = (np.ascontiguousarray(flip(one)) for one in (frame.pixels, frame.mask))
+    return replace(frame, pixels=pixels, mask=mask, position_km=position)
 
 
 def cropped(frame: Frame, sign: float) -> Frame | None:
@@ -284,8 +294,9 @@ def cropped(frame: Frame, sign: float) -> Frame | None:
     else:
         low[axis], size[axis] = edge, size[axis] - edge
     camera = frame.camera.windowed(int(low[0]), int(low[1]), columns=int(size[0]), rows=int(size[1]))
-    window = frame.pixels[low[1] : low[1] + size[1], low[0] : low[0] + size[0]]
-    return replace(frame, pixels=np.ascontiguousarray(window), camera=camera)
+    part = slice(low[1], low[1] + size[1]), slice(low[0], low[0] + size[0])
+    pixels, mask = (np.ascontiguousarray(one[part]) for one in (frame.pixels, frame.mask))
+    return replace(frame, pixels=pixels, mask=mask, camera=camera)
 
 
 def blurred(frame: Frame, sigma_px: float) -> Frame:
@@ -500,6 +511,16 @@ def _variants(data: str) -> dict[str, Callable[[Frame], Frame | None]]:
     return variants(Path(data))
 
 
+@contextmanager
+def _pool(processes: int) -> Iterator[Callable[..., Iterable[list[dict[str, Any]]]]]:
+    """A ``map`` over so many processes; the built-in one where one is enough."""
+    if processes == 1:
+        yield map
+        return
+    with ProcessPoolExecutor(processes, mp_context=get_context("fork")) as pool:
+        yield pool.map
+
+
 def run(
     data: Path, output: Path, *, only: Iterable[str] = (), images: str = "", processes: int = 2, every: bool = False
 ) -> list[dict[str, Any]]:
@@ -513,14 +534,9 @@ def run(
         for number, frame in enumerate(_FRAMES)
         if every or name in ("base", *only) or frame.name in IN_ALL or (index + number) % 3 == 0
     ]
-    if processes == 1:
-        return [row for job in jobs for row in _task(job)]
     found: list[dict[str, Any]] = []
-    with (
-        (output / "variants.jsonl").open("w") as lines,
-        ProcessPoolExecutor(processes, mp_context=get_context("fork")) as pool,
-    ):
-        for rows in pool.map(_task, jobs):
+    with (output / "variants.jsonl").open("w") as lines, _pool(processes) as each:
+        for rows in each(_task, jobs):
             found += rows
             lines.writelines(json.dumps(row) + "\n" for row in rows)
             lines.flush()

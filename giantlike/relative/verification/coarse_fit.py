@@ -63,7 +63,8 @@ _LEAST_SCALE = 0.1
 """Least scatter, over that of the errors of the model, that the residuals of the lit cells are taken to show. Of 80
 right fixes of the independent renderer without markings none was then off by more than 1.1 standard deviations in place
 or figure, whatever the law; with 0.6 none by more than 0.6, and a pole that is 10 deg off by 1 to 3 only, now by 5 to
-14. What laws move without leaving residuals is counted on its own."""
+14. What laws move without leaving residuals is counted on its own. Where fewer parts of a body are seen than there are
+unknowns, which then take up its errors, residuals show nothing: the least is 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,7 +160,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         return None
     normalized = np.where(fresh, normalized, 0.0)
     misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
-    shown_sigma = _scale(normalized, lit, edge) * model_sigma
+    parts = float(cells.place(own.coverage, own)[fresh].sum()) / (BLOCK * cells.radius) ** 2
+    shown_sigma = _scale(normalized, lit, edge, least=_LEAST_SCALE if parts > len(flat) else 1.0) * model_sigma
     influence = (np.linalg.inv(normal)[_GEOMETRY] @ weighted).reshape(-1, *values.shape)
     by_law = _OTHER_LAW * (solution - _without_laws(normal, projected))[_GEOMETRY]
     covariance = _covariance(influence, noise, shown_sigma, cells) + np.outer(by_law, by_law)
@@ -250,13 +252,13 @@ def _scattered(light: Float, cells: Cells) -> Float:
     return np.asarray(gaussian_filter(light, _WING_RADIUS * cells.radius))
 
 
-def _scale(normalized: Float, lit: Mask, edge: Mask) -> Float:
+def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float) -> Float:
     """Scatter (n, n) that the residuals show over that of the errors of the model: of the face, and of its edges.
 
     Relief moves the edges and leaves the face, which has many more cells; and it is alike over longer parts of them.
     """
     face, rim = (
-        max(float(np.sqrt(np.mean(normalized[part] ** 2))) if part.any() else 0.0, _LEAST_SCALE)
+        max(float(np.sqrt(np.mean(normalized[part] ** 2))) if part.any() else 0.0, least)
         for part in (lit & ~edge, lit & edge)
     )
     return np.where(edge, _LONG_WAVES * rim, face)
