@@ -18,8 +18,9 @@ import numpy as np
 from real_bodies import dawn_camera
 from scipy.spatial.transform import Rotation
 
+from giantlike.atmosphere import ATMOSPHERES, Atmosphere
 from giantlike.camera import Camera
-from giantlike.camera_models import BrownModel, PinholeModel
+from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import direction_from_radec, rotate
@@ -29,13 +30,16 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.io.label_geometry import geometry_of_label
 from giantlike.io.spice import body_radii_km, ellipsoid_from_pck, load_kernels, orientation, spk_state
+from giantlike.presets import camera_preset
 from giantlike.processing.limb.segmentation import connected_blobs, otsu_threshold
 from giantlike.ray_tracing import Body, Lambert, RenderOptions, Template, render
-from giantlike.scene import Scene, Target
+from giantlike.rings import RINGS_KM, Rings
+from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, Shape, load_shape
 
 LIGHT_KM_S = 299792.458
 OFF_PX, OFF_RANGE = (7.0, -5.0), 1.01  # of the prediction where the truth is known
+CLOUDS = 0.5  # relative scatter of the brightness of the Earth: clouds reflect several times as much as sea
 LIMB = ("limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit")
 ALL = ("moment", "cross_correlation", *LIMB)
 
@@ -105,7 +109,12 @@ def pointed(camera: Camera, center_px: Float, direction: Float, roll_rad: float)
 
 def placed(name: str, shape: Shape, apparent: ApparentGeometry) -> Scene:
     """A scene of one Lambert body: planets and moons here have no better known law."""
-    return Scene(targets=(Target(name=name, shape=shape, ephemeris=apparent, reflectance=Lambert()),))
+    about = {"atmosphere": Atmosphere.of(name)} if name in ATMOSPHERES else {}
+    rings = {"rings": Rings.of(name)} if name in RINGS_KM else {}
+    cloudy = {"uncertainty": TargetUncertainty(albedo=CLOUDS)} if name == "EARTH" else {}
+    return Scene(
+        targets=(Target(name=name, shape=shape, ephemeris=apparent, reflectance=Lambert(), **about, **rings, **cloudy),)
+    )
 
 
 def off(camera: Camera, position_km: Float) -> Float:
@@ -406,11 +415,11 @@ def cassini_without_geometry(data: Path) -> Iterator[Case]:
 
 
 def earth(data: Path) -> Iterator[Case]:
-    """Hayabusa2 ONC-W2: lens by boresight and corners of the header, range by the header, place by the image.
+    """Hayabusa2 ONC-W2: lens of the instrument kernel, range and pointing of the header, place by the image.
 
     The header's position vector is that of the spacecraft's target, so it does not tell where the Earth is. The charge
-    that light leaves on the columns while they are read out is their median, and taken off. One scale and the corners
-    leave the scale between them open by some 10 %: a lens of one scale through the corners has 15 % less per pixel.
+    that light leaves on the columns while they are read out is their median, and taken off. The bottom is the first
+    stored row: with the last one there the sky of the header would be mirrored, and no rotation would fit.
     """
     image = Image.open(next((data / "bodies" / "hayabusa2_onc").glob("*.fit")))
     sights = np.array(
@@ -419,8 +428,14 @@ def earth(data: Path) -> Iterator[Case]:
             for n in ("", 1, 2, 3, 4)
         ]
     )
-    focal_px, range_km = 1.0 / float(image.metadata["S_IFOV"]), float(image.metadata["S_DISTHE"])
-    camera, attitude, worst_px = corner_camera(sights, focal_px)
+    camera = replace(
+        camera_preset("hayabusa2_onc_w2").camera,
+        psf=GaussianPsf(sigma_px=0.8),
+        detector=Detector(gain_e_per_dn=20.0, read_noise_e=40.0, saturation_dn=3700.0),
+    )
+    middle_and_corners = np.array([[511.5, 511.5], [0.0, 0.0], [1023.0, 0.0], [0.0, 1023.0], [1023.0, 1023.0]])
+    attitude, _ = Rotation.align_vectors(camera.model.unproject(middle_and_corners), sights)
+    range_km = float(image.metadata["S_DISTHE"])
     kernels = data / "kernels"
     et = et_from_time(time_from_utc(str(image.metadata["DATE-OBS"])))
     with load_kernels([_de440(), str(kernels / "naif0012.tls"), str(kernels / "pck00011.tpc")], base=Path()):
@@ -428,7 +443,7 @@ def earth(data: Path) -> Iterator[Case]:
         turn, radii = orientation("IAU_EARTH", et), body_radii_km("EARTH")
     pixels = image.pixels.astype(np.float64)
     pixels = pixels - np.median(pixels, axis=0)
-    disk = seen_disk(pixels, radii[0] / range_km * focal_px)
+    disk = seen_disk(pixels, radii[0] / range_km / float(camera.ifov_rad()))
     apparent = ApparentGeometry(
         position_inertial_km=range_km * rotate(attitude.inv(), camera.model.unproject(disk.center_px)),
         inertial_from_body=turn,
@@ -437,36 +452,10 @@ def earth(data: Path) -> Iterator[Case]:
     image = replace(image, pixels=pixels).with_attitude(attitude)
     yield Case(
         name="Earth hyb2_onc_w2f",
-        source=f"range: header (scale by its IFOV and a lens through the corners, to {worst_px:.1f} px there)",
+        source="range: header; lens: instrument kernel",
         image=image,
         camera=camera,
         scene=placed("EARTH", Ellipsoid(radii_km=radii, name="Earth"), apparent),
         range_km=range_km,
-        sigma_range=0.1,
+        sigma_range=0.02,
     )
-
-
-def corner_camera(sights: Float, focal_px: float) -> tuple[Camera, Rotation, float]:
-    """A wide camera and its attitude by the directions of image middle, bottom left and right, top left and right.
-
-    The bottom is the first stored row: with the last one there the sky would be mirrored, and no rotation would fit.
-    """
-    corners_px = np.array([[511.5, 511.5], [0.0, 0.0], [1023.0, 0.0], [0.0, 1023.0], [1023.0, 1023.0]])
-    found = []
-    for k1 in np.linspace(-0.6, 0.3, 91):
-        model = BrownModel(fx_px=focal_px, fy_px=focal_px, cx_px=511.5, cy_px=511.5, k1=float(k1))
-        rays = model.unproject(corners_px)
-        if np.isfinite(rays).all():
-            attitude, _ = Rotation.align_vectors(rays, sights)
-            error = np.linalg.norm(model.project(rotate(attitude, sights)) - corners_px, axis=1)
-            found.append((float(error.max()), float(k1), attitude, model))
-    worst_px, _, attitude, model = min(found, key=lambda one: one[0])
-    camera = Camera(
-        name="Hayabusa2 ONC-W2",
-        columns=1024,
-        rows=1024,
-        model=model,
-        psf=GaussianPsf(sigma_px=0.8),
-        detector=Detector(gain_e_per_dn=20.0, read_noise_e=40.0, saturation_dn=3700.0),
-    )
-    return camera, attitude, worst_px

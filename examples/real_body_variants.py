@@ -90,7 +90,8 @@ class Frame:
     mask : (rows, columns) bool
         True where nothing was sent or measured.
     camera : Camera
-    target : str
+    body : Target
+        As it is told, but for:
     shape : Shape
     law : object
     turn : Rotation
@@ -113,7 +114,7 @@ class Frame:
     pixels: NDArray[Any]
     mask: Mask
     camera: Camera
-    target: str
+    body: Target
     shape: Shape
     law: Lambert | McEwen
     turn: Rotation
@@ -146,13 +147,20 @@ class Frame:
             inertial_from_body=self.turn,
             sun_direction_inertial=self.sun,
         )
-        return Scene(targets=(Target(name=self.target, shape=self.shape, ephemeris=apparent, reflectance=self.law),))
+        smooth = isinstance(self.shape, Ellipsoid)
+        target = replace(
+            self.body,
+            shape=self.shape,
+            ephemeris=apparent,
+            reflectance=self.law,
+            atmosphere=self.body.atmosphere if smooth else None,
+            rings=self.body.rings if smooth else None,
+        )
+        return Scene(targets=(target,))
 
     def image(self) -> Image:
         """The image in camera axes."""
-        return Image(
-            pixels=self.pixels, mask=self.mask, camera_from_inertial=Rotation.identity(), name=self.name
-        )
+        return Image(pixels=self.pixels, mask=self.mask, camera_from_inertial=Rotation.identity(), name=self.name)
 
 
 def frames(data: Path, output: Path) -> list[Frame]:
@@ -201,7 +209,7 @@ def frame_of(case: Case, known: dict[str, list[float]]) -> Frame:
         pixels=pixels,
         mask=case.image.mask,
         camera=camera,
-        target=geometry.target.name,
+        body=geometry.target,
         shape=geometry.target.shape,
         law=geometry.target.reflectance,  # type: ignore[arg-type]
         turn=turn,
@@ -211,7 +219,7 @@ def frame_of(case: Case, known: dict[str, list[float]]) -> Frame:
         sigma_range=math.inf if case.range_km is None else case.sigma_range,
         present="rings only" not in case.name,
     )
-    return _binned(frame) if frame.target == "VESTA" else frame
+    return _binned(frame) if frame.body.name == "VESTA" else frame
 
 
 def _binned(frame: Frame) -> Frame:
@@ -351,7 +359,7 @@ def scaled(shape: Shape, factor: float) -> Shape:
 def reshaped(frame: Frame, data: Path) -> Frame:
     """Told another body of the same size: Vesta where a planet is, Saturn where Vesta is."""
     saturn = Ellipsoid(radii_km=np.array([60268.0, 60268.0, 54364.0]), name="Saturn")
-    other = saturn if frame.target == "VESTA" else load_shape(data / "shapes" / "vesta_5002.ply")
+    other = saturn if frame.body.name == "VESTA" else load_shape(data / "shapes" / "vesta_5002.ply")
     return replace(frame, shape=scaled(other, frame.shape.mean_radius_km / other.mean_radius_km))
 
 

@@ -186,6 +186,8 @@ ATMOSPHERES = MappingProxyType(
         "EARTH": Atmosphere(scale_height_km=7.0, optical_depth=0.098, sigma_km=7.0, exponent=4.06),
         "MARS": Atmosphere(scale_height_km=11.6, optical_depth=0.6, sigma_km=12.0),
         "VENUS": Atmosphere(scale_height_km=2.2, optical_depth=0.01, sigma_km=4.0, base_km=82.5),
+        "JUPITER": Atmosphere.at(80.0, sigma_km=30.0),
+        "SATURN": Atmosphere.at(100.0, sigma_km=40.0),
         "TITAN": Atmosphere(scale_height_km=65.0, optical_depth=3.9, sigma_km=80.0, base_km=80.0, exponent=2.3),
     }
 )
@@ -197,6 +199,13 @@ square centimeter; the scale height is about the mean below 30 km. Clouds and mu
 0.6 % a day (Lemmon et al. 2004, abstract); seasons go below and far beyond. Venus: a vertical depth of 0.01 at 80 to
 85 km with a scale height of 1 to 3 km (Lane and Opstbaum 1983, abstract), above the solid surface. Titan: main haze
 above 80 km as the Huygens probe found it, by numbers that could not be looked up, so that the sigma is wide; the
-detached haze at 500 km in the ultraviolet is not in it. Of giant planets, whose radii are those of a pressure, none is
-here: give ``Atmosphere.at``.
+detached haze at 500 km in the ultraviolet is not in it.
+
+Of giant planets the radii are those of a pressure of 1 bar, and the limb is haze above the clouds, with sigmas that
+cover what lies between. Jupiter: clouds end near 0.2 bar, with haze of a vertical depth of 0.3 to 0.6 above (Kuehn and
+Beebe, Vertical structure of Jupiter's atmosphere at the Galileo probe entry latitude, abstract): with 19 km of scale
+height at 130 K rays that graze are dark from 31 km, and up to 120 km if haze is mixed with the gas. Saturn: hazes
+between 0.5 and 0.01 bar over 130 km (Sanchez-Lavega et al. 2020, abstract), which starts 34 km up. Scattering by
+hydrogen alone, a slant depth of 10 to 20 at 1 bar and 550 nm, has the limb at 3 to 3.6 scale heights, among these.
+Uranus and Neptune: give ``Atmosphere.at``.
 """

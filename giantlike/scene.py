@@ -22,6 +22,7 @@ from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris, light_path
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
+from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid, Shape
 from giantlike.terrain import HeightMap
 
@@ -36,7 +37,7 @@ class TargetUncertainty:
     """Standard deviations of what is given of a body; each is one error, the same in all images.
 
     The defaults are 0, for what is declared exact: no general value would be right for radii of the Moon, known to a
-    few meters, and for those of a body seen for the first time.
+    few meters, and for those of a body seen for the first time. Only markings are expected on every body.
 
     Parameters
     ----------
@@ -48,19 +49,24 @@ class TargetUncertainty:
         Error of the rotation about the body-fixed z axis.
     ephemeris_km : float, km
         Error of the predicted position, along each axis.
+    albedo : float
+        Relative standard deviation of the brightness of the surface about its law: markings. What they leave of the
+        light is then no other body, shape or Sun. 0.5 and more for clouds above sea.
 
     Raises
     ------
     InputError
-        A value is negative, or not small: 0.3 of the size, 0.5 rad.
+        A value is negative, or not small: 0.3 of the size, 0.5 rad; or the albedo is not in [0.01, 2].
     """
 
     scale: float = 0.0
     pole_rad: float = 0.0
     spin_rad: float = 0.0
     ephemeris_km: float = 0.0
+    albedo: float = 0.15
 
     def __post_init__(self) -> None:
+        require_number(self.albedo, "albedo", least=0.01, most=2.0)
         require_number(self.scale, "scale", least=0.0, most=0.3)
         require_number(self.pole_rad, "pole_rad", least=0.0, most=0.5)
         require_number(self.spin_rad, "spin_rad", least=0.0, most=0.5)
@@ -87,11 +93,15 @@ class Target(Value):
         Relief of an ellipsoid, with which estimators on limbs predict the outline; other estimators see the ellipsoid.
     atmosphere : Atmosphere, optional
         Haze by which the limb of an ellipsoid is seen above its surface, for estimators on limbs.
+    rings : Rings, optional
+        Rings in the equator of an ellipsoid. What they hide or shade is left out of limbs in cells and of the checks
+        that are made of every fix.
 
     Raises
     ------
     InputError
-        There is a height map or an atmosphere and the shape is no ellipsoid, or there are both: a limb is that of one.
+        There is a height map, an atmosphere or rings and the shape is no ellipsoid, or there are both of the first: a
+        limb is that of one.
     """
 
     name: str
@@ -101,11 +111,16 @@ class Target(Value):
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
     terrain: HeightMap | None = None
     atmosphere: Atmosphere | None = None
+    rings: Rings | None = None
 
     def __post_init__(self) -> None:
-        for name, part in (("terrain", self.terrain), ("an atmosphere", self.atmosphere)):
+        for name, part in (
+            ("terrain goes", self.terrain),
+            ("an atmosphere goes", self.atmosphere),
+            ("rings go", self.rings),
+        ):
             smooth = part is None or isinstance(self.shape, Ellipsoid)
-            require(smooth, f"{self.name}: {name} goes with an ellipsoid as shape, got a {type(self.shape).__name__}")
+            require(smooth, f"{self.name}: {name} with an ellipsoid as shape, got a {type(self.shape).__name__}")
         require(
             self.terrain is None or self.atmosphere is None,
             f"{self.name}: give either terrain or an atmosphere: the limb is seen at one of them",

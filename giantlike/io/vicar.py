@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +30,8 @@ _INTEGER = re.compile(r"[+-]?\d+")
 _INTEGER_SAMPLES = {"BYTE": "u1", "HALF": "i2", "WORD": "i2", "FULL": "i4", "LONG": "i4"}
 _REAL_BYTES = {"REAL": 4, "DOUB": 8}
 _SYSTEM = "SYSTEM"
+_RESAMPLED = "GEOM"
+"""Part of the names of the programs of VICAR that resample images: GEOMA, LGEOM, MGEOM."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +54,8 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
 
     Pixels that never reached the ground are zero in the file, and are masked: where the label counts
     ``MISSING_LINES``, the zeros of rows that are at least half zero; where it names a ``CUT_OUT_WINDOW``, rows
-    and columns of nothing but zeros.
+    and columns of nothing but zeros; where its history names a program that resampled the image (``GEOMA`` and others
+    of that name), zeros that are joined to the edge of the frame, where the old one ended.
 
     Parameters
     ----------
@@ -80,7 +84,7 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
     return DecodedImage(
         pixels=pixels,
         format="vicar",
-        mask=_never_received(pixels, names),
+        mask=_never_received(pixels, names) | _outside_of_old_frame(pixels, items),
         epoch=label_epoch(names, exposure_s),
         exposure_s=exposure_s,
         header=_header(items),
@@ -215,3 +219,14 @@ def _never_received(pixels: NDArray[Any], label: dict[str, HeaderValue]) -> Mask
     if "CUT_OUT_WINDOW" in label:
         mask |= empty.all(axis=1, keepdims=True) | empty.all(axis=0, keepdims=True)
     return mask
+
+
+def _outside_of_old_frame(pixels: NDArray[Any], items: list[LabelItem]) -> Mask:
+    """Mask (rows, columns) of zeros joined to the edge of a frame that was resampled."""
+    empty = np.asarray(pixels == 0)
+    if not any(_RESAMPLED in item.group for item in items):
+        return np.zeros_like(empty)
+    ringed = np.pad(empty, 1, constant_values=True).astype(np.uint8)
+    _, labels = cv2.connectedComponents(ringed, connectivity=4)
+    outside: Mask = labels[1:-1, 1:-1] == labels[0, 0]
+    return outside

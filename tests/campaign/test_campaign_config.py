@@ -117,13 +117,23 @@ def test_a_camera_may_be_a_preset_which_knows_the_order_of_its_rows(tmp_path: Pa
 def test_uncertainties_of_targets_and_a_priori_attitudes_are_turned_into_radians(tmp_path: Path) -> None:
     table = campaign_table()
     table["images"]["attitude_sigma_deg"] = 0.5
-    table["targets"][0]["uncertainty"] = {"scale": 1e-3, "pole_deg": 0.1, "spin_deg": 0.2, "ephemeris_km": 5.0}
+    sigmas = {"scale": 1e-3, "pole_deg": 0.1, "spin_deg": 0.2, "ephemeris_km": 5.0, "albedo": 0.5}
+    table["targets"][0]["uncertainty"] = sigmas
     campaign = Campaign.load(write(tmp_path, table))
     known = campaign.targets[0].uncertainty
-    found = [known.scale, known.pole_rad, known.spin_rad, known.ephemeris_km]
-    np.testing.assert_allclose(found, [1e-3, math.radians(0.1), math.radians(0.2), 5.0], rtol=1e-12)
+    found = [known.scale, known.pole_rad, known.spin_rad, known.ephemeris_km, known.albedo]
+    np.testing.assert_allclose(found, [1e-3, math.radians(0.1), math.radians(0.2), 5.0, 0.5], rtol=1e-12)
     assert campaign.apriori_covariance_rad2 is not None
     np.testing.assert_allclose(np.sqrt(np.diag(campaign.apriori_covariance_rad2)), math.radians(0.5), rtol=1e-12)
+
+
+def test_rings_are_taken_from_a_name_or_from_radii(tmp_path: Path) -> None:
+    table = campaign_table()
+    for given, outer_km in (("SATURN", 140_600.0), ({"inner_km": 2, "outer_km": 3.5}, 3.5)):
+        table["targets"][0]["rings"] = given
+        rings = Campaign.load(write(tmp_path, table)).targets[0].limb.rings
+        assert rings is not None
+        assert rings.outer_km == outer_km
 
 
 def test_a_height_map_is_found_and_opened_and_an_atmosphere_is_taken_from_its_name_or_numbers(tmp_path: Path) -> None:
@@ -269,6 +279,10 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
     (lambda t: t["targets"][0].update(atmosphere={"altitude_km": 5}), "expected altitude_km and sigma_km"),
     (lambda t: t["targets"][0].update(atmosphere={"altitude_km": "high", "sigma_km": 1}), "altitude_km must be"),
     (lambda t: t["targets"][0].update(terrain="none.img"), r"targets\[0\].terrain: "),
+    (lambda t: t["targets"][0].update(rings="EARTH"), "no rings of 'EARTH'"),
+    (lambda t: t["targets"][0].update(rings={"inner_km": 3}), "table of inner_km and outer_km"),
+    (lambda t: t["targets"][0].update(rings={"inner_km": 3, "outer_km": 2}), "inner < outer"),
+    (lambda t: t["targets"][0].update(shape="rock.obj", rings="SATURN"), "goes with an ellipsoid"),
     (lambda t: t["targets"][0].update(terrain="camera.toml", atmosphere="EARTH"), "either terrain or atmosphere"),
     (lambda t: t["targets"][0].update(shape="rock.obj", atmosphere="EARTH"), "goes with an ellipsoid"),
     (lambda t: t["targets"][0].update(shape=5), r"targets\[0\].shape: expected a mesh file or"),

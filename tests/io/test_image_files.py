@@ -564,6 +564,16 @@ def test_lines_that_were_never_received_are_masked(tmp_path: Path) -> None:
     assert not read_image_file(tmp_path / "a.img").mask.any()
 
 
+def test_zeros_around_a_frame_that_was_resampled_are_masked(tmp_path: Path) -> None:
+    pixels = np.full(SHAPE, 50, np.uint8)
+    pixels[:2], pixels[2, :3], pixels[:, -1], pixels[7, 7] = 0, 0, 0, 0
+    expected = pixels == 0
+    expected[7, 7] = False  # a dark pixel of the image
+    for task, masked in (("GEOMA", expected), ("COPY", np.zeros(SHAPE, bool))):
+        (tmp_path / "a.img").write_bytes(vicar(pixels, items=f"TASK='{task}'  USER='me'"))
+        assert_array_equal(read_image_file(tmp_path / "a.img").mask, masked)
+
+
 PDS3 = """PDS_VERSION_ID = PDS3
 /* a comment with KEY = VALUE */
 RECORD_TYPE = FIXED_LENGTH

@@ -28,7 +28,6 @@ pytestmark = pytest.mark.real_data
 RINGS_WOULD_BE_OFF = 0.05  # of the range: the A ring reaches to 2.3 radii, the gap between B and C to 1.5
 TRAJECTORY = 0.02  # predicted, a percent or so, and the height of a hazy limb
 SIGMAS = 5.0
-MOMENT_WITH_RINGS = 0.1  # of the radius: rings hide and add a tenth of the light
 
 
 @pytest.fixture(scope="module")
@@ -54,22 +53,18 @@ def test_rings_before_and_behind_saturn_are_not_taken_for_its_limb(cases: Any, d
             fix = estimator.estimate(case.image, case.camera, case.scene)
             assert isinstance(fix, PositionFix), fix
             assert abs(fix.range_km / case.range_km - 1.0) < RINGS_WOULD_BE_OFF
+            assert not fix.flags.suspect, fix.flags  # rings are told, and no light that nothing explains
     for estimator in (*limb_estimators(40.0), LimbMatching(), Moment()):
         refused = estimator.estimate(rings.image, rings.camera, rings.scene)
         assert isinstance(refused, Failure), refused
         assert refused.reason in (Reason.NO_LIMB, Reason.NO_SIGNAL, Reason.OUT_OF_FRAME)
 
 
-def test_the_center_of_brightness_of_saturn_is_off_by_its_rings_but_by_little(cases: Any, data_dir: Path) -> None:
+def test_saturn_whose_rings_reach_the_edge_of_the_image_has_no_center_of_brightness(cases: Any, data_dir: Path) -> None:
     case = next(iter(cases.voyager(data_dir)))
-    limb = limb_estimators(150.0)[0].estimate(case.image, case.camera, case.scene)
-    light = Moment(MomentOptions(search_px=150.0)).estimate(case.image, case.camera, case.scene)
-    assert isinstance(limb, PositionFix), limb
-    assert isinstance(light, CenterFix), light
-    error = light.center_px - limb.center_px
-    assert error @ np.linalg.solve(light.covariance_px2, error) < SIGMAS**2
-    radius_px = 317.0  # of the equator, by range and scale
-    assert np.linalg.norm(error) < MOMENT_WITH_RINGS * radius_px
+    refused = Moment(MomentOptions(search_px=150.0)).estimate(case.image, case.camera, case.scene)
+    assert isinstance(refused, Failure), refused
+    assert refused.reason is Reason.AMBIGUOUS
 
 
 def test_a_corner_of_europa_gives_its_position_as_uncertain_as_it_is(cases: Any, data_dir: Path) -> None:
@@ -78,6 +73,8 @@ def test_a_corner_of_europa_gives_its_position_as_uncertain_as_it_is(cases: Any,
     assert isinstance(fix, PositionFix), fix
     assert Quality.CUT_BY_FRAME in fix.flags
     assert Quality.SHORT_ARC in fix.flags
+    # a twelfth of the face: less than the unknowns of the checks, which must not believe how well they fit
+    assert not fix.flags & (Quality.UNEXPLAINED_LIGHT | Quality.WRONG_FIGURE | Quality.BLURRED | Quality.DISAGREEMENT)
     error = fix.center_px - case.center_px
     covariance = fix.covariance_px2 + case.sigma_px**2 * np.eye(2)
     assert error @ np.linalg.solve(covariance, error) < SIGMAS**2

@@ -40,8 +40,8 @@ from giantlike.relative import ESTIMATORS, EllipsoidCRA, EllipsoidCRAOptions, Es
 from giantlike.relative.horizon.cell_scan import HorizonScan
 from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.horizon.profile import ArcPlaces, HorizonArc, blur_width_px, horizon_arc, profile_table
-from giantlike.relative.horizon.rings import Rings
 from giantlike.relative.limb.fix import EdgeModel
+from giantlike.rings import Rings
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid
 from tests.limb_images import CAMERA, BodyImage, assert_sound, body_image, mean_nees_band
@@ -239,6 +239,30 @@ def test_rings_are_not_taken_for_a_limb() -> None:
     assert not area[rows, columns].any()
 
 
+def test_rings_that_a_target_has_are_no_light_that_nothing_explains() -> None:
+    saturn = Ellipsoid(radii_km=np.array([0.3, 0.3, 0.27]))
+    case = body_image(saturn, 183, phase_deg=25.0, radius_px=70.0).believed(off_px=(4.0, -3.0))
+    geometry = case.scene.geometry(case.image)
+    assert not isinstance(geometry, Failure)
+    rings = Rings(0.36, 0.65)
+    rows, columns = np.indices(case.image.pixels.shape)
+    covered = rings.seen_or_shading(
+        case.camera.model.unproject(np.stack([columns, rows], axis=-1).astype(float)),
+        saturn.radii_km,
+        case.position_camera_km,
+        geometry.camera_from_body,
+        sun_direction_camera=geometry.sun_direction_camera,
+    )
+    pixels = np.where(covered, 2200, case.image.pixels).astype(np.uint16)
+    ringed = replace(case, image=replace(case.image, pixels=pixels))
+    assert Quality.UNEXPLAINED_LIGHT in fixed(ringed).flags
+    target = replace(case.scene.targets[0], rings=rings)
+    fix = SigmoidLimb().estimate(ringed.image, case.camera, replace(case.scene, targets=(target,)))
+    assert isinstance(fix, PositionFix), fix
+    assert not fix.flags.suspect, fix.flags
+    assert_sound(ringed, fix, sigma_px=3.0 * SIGMA_PX, sigma_range=3.0 * SIGMA_RANGE)
+
+
 def test_a_ring_hides_and_shades_what_lies_behind_it() -> None:
     rings = Rings(2.0, 3.0)
     points = np.array([[0.0, -1.0, 10.0], [0.0, 1.0, 10.0]])
@@ -253,6 +277,36 @@ def test_a_ring_hides_and_shades_what_lies_behind_it() -> None:
     assert not Rings(20.0, 30.0).hide(points, np.array([0.0, 0.0, 10.0]), tilted, sun_direction_camera=overhead).any()
     with pytest.raises(InputError, match="inner < outer"):
         Rings(3.0, 2.0)
+    with pytest.raises(InputError, match="no rings of 'MARS'"):
+        Rings.of("MARS")
+
+
+def test_lines_of_sight_to_rings_and_into_their_shadow_are_those_of_small_steps_along_them() -> None:
+    rings, center, radii = Rings(1.3, 2.0), np.array([0.5, -0.2, 12.0]), np.array([1.0, 1.0, 0.9])
+    turn, sun = Rotation.from_euler("xz", [65.0, 20.0], degrees=True), np.array([0.5, 0.4, -0.768])
+    sun /= np.linalg.norm(sun)
+    rng = np.random.default_rng(5)
+    rays = center + rng.uniform(-2.2, 2.2, (300, 3)) * [1.0, 1.0, 0.0]
+    steps = np.linspace(0.0, 4.0, 4001)[:, None]
+
+    def met(start: Float, direction: Float) -> tuple[bool, Float | None]:
+        """Whether a half-line meets the rings before the body, and where it meets the body."""
+        path = rotate(turn.inv(), start + steps * direction - center)
+        inside = np.sum((path / radii) ** 2, axis=1) < 1.0
+        first = int(np.argmax(inside)) if inside.any() else len(path)
+        out = np.linalg.norm(path[:first, :2], axis=1)
+        crossed = np.diff(np.sign(path[:first, 2])) != 0
+        at = start + steps[max(first - 1, 0)] * direction if inside.any() else None
+        return bool((crossed & (out[1:] > rings.inner_km) & (out[1:] < rings.outer_km)).any()), at
+
+    expected = []
+    for ray in rays:
+        direction = ray / np.linalg.norm(ray)
+        before, surface = met(direction * (np.linalg.norm(center) - 2.5), direction * 1.25)
+        expected.append(before or (surface is not None and met(surface + 0.01 * sun, sun)[0]))
+    found = rings.seen_or_shading(rays, radii, center, turn, sun_direction_camera=sun)
+    assert 0.1 < np.mean(expected) < 0.6
+    assert np.mean(found != expected) < 0.02  # rays within a step of an edge
 
 
 # --- altitude ---------------------------------------------------------------------------------------------------

@@ -143,7 +143,7 @@ class TargetSetup:
         NAIF name and body-fixed frame.
     uncertainty : TargetUncertainty
     limb : LimbSetup
-        Height map and atmosphere.
+        Height map, atmosphere and rings.
     """
 
     name: str
@@ -482,6 +482,7 @@ def _uncertainty(section: TargetSection) -> TargetUncertainty:
         pole_rad=known.pole_deg * RAD_PER_DEG,
         spin_rad=known.spin_deg * RAD_PER_DEG,
         ephemeris_km=known.ephemeris_km,
+        albedo=known.albedo,
     )
 
 

@@ -1,4 +1,4 @@
-"""What a campaign file tells of the limbs of its targets: height maps and atmospheres."""
+"""What a campaign file tells of the limbs of its targets: height maps, atmospheres and rings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from giantlike.atmosphere import Atmosphere
 from giantlike.campaign.file.schema import Radii, TargetSection
 from giantlike.core.arrays import require
+from giantlike.rings import Rings
 from giantlike.terrain import HeightMap
 
 
@@ -23,11 +24,13 @@ class LimbSetup:
     terrain_sigma_km : float or None, km
         Of its heights, where it is not that of the file.
     atmosphere : Atmosphere or None
+    rings : Rings or None
     """
 
     terrain: Path | None = None
     terrain_sigma_km: float | None = None
     atmosphere: Atmosphere | None = None
+    rings: Rings | None = None
 
     @classmethod
     def of(cls, section: TargetSection, where: str, shape: str | Radii, terrain: Path | None) -> LimbSetup:
@@ -52,12 +55,17 @@ class LimbSetup:
         InputError
             The shape is a mesh, or there are both a map and an atmosphere.
         """
-        for key, given in (("terrain", terrain), ("atmosphere", section.atmosphere)):
+        for key, given in (("terrain", terrain), ("atmosphere", section.atmosphere), ("rings", section.rings)):
             smooth = given is None or not isinstance(shape, str)
             require(smooth, f"{where}.{key}: goes with an ellipsoid as shape, got the mesh {shape!r}")
         one = terrain is None or section.atmosphere is None
         require(one, f"{where}: give either terrain or atmosphere: the limb is seen at one of them")
-        return cls(terrain=terrain, terrain_sigma_km=section.terrain_sigma_km, atmosphere=section.atmosphere)
+        return cls(
+            terrain=terrain,
+            terrain_sigma_km=section.terrain_sigma_km,
+            atmosphere=section.atmosphere,
+            rings=section.rings,
+        )
 
     def height_map(self) -> HeightMap | None:
         """Open the height map, once in a process.

@@ -19,6 +19,7 @@ from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.toml_file import Section
 from giantlike.core.errors import InputError
 from giantlike.processing.detection.options import DetectionOptions
+from giantlike.rings import Rings
 from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferMethod
 
@@ -46,6 +47,23 @@ def _checked_shape(value: object) -> str | Radii | None:
     return float(radii[0]), float(radii[1]), float(radii[2])
 
 
+def _checked_rings(value: object) -> Rings | None:
+    """Name of a body, or two radii."""
+    if value is None or isinstance(value, Rings):
+        return value
+    if isinstance(value, str):
+        return Rings.of(value)
+    if not isinstance(value, Mapping) or set(value) != {"inner_km", "outer_km"}:
+        raise InputError(f"expected the name of a body or a table of inner_km and outer_km, got {value!r}")
+    return Rings(*(_checked_number(key, value[key]) for key in ("inner_km", "outer_km")))
+
+
+def _checked_number(key: object, number: object) -> float:
+    if isinstance(number, bool) or not isinstance(number, int | float):
+        raise InputError(f"{key} must be a number, got {number!r}")
+    return float(number)
+
+
 def _checked_atmosphere(value: object) -> Atmosphere | None:
     """Name of a body, an altitude, or all numbers of an atmosphere."""
     if value is None or isinstance(value, Atmosphere):
@@ -54,10 +72,7 @@ def _checked_atmosphere(value: object) -> Atmosphere | None:
         return Atmosphere.of(value)
     if not isinstance(value, Mapping):
         raise InputError(f"expected the name of a body or a table, got {value!r}")
-    for key, number in value.items():
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            raise InputError(f"{key} must be a number, got {number!r}")
-    table = {str(key): float(number) for key, number in value.items()}
+    table = {str(key): _checked_number(key, number) for key, number in value.items()}
     if set(table) == {"altitude_km", "sigma_km"}:
         return Atmosphere.at(table["altitude_km"], sigma_km=table["sigma_km"])
     names = {one.name for one in dataclasses.fields(Atmosphere)}
@@ -254,6 +269,8 @@ class UncertaintySection(Section):
     """Error of the rotation about the body-fixed z axis, deg."""
     ephemeris_km: float = Field(default=0.0, ge=0)
     """Error of the predicted position along each axis, km; part of observed less computed, not of the fix."""
+    albedo: float = Field(default=0.15, ge=0.01, le=2.0)
+    """Brightness of the surface about its law: markings, clouds (0.5). What they leave of the light raises no flag."""
 
 
 class TargetSection(BodySection):
@@ -270,9 +287,12 @@ class TargetSection(BodySection):
     terrain_sigma_km: float | None = Field(default=None, ge=0, le=100)
     """One sigma of the heights of the map over wide areas, km; that of the file, else 0."""
     atmosphere: Annotated[Atmosphere | None, PlainValidator(_checked_atmosphere)] = None
-    """Altitude at which the limb of an ellipsoid is seen: `"EARTH"`, `"MARS"`, `"VENUS"` or `"TITAN"`, a known
-    `{ altitude_km = 25, sigma_km = 3 }`, or `{ scale_height_km, optical_depth, sigma_km, base_km, reference_nm,
-    exponent, wavelength_nm }` ([terrain](terrain.md))."""
+    """Altitude at which the limb of an ellipsoid is seen: `"EARTH"`, `"MARS"`, `"VENUS"`, `"JUPITER"`, `"SATURN"`
+    or `"TITAN"`, a known `{ altitude_km = 25, sigma_km = 3 }`, or `{ scale_height_km, optical_depth, sigma_km, base_km,
+    reference_nm, exponent, wavelength_nm }` ([terrain](terrain.md))."""
+    rings: Annotated[Rings | None, PlainValidator(_checked_rings)] = None
+    """Rings in the equator of an ellipsoid, whose light and shadow are no part of it: `"SATURN"`, or
+    `{ inner_km, outer_km }` ([terrain](terrain.md))."""
 
 
 class ReportSection(Section):

@@ -210,6 +210,7 @@ def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | Spice
         uncertainty=target.uncertainty,
         terrain=target.limb.height_map(),
         atmosphere=target.limb.atmosphere,
+        rings=target.limb.rings,
     )
 
 

@@ -29,7 +29,6 @@ from giantlike.relative.horizon.clipped_disk import measure_clipped
 from giantlike.relative.horizon.geometry import Altitude, Figure
 from giantlike.relative.horizon.good_cells import CellRules, NoCells, good_cells
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
-from giantlike.relative.horizon.rings import Rings
 from giantlike.relative.limb.fix import (
     PATIENCE,
     EdgeModel,
@@ -41,7 +40,8 @@ from giantlike.relative.limb.fix import (
     settle_limb,
 )
 from giantlike.relative.quality import LEAST_USED_SHARE
-from giantlike.scene import TargetGeometry
+from giantlike.rings import Rings
+from giantlike.scene import Target, TargetGeometry
 
 _COARSE_POINTS = 120
 """Points for the search of the horizon as a whole."""
@@ -105,7 +105,8 @@ class HorizonScan(ScanOptions):
         better: told 30 % too wide or narrow at 30 to 300 px, squared errors are 0.6-1.1 per degree of freedom with 0.1
         to 0.4 here, and sigmas change by 2 %; with 0.05 they reach 2.2.
     rings_km : (float, float), optional
-        Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out.
+        Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out. Without them,
+        those of the target.
     """
 
     cell_px: float = 7.0
@@ -122,6 +123,24 @@ class HorizonScan(ScanOptions):
             require(len(self.rings_km) == 2, f"rings_km must be an inner and an outer radius, got {self.rings_km}")
             object.__setattr__(self, "rings_km", tuple(float(radius) for radius in self.rings_km))
             Rings(*self.rings_km)  # checks the values
+
+    def about(self, target: Target) -> HorizonScan:
+        """Return the options with the rings of a target, where they tell none.
+
+        Parameters
+        ----------
+        target : Target
+
+        Returns
+        -------
+        HorizonScan
+        """
+        rings = target.rings
+        return (
+            self
+            if rings is None or self.rings_km is not None
+            else replace(self, rings_km=(rings.inner_km, rings.outer_km))
+        )
 
     @property
     def powers(self) -> int:

@@ -185,7 +185,7 @@ def _fitted(
     view, altitude, law = limb_view(inputs), options.altitude(inputs.geometry), inputs.geometry.target.reflectance
     figure, start_km = altitude.above(stand_in.figure), stand_in.position_camera_km
     if isinstance(inputs.geometry.target.shape, Ellipsoid) and inputs.geometry.target.terrain is None:
-        measured = measure_by_cells(view, figure, law, start_km, options, options.horizon)
+        measured = measure_by_cells(view, figure, law, start_km, options, options.horizon.about(inputs.geometry.target))
     else:
         body = Body(
             shape=Ellipsoid(radii_km=figure.radii_km),

@@ -94,7 +94,9 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
         altitude = self.options.altitude(geometry)
         figure = altitude.above(Figure(radii_km=shape.radii_km, camera_from_axes=geometry.camera_from_body))
         law, start_km = geometry.target.reflectance, geometry.position_camera_km
-        measured = measure_by_cells(view, figure, law, start_km, self.options, self.options.scan)
+        measured = measure_by_cells(
+            view, figure, law, start_km, self.options, self.options.scan.about(inputs.geometry.target)
+        )
         if isinstance(measured, Failure):
             return measured
         measured = with_terrain(measured, inputs, self.options.outlier_mad, slope_error=CELL_SLOPE_ERROR)

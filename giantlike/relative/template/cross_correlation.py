@@ -40,8 +40,9 @@ _MAX_UNUSABLE_LIGHT = 0.5
 """Light on saturated or bad pixels above which there is no fit. Half and double: benchmarks/sensitivity.md."""
 _LOW_SCORE = 0.7
 """Correlation of the fitted template below which it is flagged. Half and double: benchmarks/sensitivity.md."""
-_LARGE_CHI, _LARGE_RESIDUAL = 2.0, 0.125
-"""Residuals over noise, and those beyond noise over the light, that are large where both are exceeded: bright bodies
+_LARGE_CHI, _LARGE_RESIDUAL = 2.0, 0.125 / 0.15
+"""Residuals over noise, and those beyond noise over the light and its declared albedo, that are large where both are
+exceeded: bright bodies
 exceed their noise wherever the model is not exact, and faint ones differ by much from noise alone. Exact models leave
 0.02-0.03 of the light, albedo of 15 % 0.06-0.13, unlisted relief of 1 % 0.07-0.08 up to 90 deg of phase, and the
 covariance holds; relief at 125 deg leaves 0.13-0.18, and the range is then wrong by 3 of its sigmas."""
@@ -382,6 +383,7 @@ def _flags(
     beyond = max(1.0 - 1.0 / max(fit.chi, 1e-12) ** 2, 0.0)
     unexplained = float(np.linalg.norm(fit.residuals_dn[seen]) / np.linalg.norm(signal)) * math.sqrt(beyond)
     n_used = int(fit.used.sum())
+    large = _LARGE_RESIDUAL * inputs.geometry.target.uncertainty.albedo
     checks = QualityChecks(
         off_px=fit.state.center_px - inputs.predicted_px,
         search_px=options.search_px,
@@ -390,7 +392,7 @@ def _flags(
         bounded=True,
         n_used=n_used,
         n_offered=n_used + fit.n_rejected,
-        residuals=min(fit.chi / _LARGE_CHI, unexplained / _LARGE_RESIDUAL),
+        residuals=min(fit.chi / _LARGE_CHI, unexplained / large),
         weakness=max(_LOW_SCORE / fit.score, _overexposure(blocks, match, lit & within) / _MOST_OVEREXPOSED),
         cut_by_frame=bool((lit & ~within).any()),
     )

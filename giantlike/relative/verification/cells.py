@@ -93,6 +93,12 @@ class Cells(Value):
         side = self.box.width - 2 * self.room
         return PixelBox(x=self.box.x + self.room, y=self.box.y + self.room, width=side, height=side)
 
+    def sights(self) -> Float:
+        """Lines of sight (n, n, 3) through the middles of the cells, camera axes."""
+        rows, columns = np.mgrid[: self.box.height, : self.box.width]
+        middles = np.stack([columns + self.box.x, rows + self.box.y], axis=-1).astype(np.float64)
+        return self.camera.model.unproject(middles)
+
     def cropped(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return what lies in :attr:`inner` of an array (n, n) of the whole region."""
         within = slice(self.room, self.box.width - self.room)

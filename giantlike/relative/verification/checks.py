@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypedDict, TypeVar, runtime_checkable
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +21,8 @@ from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.rival import rival_log_odds
+from giantlike.rings import Rings
+from giantlike.shapes import Ellipsoid
 
 if TYPE_CHECKING:
     from giantlike.relative.estimator import EstimatorInputs
@@ -174,7 +177,9 @@ def _image_numbers(fix: CenterFix, coarse: _Coarse, inputs: EstimatorInputs, sea
     if side is not None:
         numbers["light_log_odds"] = side.log_odds
     if side is not None or not cells.has_face:
-        numbers["rival_log_odds"] = rival_log_odds(cells, own, inputs.predicted_px, search_px)
+        numbers["rival_log_odds"] = rival_log_odds(
+            cells, own, inputs.predicted_px, search_px, inputs.geometry.target.uncertainty.albedo
+        )
     if coarse.fit is not None:
         numbers.update(_fit_numbers(fix, coarse.fit, psf_known=inputs.psf_sigma_px is not None))
     return numbers
@@ -243,12 +248,29 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None
     room_px = search_px + float(np.max(np.abs(off_px)))
     good = ~inputs.masked
     cells = cells_around(inputs.pixels_dn, good, inputs.saturated, inputs.camera, body, room_px=room_px)
+    if cells is not None and inputs.geometry.target.rings is not None:
+        cells = _without_rings(cells, inputs.geometry.target.rings, body, inputs.geometry.sun_direction_camera)
     trace = None if cells is None else cells.trace(body, inputs.geometry.sun_direction_camera)
     own = None if cells is None or trace is None else cells.render(trace)
     if cells is None or trace is None or own is None:
         return None
-    fit = fit_cells(cells, trace, own, turn_rad=_turn_rad(inputs)) if cells.has_face else None
+    albedo = inputs.geometry.target.uncertainty.albedo
+    fit = fit_cells(cells, trace, own, albedo=albedo, turn_rad=_turn_rad(inputs)) if cells.has_face else None
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
+
+
+def _without_rings(cells: Cells, rings: Rings, body: Body, sun_direction_camera: Float) -> Cells:
+    """Cells without those on which rings of an ellipsoid lie, or their shadow, and without the cells beside these."""
+    assert isinstance(body.shape, Ellipsoid)
+    covered = rings.seen_or_shading(
+        cells.sights(),
+        body.shape.radii_km,
+        body.position_camera_km,
+        body.camera_from_body,
+        sun_direction_camera=sun_direction_camera,
+    )
+    free = ~cv2.dilate(covered.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    return replace(cells, good=cells.good & free, fresh=cells.fresh & free)
 
 
 def _turn_rad(inputs: EstimatorInputs) -> float:

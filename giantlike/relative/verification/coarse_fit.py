@@ -12,8 +12,6 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
 from giantlike.relative.verification.cells import BLOCK, Cells
 
-ALBEDO = 0.15
-"""Standard deviation of the brightness of a surface about its law: markings of 15 %, as in ``benchmarks/stress.py``."""
 _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
 """Standard deviation of a limb or a terminator about those of the model: relief of 1 % of the radius, and px, for the
 point spread function."""
@@ -117,7 +115,7 @@ class _Design(Value):
     slope: Float
 
 
-def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.0) -> CoarseFit | None:
+def fit_cells(cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_rad: float = 0.0) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the place to the cells around a body.
 
     Parameters
@@ -127,6 +125,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         Of the body at the place found.
     own : Template
         The body under its law.
+    albedo : float
+        Standard deviation of the brightness of its surface about its law.
     turn_rad : float, rad
         Standard deviation of the orientation of the body, about any axis.
 
@@ -142,7 +142,7 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, turn_rad: float = 0.
         return None
     values, noise = cells.cropped(cells.values), cells.cropped(cells.variance)
     gain = _first_gain(values, design.own, fresh)
-    relative_sigma, edge = _model_sigma(design, turn_rad, cells)
+    relative_sigma, edge = _model_sigma(design, albedo, turn_rad, cells)
     flat = design.columns.reshape(len(design.columns), -1)
     for _ in range(_ITERATIONS):
         model_sigma = gain * relative_sigma
@@ -264,11 +264,11 @@ def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float) -> Float:
     return np.where(edge, _LONG_WAVES * rim, face)
 
 
-def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
+def _model_sigma(design: _Design, albedo: float, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
     """Standard deviation (n, n) of the errors of the model over the gain by cell, and where edges are most of it."""
     from scipy.ndimage import gaussian_filter
 
-    markings = ALBEDO * gaussian_filter(design.own, _AROUND * cells.radius)
+    markings = albedo * gaussian_filter(design.own, _AROUND * cells.radius)
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
     wings, floor = _WINGS * _scattered(design.own, cells), _FLOOR * float(design.own.max())
     face = markings**2 + wings**2 + floor**2

@@ -9,7 +9,6 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing import Template
 from giantlike.relative.verification.cells import BLOCK, Cells
-from giantlike.relative.verification.coarse_fit import ALBEDO
 from giantlike.relative.verification.shifts import ShiftedMatches
 
 _APART, _APART_BLUR = 1.0, 4.0
@@ -21,11 +20,9 @@ _LEAST_SIGMAS = 6.0
 """Light at another place, standard deviations of the noise, below which it may be noise: one of some 10^4 places."""
 _CORE = 4.0 * math.pi
 """Area of a point spread function, squares of its standard deviation: what its pixels tell of a smaller body."""
-_LEAST_LEFT = ALBEDO**2
-"""Share of the variance that markings leave of a right model: a place that leaves less is no better for it."""
 
 
-def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: float) -> float:
+def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: float, albedo: float) -> float:
     """Logarithm of the odds for the best other place in the search region.
 
     Parameters
@@ -38,6 +35,9 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
         Place predicted, in the pixels of the image.
     search_px : float, px
         Largest error of the prediction, in both coordinates.
+    albedo : float
+        Standard deviation of the brightness of the surface of the body about its law. Of a right model it leaves its
+        square of the variance: a place that leaves less is no better for it.
 
     Returns
     -------
@@ -63,5 +63,5 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
         return -math.inf
     seen = float(cells.place(own.coverage, own)[cells.cropped(cells.good)].sum())
     parts = min(seen / (BLOCK * cells.radius) ** 2, seen + _CORE * cells.blur**2)
-    left, left_there = (max(1.0 - float(share[where].max()), _LEAST_LEFT) for where in (here, away))
+    left, left_there = (max(1.0 - float(share[where].max()), albedo**2) for where in (here, away))
     return 0.5 * parts * math.log(left / left_there)

@@ -1,9 +1,10 @@
-"""Rings in the equator of a body: which limb they hide or darken, and which pixels they cover."""
+"""Rings in the equator of a body: which of its limb and face they hide or darken, and which pixels they cover."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -25,6 +26,16 @@ class Rings:
     ----------
     inner_km, outer_km : float, km
         Radii.
+
+    Raises
+    ------
+    InputError
+        The radii are not positive, finite and in this order.
+
+    Examples
+    --------
+    >>> Rings.of("SATURN").inner_km
+    74491.0
     """
 
     inner_km: float
@@ -35,6 +46,28 @@ class Rings:
             math.isfinite(self.outer_km) and 0.0 < self.inner_km < self.outer_km,
             f"rings need 0 < inner < outer radius in km, got {self.inner_km:g} and {self.outer_km:g}",
         )
+
+    @classmethod
+    def of(cls, body: str) -> Rings:
+        """Rings of a body that are known: those of :data:`RINGS_KM`.
+
+        Parameters
+        ----------
+        body : str
+            NAIF name.
+
+        Returns
+        -------
+        Rings
+
+        Raises
+        ------
+        InputError
+            None are known of that name.
+        """
+        known = ", ".join(RINGS_KM)
+        require(body.upper() in RINGS_KM, f"no rings of {body!r} are known, only of {known}: give their radii")
+        return cls(*RINGS_KM[body.upper()])
 
     def hide(
         self, points_km: Float, center_km: Float, camera_from_axes: Rotation, *, sun_direction_camera: Float
@@ -92,6 +125,53 @@ class Rings:
         result: Mask = grown > 0
         return result
 
+    def seen_or_shading(
+        self,
+        rays_camera: Float,
+        radii_km: Float,
+        center_km: Float,
+        camera_from_axes: Rotation,
+        *,
+        sun_direction_camera: Float,
+    ) -> Mask:
+        """Find the lines of sight that meet the rings, or an ellipsoid in their shadow.
+
+        Parameters
+        ----------
+        rays_camera : (..., 3) float64, unitless, camera axes
+            Lines of sight; NaN where there is none.
+        radii_km : (3,) float64, km
+            Of the ellipsoid, along its principal axes.
+        center_km : (3,) float64, km, camera axes
+            Its position.
+        camera_from_axes : Rotation
+            Takes vectors along the principal axes to camera axes.
+        sun_direction_camera : (3,) float64, unitless, camera axes
+            Unit vector from body to Sun.
+
+        Returns
+        -------
+        (...) bool
+            Rings behind the body are not seen.
+        """
+        rays = rays_camera.reshape(-1, 3)
+        to_axes = camera_from_axes.inv()
+        eye, sights = rotate(to_axes, -center_km), rotate(to_axes, rays)
+        # |(eye + t sight) / radii| = 1
+        start, along = eye / radii_km, sights / radii_km
+        square, half = np.sum(along**2, axis=1), along @ start
+        root2 = half**2 - square * float(start @ start - 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            hit = root2 > 0.0
+            depth = np.where(hit, (-half - np.sqrt(np.maximum(root2, 0.0))) / square, np.inf)
+            crossing = -eye[2] / sights[:, 2]
+            radius = np.linalg.norm((eye + crossing[:, None] * sights)[:, :2], axis=1)
+        seen = (crossing > 0.0) & (crossing < depth) & (radius > self.inner_km) & (radius < self.outer_km)
+        surface = eye + np.where(hit, depth, 0.0)[:, None] * sights
+        toward_sun = np.broadcast_to(rotate(to_axes, sun_direction_camera), surface.shape)
+        result: Mask = (seen | (hit & self._crossed(surface, toward_sun))).reshape(rays_camera.shape[:-1])
+        return result
+
     def _crossed(self, points: Float, directions: Float) -> Mask:
         """True for half-lines from points (n, 3) along directions (n, 3), principal axes, that meet the annulus."""
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -100,3 +180,11 @@ class Rings:
         radius = np.linalg.norm(meets[:, :2], axis=1)
         result: Mask = (length > 0.0) & (radius > self.inner_km) & (radius < self.outer_km)
         return result
+
+
+RINGS_KM = MappingProxyType({"SATURN": (74_491.0, 140_600.0)})
+"""Inner and outer radius, km, of rings that hide what is behind them, by NAIF name.
+
+Saturn: from the inner edge of the C ring (PDS Ring-Moon Systems Node, Vital Statistics for Saturn's Rings and Inner
+Satellites) to the F ring (its distance in tables of the Voyager results), which encloses the A ring.
+"""
