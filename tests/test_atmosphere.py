@@ -50,16 +50,17 @@ def test_an_altitude_alone_is_a_sharp_limb() -> None:
 
 
 def test_every_known_atmosphere_has_a_limb_above_its_base_and_a_sigma_of_a_scale_height() -> None:
-    radii = {"EARTH": 6371.0, "MARS": 3390.0, "VENUS": 6052.0, "TITAN": 2575.0}
+    radii = {"EARTH": 6371.0, "MARS": 3390.0, "VENUS": 6052.0, "TITAN": 2575.0, "JUPITER": 69911.0, "SATURN": 58232.0}
     assert set(ATMOSPHERES) == set(radii)
     for name, air in ATMOSPHERES.items():
-        assert air.limb_altitude_km(radii[name]) > air.base_km
+        assert air.limb_altitude_km(radii[name]) >= air.base_km
+        assert 0.0 < air.limb_altitude_km(radii[name]) < 0.2 * radii[name]
         assert air.sigma_km >= 0.9 * air.scale_height_km
 
 
 def test_numbers_that_make_no_sense_and_bodies_that_are_not_known_are_refused() -> None:
-    with pytest.raises(InputError, match="JUPITER"):
-        Atmosphere.of("JUPITER")
+    with pytest.raises(InputError, match="NEPTUNE"):
+        Atmosphere.of("NEPTUNE")
     with pytest.raises(InputError, match="scale_height_km"):
         Atmosphere(scale_height_km=-1.0, optical_depth=1.0, sigma_km=1.0)
     with pytest.raises(InputError, match="wavelength_nm"):
