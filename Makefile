@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-all check docs wheel clean
+.PHONY: demo test test-all check docs notebooks wheel clean
 demo: $(VENV)/installed
 	$(BIN)/giantlike demo --output demo-output
 
@@ -23,6 +23,9 @@ check: $(VENV)/installed-dev
 docs: $(VENV)/installed-dev
 	$(BIN)/sphinx-build -q -W --keep-going -c docs . docs/_build/html
 	@echo docs/_build/html/index.html
+
+notebooks: $(VENV)/installed-dev
+	$(BIN)/python docs/store_notebooks.py
 
 wheel: $(VENV)/installed-dev
 	$(BIN)/python -m build

@@ -6,6 +6,7 @@ from giantlike.calibration.alignment import AlignmentResult, align, interlock
 from giantlike.calibration.boards import board_observations
 from giantlike.calibration.calibrate import calibrate
 from giantlike.calibration.criteria import CalibrationCriteria
+from giantlike.calibration.field_map import FieldMap, map_difference
 from giantlike.calibration.observations import ImageObservations, collimator_directions
 from giantlike.calibration.options import CalibrationOptions
 from giantlike.calibration.result import CalibrationResult
@@ -17,6 +18,7 @@ __all__ = [
     "CalibrationCriteria",
     "CalibrationResult",
     "CalibrationOptions",
+    "FieldMap",
     "ImageObservations",
     "align",
     "board_observations",
@@ -25,6 +27,7 @@ __all__ = [
     "collimator_directions",
     "identify_first",
     "interlock",
+    "map_difference",
     "observations_of_fix",
 ]
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.calibration.observability import ParameterSupport
+from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.display import Pictured
 from giantlike.core.values import Value
 
 
@@ -82,7 +84,7 @@ class RejectedObservation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CalibrationResult(Value):
+class CalibrationResult(Pictured, Value):
     """A calibrated camera model with its covariance, residuals and diagnostics.
 
     Parameters
@@ -150,6 +152,14 @@ class CalibrationResult(Value):
     rounds: int
     provenance: Mapping[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        verdict = "accepted" if self.accepted else f"not accepted: {self.problems[0]}"
+        return (
+            f"CalibrationResult({verdict}, {type(self.model).__name__}, {len(self.estimated)} parameters from "
+            f"{self.n_used} observations of {len(self.images)} images, rms {self.rms_px:.3g} px, "
+            f"map known to {self.map_sigma_px.max():.2g} px)"
+        )
+
     @property
     def accepted(self) -> bool:
         """True if every criterion is met."""
@@ -202,6 +212,27 @@ class CalibrationResult(Value):
         sigma = np.sqrt(np.diag(self.covariance))
         result: Float = self.covariance / np.outer(sigma, sigma)
         return result
+
+    def camera_from(self, camera: Camera) -> Camera:
+        """Return a camera with the model of this calibration and its covariance.
+
+        Parameters
+        ----------
+        camera : Camera
+            Camera before the calibration; its name, PSF and detector are kept.
+
+        Returns
+        -------
+        Camera
+        """
+        uncertainty = ModelUncertainty(
+            estimated=self.estimated,
+            covariance=self.covariance,
+            residual_sigma_px=self.residual_sigma_px,
+            n_observations=self.n_used,
+            n_images=sum(image.n_used > 0 for image in self.images),
+        )
+        return replace(camera, model=self.model, uncertainty=uncertainty)
 
     def unwrap(self) -> CalibrationResult:
         """Return the calibration itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.

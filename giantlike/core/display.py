@@ -84,7 +84,7 @@ class Pictured:
         Parameters
         ----------
         axes : matplotlib Axes, optional
-            Default: those of a new figure.
+            Default: those of a new figure of pyplot, which a notebook shows below the cell.
         **options
             Of the painter, see docs/notebooks.md.
 
@@ -92,6 +92,10 @@ class Pictured:
         -------
         matplotlib Axes
         """
+        from matplotlib import pyplot
+
+        # loads the backend, which within the style of a painter would forget that it is that of a notebook
+        pyplot.draw_if_interactive()  # type: ignore[no-untyped-call]
         return painter_of(type(self))(self, axes, **options)
 
     def _repr_html_(self) -> str:
@@ -99,10 +103,14 @@ class Pictured:
         import html
         import io
 
+        from matplotlib import pyplot
+        from matplotlib.figure import Figure
+
         buffer = io.BytesIO()
         figure = self.plot().get_figure(root=True)
-        assert figure is not None
+        assert isinstance(figure, Figure)
         figure.savefig(buffer, format="png", dpi=72)
+        pyplot.close(figure)  # a notebook would show it a second time
         picture = base64.b64encode(buffer.getvalue()).decode("ascii")
         caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
         return f'<figure><img src="data:image/png;base64,{picture}">{caption}</figure>'

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from giantlike.calibration import CalibrationResult
 from giantlike.camera import Camera
 from giantlike.camera_models.convert import frame_grid
+from giantlike.core.arrays import Float
 from giantlike.core.display import paints
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
 from giantlike.image import Image
@@ -24,6 +26,8 @@ _NODES = 41
 """Points along the longer side of the frame between which lines of equal angle are drawn."""
 _MARGIN_PX = 12.0
 """Around a body, px."""
+_MOST_ARROWS = 500
+"""More hide one another in a figure of :data:`_SIDE_IN`."""
 _ARROW_SHARE = 1 / 22
 """Length of the arrow of a typical residual over the width of the field."""
 
@@ -128,20 +132,43 @@ def draw_attitude(fix: AttitudeFix, axes: Axes | None = None) -> Axes:
     Axes
     """
     axes = _axes(axes, 1.0)
-    residuals = fix.observed_px - fix.predicted_px
-    typical = max(float(np.median(np.linalg.norm(residuals, axis=1))), 1e-9) if len(residuals) else 1.0
-    width = float(np.ptp(fix.observed_px, axis=0).max()) if len(residuals) else 1.0
-    arrows = residuals * (_ARROW_SHARE * width / typical)
-    axes.quiver(*fix.observed_px.T, *arrows.T, angles="xy", scale_units="xy", scale=1.0, color=BLUE, width=0.003)
-    axes.plot(*fix.rejected_px.T, "x", color=RED)
-    axes.invert_yaxis()
-    axes.set(
-        xlabel="x, px",
-        ylabel="y, px",
-        aspect="equal",
-        title=f"Residuals of {fix.n_used} stars, median {typical:.3g} px",
-    )
+    median_px = _arrows(axes, fix.observed_px, fix.residuals_px, fix.rejected_px)
+    axes.set_title(f"Residuals of {fix.n_used} stars, median {median_px:.3g} px")
     return axes
+
+
+@paints(CalibrationResult)
+def draw_calibration(result: CalibrationResult, axes: Axes | None = None) -> Axes:
+    """Draw the residuals of all images of a calibration as arrows over the field.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+    axes : Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    axes = _axes(axes, 1.0)
+    used = result.used
+    median_px = _arrows(axes, result.observed_px[used], result.residuals_px[used], result.observed_px[~used])
+    axes.set_title(f"Residuals of {result.n_used} observations, median {median_px:.3g} px")
+    return axes
+
+
+def _arrows(axes: Axes, observed_px: Float, residuals_px: Float, rejected_px: Float) -> float:
+    """Arrows of residuals over the field, of some if they are many, and crosses where one was rejected; the median, px."""
+    typical = max(float(np.median(np.linalg.norm(residuals_px, axis=1))), 1e-9) if len(residuals_px) else 1.0
+    width = float(np.ptp(observed_px, axis=0).max()) if len(residuals_px) else 1.0
+    arrows = residuals_px * (_ARROW_SHARE * width / typical)
+    some = np.linspace(0, len(arrows) - 1, min(len(arrows), _MOST_ARROWS)).astype(int)
+    at, drawn = observed_px[some], arrows[some]
+    axes.quiver(*at.T, *drawn.T, angles="xy", scale_units="xy", scale=1.0, color=BLUE, width=0.003)
+    axes.plot(*rejected_px.T, "x", color=RED)
+    axes.invert_yaxis()
+    axes.set(xlabel="x, px", ylabel="y, px", aspect="equal")
+    return typical
 
 
 @paints(CenterFix)
@@ -182,5 +209,5 @@ def _axes(axes: Axes | None, aspect: float) -> Axes:
     if axes is not None:
         return axes
     with drawing():
-        _, panels = new_panels(_SIDE_IN, min(max(_SIDE_IN * aspect + 0.6, 2.0), 8.0))
+        _, panels = new_panels(_SIDE_IN, min(max(_SIDE_IN * aspect + 0.6, 2.0), 8.0), shown=True)
     return panels[0]

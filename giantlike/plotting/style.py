@@ -62,7 +62,7 @@ _GAPS_IN = {"wspace": 0.75, "hspace": 0.15}
 
 
 def new_panels(
-    width_in: float, height_in: float, rows: int = 1, columns: int = 1, **settings: Any
+    width_in: float, height_in: float, rows: int = 1, columns: int = 1, *, shown: bool = False, **settings: Any
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with empty panels between fixed margins, in half the time of matplotlib's own layout.
 
@@ -71,6 +71,8 @@ def new_panels(
     width_in, height_in : float, inches
     rows, columns : int
         Of panels.
+    shown : bool
+        True for a figure of pyplot, which notebooks show and ``pyplot.show`` opens.
     **settings
         Of matplotlib's ``Figure.subplots``.
 
@@ -80,9 +82,14 @@ def new_panels(
     panels : list of Axes
         Row by row.
     """
-    from matplotlib.figure import Figure
+    if shown:
+        from matplotlib import pyplot
 
-    figure = Figure(figsize=(width_in, height_in), facecolor="white")
+        figure = pyplot.figure(figsize=(width_in, height_in), facecolor="white")
+    else:
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(width_in, height_in), facecolor="white")
     panel_in = (width_in - _MARGINS_IN["left"] - _MARGINS_IN["right"] - (columns - 1) * _GAPS_IN["wspace"]) / columns
     row_in = (height_in - _MARGINS_IN["top"] - _MARGINS_IN["bottom"] - (rows - 1) * _GAPS_IN["hspace"]) / rows
     places = {

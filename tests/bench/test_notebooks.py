@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -67,6 +68,16 @@ def test_a_notebook_shows_a_picture_with_the_words_below(shown: dict[str, object
     assert picture is not None
     assert picture.std() > 5.0
     assert f"<figcaption>{type(shown[kind]).__name__}(" in page
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_drawn_without_axes_is_shown_once(shown: dict[str, object], kind: str) -> None:
+    pyplot.close("all")
+    axes = shown[kind].plot()  # type: ignore[attr-defined]
+    assert [pyplot.figure(number) for number in pyplot.get_fignums()] == [axes.figure]
+    shown[kind]._repr_html_()  # type: ignore[attr-defined]
+    assert len(pyplot.get_fignums()) == 1
+    pyplot.close("all")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
@@ -29,8 +30,10 @@ from giantlike.calibration.field_map import map_difference
 from giantlike.calibration.observability import Verdict
 from giantlike.calibration.options import Loss
 from giantlike.calibration.statistics import residual_statistics
+from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.arrays import Float
+from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import FrameMismatchError, InputError
 from giantlike.core.frames import FrameRotation, rotate
 from giantlike.core.outcomes import Failure, Reason
@@ -482,6 +485,27 @@ def test_a_start_that_cannot_lead_anywhere_is_a_failure() -> None:
     one = star_images(NAVCAM, 24, images=1, stars=3)
     failure = calibrate(one, ROUGH, estimate=BROWN, columns=COLUMNS, rows=ROWS)
     assert isinstance(failure, Failure)
+
+
+def test_the_calibrated_camera_keeps_detector_and_name_and_has_the_covariance() -> None:
+    fix = calibrated(star_images(NAVCAM, 1, images=5))
+    before = Camera(name="NAVCAM", columns=COLUMNS, rows=ROWS, model=ROUGH, psf=GaussianPsf(sigma_px=0.7))
+    after = fix.camera_from(before)
+    assert (after.name, after.psf, after.model) == ("NAVCAM", before.psf, fix.model)
+    assert after.uncertainty is not None
+    assert after.uncertainty.estimated == BROWN
+    assert_allclose(after.uncertainty.covariance, fix.covariance, rtol=0)
+    assert (after.uncertainty.n_observations, after.uncertainty.n_images) == (250, 5)
+
+
+def test_a_calibration_is_told_in_one_line_and_drawn() -> None:
+    fix = calibrated(star_images(NAVCAM, 1, images=5))
+    assert repr(fix).startswith(
+        "CalibrationResult(accepted, BrownModel, 9 parameters from 250 observations of 5 images"
+    )
+    assert len(fix.plot(Figure().add_subplot()).collections) == 1
+    refused = replace(fix, problems=("residual rms is 2 px",))
+    assert "not accepted: residual rms is 2 px" in repr(refused)
 
 
 def test_old_names_of_results_still_work_and_warn() -> None:

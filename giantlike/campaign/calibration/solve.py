@@ -17,7 +17,7 @@ from giantlike.calibration import AlignmentResult, align, calibrate_stars
 from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import StarCalibration, StarImage
 from giantlike.calibration.statistics import residual_statistics
-from giantlike.camera import Camera, ModelUncertainty
+from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.schema import CalibrationSection
@@ -99,7 +99,7 @@ class CampaignCalibration(Value):
         """
         calibrated = None
         if isinstance(outcome, StarCalibration) and outcome.result.accepted:
-            calibrated = calibrated_camera(camera, outcome.result)
+            calibrated = outcome.result.camera_from(camera)
         reasons = tuple((name, f"{failure.reason}: {failure.detail}") for name, failure in lost)
         return cls(outcome=outcome, camera=calibrated, alignment=alignment, lost=reasons, targets=targets)
 
@@ -229,29 +229,6 @@ def calibrate_campaign(
         return CampaignCalibration.of(outcome, campaign.camera, lost)
     alignment = _alignment(outcome.result, records)
     return CampaignCalibration.of(outcome, campaign.camera, [*lost, *outcome.failed], alignment=alignment)
-
-
-def calibrated_camera(camera: Camera, solution: CalibrationResult) -> Camera:
-    """Camera with the model of a calibration and its covariance.
-
-    Parameters
-    ----------
-    camera : Camera
-        Camera before the calibration; its PSF and detector are kept.
-    solution : CalibrationResult
-
-    Returns
-    -------
-    Camera
-    """
-    uncertainty = ModelUncertainty(
-        estimated=solution.estimated,
-        covariance=solution.covariance,
-        residual_sigma_px=solution.residual_sigma_px,
-        n_observations=solution.n_used,
-        n_images=sum(image.n_used > 0 for image in solution.images),
-    )
-    return dataclasses.replace(camera, model=solution.model, uncertainty=uncertainty)
 
 
 def _alignment(solution: CalibrationResult, records: Sequence[CalibrationRecord]) -> AlignmentResult | None:

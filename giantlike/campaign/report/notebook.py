@@ -41,7 +41,7 @@ def draw_run(run: RunResult, axes: Axes | None = None, *, target: str | None = N
     """
     if axes is None:
         with drawing():
-            _, panels = new_panels(7.2, 3.2)
+            _, panels = new_panels(7.2, 3.2, shown=True)
         axes = panels[0]
     require(axis in _AXES, f"there is no axis {axis!r}; there are x and y")
     targets = list(dict.fromkeys(one.target for one in run.observations))
