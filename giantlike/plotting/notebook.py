@@ -158,7 +158,7 @@ def draw_calibration(result: CalibrationResult, axes: Axes | None = None) -> Axe
 
 
 def _arrows(axes: Axes, observed_px: Float, residuals_px: Float, rejected_px: Float) -> float:
-    """Arrows of residuals over the field, of some if they are many, and crosses where one was rejected; the median, px."""
+    """Arrows of residuals over the field (some, if they are many), crosses where one was rejected; the median, px."""
     typical = max(float(np.median(np.linalg.norm(residuals_px, axis=1))), 1e-9) if len(residuals_px) else 1.0
     width = float(np.ptp(observed_px, axis=0).max()) if len(residuals_px) else 1.0
     arrows = residuals_px * (_ARROW_SHARE * width / typical)

@@ -79,15 +79,6 @@ def test_figures_that_the_text_states_are_checked(tutorial: Path) -> None:
     assert all("assert " in cell.source for cell in checks)
 
 
-def test_links_lead_somewhere(tutorial: Path) -> None:
-    source = "\n".join(
-        cell.source for cell in nbformat.read(tutorial, as_version=4).cells if cell.cell_type == "markdown"
-    )
-    links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", source) if "://" not in link]
-    assert links
-    assert not [link for link in links if not (tutorial.parent / link).exists()]
-
-
 @pytest.mark.slow
 def test_executed_again_it_holds_what_it_says_and_shows_the_same_kinds(tutorial: Path) -> None:
     """The checks of its cells raise where a figure of the text does not hold."""
