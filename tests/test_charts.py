@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import pytest
 
-from giantlike.plotting import Axis, Chart, ChartSheet, Layer, Shape, charts_svg
+from giantlike.plotting import (
+    Axis,
+    Chart,
+    ChartSheet,
+    Layer,
+    Shape,
+    charts_figure,
+    charts_svg,
+    residual_map_svg,
+)
 
 _SVG = "{http://www.w3.org/2000/svg}"
 
@@ -54,3 +65,56 @@ def test_a_million_points_are_as_many_marks_as_there_is_room_for() -> None:
     layer = Layer(points=points, shape=Shape.DOT, color="red", size=3.0)
     sheet = ChartSheet(charts=[Chart(title="", x=axis, y=axis, layers=[layer])], width_in=1.0, height_in=1.0)
     assert len(charts_svg(sheet, "a")) < 111 * 111 * 10
+
+
+def _labeled(stacked: bool) -> ChartSheet:
+    axis = Axis(label="along", low=0.0, high=1.0)
+    points = np.array([[0.2, 0.9], [0.8, 0.95]])
+    layers = [Layer(points=points, shape=Shape.DOT, color="red", size=3.0, label=f"kind {k}") for k in range(2)]
+    charts = [Chart(title="", x=axis, y=axis, layers=layers) for _ in range(2)]
+    return ChartSheet(charts=charts, width_in=3.0, height_in=1.5, stacked=stacked)
+
+
+@pytest.mark.parametrize("stacked", [False, True])
+def test_legends_stand_below_the_charts_and_cover_nothing(stacked: bool) -> None:
+    svg = ElementTree.fromstring(charts_svg(_labeled(stacked), "a"))
+    view = [float(number) for number in svg.get("viewBox", "").split()]
+    groups = svg.findall(f"{_SVG}g")
+    tops = {
+        "kind" in "".join(group.itertext()): float(re.findall(r"[ (]([\d.]+)\)", group.get("transform", ""))[0])
+        for group in groups
+    }
+    charts = [group for group in groups if "along" in "".join(group.itertext())]
+    lowest = max(float(re.findall(r" ([\d.]+)\)", group.get("transform", ""))[0]) for group in charts) + 1.5 * 110
+    assert tops[True] > lowest
+    assert tops[True] < view[3]
+
+
+def test_stacked_charts_stand_above_each_other_in_matplotlib_too() -> None:
+    above, below = (axis.get_position() for axis in charts_figure(_labeled(True)).axes)
+    assert above.y0 > below.y1
+    assert above.x0 == pytest.approx(below.x0)
+    left, right = (axis.get_position() for axis in charts_figure(_labeled(False)).axes)
+    assert right.x0 > left.x1
+    figure = charts_figure(_labeled(True))
+    figure.canvas.draw()
+    last = figure.axes[-1]
+    legend = last.get_legend()
+    assert legend is not None
+    box = legend.get_window_extent()
+    assert box.y1 < last.get_window_extent().y0
+    assert box.y0 >= 0.0
+
+
+def test_a_map_of_residuals_is_red_where_the_image_is_brighter() -> None:
+    columns, rows = (each.ravel() for each in np.meshgrid(np.arange(6), np.arange(4)))
+    at = np.column_stack([columns, rows]) * 2.0 + 10.5
+    svg = residual_map_svg(at, np.where(columns < 3, -1.0, 1.0), 2.0, "<t>", unit="%")
+    picture = re.findall(r"data:image/png;base64,([^\"]*)", svg)[0]
+    cells = cv2.imdecode(np.frombuffer(base64.b64decode(picture), np.uint8), cv2.IMREAD_COLOR)
+    assert cells is not None
+    assert cells.shape == (4, 6, 3)
+    blue, red = cells[:, :3].astype(int), cells[:, 3:].astype(int)
+    assert (blue[..., 0] > blue[..., 2]).all()
+    assert (red[..., 2] > red[..., 0]).all()
+    assert ElementTree.fromstring(svg) is not None

@@ -2,7 +2,7 @@
 
 from giantlike.bench.explain import explain
 from giantlike.bench.layers import LAYERS, MarkLayer, layers_of
-from giantlike.bench.planes import backplanes_of, write_backplanes
+from giantlike.bench.planes import backplanes_of, with_terminators, write_backplanes
 from giantlike.bench.session import SeenImage, Session, verdict_of
 
 __all__ = [
@@ -14,5 +14,6 @@ __all__ = [
     "explain",
     "layers_of",
     "verdict_of",
+    "with_terminators",
     "write_backplanes",
 ]

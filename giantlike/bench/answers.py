@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import getpass
+import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import cv2
@@ -13,19 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from giantlike.bench.charts import correlation_chart, limb_chart, star_chart
+from giantlike.bench.charts import correlation_chart, limb_chart, residual_chart, star_chart
 from giantlike.bench.comparison import match_of
 from giantlike.bench.explain import explain
-from giantlike.bench.layers import layers_of
-from giantlike.bench.planes import PLANES, backplanes_of, cube_of
+from giantlike.bench.layers import MarkLayer, layers_of
+from giantlike.bench.planes import backplanes_of, values_at, with_terminators
 from giantlike.bench.session import SeenImage, Session, verdict_of
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.edits import Edit, add_edits
+from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import ObservationRecord
-from giantlike.core.arrays import Float, require
+from giantlike.campaign.store.results import grouped
+from giantlike.core.arrays import require
 from giantlike.core.errors import InputError, OpNavError
 from giantlike.plotting import stretched
+from giantlike.ray_tracing import Backplanes
 
 COLOR_MAPS: Mapping[str, int | None] = {
     "gray": None,
@@ -55,7 +59,7 @@ class Answers:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._lock = threading.RLock()
-        self._planes: dict[int, Float] = {}
+        self._planes: dict[int, Backplanes] = {}
         self._solving: dict[str, Any] = {"state": "idle"}
 
     def run(self) -> dict[str, Any]:
@@ -96,24 +100,32 @@ class Answers:
                 "columns": seen.record.columns,
                 "rows": seen.record.rows,
                 "verdict": verdict_of(seen.record, seen.observations),
-                "layers": [
-                    {
-                        "name": each.name,
-                        "title": each.title,
-                        "shape": str(each.layer.shape),
-                        "color": each.layer.color,
-                        "points": np.round(each.layer.points, 3).tolist(),
-                        "labels": list(each.labels),
-                        "star_ids": list(each.star_ids),
-                    }
-                    for each in layers_of(seen)
-                ],
+                "layers": [_layer(each) for each in layers_of(seen)],
                 "words": explain(seen),
                 "fixes": [_fix_row(one, index) for one in seen.observations],
                 "targets": list(dict.fromkeys(one.target for one in seen.observations)),
                 "edits": [edit.model_dump(mode="json", exclude_none=True) for edit in seen.edits],
                 "charts": _charts(seen),
             }
+
+    def terminator(self, index: int) -> list[dict[str, Any]]:
+        """Layers of the terminators of an image; they are traced when they are asked for."""
+        with self._lock:
+            file = self._file(index)
+            planes = self._backplanes(index, file)
+            seen = with_terminators(self._session, self._session.seen(file), planes)
+            return [_layer(each) for each in layers_of(seen, ["terminator"])]
+
+    def compare(self) -> list[dict[str, Any]]:
+        """Fixes of each body in each image minus that with the smallest error ellipse."""
+        with self._lock:
+            rows = []
+            places = {file: number for number, file in enumerate(self._session.files)}
+            for image in self._session.result.bodies:
+                for fixes in grouped(_located(image.observations), lambda one: one.target).values():
+                    best = min(fixes, key=lambda one: float(np.trace(np.array(one.covariance_px2))))
+                    rows += [_difference(one, best, places[image.file]) for one in fixes if one is not best]
+            return rows
 
     def picture(
         self,
@@ -148,16 +160,18 @@ class Answers:
         return _encoded(stretched(pixels, longest_px=_THUMBNAIL_PX), ".jpg")
 
     def chart(self, index: int, which: str, target: str = "", estimator: str = "") -> bytes:
-        """Residuals of stars, residuals along the limb or the correlation surface, as SVG."""
+        """Residuals of stars, along the limb or of a template, or the correlation surface, as SVG."""
         with self._lock:
             file = self._file(index)
             if which == "stars":
                 return star_chart(self._session, file).encode()
             if which == "limb":
                 return limb_chart(self._session, file, target).encode()
+            if which == "map":
+                return residual_chart(self._session, file, target, estimator).encode()
             if which == "correlation":
                 return correlation_chart(self._session, file, target, estimator or None).encode()
-        raise InputError(f"there is no chart {which!r}; there are stars, limb and correlation")
+        raise InputError(f"there is no chart {which!r}; there are stars, limb, map and correlation")
 
     def pixel(self, index: int, x: str, y: str) -> dict[str, Any]:
         """Value of a pixel, and what it shows of a body."""
@@ -168,11 +182,12 @@ class Answers:
             if not (0 <= column < pixels.shape[1] and 0 <= row < pixels.shape[0]):
                 return {}
             values = {"dn": float(pixels[row, column])}
-            cube = self._cube(index, file)
-            if cube is not None:
-                seen = dict(zip(PLANES, cube[:, row, column].tolist(), strict=True))
-                values |= {name: value for name, value in seen.items() if np.isfinite(value) and seen["body"] >= 0}
-            return values
+            try:
+                planes = self._backplanes(index, file)
+            except OpNavError:
+                return values
+            seen = {name: float(value) for name, value in values_at(planes, (row, column)).items()}
+            return values | {name: value for name, value in seen.items() if np.isfinite(value) and seen["body"] >= 0}
 
     def edit(self, wanted: dict[str, Any]) -> dict[str, Any]:
         """Append an edit to the edit list of the run."""
@@ -222,17 +237,53 @@ class Answers:
         require(0 <= index < len(names), f"there is no image {index}; there are {len(names)}")
         return names[index]
 
-    def _cube(self, index: int, file: str) -> Float | None:
-        """Backplanes of an image; None where there are none."""
+    def _backplanes(self, index: int, file: str) -> Backplanes:
+        """Backplanes of an image; those of a few images are kept."""
         if index not in self._planes:
-            try:
-                cube = cube_of(backplanes_of(self._session, file))
-            except OpNavError:
-                return None
+            planes = backplanes_of(self._session, file)
             while len(self._planes) >= _KEPT_IMAGES:
                 self._planes.pop(next(iter(self._planes)))
-            self._planes[index] = cube
+            self._planes[index] = planes
         return self._planes[index]
+
+
+def _layer(each: MarkLayer) -> dict[str, Any]:
+    """A layer as JSON has it."""
+    return {
+        "name": each.name,
+        "title": each.title,
+        "shape": str(each.layer.shape),
+        "color": each.layer.color,
+        "points": np.round(each.layer.points, 3).tolist(),
+        "labels": list(each.labels),
+        "star_ids": list(each.star_ids),
+    }
+
+
+def _located(observations: Iterable[ObservationRecord]) -> list[ObservationRecord]:
+    return [one for one in observations if one.center_px is not None and one.covariance_px2 is not None]
+
+
+def _difference(one: ObservationRecord, best: ObservationRecord, index: int) -> dict[str, Any]:
+    """A row of the table of estimators side by side."""
+    apart = difference_of(one, best)
+    assert apart is not None
+    ranged = len(apart.offset) > 2
+    return {
+        "index": index,
+        "file": one.file,
+        "target": one.target,
+        "estimator": one.estimator,
+        "minus": best.estimator,
+        "dx": float(apart.offset[0]),
+        "sigma_dx": float(apart.sigma[0]),
+        "dy": float(apart.offset[1]),
+        "sigma_dy": float(apart.sigma[1]),
+        "d_range_percent": 100.0 * math.expm1(apart.offset[2]) if ranged else None,
+        "sigma_d_range_percent": 100.0 * float(apart.sigma[2]) if ranged else None,
+        "sigmas": apart.sigmas,
+        "chance": apart.chance,
+    }
 
 
 def _fix_row(one: ObservationRecord, index: int) -> dict[str, Any]:
@@ -267,6 +318,11 @@ def _charts(seen: SeenImage) -> list[dict[str, str]]:
         charts.append({"which": "correlation", "target": name, "title": f"{name}: correlation"})
         if any(len(points.get("limb_px", ())) for of, points in seen.points.items() if of[0] == name):
             charts.append({"which": "limb", "target": name, "title": f"{name}: along the limb"})
+    for one in seen.observations:
+        residuals = seen.points.get(one.of, {}).get("residuals")
+        if residuals is not None and residuals["cell_px"]:
+            title = f"{one.target}: residual map of {one.estimator}"
+            charts.append({"which": "map", "target": one.target, "estimator": one.estimator, "title": title})
     return charts
 
 

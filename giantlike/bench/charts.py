@@ -15,6 +15,7 @@ from giantlike.plotting import (
     Shape,
     charts_svg,
     correlation_surface_figure,
+    residual_map_svg,
     star_residual_charts,
     svg_text,
 )
@@ -75,26 +76,60 @@ def limb_chart(session: Session, file: str, target: str) -> str:
         No fix of it has limb points.
     """
     seen = session.seen(file)
-    layers, values = list[Layer](), [np.zeros(1)]
+    layers, crosses, values = list[Layer](), list[Layer](), [np.zeros(1)]
     for fix in seen.observations:
-        limb = seen.points.get(fix.of, {}).get("limb_px", ())
-        if fix.target != target or len(limb) == 0 or len(limb) != fix.n_used:
+        if fix.target != target or not len(seen.points.get(fix.of, {}).get("limb_px", ())):
             continue
         found = limb_residuals(session, file, fix)
         points = np.column_stack([found.angle_deg, found.distance_px])
         color = SERIES[len(layers) % len(SERIES)]
         layers.append(Layer(points=points, shape=Shape.DOT, color=color, size=3.0, label=fix.estimator))
         values.append(found.distance_px)
+        if len(seen.points[fix.of]["limb_rejected_px"]):
+            others = limb_residuals(session, file, fix, rejected=True)
+            points = np.column_stack([others.angle_deg, others.distance_px])
+            crosses.append(Layer(points=points, shape=Shape.CROSS, color=color, size=4.0, label=""))
+            values.append(others.distance_px)
     if not layers:
         raise InputError(f"{file}: no fix of {target} has limb points")
     zero = Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9)
     chart = Chart(
-        title=f"{target}: limb points from the outline at each fix, positive outward",
+        title=f"{target}: limb points from the outline at each fix, outward; crosses: rejected",
         x=Axis(label="angle around the center from +x towards +y, deg", low=-180.0, high=180.0),
         y=Axis.around("distance, px", np.concatenate(values)),
-        layers=[zero, *layers],
+        layers=[zero, *crosses, *layers],
     )
     return charts_svg(ChartSheet(charts=[chart], width_in=7.5, height_in=2.6), f"limb-{target}")
+
+
+def residual_chart(session: Session, file: str, target: str, estimator: str) -> str:
+    """Image minus template of a fix, as the estimator left it: means over cells.
+
+    Parameters
+    ----------
+    session : Session
+    file, target, estimator : str
+
+    Returns
+    -------
+    str
+        SVG.
+
+    Raises
+    ------
+    InputError
+        The estimator has no such residuals.
+    """
+    residuals = session.seen(file).points.get((target, estimator), {}).get("residuals")
+    if residuals is None or not residuals["cell_px"]:
+        raise InputError(f"{file}: {estimator} left no map of residuals of {target}")
+    return residual_map_svg(
+        np.asarray(residuals["at_px"], dtype=float).reshape(-1, 2),
+        100.0 * np.asarray(residuals["values"], dtype=float),
+        residuals["cell_px"],
+        f"{target}, {estimator}: image - template",
+        unit="% of its peak",
+    )
 
 
 def correlation_chart(session: Session, file: str, target: str, estimator: str | None = None) -> str:

@@ -132,7 +132,7 @@ def match_of(session: Session, file: str, target: str, estimator: str | None = N
     )
 
 
-def limb_residuals(session: Session, file: str, fix: ObservationRecord) -> LimbResiduals:
+def limb_residuals(session: Session, file: str, fix: ObservationRecord, *, rejected: bool = False) -> LimbResiduals:
     """Distances of the limb points of a fix from the outline of the body at the fix.
 
     Parameters
@@ -141,6 +141,8 @@ def limb_residuals(session: Session, file: str, fix: ObservationRecord) -> LimbR
     file : str
     fix : ObservationRecord
         With a center.
+    rejected : bool
+        Of the points that were not used, instead of those used.
 
     Returns
     -------
@@ -151,7 +153,8 @@ def limb_residuals(session: Session, file: str, fix: ObservationRecord) -> LimbR
     InputError
         The fix has no limb points, or the geometry of the target is not known.
     """
-    points = np.asarray(session.seen(file).points.get(fix.of, {}).get("limb_px", []), dtype=np.float64).reshape(-1, 2)
+    kept = session.seen(file).points.get(fix.of, {}).get("limb_rejected_px" if rejected else "limb_px", [])
+    points = np.asarray(kept, dtype=np.float64).reshape(-1, 2)
     known = session.geometry(file).get(fix.target)
     if not len(points) or known is None or fix.center_px is None:
         raise InputError(f"{file}: {fix.estimator} has no limb points of {fix.target}, or its geometry is not known")

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from giantlike.bench.session import SeenImage, chosen_fix
+from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, Problem, TargetRecord
 from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.outcomes import Quality, Reason
@@ -173,9 +174,10 @@ def _together(seen: SeenImage, target: str, there: Sequence[ObservationRecord]) 
         return
     yield f"Smallest sigma of the fixes to trust: {best.estimator}."
     for other in there:
-        if other is best or other.center_px is None or other.covariance_px2 is None:
+        apart = None if other is best else difference_of(other, best)
+        if apart is None:
             continue
-        off = np.subtract(other.center_px, best.center_px)
-        both = np.array(other.covariance_px2) + np.array(best.covariance_px2)
-        sigmas = math.sqrt(max(float(off @ np.linalg.pinv(both) @ off), 0.0))
-        yield f"{other.estimator} minus {best.estimator}: ({off[0]:+.3f}, {off[1]:+.3f}) px, {sigmas:.1f} sigma."
+        text = f"{other.estimator} minus {best.estimator}: ({apart.offset[0]:+.3f}, {apart.offset[1]:+.3f}) px"
+        if len(apart.offset) > 2:
+            text += f", range {math.expm1(apart.offset[2]):+.3%}"
+        yield f"{text}: {apart.sigmas:.1f} sigma, as large by chance once in {1.0 / max(apart.chance, 1e-9):.3g}."

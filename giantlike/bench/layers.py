@@ -19,6 +19,8 @@ from giantlike.plotting import CENTERS, MARKS, Layer, Shape
 _THREE_SIGMA = 3.0
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
 """Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
+TERMINATOR = "#ff7ad9"
+"""Color of the line where the Sun stands at the horizon of the surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,9 +154,9 @@ def _fitted(seen: SeenImage) -> list[MarkLayer]:
     views = {target.target: target.view for target in seen.targets if target.view is not None}
     for fix in _fixes(seen):
         view = views.get(fix.target)
-        limb = _limb_of(seen, fix)
-        if len(limb) and not _measured(fix, limb):
-            points = limb
+        outline = _points(seen.points.get(fix.of, {}).get("outline_px", []))
+        if len(outline):
+            points = outline
         elif view is not None and view.outline_px:
             scale = 1.0
             if fix.range_km is not None and fix.predicted_camera_km is not None:
@@ -185,16 +187,39 @@ def _centers(seen: SeenImage) -> list[MarkLayer]:
 
 
 def _limb(seen: SeenImage) -> list[MarkLayer]:
+    return _limb_points(seen, "limb", "limb_px", "limb points used")
+
+
+def _limb_rejected(seen: SeenImage) -> list[MarkLayer]:
+    return _limb_points(seen, "limb-rejected", "limb_rejected_px", "limb points rejected")
+
+
+def _limb_points(seen: SeenImage, name: str, kept_as: str, meaning: str) -> list[MarkLayer]:
     return [
         MarkLayer(
-            name="limb",
-            title=f"{fix.target}: limb points used by {fix.estimator}",
+            name=name,
+            title=f"{fix.target}: {meaning} by {fix.estimator}",
             layer=Layer(
-                points=_limb_of(seen, fix), shape=Shape.DOT, color=MARKS["limb points used"], size=2.6, width=1.0
+                points=_points(seen.points.get(fix.of, {}).get(kept_as, [])),
+                shape=Shape.DOT,
+                color=MARKS[meaning],
+                size=2.6,
+                width=1.0,
             ),
         )
         for fix in _fixes(seen)
-        if _measured(fix, _limb_of(seen, fix))
+    ]
+
+
+def _terminator(seen: SeenImage) -> list[MarkLayer]:
+    return [
+        MarkLayer(
+            name="terminator",
+            title=f"{target}: terminator",
+            layer=Layer(points=line, shape=Shape.LINE, color=TERMINATOR, width=0.9),
+        )
+        for target, lines in seen.terminators.items()
+        for line in lines
     ]
 
 
@@ -224,6 +249,8 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "fitted": _fitted,
         "centers": _centers,
         "limb": _limb,
+        "limb-rejected": _limb_rejected,
+        "terminator": _terminator,
         "landmarks": _landmarks,
     }
 )
@@ -237,15 +264,6 @@ def _fixes(seen: SeenImage) -> list[ObservationRecord]:
 
 def _stars_of(seen: SeenImage) -> Mapping[str, Any]:
     return seen.points.get(seen.record.of, {})
-
-
-def _limb_of(seen: SeenImage, fix: ObservationRecord) -> Float:
-    return _points(seen.points.get(fix.of, {}).get("limb_px", []))
-
-
-def _measured(fix: ObservationRecord, limb_px: Float) -> bool:
-    """True if the limb points of a fix are what it was made from, not the outline of a template."""
-    return len(limb_px) == fix.n_used
 
 
 def _points(values: ArrayLike) -> Float:

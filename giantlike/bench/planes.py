@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.bench.session import Session, chosen_fix
+from giantlike.bench.session import SeenImage, Session, chosen_fix
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
@@ -30,6 +31,11 @@ PLANES: Mapping[str, str] = MappingProxyType(
     }
 )
 """Planes of a cube in their order, with unit and meaning."""
+
+
+_HORIZON_DEG = 90.0
+_LEAST_PIECE = 0.05
+"""Extent of a piece of a terminator over that of the longest, below which it is not drawn."""
 
 
 def backplanes_of(session: Session, file: str, *, estimator: str | None = None, predicted: bool = False) -> Backplanes:
@@ -73,6 +79,64 @@ def backplanes_of(session: Session, file: str, *, estimator: str | None = None, 
     )
 
 
+def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> SeenImage:
+    """Add the lines of an image where the Sun stands at the horizon of the surface.
+
+    Parameters
+    ----------
+    session : Session
+    seen : SeenImage
+    planes : Backplanes
+        Of :func:`backplanes_of`: each body where the best fix has it.
+
+    Returns
+    -------
+    SeenImage
+        With the lines of incidence 90 deg between pixels of one body; pieces of a few pixels, which single boulders
+        make, are left out.
+    """
+    from matplotlib.figure import Figure
+
+    found: dict[str, tuple[Float, ...]] = {}
+    for number, name in enumerate(session.geometry(seen.record.file)):
+        height = np.where(planes.body == number, np.degrees(planes.incidence_rad), np.nan)
+        if not (np.nanmin(height, initial=np.inf) < _HORIZON_DEG < np.nanmax(height, initial=-np.inf)):
+            continue
+        lines = Figure().add_subplot().contour(np.ma.masked_invalid(height), levels=[_HORIZON_DEG]).allsegs[0]
+        sizes = [float(np.ptp(line, axis=0).max()) for line in lines]
+        least = max(_LEAST_PIECE * max(sizes, default=0.0), 1.0)
+        found[name] = tuple(line for line, size in zip(lines, sizes, strict=True) if size >= least)
+    return replace(seen, terminators=found)
+
+
+def values_at(planes: Backplanes, pixel: tuple[int, int] | None = None) -> dict[str, Float]:
+    """Planes by name, of a pixel or of all.
+
+    Parameters
+    ----------
+    planes : Backplanes
+    pixel : (int, int), optional
+        Row and column; default: all.
+
+    Returns
+    -------
+    dict of str to float64
+        In the order and units of ``PLANES``; NaN off all bodies, where the body is -1.
+    """
+    at = ... if pixel is None else pixel
+    values = {
+        "body": planes.body[at],
+        "range": planes.range_km[at],
+        "phase": np.degrees(planes.phase_rad[at]),
+        "incidence": np.degrees(planes.incidence_rad[at]),
+        "emission": np.degrees(planes.emission_rad[at]),
+        "latitude": np.degrees(planes.latitude_rad[at]),
+        "longitude": np.degrees(planes.longitude_rad[at]),
+        "shadowed": np.where(planes.body[at] >= 0, planes.shadowed[at].astype(float), np.nan),
+    }
+    return {name: np.asarray(values[name], dtype=np.float64) for name in PLANES}
+
+
 def cube_of(planes: Backplanes) -> Float:
     """Planes as one array.
 
@@ -83,19 +147,9 @@ def cube_of(planes: Backplanes) -> Float:
     Returns
     -------
     (p, rows, columns) float64
-        In the order and units of ``PLANES``; NaN off all bodies, where the body is -1.
+        Those of :func:`values_at`.
     """
-    values = {
-        "body": planes.body,
-        "range": planes.range_km,
-        "phase": np.degrees(planes.phase_rad),
-        "incidence": np.degrees(planes.incidence_rad),
-        "emission": np.degrees(planes.emission_rad),
-        "latitude": np.degrees(planes.latitude_rad),
-        "longitude": np.degrees(planes.longitude_rad),
-        "shadowed": np.where(planes.body >= 0, planes.shadowed.astype(float), np.nan),
-    }
-    return np.stack([np.asarray(values[name], dtype=np.float64) for name in PLANES])
+    return np.stack(list(values_at(planes).values()))
 
 
 def write_backplanes(

@@ -77,6 +77,8 @@ def application(session: Session, token: str) -> Starlette:
         Route("/", page),
         Route("/api/run", reading(answers.run)),
         Route("/api/image/{index:int}", reading(answers.image)),
+        Route("/api/terminator/{index:int}", reading(answers.terminator)),
+        Route("/api/compare", reading(answers.compare)),
         Route("/api/pixel/{index:int}", reading(answers.pixel)),
         Route("/api/edit", changing(answers.edit), methods=["POST"]),
         Route("/api/solve", changing(answers.solve), methods=["POST"]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,8 @@ class SeenImage:
         Geometry and outlines known beforehand.
     edits : tuple of Edit
         Rejections that stand.
+    terminators : mapping of str to tuple of (n, 2) float64, px
+        By target, where :func:`~giantlike.bench.planes.with_terminators` traced them.
     """
 
     record: AttitudeRecord
@@ -49,6 +51,7 @@ class SeenImage:
     points: Mapping[tuple[str, str], Mapping[str, Any]]
     targets: tuple[TargetRecord, ...]
     edits: tuple[Edit, ...]
+    terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)
 
 
 def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:

@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from giantlike.bench import LAYERS, Session, layers_of, verdict_of, write_backplanes
+from giantlike.bench import (
+    LAYERS,
+    Session,
+    backplanes_of,
+    layers_of,
+    verdict_of,
+    with_terminators,
+    write_backplanes,
+)
 from giantlike.bench import explain as explained
 from giantlike.cli.arguments import Json, Run, RunOption
 from giantlike.cli.outcome import ExitCode, print_json
@@ -16,6 +24,8 @@ from giantlike.core.atomic import make_folder, replacing
 from giantlike.core.extras import require_extra
 
 ImageName = Annotated[str, typer.Argument(metavar="IMAGE", help="Name of an image of the run, or its beginning.")]
+_SHOWN = tuple(name for name in LAYERS if name != "terminator")
+"""Layers that need nothing but the run."""
 CampaignFile = Annotated[
     Path | None,
     typer.Option("--campaign", help="Campaign file, if it is not where the run found it.", metavar="CAMPAIGN.toml"),
@@ -26,11 +36,14 @@ def show(
     image: ImageName,
     run: RunOption,
     output: Annotated[Path, typer.Option(help="Picture to write; by its ending PNG, SVG or PDF.", metavar="PNG")],
-    layers: Annotated[str, typer.Option(help=f"Of {', '.join(LAYERS)}.", metavar="A,B")] = ",".join(LAYERS),
+    layers: Annotated[
+        str, typer.Option(help=f"Of {', '.join(LAYERS)}; default: all but terminator.", metavar="A,B")
+    ] = ",".join(_SHOWN),
     box: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(help="Part of the image to show, px.", metavar="LEFT TOP RIGHT BOTTOM"),
     ] = None,
+    campaign: CampaignFile = None,
 ) -> ExitCode:
     """Draw an image of a run with what was found in it."""
     from giantlike.bench.pictures import picture_of
@@ -38,8 +51,12 @@ def show(
     names = [name.strip() for name in layers.split(",") if name.strip()]
     unknown = [name for name in names if name not in LAYERS]
     require(not unknown, f"there is no layer {', '.join(unknown)}; there are {', '.join(LAYERS)}")
-    session = Session(run)
-    figure = picture_of(session, session.find(image), layers_of(session.seen(session.find(image)), names), box=box)
+    session = Session(run, campaign)
+    file = session.find(image)
+    seen = session.seen(file)
+    if "terminator" in names:
+        seen = with_terminators(session, seen, backplanes_of(session, file))
+    figure = picture_of(session, file, layers_of(seen, names), box=box)
     make_folder(output.parent)
     with replacing(output) as part:
         figure.savefig(part, format=output.suffix.removeprefix(".") or "png")

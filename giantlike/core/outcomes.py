@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, require
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials, checked_parts, require_sum, summed
 from giantlike.core.display import Pictured
 from giantlike.core.errors import EstimationError
@@ -234,12 +234,14 @@ class CenterFix(Pictured, Value):
         from, as far as it is known: the attitude (a small rotation about the camera axes, rad), the scale of the shape
         (relative), the pole (two small rotations of the body about its x and y axes, rad), the spin (one about its z
         axis, rad), and the uncertain parameters of the camera, stars that follow them included.
+    residuals_at_px : (n, 2) float64, px
+        Place in the image of each of the ``residuals``; empty where the estimator does not say.
 
     Raises
     ------
     InputError
-        A part or a derivative has another shape, a part is not symmetric or not positive semi-definite, or the parts
-        do not sum to the covariance.
+        There are places, but not one for each residual; a part or a derivative has another shape, a part is not
+        symmetric or not positive semi-definite, or the parts do not sum to the covariance.
     """
 
     estimator: str
@@ -255,8 +257,13 @@ class CenterFix(Pictured, Value):
     provenance: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[Cause, Float] = field(default_factory=dict)
     partials: Mapping[Cause, Float] = field(default_factory=dict)
+    residuals_at_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
+        require(
+            len(self.residuals_at_px) in (0, len(self.residuals)),
+            f"residuals_at_px: {len(self.residuals_at_px)} places for {len(self.residuals)} residuals",
+        )
         object.__setattr__(self, "parts", checked_parts(self.parts, self._size))
         object.__setattr__(self, "partials", checked_partials(self.partials, self._size))
         if self.parts:
@@ -315,12 +322,21 @@ class PositionFix(CenterFix):
         pixels became directions, as it is without the attitude. The attitude and the ephemeris of the target are not
         in it.
     limb_px : (n, 2) float64, px
-        Image points used, for overlays.
+        Points in the image, for overlays: the limb points used, landmarks used, or the outline of a template.
+    limb_rejected_px : (k, 2) float64, px
+        Points of the lit limb that were not used: where they were measured, or predicted where that failed.
     """
 
     position_camera_km: Float
     covariance_camera_km2: Float
     limb_px: Float
+    limb_rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+
+    @property
+    def measured_limb_px(self) -> Float:
+        """The limb points (n, 2), px, that the fix was made of, a residual each; empty where it was made otherwise."""
+        made_of_them = np.array_equal(self.limb_px, self.residuals_at_px)
+        return self.limb_px if made_of_them else np.zeros((0, 2))
 
     def _require_sums(self) -> None:
         """Raise unless the parts sum to the covariances, of which that of the position is compared along the range."""

@@ -15,6 +15,7 @@ from giantlike.plotting.overlays import (
     overlay_panels,
     stretched,
 )
+from giantlike.plotting.residual_map import residual_map_svg
 from giantlike.plotting.residuals import Series, correlation_surface_figure, series_charts, star_residual_charts
 from giantlike.plotting.style import svg_text
 
@@ -39,6 +40,7 @@ __all__ = [
     "overlay_figure",
     "overlay_panels",
     "overlay_svg",
+    "residual_map_svg",
     "residual_trend_figure",
     "series_charts",
     "star_residual_charts",

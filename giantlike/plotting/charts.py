@@ -124,7 +124,7 @@ class Chart(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChartSheet(Value):
-    """Charts side by side, each with a legend inside, or above each other with one abscissa and one legend below.
+    """Charts side by side, each with its legend below, or above each other with one abscissa and one legend below.
 
     Parameters
     ----------
@@ -156,28 +156,24 @@ def charts_svg(sheet: ChartSheet, name: str) -> str:
     """
     width, height = sheet.width_in * _UNITS_PER_IN, sheet.height_in * _UNITS_PER_IN
     name = "".join(letter if letter.isalnum() else "-" for letter in name)
-    count, legend = len(sheet.charts), _labeled(sheet.charts[0]) if sheet.stacked else []
-    step = (0.0, height + _GAP) if sheet.stacked else (width + _LEFT + _RIGHT, 0.0)
+    count, stacked = len(sheet.charts), sheet.stacked
+    step = (0.0, height + _GAP) if stacked else (width + _LEFT + _RIGHT, 0.0)
     total = np.array([_LEFT + width + _RIGHT, _TOP + height + _BOTTOM]) + (count - 1) * np.array(step)
-    below = _LEGEND * (len(legend) > 1)
+    legends = [_rows(_labeled(chart), width) for chart in sheet.charts[: 1 if stacked else count]]
+    below = _LEGEND * max(map(len, legends)) * (not stacked or len(_labeled(sheet.charts[0])) > 1)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total[0]:.0f} {total[1] + below:.0f}" '
         f'width="{total[0]:.0f}" font-family="sans-serif" font-size="12">'
     ]
     for number, chart in enumerate(sheet.charts):
         left, top = _LEFT + number * step[0], _TOP + number * step[1]
-        last = not sheet.stacked or number == count - 1
+        last = not stacked or number == count - 1
         parts.append(f'<g transform="translate({left:.0f} {top:.0f})" fill="{INK}">')
         parts += _chart(chart, f"{name}-{number}", width, height, numbered=last)
-        if not sheet.stacked:
-            parts += _legend(_labeled(chart), f"{name}-{number}", width, 8.0)
         parts.append("</g>")
-    if below:
-        parts.append(f'<g transform="translate(0 {total[1]:.0f})" fill="{INK}">')
-        at = (total[0] - sum(map(_entry_width, legend))) / 2
-        for number, layer in enumerate(legend):
-            parts += _entry(layer, f"{name}-legend-{number}", at, 6.0)
-            at += _entry_width(layer)
+    for number, rows in enumerate(legends if below else ()):
+        parts.append(f'<g transform="translate({_LEFT + number * step[0]:.0f} {total[1]:.0f})" fill="{INK}">')
+        parts += _legend(rows, f"{name}-{number}", width)
         parts.append("</g>")
     return "".join([*parts, "</svg>"])
 
@@ -228,17 +224,25 @@ def _signed(number: str) -> str:
     return number.replace("-", "\N{MINUS SIGN}")
 
 
-def _legend(layers: Sequence[Layer], name: str, right: float, top: float) -> list[str]:
-    """Entries under each other, at the right of a chart."""
-    if not layers:
-        return []
-    width = max(map(_entry_width, layers))
-    parts = [
-        f'<rect x="{right - width:.1f}" y="{top - 4:.1f}" width="{width:.1f}" height="{_LEGEND * len(layers):.1f}" '
-        'fill="white" opacity="0.8"/>'
-    ]
-    for number, layer in enumerate(layers):
-        parts += _entry(layer, f"{name}-legend-{number}", right - width, top + 6.0 + _LEGEND * number)
+def _rows(layers: Sequence[Layer], width: float) -> list[list[Layer]]:
+    """Entries of a legend in lines that are not wider than a chart."""
+    rows = list[list[Layer]]()
+    for layer in layers:
+        if rows and sum(map(_entry_width, [*rows[-1], layer])) <= width:
+            rows[-1].append(layer)
+        else:
+            rows.append([layer])
+    return rows
+
+
+def _legend(rows: Sequence[Sequence[Layer]], name: str, width: float) -> list[str]:
+    """Lines of entries, each in the middle below a chart."""
+    parts = list[str]()
+    for line, row in enumerate(rows):
+        at = (width - sum(map(_entry_width, row))) / 2
+        for number, layer in enumerate(row):
+            parts += _entry(layer, f"{name}-legend-{line}-{number}", at, 6.0 + _LEGEND * line)
+            at += _entry_width(layer)
     return parts
 
 
@@ -254,7 +258,7 @@ def _entry(layer: Layer, name: str, left: float, y: float) -> list[str]:
 
 
 def charts_figure(sheet: ChartSheet) -> Figure:
-    """Draw charts side by side with matplotlib; :func:`charts_svg` is faster, for pages.
+    """Draw charts side by side or above each other with matplotlib; :func:`charts_svg` is faster, for pages.
 
     Parameters
     ----------
@@ -264,19 +268,24 @@ def charts_figure(sheet: ChartSheet) -> Figure:
     -------
     Figure
     """
+    count, stacked = len(sheet.charts), sheet.stacked
+    columns, rows = (1, count) if stacked else (count, 1)
     with drawing():
-        count = len(sheet.charts)
-        figure, panels = new_panels(count * (sheet.width_in + 0.75) + 0.2, sheet.height_in + 1.1, columns=count)
-        for axis, chart in zip(panels, sheet.charts, strict=True):
-            axis.set(xlabel=chart.x.label, ylabel=chart.y.label, title=chart.title)
+        size_in = (columns * (sheet.width_in + 0.75) + 0.2, rows * (sheet.height_in + 0.15) + 1.1)
+        figure, panels = new_panels(*size_in, rows=rows, columns=columns, sharex=stacked)
+        for number, (axis, chart) in enumerate(zip(panels, sheet.charts, strict=True)):
+            last = not stacked or number == count - 1
+            axis.set(xlabel=chart.x.label if last else "", ylabel=chart.y.label, title=chart.title)
             axis.set_xscale("log" if chart.x.logarithmic else "linear")
             axis.set_yscale("log" if chart.y.logarithmic else "linear")
             axis.set(xlim=(chart.x.low, chart.x.high), ylim=(chart.y.low, chart.y.high))
             axis.set_aspect("equal" if chart.equal else "auto")
             for layer in chart.layers:
                 _draw(axis, layer)
-            if _labeled(chart):
-                axis.legend(loc="upper right", frameon=True, framealpha=0.85, edgecolor="none")
+            labels = len(_labeled(chart)) - stacked  # of a stack, one alone says nothing
+            if last and labels > 0:
+                places = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.36 / sheet.height_in), "ncols": labels + 1}
+                axis.legend(**places)
     return figure
 
 

@@ -29,6 +29,7 @@ MARKS = MappingProxyType(
         "match thrown out": "#ff4d4d",
         "a priori outline and center": "#b9a7ff",
         "limb points used": "#ffe066",
+        "limb points rejected": "#ff4d4d",
     }
 )
 """Colors by meaning, for a legend beside the figures."""
@@ -37,6 +38,7 @@ CENTERS = ("#ff5c7a", "#37c8ff", "#8dff6a", "#ff9de2", "#ffffff", "#ffa042")
 """Colors for the centers that estimators found."""
 
 _OUTLINE, _LIMB = MARKS["a priori outline and center"], MARKS["limb points used"]
+_LIMB_REJECTED = MARKS["limb points rejected"]
 PANEL_IN = 4.6
 """Width of a panel, inches: 506 px at the 110 dpi of the report, whose narrowest card is 480 px wide."""
 _MAX_ELONGATION = 2.0
@@ -94,14 +96,18 @@ class CenterMark(Value):
     color : str
     center_px : (2,)
     covariance_px2 : (2, 2)
-    limb_px : (n, 2)
-        Limb points used.
+    limb_px, limb_rejected_px : (n, 2)
+        Limb points used, and those of the lit limb that were not.
+    outline_px : (n, 2)
+        Outline of the body at the result, where it is known.
     """
 
     color: str
     center_px: Float
     covariance_px2: Float
     limb_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    limb_rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    outline_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -301,19 +307,21 @@ def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, ha
     layers = _outline_layers(body)
     for mark in body.centers:
         if len(mark.limb_px):
+            layers.append(Layer(points=mark.limb_rejected_px, shape=Shape.DOT, color=_LIMB_REJECTED, size=2.2))
             layers.append(Layer(points=mark.limb_px, shape=Shape.DOT, color=_LIMB, size=2.2))
-        elif len(body.outline_px):
-            found = body.outline_px + (mark.center_px - body.predicted_px)
+        elif len(mark.outline_px) or len(body.outline_px):
+            moved = body.outline_px + (mark.center_px - body.predicted_px)
+            found = mark.outline_px if len(mark.outline_px) else moved
             layers.append(Layer(points=_closed(found), shape=Shape.LINE, color=mark.color, width=0.7))
         layers.append(Layer(points=mark.center_px[None], shape=Shape.CROSS, color=mark.color, size=8.0, width=1.6))
         if np.isfinite(mark.covariance_px2).all():
             layers.append(Layer(points=_three_sigma(mark), shape=Shape.LINE, color=mark.color))
     return OverlayPanel(
-        title=body.name,
+        title=f"{body.name}, close-up",
         gray=stretched(cut) if cut.size else np.zeros((0, 0), np.uint8),
         picture_px=np.array([left, right, top, bottom]) - 0.5,
         limits_px=np.array([x - half, x + half, y - half, y + half]),
-        layers=layers,
+        layers=[layer for layer in layers if len(layer.points)],
     )
 
 

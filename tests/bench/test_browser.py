@@ -50,8 +50,11 @@ def test_every_mark_of_every_layer_is_drawn_on_its_place(page: Page, run: Path) 
         open_page(page, address)
         for file in ("visit0_a_long.fits", "visit0_b_short.fits"):
             _show(page, file)
-            for box in page.locator("#layers input:not(:checked)").all():
-                box.check()
+            if page.locator("#terminator").count():
+                page.click("#terminator")
+                page.wait_for_selector("#layers input[data-layer=terminator]")
+            while page.locator("#layers input:not(:checked)").count():
+                page.locator("#layers input:not(:checked)").first.check()
             marks = page.evaluate(
                 """() => [...document.querySelectorAll('#marks > g')].flatMap((group, number) => {
                     const layer = state.image.layers[number];
@@ -80,7 +83,7 @@ def test_every_mark_of_every_layer_is_drawn_on_its_place(page: Page, run: Path) 
                 assert abs(screen_x - wanted[0]) < 2 * MARK_PX, name
                 assert abs(screen_y - wanted[1]) < 2 * MARK_PX, name
             drawn |= {line[0] for line in outlines}
-    assert {"detections", "catalog", "matches", "predicted", "fitted", "centers", "limb"} <= drawn
+    assert {"detections", "catalog", "matches", "predicted", "fitted", "centers", "limb", "terminator"} <= drawn
 
 
 def test_a_layer_is_switched_off_and_on(page: Page, run: Path) -> None:
@@ -127,6 +130,13 @@ def test_the_table_is_filtered_sorted_and_leads_to_images(page: Page, run: Path)
         page.click("#rows tbody tr >> nth=0")
         page.wait_for_function("() => state.image.file === 'visit0_b_short.fits'")
         page.fill("#filter", "")
+        page.click("#tab-compare")
+        page.wait_for_selector("#rows tbody tr")
+        assert page.locator("#rows tbody tr").first.inner_text().split()[1:4] == [
+            "PEBBLE",
+            "limb_matching",
+            "cross_correlation",
+        ]
         page.click("#tab-plots")
         page.evaluate("choose(0)")
         page.wait_for_function("() => state.index === 0")

@@ -12,6 +12,7 @@ from starlette.testclient import TestClient
 from giantlike.bench import Session
 from giantlike.bench.server import application
 from giantlike.campaign.store.edits import read_edits
+from giantlike.campaign.store.fix_differences import difference_of
 
 TOKEN = "secret"
 
@@ -113,3 +114,26 @@ def test_a_star_is_rejected_and_the_image_solved_again(client: TestClient, run: 
     assert star not in after["star_ids"]
     assert len(after["star_ids"]) >= 0.9 * len(before["layers"][0]["points"]) - 5
     assert [edit.why for edit in read_edits(run).standing] == ["it is double"]
+
+
+def test_estimators_are_compared_over_the_whole_covariance_of_their_difference(client: TestClient, run: Path) -> None:
+    rows = client.get("/api/compare").json()
+    records = {(one.file, one.estimator): one for one in Session(run).result.observations}
+    assert rows
+    for row in rows:
+        apart = difference_of(records[row["file"], row["estimator"]], records[row["file"], row["minus"]])
+        assert apart is not None
+        assert row["sigmas"] == pytest.approx(apart.sigmas)
+        assert row["sigmas"] < 5.0
+        assert row["d_range_percent"] is not None
+
+
+def test_the_terminator_and_the_residual_map_are_drawn_when_they_are_asked_for(client: TestClient) -> None:
+    index = _index(client, "visit0_b_short.fits")
+    lines = client.get(f"/api/terminator/{index}").json()
+    assert {line["name"] for line in lines} == {"terminator"}
+    chart = next(chart for chart in client.get(f"/api/image/{index}").json()["charts"] if chart["which"] == "map")
+    picture = client.get(f"/chart/{index}.svg", params={key: chart[key] for key in ("which", "target", "estimator")})
+    assert "data:image/png" in picture.text
+    refused = client.get(f"/chart/{index}.svg", params={"which": "map", "target": "PEBBLE", "estimator": "astrology"})
+    assert refused.status_code == 400

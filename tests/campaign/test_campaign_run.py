@@ -560,6 +560,57 @@ def test_the_report_is_one_file_that_names_failures_and_needs_no_network(fresh: 
     assert outside == []
 
 
+def test_cards_of_the_report_hold_numbers_words_and_residuals(finished: Run, fresh: Path) -> None:
+    changed = campaign_table()
+    changed["report"] = {"max_overlays": 24}
+    fresh.write_text(tomli_w.dumps(changed))
+    result = run_campaign(Campaign.load(fresh), workers=1)
+    html = (result.folder / "report.html").read_text()
+    cards = {
+        text.split("<code>")[1].split("</code>")[0]: text
+        for text in html.split('<div class="card')[1:]
+        if "<code>" in text
+    }
+    for one in result.observations:
+        text = cards[one.file]
+        if one.center_px is None or one.covariance_px2 is None or one.predicted_px is None:
+            assert one.problem is not None
+            assert one.problem.detail.rstrip(".")[:40] in text
+            continue
+        found = re.search(rf"{one.estimator}</td><td[^>]*>{one.status}</td>(.*)</tr>", text)
+        assert found is not None
+        x, y, off_x, off_y = re.findall(r"<td class=\"n\">([^<]*)</td>", found[1])[:4]
+        for place, axis in ((x, 0), (y, 1)):
+            value, sigma = map(float, place.split(" ± "))
+            true_sigma = np.sqrt(one.covariance_px2[axis][axis])
+            assert abs(value - one.center_px[axis]) <= 0.05 * true_sigma
+            assert abs(sigma - true_sigma) <= 0.05 * true_sigma
+        off = np.subtract(one.center_px, one.predicted_px)
+        np.testing.assert_allclose([float(off_x), float(off_y)], off, rtol=0, atol=0.05 * true_sigma + 1e-9)
+        residuals = "image - template" if one.estimator == "cross_correlation" else "limb points, outward"
+        assert f"{one.target}, {one.estimator}: {residuals}" in text
+    for target in ("attitudes", "bodies", "failures", "images", "fixes"):
+        assert f'href="#{target}"' in html
+        assert f'id="{target}"' in html
+    assert html.split('id="fixes"')[1].count("<tr>") == len(result.observations) + 1
+
+
+def test_the_outline_of_a_template_is_not_taken_for_limb_points(finished: Run) -> None:
+    folder = RunFolder.open(finished.result.folder)
+    kinds = {}
+    for one in finished.result.observations:
+        points = folder.points(one)
+        if one.center_px is not None:
+            kinds[one.estimator] = {name for name in ("limb_px", "outline_px") if len(points[name])}
+            residuals = points["residuals"]
+            assert len(residuals["at_px"]) == len(residuals["values"])
+            if kinds[one.estimator] == {"limb_px"}:
+                assert len(points["limb_px"]) == len(residuals["values"])
+                assert len(points["limb_rejected_px"]) == one.n_rejected
+    assert kinds["limb_matching"] == {"limb_px"}
+    assert "limb_px" not in kinds["cross_correlation"]
+
+
 def test_figures_are_drawn_of_next_to_nothing() -> None:
     none, one = np.zeros((0, 2)), np.zeros((1, 2))
     body = BodyMarks(

@@ -440,6 +440,18 @@ def test_position_and_center_say_the_same() -> None:
     distance = np.linalg.norm(fix.limb_px - fix.center_px, axis=1)
     assert float(distance.min()) / 30.0 > 0.5
     assert float(distance.max()) / 30.0 < 2.5
+    assert not len(fix.measured_limb_px), "an outline is no limb that was measured"
+
+
+def test_residuals_say_where_they_are_in_the_image() -> None:
+    case = Case(diameter_px=60.0, phase_deg=50.0)
+    image = case.image()
+    spoiled = np.array(image.pixels, dtype=np.float64)
+    x, y = np.rint(case.pixel - np.array([4.0, -3.0])).astype(int)
+    spoiled[y, x] += 0.02 * spoiled.max()
+    fix = positioned(case, replace(image, pixels=spoiled), case.scene())
+    change = fix.residuals - positioned(case, image, case.scene()).residuals
+    assert_allclose(fix.residuals_at_px[np.argmax(change)], [x, y], rtol=0, atol=0)
 
 
 def test_a_sphere_is_found_and_two_runs_agree_to_the_last_bit() -> None:

@@ -129,6 +129,9 @@ def test_a_fix_is_complete_and_its_parts_agree() -> None:
     assert_allclose(fix.covariance_px2, jacobian @ fix.covariance_camera_km2 @ jacobian.T, rtol=0, atol=FLOAT64)
     assert fix.residuals.shape == (fix.n_used,)
     assert fix.limb_px.shape == (fix.n_used, 2)
+    assert np.array_equal(fix.residuals_at_px, fix.measured_limb_px)
+    assert fix.limb_rejected_px.shape == (fix.n_rejected, 2)
+    assert np.isfinite(fix.limb_rejected_px).all()
     assert_allclose(fix.score, np.sqrt(np.mean(fix.residuals**2)), rtol=0, atol=FLOAT64)
     assert fix.score < 0.15
     assert fix.flags is Quality.APRIORI_ATTITUDE

@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.campaign.report.templates import PageFigure
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord, TargetView
+from giantlike.campaign.store.fix_differences import difference_of
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
-from giantlike.core.errors import OpNavError
 from giantlike.core.frames import rotation_between
 from giantlike.core.units import ARCSEC_PER_RAD
-from giantlike.image import Image
 from giantlike.plotting import (
-    CENTERS,
-    BodyMarks,
-    CenterMark,
     Series,
-    StarMarks,
-    overlay_panels,
-    overlay_svg,
     series_charts,
     star_residual_charts,
 )
@@ -34,28 +25,10 @@ from giantlike.plotting import (
 _BODY_PANELS = ("x, px", "y, px", "range, %")
 _MAX_STAR_IMAGES = 500
 """Images whose stars are in the residual figure: some 50,000 points; no result depends on it."""
+_PERCENT = np.array([1.0, 1.0, 100.0])
+"""Scale of center and logarithm of the range."""
 _TIME_UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (1.0, "seconds"))
 """Units of a time axis, s, with their names; the largest that the axis holds more than twice is used."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Overlay:
-    """One image of the report, with what was found in it.
-
-    Parameters
-    ----------
-    record : AttitudeRecord
-    observations : list of ObservationRecord
-    picture : str or None
-        SVG; None if the image file is gone.
-    problem : str or None
-        The reason why there is no picture.
-    """
-
-    record: AttitudeRecord
-    observations: list[ObservationRecord]
-    picture: str | None = None
-    problem: str | None = None
 
 
 def attitude_figures(result: RunResult) -> list[PageFigure]:
@@ -123,100 +96,9 @@ def body_figures(result: RunResult) -> list[PageFigure]:
         )
         if differences:
             figure = series_charts(differences, _BODY_PANELS, label, f"{target}: minus {reference}")
-            caption = f"{target}: the other estimators minus {reference}; the bars are both sigmas together."
+            caption = f"{target}: the other estimators minus {reference}; the bars are one sigma of the difference."
             figures.append(PageFigure.of(figure, f"difference {target}", caption))
     return figures
-
-
-def center_colors(result: RunResult) -> dict[str, str]:
-    """Colors of the centers that estimators found.
-
-    Parameters
-    ----------
-    result : RunResult
-
-    Returns
-    -------
-    dict of str to str
-        By estimator.
-    """
-    names = dict.fromkeys(record.estimator for record in result.observations if record.center_px is not None)
-    return {name: CENTERS[number % len(CENTERS)] for number, name in enumerate(names)}
-
-
-def overlay(result: RunResult, record: AttitudeRecord) -> Overlay:
-    """One image with what was found in it.
-
-    Parameters
-    ----------
-    result : RunResult
-    record : AttitudeRecord
-        Of the image.
-
-    Returns
-    -------
-    Overlay
-    """
-    folder = RunFolder(result.folder)
-    observations = [one for image in result.bodies if image.file == record.file for one in image.observations]
-    targets = dict.fromkeys(one.target for one in observations)
-    with folder.reading():
-        found = folder.points(record)
-        limbs = {one.of: _points(folder.points(one).get("limb_px", [])) for one in observations}
-        kept = [folder.load(TargetRecord, record.file, (target, "")) for target in targets]
-    views = [one.view for one in kept if one is not None and one.view is not None]
-    try:
-        pixels = Image.open(result.folder / record.path, hdu=result.hdu, bottom_up=result.bottom_up).pixels
-    except OpNavError as error:
-        return Overlay(record=record, observations=observations, problem=str(error))
-    colors = center_colors(result)
-    marks = [_body_marks(view, observations, limbs, colors) for view in views]
-    panels = overlay_panels(pixels, record.file, stars=_star_marks(found), bodies=marks)
-    return Overlay(record=record, observations=observations, picture=overlay_svg(panels, f"image-{record.index}"))
-
-
-def _star_marks(points: Mapping[str, Any]) -> StarMarks | None:
-    """Marks of the points of an attitude."""
-    detected, stars = _points(points.get("detected_px", [])), points.get("stars")
-    if not len(detected):
-        return None
-    if stars is None:
-        return StarMarks.of_detections(detected)
-    return StarMarks(
-        detected_px=detected,
-        matched_px=_points(stars["observed_px"]),
-        predicted_px=_points(stars["predicted_px"]),
-        rejected_px=_points(stars["rejected_px"]),
-    )
-
-
-def _body_marks(
-    view: TargetView,
-    observations: Sequence[ObservationRecord],
-    limbs: Mapping[tuple[str, str], Float],
-    colors: Mapping[str, str],
-) -> BodyMarks:
-    return BodyMarks(
-        name=view.target,
-        predicted_px=np.array(view.predicted_px),
-        radius_px=view.radius_px,
-        outline_px=_points(view.outline_px),
-        lit=np.array(view.outline_lit, dtype=bool),
-        centers=[
-            CenterMark(
-                color=colors[record.estimator],
-                center_px=np.array(record.center_px),
-                covariance_px2=np.array(record.covariance_px2),
-                limb_px=limbs[record.of],
-            )
-            for record in observations
-            if record.target == view.target and record.center_px is not None
-        ],
-    )
-
-
-def _points(values: ArrayLike) -> Float:
-    return np.asarray(values, dtype=np.float64).reshape(-1, 2)
 
 
 def _time_axis(result: RunResult) -> tuple[Callable[[int], float], str]:
@@ -265,10 +147,13 @@ def _differences(
 ) -> list[_Sample]:
     samples: list[_Sample] = []
     for index in sorted(records.keys() & reference.keys()):
-        value, sigma = _measured(records[index])
-        other, other_sigma = _measured(reference[index])
-        suspect = "suspect" in (records[index].status, reference[index].status)
-        samples.append((at(index), value - other, np.hypot(sigma, other_sigma), suspect))
+        apart = difference_of(records[index], reference[index])
+        if apart is not None:
+            value, sigma = (
+                np.concatenate([each, np.full(3 - len(each), np.nan)]) for each in (apart.offset, apart.sigma)
+            )
+            suspect = "suspect" in (records[index].status, reference[index].status)
+            samples.append((at(index), value * _PERCENT, sigma * _PERCENT, suspect))
     return samples
 
 
@@ -286,14 +171,28 @@ def _measured(record: ObservationRecord) -> tuple[Float, Float]:
     return offset, sigma
 
 
+def points_of(values: ArrayLike) -> Float:
+    """Points (n, 2) of a list of pairs, which may be empty.
+
+    Parameters
+    ----------
+    values : (n, 2)
+
+    Returns
+    -------
+    (n, 2) float64
+    """
+    return np.asarray(values, dtype=np.float64).reshape(-1, 2)
+
+
 def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> PageFigure:
     """Residuals of the stars of all images, or of many, evenly chosen."""
     step = -(-len(records) // _MAX_STAR_IMAGES)
     folder = RunFolder(result.folder)
     with folder.reading():
         parts = [stars for record in records[::step] if (stars := folder.points(record).get("stars")) is not None]
-    observed = np.concatenate([_points(part["observed_px"]) for part in parts])
-    predicted = np.concatenate([_points(part["predicted_px"]) for part in parts])
+    observed = np.concatenate([points_of(part["observed_px"]) for part in parts])
+    predicted = np.concatenate([points_of(part["predicted_px"]) for part in parts])
     figure = star_residual_charts(
         observed,
         observed - predicted,

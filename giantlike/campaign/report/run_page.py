@@ -20,6 +20,9 @@ from giantlike.core.version import VERSION
 
 _MAX_FAILURES = 300
 """Failures listed one by one; all are counted by reason, and the tables hold the rest."""
+_MAX_FIXES = 4000
+"""Lines of the table of fixes, some 300 bytes each; of more, the good ones are left to the tables."""
+_RANK = {"failed": 0, "suspect": 1, "ok": 2}
 
 
 def write_report(result: RunResult) -> Path:
@@ -40,11 +43,13 @@ def write_report(result: RunResult) -> Path:
         The file cannot be written.
     """
     # Imported when a page is made: workers, which draw nothing, start in half the time without matplotlib.
-    from giantlike.campaign.report.figures import attitude_figures, body_figures, center_colors, overlay
+    from giantlike.campaign.report.cards import card, center_colors, fix_line
+    from giantlike.campaign.report.figures import attitude_figures, body_figures
     from giantlike.plotting import MARKS
 
     failures = _failures(result)
-    shown = _images_to_show(result)
+    shown, colors = _images_to_show(result), center_colors(result)
+    bodies = sorted(result.observations, key=lambda one: _RANK[one.status])[:_MAX_FIXES]
     page = render_page(
         "report.html.j2",
         name=result.name,
@@ -62,9 +67,12 @@ def write_report(result: RunResult) -> Path:
         warnings=[*result.warnings, *_notes(result)],
         attitude_figures=attitude_figures(result),
         body_figures=body_figures(result),
-        overlays=[overlay(result, record) for record in shown],
+        fixes=[fix_line(record) for record in sorted(bodies, key=lambda one: one.index)],
+        n_fixes=len(result.observations),
+        cards=[card(result, record, colors) for record in shown],
+        shown={record.file for record in shown},
         marks=MARKS,
-        centers=center_colors(result),
+        centers=colors,
         n_readable=sum(record.readable for record in result.attitudes),
         time_s=result.time_s,
         calibration=result.calibration,

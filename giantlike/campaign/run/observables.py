@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.record_values import Landmarks, SightingRecord, StarMatches, Status
+from giantlike.campaign.store.record_values import Landmarks, Residuals, SightingRecord, StarMatches, Status
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.causes import Cause, summed
@@ -20,6 +20,9 @@ from giantlike.image import AttitudeSource, Image
 from giantlike.relative.budget import position_covariance
 from giantlike.relative.landmarks.surface_features import LandmarkFix
 from giantlike.scene import Scene, TargetGeometry
+
+_MAP_CELLS = 32
+"""Cells along the longer side of a map of residuals: a picture in a report is some 200 px wide; 3 kB in the store."""
 
 
 def status_of(flags: Quality) -> Status:
@@ -184,6 +187,32 @@ def _landmarks(fix: LandmarkFix) -> Landmarks:
     )
 
 
+def _points(fix: PositionFix) -> dict[str, list[list[float]]]:
+    """Limb points of a fix that was made of them, else its outline; landmarks are kept apart."""
+    if isinstance(fix, LandmarkFix):
+        return {}
+    measured = fix.measured_limb_px
+    return {"limb_px": measured.tolist()} if len(measured) else {"outline_px": fix.limb_px.tolist()}
+
+
+def _residuals(fix: CenterFix) -> Residuals | None:
+    """Residuals for a picture: of points one by one, of pixels as means over cells; None where places are unknown."""
+    at_px, values, cell_px = fix.residuals_at_px, fix.residuals, 0.0
+    if isinstance(fix, LandmarkFix) or not len(at_px):
+        return None
+    if not (isinstance(fix, PositionFix) and len(fix.measured_limb_px)):
+        low = at_px.min(axis=0)
+        cell_px = max(float(np.ptp(at_px, axis=0).max()) / _MAP_CELLS, 1.0)
+        cells = np.floor((at_px - low) / cell_px).astype(np.int64)
+        number = cells[:, 1] * (_MAP_CELLS + 1) + cells[:, 0]
+        count = np.bincount(number)
+        full = np.flatnonzero(count)
+        values = np.bincount(number, values)[full] / count[full]
+        at_px = low + cell_px * (np.stack([full % (_MAP_CELLS + 1), full // (_MAP_CELLS + 1)], axis=1) + 0.5) - 0.5
+    places = np.round(at_px, 3).tolist()
+    return Residuals(at_px=places, values=np.round(values, 6).tolist(), cell_px=cell_px)
+
+
 def with_prediction(record: ObservationRecord, camera: Camera, geometry: TargetGeometry) -> ObservationRecord:
     """Record with the place of the target by the a priori geometry.
 
@@ -238,6 +267,7 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
         parts={cause: part.tolist() for cause, part in fix.parts.items()},
         partials={cause: partial.tolist() for cause, partial in fix.partials.items()},
         landmarks=_landmarks(fix) if isinstance(fix, LandmarkFix) else None,
+        residuals=_residuals(fix),
     )
     position = camera.model.unproject(fix.center_px) * geometry.range_km
     if isinstance(fix, PositionFix):
@@ -247,7 +277,8 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
             covariance_camera_km2=fix.covariance_camera_km2.tolist(),
             range_km=fix.range_km,
             sigma_range_km=fix.sigma_range_km,
-            limb_px=fix.limb_px.tolist(),
+            limb_rejected_px=fix.limb_rejected_px.tolist(),
+            **_points(fix),
         )
     attitude = record.attitude
     if attitude is None:

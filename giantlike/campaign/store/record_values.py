@@ -103,6 +103,23 @@ class Landmarks(PlainRecord):
     body_km: list[Triple]
 
 
+class Residuals(PlainRecord):
+    """Residuals of a fix where they are in the image, for pictures of them.
+
+    Parameters
+    ----------
+    at_px : (n, 2) list of float, px
+    values : (n,) list of float
+        As in :class:`~giantlike.core.outcomes.CenterFix`.
+    cell_px : float, px
+        0: all residuals one by one. Else each value is the mean over a square of this side around its place.
+    """
+
+    at_px: list[Pair]
+    values: Vector
+    cell_px: float
+
+
 class SightingRecord(PlainRecord):
     """What was known of a target in an image beforehand, for its observables.
 

@@ -19,6 +19,7 @@ from giantlike.campaign.store.record_values import (
     Landmarks,
     Pair,
     PlainRecord,
+    Residuals,
     Rows,
     SightingRecord,
     StarMatches,
@@ -358,13 +359,16 @@ class ObservationRecord(ImageRecord):
     partials : mapping of Cause to (k, m) list of float
         Derivatives of the place, as there.
     landmarks : Landmarks, optional
-    limb_px : (n, 2) list of float, px
-        Limb points used.
+    limb_px, limb_rejected_px : (n, 2) list of float, px
+        Limb points used, and those of the lit limb that were not.
+    outline_px : (n, 2) list of float, px
+        Outline of a template at the fix.
+    residuals : Residuals, optional
     time_s : float, s
     """
 
     part: ClassVar[str] = "observation"
-    points_of: ClassVar[tuple[str, ...]] = ("limb_px", "landmarks")
+    points_of: ClassVar[tuple[str, ...]] = ("limb_px", "limb_rejected_px", "outline_px", "residuals", "landmarks")
 
     epoch_utc: str | None = None
     target: str
@@ -394,6 +398,9 @@ class ObservationRecord(ImageRecord):
     partials: dict[Cause, Rows] = Field(default_factory=dict)
     landmarks: Landmarks | None = None
     limb_px: list[Pair] = Field(default_factory=list)
+    limb_rejected_px: list[Pair] = Field(default_factory=list)
+    outline_px: list[Pair] = Field(default_factory=list)
+    residuals: Residuals | None = None
     time_s: float = 0.0
 
     @property
@@ -407,13 +414,20 @@ class ObservationRecord(ImageRecord):
         return self.target, self.estimator
 
     def light(self) -> Self:
-        """Return the record without limb points and landmarks.
+        """Return the record without limb points, outline, residuals and landmarks.
 
         Returns
         -------
         ObservationRecord
         """
-        return self.model_copy(update={"limb_px": [], "landmarks": None})
+        none: dict[str, object] = {
+            "limb_px": [],
+            "limb_rejected_px": [],
+            "outline_px": [],
+            "residuals": None,
+            "landmarks": None,
+        }
+        return self.model_copy(update=none)
 
 
 class TargetView(PlainRecord):

@@ -310,7 +310,7 @@ class RunFolder:
             return {}
         try:
             full = unpacked(row.points, arrays=True)
-            return {name: full[name] for name in record.points_of}
+            return {name: full[name] for name in record.points_of if name in full}
         except (ValueError, KeyError, TypeError) as error:
             raise self._damaged(ValueError(f"points of {record.file}: {error}")) from error
 

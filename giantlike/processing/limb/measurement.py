@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +127,8 @@ class LimbMeasurement(Value):
         Pixels within reach of the limb.
     terrain : TerrainShift or None
         Relief by a height map; ``shift_px`` is without it.
+    unmeasured_px : (k, 2) float64, px
+        Predicted places of the points that ``rejected`` counts.
     """
 
     predicted_px: Float
@@ -146,6 +148,7 @@ class LimbMeasurement(Value):
     relief: SmoothError | None = None
     n_elsewhere: int = 0
     terrain: TerrainShift | None = None
+    unmeasured_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def observed_px(self) -> Float:
@@ -159,6 +162,11 @@ class LimbMeasurement(Value):
         raised_px = 0.0 if self.terrain is None else self.terrain.shift_px[:, None]
         result: Float = self.observed_px + raised_px * self.normals_px
         return result
+
+    @property
+    def rejected_px(self) -> Float:
+        """Points (k, 2) of the lit limb that are not used, px: as measured, else where they were predicted."""
+        return np.concatenate([self.seen_px[~self.keep], self.unmeasured_px])
 
     @property
     def relief_px(self) -> float:

@@ -443,6 +443,7 @@ class CellScan(Value):
             prior=prior,
             expected=np.concatenate([[self.nominal_psf_px2 - psf_px2], np.zeros(prior.size - 1)]),
             whole=whole,
+            unmeasured_px=arc.points_px[cells.others],
         )
 
     def step(self, measured: CellMeasurement, state: LimbState) -> LimbStep:

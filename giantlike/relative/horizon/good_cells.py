@@ -88,6 +88,8 @@ class GoodCells(Value):
         From one cell to the next, good or not.
     rejected : mapping of str to int
         Number of the others by reason.
+    others : (k,) int64
+        The points of the horizon in the middles of these.
     """
 
     fits: CellFits
@@ -95,6 +97,7 @@ class GoodCells(Value):
     shift_px: Float
     spacing_px: float
     rejected: Mapping[str, int]
+    others: Indices
 
 
 def good_cells(
@@ -166,4 +169,5 @@ def _fitted(
         shift_px=displaced_px[middles] + fits.raw_shift_px,
         spacing_px=float(np.median(apart_px)) if good.size > 1 else rules.cell_px,
         rejected=rejected,
+        others=pixels.middles[~good],
     )

@@ -365,6 +365,7 @@ class _Search:
             center_px=center,
             covariance_px2=covariance_px2,
             residuals=pose.residuals_px[pose.inliers].ravel(),
+            residuals_at_px=np.repeat(observed, 2, axis=0),
             n_used=len(used),
             n_rejected=found.tried - len(used),
             score=score,

@@ -188,6 +188,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
         covariance_px2=summed(parts),
         parts=parts,
         residuals=law.residuals,
+        residuals_at_px=(np.argwhere(bright)[:, ::-1] + light.corner_px).astype(np.float64),
         n_used=n_used,
         n_rejected=0,
         score=size.area_ratio,

@@ -175,6 +175,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
             covariance_px2=summed(parts),
             parts=parts,
             residuals=fit.residuals_dn[fit.used] / float(fit.signal_dn.max()),
+            residuals_at_px=fit.used_at_px(),
             n_used=int(fit.used.sum()),
             n_rejected=fit.n_rejected,
             score=measured.snr,

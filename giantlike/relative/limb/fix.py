@@ -431,6 +431,8 @@ def limb_fix(
         position_camera_km=position_km,
         covariance_camera_km2=covariance_km2,
         limb_px=solution.limb_px,
+        limb_rejected_px=measured.rejected_px,
+        residuals_at_px=solution.limb_px,
     )
 
 

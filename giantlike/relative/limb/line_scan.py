@@ -379,6 +379,7 @@ class LineScan(Value):
             area=area,
             relief=self.relief,
             psf_px2=width**2 + found.psf_px2,
+            unmeasured_px=limb.points_px[~good],
         )
 
     def _limb(self, body: Body, *, first: bool) -> PredictedLimb | Failure:

@@ -345,6 +345,7 @@ def _fix(
         center_px=fit.state.center_px,
         covariance_px2=fit.covariance[:2, :2],
         residuals=fit.residuals_dn[fit.used] / float(signal.max()),
+        residuals_at_px=fit.used_at_px(blocks.size),
         n_used=int(fit.used.sum()),
         n_rejected=fit.n_rejected,
         score=fit.score,

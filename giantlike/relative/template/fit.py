@@ -116,6 +116,8 @@ class TemplateFit(Value):
     chi : float
         Root mean square over the used pixels of residual over noise.
     iterations : int
+    corner_px : (int, int), px
+        Column and row of the first element of the box.
     """
 
     state: TemplateState
@@ -130,6 +132,24 @@ class TemplateFit(Value):
     n_rejected: int
     chi: float
     iterations: int
+    corner_px: tuple[int, int] = (0, 0)
+
+    def used_at_px(self, block_px: int = 1) -> Float:
+        """Return the places in the image of the pixels used.
+
+        Parameters
+        ----------
+        block_px : int, px
+            Pixels of the image along the side of one of the fit.
+
+        Returns
+        -------
+        (n, 2) float64, px
+            Middles, in the order of ``residuals_dn[used]``.
+        """
+        rows, columns = np.nonzero(self.used)
+        places = np.column_stack([columns, rows]) + np.array(self.corner_px)
+        return np.asarray(block_px * places + 0.5 * (block_px - 1), dtype=np.float64)
 
     @property
     def covariance(self) -> Float:
@@ -293,6 +313,7 @@ class _Solved:
             n_rejected=int(np.count_nonzero(~solution.kept)),
             chi=float(np.sqrt(np.mean(residuals[used] ** 2 / noise[used]))),
             iterations=iterations,
+            corner_px=problem.pixels.corner_px,
         )
 
     def _parts(
