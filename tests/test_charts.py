@@ -108,7 +108,7 @@ def test_stacked_charts_stand_above_each_other_in_matplotlib_too() -> None:
 
 def test_a_map_of_residuals_is_red_where_the_image_is_brighter() -> None:
     columns, rows = (each.ravel() for each in np.meshgrid(np.arange(6), np.arange(4)))
-    at = np.column_stack([columns, rows]) * 2.0 + 10.5
+    at = (np.column_stack([columns, rows]) * 2.0 + 10.5).astype(np.float64)
     svg = residual_map_svg(at, np.where(columns < 3, -1.0, 1.0), 2.0, "<t>", unit="%")
     picture = re.findall(r"data:image/png;base64,([^\"]*)", svg)[0]
     cells = cv2.imdecode(np.frombuffer(base64.b64decode(picture), np.uint8), cv2.IMREAD_COLOR)
