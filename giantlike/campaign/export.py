@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -24,11 +25,12 @@ from giantlike.io.attitude_series import AttitudeSeries, UntimedAttitude, write_
 from giantlike.io.camera_sip import PosedModel
 from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.ccsds_tdm import write_tdm
-from giantlike.io.observables_file import ObservableRow
+from giantlike.io.observables_file import ObservableBlock, ObservableRow
+from giantlike.io.picture_sequence import PsfPicture, write_psf
 from giantlike.io.spc_sumfile import write_sumfile
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import write_wcs
-from giantlike.observables.exchange import Angles, sumfile_of, tracking_segments
+from giantlike.observables.exchange import Angles, picture_of, psf_camera, sumfile_of, tracking_segments
 from giantlike.observables.pointing import pointing_from_bodies
 
 
@@ -47,6 +49,8 @@ class ExportFormat(StrEnum):
     """Observables of bodies, landmarks and stars: JSON lines or, by the name of the output, Parquet."""
     TDM = "tdm"
     """CCSDS Tracking Data Message: right ascension, declination and range of the preferred fixes."""
+    PSF = "psf"
+    """JPL picture sequence file: pointing, bodies and stars of each picture."""
     SUMFILE = "sumfile"
     """SUMFILEs of stereophotoclinometry, one for each target in an image, in a folder."""
 
@@ -69,6 +73,7 @@ EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
         ExportFormat.WCS: "attitudes_export.wcs",
         ExportFormat.OBSERVABLES: "observables.jsonl",
         ExportFormat.TDM: "observables.tdm",
+        ExportFormat.PSF: "pictures.psf",
         ExportFormat.SUMFILE: "sumfiles",
     }
 )
@@ -97,7 +102,7 @@ class ExportOptions:
     ck_type : int
         CK: 3, continuous, or 1, discrete.
     object_name, object_id, originator : str
-        AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM: the spacecraft, and who writes the message.
+        AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft, and who writes the message.
     angles : Angles
         TDM: what is removed of the angles.
     sip_order : int
@@ -174,6 +179,8 @@ def export_run(
     camera = camera_of_run(folder)
     if format_name is ExportFormat.TDM:
         return _tdm(output, _single_rows(result, camera), options)
+    if format_name is ExportFormat.PSF:
+        return _pictures(output, result, camera, options)
     if format_name is ExportFormat.SUMFILE:
         return _sumfiles(output, _single_rows(result, camera), camera)
     needs_epoch = format_name not in (ExportFormat.WCS, ExportFormat.CSV)
@@ -333,6 +340,36 @@ def _tdm(output: Path, rows: Iterable[ObservableRow], options: ExportOptions) ->
     write_tdm(output, tracked.segments, originator=options.originator)
     count = sum(len(segment.points) for segment in tracked.segments)
     return Exported(files=(output,), n_observations=count, left_out=tracked.left_out)
+
+
+def _pictures(output: Path, result: RunResult, camera: Camera, options: ExportOptions) -> Exported:
+    """Write the pictures with bodies or stars."""
+    pictures, left_out = list[PsfPicture](), Counter[str]()
+    for _, group in groupby(run_observables(result, camera), key=_file_of):
+        picture = picture_of(camera, list(group))
+        if isinstance(picture, str):
+            left_out[picture] += 1
+        else:
+            pictures.append(picture)
+    require(bool(pictures), f"{output}: no picture to write ({_said(left_out)})")
+    make_folder(output.parent)
+    count = write_psf(
+        output,
+        psf_camera(camera),
+        pictures,
+        spacecraft=options.object_name,
+        name=result.name,
+        comments=(
+            "pixel, line: 0, 0 is the center of the first",
+            "ZC: distortion, so that Z - ZC is linear",
+            "SIG: all causes for bodies, noise for stars",
+        ),
+    )
+    return Exported(files=(output,), n_observations=count, left_out=left_out)
+
+
+def _file_of(rows: ObservableRow | ObservableBlock) -> str:
+    return str(rows.shared["file"]) if isinstance(rows, ObservableBlock) else rows.file
 
 
 def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera) -> Exported:

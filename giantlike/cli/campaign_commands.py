@@ -36,7 +36,7 @@ def export(
         Path | None, typer.Option(help="ck: clock kernel of the spacecraft; default: one is made.", metavar="FILE.tsc")
     ] = None,
     ck_type: Annotated[int, typer.Option(help="ck: 3, continuous, or 1, discrete.", min=1, max=3)] = 3,
-    object_name: Annotated[str, typer.Option(help="aem, tdm: spacecraft.")] = "UNKNOWN",
+    object_name: Annotated[str, typer.Option(help="aem, tdm, psf: spacecraft.")] = "UNKNOWN",
     object_id: Annotated[str, typer.Option(help="aem: its international designator.")] = "UNKNOWN",
     originator: Annotated[str, typer.Option(help="aem, tdm: creator of the message.")] = "UNKNOWN",
     angles: Annotated[Angles, typer.Option(help="tdm: what is removed of the angles.")] = Angles.ASTROMETRIC,
@@ -47,8 +47,8 @@ def export(
 
     csv: quaternions and covariances. ck: SPICE C-kernel of type 3 or 1. aem: CCSDS attitude ephemeris. wcs: a FITS
     header with TAN-SIP world coordinates for each image. observables: bodies, landmarks and stars as JSON lines, or as
-    the Parquet file that every run writes. tdm: CCSDS tracking data message of the preferred fixes. sumfile: SUMFILEs
-    of stereophotoclinometry.
+    the Parquet file that every run writes. tdm: CCSDS tracking data message of the preferred fixes. psf: JPL picture
+    sequence file. sumfile: SUMFILEs of stereophotoclinometry.
     """
     options = ExportOptions(
         pointing=pointing,

@@ -1,26 +1,29 @@
-"""Observables in the terms of other programs: tracking data messages, and SUMFILEs of stereophotoclinometry."""
+"""Observables in the terms of other programs: tracking data messages, picture sequences, SUMFILEs."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import PurePath
 
 import numpy as np
+import spiceypy
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require
-from giantlike.core.frames import rotate
+from giantlike.core.frames import radec_from_direction, rotate
+from giantlike.core.light import aberrate
 from giantlike.core.time import time_from_et
 from giantlike.io.ccsds_tdm import TdmPoint, TdmSegment
-from giantlike.io.observables_file import ObservableRow
+from giantlike.io.observables_file import ObservableBlock, ObservableRow
+from giantlike.io.picture_sequence import PsfCamera, PsfImage, PsfKind, PsfPicture
 from giantlike.io.spc_sumfile import Sumfile
 
 _PIXELS_PER_MM = 100.0
-"""Of the focal plane of a SUMFILE: a camera here has no pitch in mm, and only focal length times pitch matters."""
+"""Of the focal plane of a file: a camera here has no pitch in mm, and only focal length times pitch matters."""
 _LARGEST_DN = 65535  # of a SUMFILE, for a detector without saturation: 16 bits
 
 
@@ -122,10 +125,7 @@ def sumfile_of(camera: Camera, body: ObservableRow, landmarks: Sequence[Observab
     require(None not in known, f"{body.file}: a SUMFILE needs position, attitude, orientation and epoch")
     camera_from_inertial = Rotation.from_quat(_vector(body.camera_from_icrf_xyzw))
     inertial_from_body = Rotation.from_quat(_vector(body.icrf_from_body_xyzw))
-    body_from_inertial, model = inertial_from_body.inv(), camera.model
-    named = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
-    focal_length_mm = named["fx_px"] / _PIXELS_PER_MM
-    k = np.array([[named["fx_px"], named["skew_px"], 0.0], [0.0, named["fy_px"], 0.0]]) / focal_length_mm
+    body_from_inertial, plane = inertial_from_body.inv(), psf_camera(camera)
     sigma_km, sigma_rad = np.zeros(3), np.zeros(3)
     if body.covariance_position_icrf_km2 is not None:
         turn = body_from_inertial.as_matrix()
@@ -139,9 +139,9 @@ def sumfile_of(camera: Camera, body: ObservableRow, landmarks: Sequence[Observab
         columns=camera.columns,
         rows=camera.rows,
         thresholds_dn=(0, _LARGEST_DN if not np.isfinite(saturation) else int(saturation)),
-        focal_length_mm=focal_length_mm,
-        center_px=np.array([named["cx_px"], named["cy_px"]]),
-        pixels_per_mm=k,
+        focal_length_mm=plane.focal_length_mm,
+        center_px=plane.center_px,
+        pixels_per_mm=np.hstack([plane.pixels_per_mm, np.zeros((2, 1))]),
         target_km=rotate(body_from_inertial, _vector(body.apparent_position_icrf_km)),
         camera_from_body=camera_from_inertial * inertial_from_body,
         sun_direction_body=rotate(body_from_inertial, _vector(body.sun_direction_icrf)),
@@ -152,6 +152,113 @@ def sumfile_of(camera: Camera, body: ObservableRow, landmarks: Sequence[Observab
             for k, row in enumerate(landmarks)
         },
     )
+
+
+def psf_camera(camera: Camera) -> PsfCamera:
+    """Return the camera of a picture sequence file: focal length and principal point, without distortion.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Returns
+    -------
+    PsfCamera
+    """
+    named = dict(zip(camera.model.parameter_names, camera.model.parameters.tolist(), strict=True))
+    focal_length_mm = named["fx_px"] / _PIXELS_PER_MM
+    return PsfCamera(
+        columns=camera.columns,
+        rows=camera.rows,
+        focal_length_mm=focal_length_mm,
+        center_px=np.array([named["cx_px"], named["cy_px"]]),
+        pixels_per_mm=np.array([[named["fx_px"], named["skew_px"]], [0.0, named["fy_px"]]]) / focal_length_mm,
+    )
+
+
+def picture_of(camera: Camera, rows: Sequence[ObservableRow | ObservableBlock]) -> PsfPicture | str:
+    """Picture of a picture sequence file: preferred fixes of bodies, and the stars of the image.
+
+    Parameters
+    ----------
+    camera : Camera
+    rows : sequence of ObservableRow or ObservableBlock
+        Of one image.
+
+    Returns
+    -------
+    PsfPicture or str
+        The reason, where there is none.
+    """
+    bodies = [row for row in rows if isinstance(row, ObservableRow) and row.kind == "body" and row.preferred]
+    stars = [star for block in rows if isinstance(block, ObservableBlock) for star in block.rows()]
+    used = [
+        row
+        for row in (*bodies, *stars)
+        if row.sigma_pixel_px is not None and (row.kind == "body" or row.observer_velocity_icrf_km_s is not None)
+    ]
+    if not used:
+        return "no body or star with a sigma, and for stars the velocity of the spacecraft"
+    first = used[0]
+    if first.epoch_et_s is None:
+        return "no epoch"
+    if first.camera_from_icrf_xyzw is None:
+        return "no attitude"
+    attitude = Rotation.from_quat(_vector(first.camera_from_icrf_xyzw))
+    return PsfPicture(
+        name=PurePath(first.file).stem,
+        et=first.epoch_et_s,
+        exposure_s=first.exposure_s or 0.0,
+        camera_from_inertial=attitude,
+        images=_psf_images(camera, attitude, used),
+    )
+
+
+def _psf_images(camera: Camera, attitude: Rotation, rows: Sequence[ObservableRow]) -> tuple[PsfImage, ...]:
+    """Bodies and stars of a picture; places of stars in the catalog are those that the attitude was solved with."""
+    model, plane = camera.model, psf_camera(camera)
+    observed = _vector([[row.observed_pixel_px, row.observed_line_px] for row in rows])
+    in_camera = model.unproject(observed)
+    in_plane = plane.focal_length_mm * in_camera[:, :2] / in_camera[:, 2:]
+    corrections = observed - plane.center_px - in_plane @ plane.pixels_per_mm.T
+    images = []
+    places = _star_places(camera, attitude, [row for row in rows if row.kind == "star"])
+    for row, place, correction in zip(rows, observed, corrections, strict=True):
+        star = row.kind == "star"
+        name = (row.feature if star else row.target) or ""
+        kind, number = (PsfKind.STAR, int(name) if name.isdecimal() else 0) if star else _psf_body(name)
+        images.append(
+            PsfImage(
+                kind=kind,
+                name=name,
+                number=number,
+                observed_px=place,
+                correction_px=correction,
+                sigma_px=_vector([row.sigma_pixel_px, row.sigma_line_px]),
+                radec_deg=next(places) if star else None,
+            )
+        )
+    return tuple(images)
+
+
+def _star_places(camera: Camera, attitude: Rotation, stars: Sequence[ObservableRow]) -> Iterator[tuple[float, float]]:
+    """Right ascension and declination of catalog stars, deg, without aberration."""
+    if stars:
+        computed = _vector([[star.computed_pixel_px, star.computed_line_px] for star in stars])
+        apparent = rotate(attitude.inv(), camera.model.unproject(computed))
+        ra, dec = radec_from_direction(aberrate(apparent, -_vector(stars[0].observer_velocity_icrf_km_s)))
+        yield from zip(ra.tolist(), dec.tolist(), strict=True)
+
+
+def _psf_body(target: str) -> tuple[PsfKind, int]:
+    """Kind and NAIF code of a body, 0 of one that SPICE does not know."""
+    try:
+        code = int(spiceypy.bodn2c(target))
+    except spiceypy.utils.exceptions.NotFoundError:
+        return PsfKind.SMALL_BODY, 0
+    if not 100 < code < 1000:
+        return PsfKind.SMALL_BODY, code
+    return (PsfKind.PLANET if code % 100 == 99 else PsfKind.SATELLITE), code
 
 
 def _vector(values: object) -> Float:

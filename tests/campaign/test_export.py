@@ -125,6 +125,7 @@ def test_an_aem_is_read_by_a_reader_of_the_standard(tmp_path: Path) -> None:
         tmp_path / "att.aem", _series(), AemNames(object_name="PROBE", object_id="2024-001A", frame="INSTRUMENT_7")
     )
     # Its parser finds header, segments and lines; its builder of objects (3.1.1) has no field for quaternions of 2.0.
+    # Orekit, which has, reads one in test_export_orekit.py.
     document = dispatch_document(tokenize((tmp_path / "att.aem").read_text()))
     assert document.ndm_type.name == "AEMv2"
     data = [[line for line in segment.data if isinstance(line, PackedDataLine)] for segment in document.segments]

