@@ -96,15 +96,17 @@ light-time range where one was measured; what is removed is said in comments. `-
 stereophotoclinometry for each preferred position, with its landmarks (`giantlike.io.spc_sumfile.read_sumfile` reads
 them): the pose is the apparent one, places are those in the image as it is, distorted, and counted from 1.
 
-`--format psf` writes a picture sequence file as JPL's orbit programs and Tudat read it: for each picture its pointing (right
-ascension, declination and twist in degrees; a twist of 90 has columns to the east), and for each preferred body and each
-star the measured pixel and line `Z`, the distortion `ZC` there (`Z - ZC` belongs to the linear camera of the file, pixel 0
-and line 0 being the center of the first) and one sigma, for bodies of all causes. `TOB` is the end of the exposure. The
-file has no place for correlations, ranges or landmarks; a name that SPICE does not know gets the code 0.
+`--format psf` writes a picture sequence file of JPL's orbit programs, after its public description and the reader of
+Tudat (by whose formulas the tests go back to directions; the programs themselves were not at hand): for each picture
+its pointing (right ascension, declination and twist in degrees; a twist of 90 has columns to the east), and for each
+preferred body and each star the measured pixel and line `Z`, the distortion `ZC` there (`Z - ZC` belongs to the
+linear camera of the file, pixel 0 and line 0 being the center of the first) and one sigma, for bodies of all causes.
+`TOB` is the end of the exposure. The file has no place for correlations, ranges or landmarks; a name that SPICE does
+not know gets the code 0.
 
-The OpNav tracking file of ODTK is not offered: the part of its description that could be read does not tell how the line of the
-version and the last columns are written. ODTK reads the tracking data message. With Orekit, `--format aem` was read back
-attitude by attitude, and an orbit from the observables compared ([benchmarks](../benchmarks/README.md)).
+The OpNav tracking file of ODTK is not offered: the part of its description that could be read does not tell how the
+line of the version and the last columns are written. ODTK reads tracking data messages. Orekit reads the attitudes of
+`--format aem` at their epochs, and gets the same orbit from the observables ([benchmarks](../benchmarks/README.md)).
 
 """
 _MISSIONS = """# Missions
