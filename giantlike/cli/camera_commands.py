@@ -12,9 +12,9 @@ import typer
 
 from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models.convert import convert as convert_model
-from giantlike.cli.arguments import Json
+from giantlike.cli.arguments import Json, Overwrite
 from giantlike.cli.outcome import ExitCode, print_json, say
-from giantlike.core.arrays import finite_or_none
+from giantlike.core.arrays import finite_or_none, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
 from giantlike.io.camera_import import read_foreign_camera
@@ -63,12 +63,14 @@ def convert(
     first_pixel: FirstPixel = None,
     boresight: BoresightOption = None,
     size: Size = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> ExitCode:
     """Write a camera in another file format or as another model, and say what is lost.
 
     A model of another type is fitted over the whole frame; the largest and the rms difference are shown.
     """
+    require(overwrite or not output.exists(), f"{output} exists: name another file, or give --overwrite")
     camera, notes = _read(file, name, instrument, first_pixel, boresight, size)
     lost: dict[str, Any] = {}
     if model is not None and model != camera.model.type_name:

@@ -6,6 +6,7 @@ counts pixels from the center of the first one, and its x and y are ours: nothin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -119,7 +120,8 @@ def _plain_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     return loader.construct_mapping(node, deep=True)
 
 
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _plain_matrix)
+for _tag in ("opencv-matrix", "opencv-nd-matrix"):  # OpenCV 5 writes arrays of one dimension as the second
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _plain_matrix)
 
 
 def _yaml_storage(content: bytes) -> Mapping[str, Any]:
@@ -148,17 +150,24 @@ def _matrix(storage: Mapping[str, Any], keys: Sequence[str]) -> Float | None:
     value = _value(storage, keys)
     if value is None:
         return None
-    if not isinstance(value, dict) or not {"rows", "cols", "data"} <= value.keys():
+    if not isinstance(value, dict) or not (
+        {"rows", "cols", "data"} <= value.keys() or {"sizes", "data"} <= value.keys()
+    ):
         raise ValueError(f"a matrix with rows, cols and data is needed under one of {', '.join(keys)}")
-    data = value["data"].split() if isinstance(value["data"], str) else value["data"]
     try:
-        numbers = np.array([float(number) for number in data])
-        rows, columns = int(value["rows"]), int(value["cols"])
+        numbers = np.array([float(number) for number in _items(value["data"])])
+        sizes = _items(value["sizes"]) if "sizes" in value else (value["rows"], value["cols"])
+        shape = tuple(int(size) for size in sizes)
     except TypeError as error:
         raise ValueError(f"the matrix under one of {', '.join(keys)} holds something else than numbers") from error
-    if min(rows, columns) < 0 or rows * columns != numbers.size:
-        raise ValueError(f"a matrix of {rows} rows and {columns} columns cannot have {numbers.size} numbers")
-    return numbers.reshape(rows, columns)
+    if min(shape, default=0) < 0 or math.prod(shape) != numbers.size:
+        raise ValueError(f"a matrix of the shape {shape} cannot have {numbers.size} numbers")
+    return numbers.reshape(shape)
+
+
+def _items(values: Any) -> Any:
+    """Items of a list, which XML holds as text."""
+    return values.split() if isinstance(values, str) else values
 
 
 def _whole(storage: Mapping[str, Any], keys: Sequence[str]) -> int | None:

@@ -134,6 +134,8 @@ class StarNavigation:
             outcome, left = self.solve_detections(image, detections), detections.left_out
             if left is None or (isinstance(outcome, AttitudeFix) and _enough(detections, outcome, left)):
                 break
+            if _is_mirrored(outcome):
+                break
         return detections, outcome
 
     def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:
@@ -191,7 +193,7 @@ class StarNavigation:
         clean = measured & detections.clean
         outcome = self._solve_usable(image, detections, np.flatnonzero(clean))
         rest = measured & ((detections.flags & np.uint16(DetectionFlag.EXTENDED)) == 0)
-        if outcome or int(rest.sum()) == int(clean.sum()):
+        if outcome or _is_mirrored(outcome) or int(rest.sum()) == int(clean.sum()):
             return outcome
         return self._solve_usable(image, detections, np.flatnonzero(rest)) or outcome
 
@@ -332,6 +334,11 @@ class StarNavigation:
             "shared_error_px": f"{solution.shared_error_px:.4g}",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
+
+
+def _is_mirrored(outcome: AttitudeFix | Failure) -> bool:
+    """True where stars were matched after a reflection: with more detections the search would end no other way."""
+    return isinstance(outcome, Failure) and outcome.reason is Reason.MIRRORED_IMAGE
 
 
 def _enough(detections: Detections, fix: AttitudeFix, left: UnmeasuredSources) -> bool:

@@ -115,6 +115,19 @@ def test_a_file_that_opencv_wrote_projects_as_opencv_does(tmp_path: Path) -> Non
     assert (camera.columns, camera.rows) == (640, None)
 
 
+@pytest.mark.parametrize("suffix", [".yml", ".xml"])
+def test_coefficients_that_opencv_wrote_as_one_dimension_are_read(suffix: str, tmp_path: Path) -> None:
+    matrix = np.array([[800.0, 0.0, 319.5], [0.0, 810.0, 239.5], [0.0, 0.0, 1.0]])
+    coefficients = np.array([0.1, -0.2, 1e-3, -2e-3, 0.05])
+    storage = cv2.FileStorage(str(tmp_path / f"camera{suffix}"), cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", matrix)
+    storage.write("distortion_coefficients", coefficients)
+    storage.release()
+    model = read_opencv_camera(tmp_path / f"camera{suffix}").model
+    assert isinstance(model, BrownModel)
+    assert [model.k1, model.k2, model.p1, model.p2, model.k3] == coefficients.tolist()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -136,6 +149,17 @@ def test_a_damaged_opencv_file_is_refused_with_its_name(text: str, message: str,
     assert caught.value.path == path
     with pytest.raises(DataError, match="no such file"):
         read_opencv_camera(tmp_path / "missing.yml")
+
+
+def test_a_camera_file_that_exists_is_replaced_only_when_asked(tmp_path: Path) -> None:
+    opencv, ours = tmp_path / "camera.yml", tmp_path / "camera.toml"
+    write_opencv_camera(opencv, LENS, columns=COLUMNS, rows=ROWS)
+    ours.write_text("calibrated yesterday")
+    refused = CliRunner().invoke(app, ["camera", "convert", str(opencv), str(ours)])
+    assert refused.exit_code == 2
+    assert ours.read_text() == "calibrated yesterday"
+    assert CliRunner().invoke(app, ["camera", "convert", str(opencv), str(ours), "--overwrite"]).exit_code == 0
+    assert Camera.load(ours).model == LENS
 
 
 def test_what_opencv_can_not_hold_is_not_written(tmp_path: Path) -> None:

@@ -136,6 +136,18 @@ def test_wings_are_found_and_centroids_with_them_have_honest_covariances() -> No
     assert low < squares.mean() < high
 
 
+@pytest.mark.parametrize("sigma_px", [0.7, 1.2])
+def test_stars_without_wings_are_given_none(sigma_px: float) -> None:
+    points = spread_points(SHAPE, 50, 8)
+    flux = np.full(len(points), flux_of_snr(80.0, sigma_px))
+    image = exposed(star_image(points, flux, sigma_px, SHAPE), 8)
+    psf = estimated(image, detected(image, psf_sigma_px=None), kind=PsfKind.MOFFAT)
+    sigma_of_wings = np.sqrt(psf.covariance[3, 3])
+    assert abs(psf.coefficients[3, 0]) < ERROR_SIGMAS * sigma_of_wings
+    assert sigma_of_wings < 0.05
+    assert abs(psf.sigma_px - sigma_px) < ERROR_SIGMAS * psf.sigma_error_px
+
+
 def test_a_width_that_varies_over_the_field_is_followed() -> None:
     def sigma(x: float, y: float) -> float:
         return float(0.8 + 0.3 * ((x - 249.5) / 249.5) ** 2 + 0.1 * (y - 249.5) / 249.5)

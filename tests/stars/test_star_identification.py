@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,6 +39,7 @@ from giantlike.stars import (
     fit_attitude,
     identify_apriori,
     identify_lost_in_space,
+    navigation,
 )
 from giantlike.stars.matching import (
     chance_of_match,
@@ -428,6 +430,27 @@ def test_a_mirrored_image_is_recognized(catalog: MemoryCatalog) -> None:
     outcome = StarNavigation(CAMERA, catalog, options).solve_detections(scene.image, mirrored)
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.MIRRORED_IMAGE
+
+
+def test_an_image_that_is_known_to_be_mirrored_is_not_searched_again(
+    catalog: MemoryCatalog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = _scene(np.random.default_rng(18), catalog)
+    points = scene.detections.points_px * [-1.0, 1.0] + [1023.0, 0.0]
+    flags = scene.detections.flags.copy()
+    flags[-3:] |= np.uint16(DetectionFlag.COSMIC_RAY)  # so that there is a second set of detections to try
+    searches = []
+
+    def counted(*args: Any, **options: Any) -> RefinedAttitude | Failure:
+        searches.append(len(args[0]))
+        return identify_lost_in_space(*args, **options)
+
+    monkeypatch.setattr(navigation, "identify_lost_in_space", counted)
+    mirrored = replace(scene.detections, points_px=points, flags=flags)
+    outcome = StarNavigation(CAMERA, catalog, StarOptions(lost_in_space=True)).solve_detections(scene.image, mirrored)
+    assert isinstance(outcome, Failure)
+    assert outcome.reason is Reason.MIRRORED_IMAGE
+    assert searches == [len(points) - 3]
 
 
 @pytest.mark.parametrize("n", [4, 12, 40])

@@ -371,7 +371,8 @@ class _Problem:
         by_shape = []
         for k in range(self.n_free):
             step = _DIFFERENCE * np.eye(N_SHAPE)[k]
-            low = np.maximum(shapes - step, 0.0) if k == 3 else shapes - step
+            low = shapes - step
+            low[:, 3] = np.maximum(low[:, 3], 0.0)  # 1/beta; ln sigma and ellipticities may be negative
             apart = (shapes + step - low)[:, k, None]
             by_shape.append(flux * (self.shares(points, shapes + step) - self.shares(points, low)) / apart)
         shape_rows = np.stack(by_shape, axis=1)
