@@ -55,8 +55,8 @@ def read_foreign_camera(
     if suffix == ".ti":
         if instrument_id is None:
             raise InputError(
-                f"{path}: the NAIF code of the instrument is needed, as a kernel can hold several: give --instrument ID "
-                "(instrument_id in Python), the number after INS in its keywords"
+                f"{path}: the NAIF code of the instrument is needed, as a kernel can hold several: give --instrument "
+                "ID (instrument_id in Python), the number after INS in its keywords"
             )
         return read_ik_camera(path, instrument_id, first_pixel=first_pixel, boresight=boresight or "+z")
     if suffix in (".fits", ".fit", ".fts"):
