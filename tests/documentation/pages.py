@@ -132,6 +132,8 @@ def _first_missing(shown: list[str], output: str) -> str | None:
     """The first shown line that does not occur in the output after those before it; None if all do."""
     written = iter([_without_numbers(line) for line in output.splitlines()])
     for line in shown:
+        if line.strip() == "...":
+            continue
         pattern = re.escape(_without_numbers(line)).replace(r"\.\.\.", ".*")
         if not any(re.fullmatch(pattern, each) for each in written):
             return line
