@@ -1,9 +1,10 @@
-"""A run's answer for one image in words: what was predicted, found and rejected, and which check decided."""
+"""Answers in words: what was predicted, found and rejected, which check decided; of an image of a run, or of a fix."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,8 @@ from giantlike.bench.session import SeenImage, chosen_fix
 from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, Problem, TargetRecord
 from giantlike.core.attribute_docs import attribute_docs
-from giantlike.core.outcomes import Quality, Reason
+from giantlike.core.causes import Cause
+from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, Quality, Reason
 from giantlike.core.units import ARCSEC_PER_RAD
 
 _SOURCES = {
@@ -21,18 +23,31 @@ _SOURCES = {
 }
 
 
-def explain(seen: SeenImage) -> str:
-    """Explain the results of an image.
+def explain(answer: SeenImage | AttitudeFix | CenterFix | Failure) -> str:
+    """Explain the results of an image of a run, or what an estimator or star navigation returned.
 
     Parameters
     ----------
-    seen : SeenImage
+    answer : SeenImage, AttitudeFix, CenterFix or Failure
 
     Returns
     -------
     str
         Paragraphs of plain text.
     """
+    if isinstance(answer, SeenImage):
+        return _explained_image(answer)
+    if isinstance(answer, Failure):
+        return _problem(answer)
+    lines = [repr(answer), f"Observations used: {answer.n_used}, {answer.n_rejected} rejected."]
+    lines += [*_causes(answer.parts), *_flags(answer.flags.names())]
+    if "checks" in answer.provenance:
+        lines.append(f"Numbers of its checks: {answer.provenance['checks']}.")
+    return "\n".join(lines)
+
+
+def _explained_image(seen: SeenImage) -> str:
+    """Paragraphs on an image of a run."""
     lines = [*_image(seen.record), *_attitude(seen.record)]
     for name in dict.fromkeys(one.target for one in seen.observations):
         there = [one for one in seen.observations if one.target == name]
@@ -117,7 +132,7 @@ def _observation(one: ObservationRecord) -> Iterator[str]:
     if one.n_used is not None:
         rejected = "" if not one.n_rejected else f", {one.n_rejected} rejected"
         yield f"Observations used: {one.n_used}{rejected}."
-    yield from _causes(one)
+    yield from _causes(one.parts or {})
     yield from _flags(one.flags)
     if "checks" in one.provenance:
         yield f"Numbers of its checks: {one.provenance['checks']}."
@@ -142,11 +157,9 @@ def _place(one: ObservationRecord) -> Iterator[str]:
         yield f"{text}."
 
 
-def _causes(one: ObservationRecord) -> Iterator[str]:
-    """Shares of the causes in the variance of the place, largest first."""
-    if not one.parts:
-        return
-    sizes = {cause: float(np.trace(np.array(part)[:2, :2])) for cause, part in one.parts.items()}
+def _causes(parts: Mapping[Cause, Any]) -> Iterator[str]:
+    """Shares of the causes in the variance of the place, or of the two axes across the boresight, largest first."""
+    sizes = {str(cause): float(np.trace(np.array(part)[:2, :2])) for cause, part in parts.items()}
     total = sum(sizes.values())
     if total > 0:
         ranked = sorted(sizes.items(), key=lambda item: -item[1])
@@ -161,7 +174,7 @@ def _flags(flags: Sequence[str]) -> Iterator[str]:
         yield f"{kind}: {flag}. {meanings[flag.upper()]}"
 
 
-def _problem(problem: Problem) -> str:
+def _problem(problem: Problem | Failure) -> str:
     meaning = attribute_docs(Reason)[Reason(problem.reason).name]
     return f"{problem.reason}: {problem.detail.rstrip('.')}. {meaning}"
 

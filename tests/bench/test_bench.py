@@ -11,6 +11,7 @@ from astropy.io import fits
 from astropy.wcs import WCS
 from typer.testing import CliRunner, Result
 
+import giantlike as gl
 from giantlike.bench import LAYERS, Session, explain, layers_of
 from giantlike.bench.comparison import limb_residuals, match_of
 from giantlike.bench.planes import backplanes_of, with_terminators
@@ -57,6 +58,29 @@ def test_an_image_is_explained_in_words(run: Path) -> None:
     assert re.search(r"Center at \([\d.]+, [\d.]+\) px, sigma", body_words)
     assert "Variance by cause: " in body_words
     assert "Smallest sigma of the fixes to trust" in body_words
+
+
+def test_a_fix_and_a_failure_outside_of_a_run_are_explained_too() -> None:
+    fix = gl.CenterFix(
+        estimator="moment",
+        target="ROCK",
+        center_px=np.array([10.0, 20.0]),
+        covariance_px2=np.diag([0.04, 0.01]),
+        predicted_px=np.array([11.0, 20.0]),
+        residuals=np.zeros(0),
+        n_used=90,
+        n_rejected=3,
+        score=1.0,
+        flags=gl.Quality.WRONG_FIGURE | gl.Quality.SATURATED,
+        parts={gl.Cause.NOISE: np.diag([0.01, 0.01]), gl.Cause.PSF: np.diag([0.03, 0.0])},
+    )
+    words = explain(fix)
+    assert "ROCK by moment: suspect" in words
+    assert "Observations used: 90, 3 rejected." in words
+    assert "Variance by cause: psf 60%, noise 40%." in words
+    assert "Suspect because: wrong_figure. " in words
+    assert "Note: saturated. " in words
+    assert explain(gl.Failure(gl.Reason.NO_LIMB, "too small.")).startswith("no_limb: too small. There is no limb")
 
 
 def test_every_reason_and_flag_has_a_meaning_and_a_remedy() -> None:
