@@ -346,7 +346,7 @@ class PositionFix(CenterFix):
         require_sum(along, IN_POSITION, variance, "the relative variance of range in covariance_camera_km2")
 
     def __repr__(self) -> str:
-        return f"PositionFix({self._words()}, range {self.range_km:.8g} +- {self.sigma_range_km:.2g} km)"
+        return f"{type(self).__name__}({self._words()}, range {self.range_km:.8g} +- {self.sigma_range_km:.2g} km)"
 
     @property
     def _size(self) -> int:

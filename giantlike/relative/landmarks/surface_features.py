@@ -106,7 +106,7 @@ class SurfaceFeaturesOptions:
         require(self.tolerance_px > 0.0, f"tolerance_px must be > 0, got {self.tolerance_px}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class LandmarkFix(PositionFix):
     """A :class:`~giantlike.core.outcomes.PositionFix` from landmarks, with the attitude of the body in the camera.
 
