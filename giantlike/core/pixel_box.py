@@ -60,12 +60,12 @@ class PixelBox:
         Returns
         -------
         PixelBox
-            Of one pixel at least.
+            Of one pixel at least: where the box lies outside, the nearest one.
         """
-        frame = np.array([columns, rows])
+        end = np.array([columns, rows]) + border_px
         corner = np.array([self.x, self.y])
-        low = np.clip(corner, -border_px, frame)
-        high = np.clip(corner + np.array([self.width, self.height]), low + 1, np.maximum(frame + border_px, low + 1))
+        low = np.clip(corner, -border_px, end - 1)
+        high = np.clip(corner + np.array([self.width, self.height]), low + 1, end)
         return PixelBox.spanning(low, high)
 
     @property

@@ -132,3 +132,13 @@ def test_a_point_has_no_limb_and_no_landmarks(name: str) -> None:
     outcome = ESTIMATORS[name]().estimate(point.image, point.camera, point.scene)
     assert isinstance(outcome, Failure)
     assert outcome.reason in (Reason.WRONG_SHAPE, Reason.NO_LIMB)
+
+
+def test_a_prediction_outside_the_frame_is_a_refusal_on_every_side() -> None:
+    """Beyond the last column or row the part of the frame to search was empty, which ended in an error of OpenCV."""
+    case, _ = seen(0)
+    for off_px in ((900.0, 0.0), (-900.0, 0.0), (0.0, 900.0), (0.0, -900.0)):
+        far = case.believed(off_px=off_px)
+        fix = EllipseFit().estimate(far.image, far.camera, far.scene)
+        assert isinstance(fix, Failure)
+        assert fix.reason is Reason.NO_LIMB

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -40,6 +40,7 @@ from tests.tolerances import RARE
 FOCAL_PX, PEAK_DN, BIAS_DN = 2500.0, 3000.0, 100.0
 RADII_KM = np.array([0.3, 0.26, 0.22])
 PSF_PX = 0.7
+BRIGHT_RANGE = 6e-4  # 0.03 px at the limb of 50 px
 ESTIMATORS = pytest.mark.parametrize("estimator", [EllipsoidCRA(), SigmoidLimb()], ids=["cra", "sigmoid"])
 TOLD: dict[str, Reflectance] = {
     "lambert": Lambert(),
@@ -149,6 +150,16 @@ def test_a_law_that_is_not_that_of_the_body_is_in_the_covariance(estimator: Esti
     assert_squares(squares)
     assert np.median(sigmas) < 2.5e-4  # noise alone leaves 1e-4: what is not known of the law costs a factor of two
     assert suspect <= 2
+
+
+def test_cells_where_the_terminator_meets_the_limb_do_not_bend_the_law() -> None:
+    """Bright bodies with the right law: the last lit cell told another one, and limbs were 0.05 px too far out."""
+    for seed in (4, 5, 7):
+        case = seen("lommel_seeliger", 100.0, 100.0, seed)
+        bright = replace(case, light_dn=20.0 * case.light_dn)
+        fix = bright.fix(EllipsoidCRA(), LommelSeeliger(), seed, saturation_dn=65535.0)
+        assert isinstance(fix, PositionFix), fix
+        assert abs(fix.range_km / np.linalg.norm(case.position_km) - 1.0) < BRIGHT_RANGE
 
 
 @pytest.mark.parametrize("told_px", [0.7 * PSF_PX, 1.3 * PSF_PX])
