@@ -17,13 +17,15 @@ from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure, PositionFix, Quality
 from giantlike.ephemeris import ApparentGeometry
+from giantlike.gauntlet.bodies import rock
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
 from giantlike.relative.estimator import EstimatorInputs, gather
 from giantlike.relative.place import place_covariance
+from giantlike.relative.quality import LEAST_CHANCE
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene, Target, TargetUncertainty
-from giantlike.shapes import Ellipsoid
+from giantlike.shapes import Ellipsoid, TriangleMesh
 
 RADII_KM = np.array([10.0, 8.8, 8.2])
 SIZE, FOCAL_PX, MIDDLE = 160, 4000.0, 79.5
@@ -67,6 +69,7 @@ def inputs_of(
     uncertainty: TargetUncertainty | None = None,
     off_km: tuple[float, float, float] = (0.5, 0.7, 9.0),
     told_km: Float = RADII_KM,
+    shape: TriangleMesh | None = None,
 ) -> EstimatorInputs:
     """An image, and a scene in which the body is predicted elsewhere."""
     geometry = ApparentGeometry(
@@ -74,7 +77,7 @@ def inputs_of(
     )
     target = Target(
         name="BODY",
-        shape=Ellipsoid(radii_km=told_km),
+        shape=shape or Ellipsoid(radii_km=told_km),
         ephemeris=geometry,
         uncertainty=uncertainty or TargetUncertainty(),
     )
@@ -195,6 +198,21 @@ def test_rows_that_are_shifted_and_a_roll_are_another_figure_unless_declared() -
 def test_a_pole_told_10_degrees_off_is_another_figure_where_nothing_else_is_wrong(axis: tuple[float, ...]) -> None:
     turned = Rotation.from_rotvec(math.radians(10.0) * np.array(axis)) * TURN
     assert Quality.WRONG_FIGURE in flags(inputs_of(light(60.0), 60.0, turn=turned))
+
+
+def test_a_rock_whose_face_is_turned_is_another_figure_unless_declared() -> None:
+    """By 4 degrees: features move by 2 px within a limb that stays nearly as it is, and take the place with them."""
+    body, mesh = rock(1)
+    view = PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
+    signal: Float = render_body(body, view, Pose(POSITION_KM, TURN, sun_at(50.0)), law="mcewen", psf=Psf(0.7))
+    assert flags(inputs_of(signal, 50.0, shape=mesh)) == Quality.NONE
+    turned = Rotation.from_rotvec([0.0, math.radians(4.0), 0.0]) * TURN
+    fix = verified(fix_at(inputs := inputs_of(signal, 50.0, shape=mesh, turn=turned)), inputs, SEARCH_PX)
+    numbers = dict(part.split("=") for part in fix.provenance["checks"].split())
+    assert Quality.WRONG_FIGURE in fix.flags, numbers
+    assert float(numbers["figure_chance"]) > LEAST_CHANCE, numbers  # nothing but the turn tells
+    declared = TargetUncertainty(pole_rad=0.05, spin_rad=0.05)
+    assert not flags(inputs_of(signal, 50.0, shape=mesh, turn=turned, uncertainty=declared)).suspect
 
 
 def test_rows_that_are_one_pixel_off_are_another_figure() -> None:

@@ -83,9 +83,9 @@ _UNEVEN = 1.0
 """Brightness over its change along a cell below which the cell is left out.
 
 Profiles are those of a limb that is alike along a cell. Where the terminator meets the limb it is not, and the shares
-of other laws bend to that one cell: a right law was off by 4 standard deviations, and a limb of 50 px by 0.04 px. Bodies
-of Lommel and Seeliger of 60,000 DN at 100 degrees of phase came out with squared errors of 35 per degree of freedom
-without this, of 8.6, 4.0 and 1.1 with 1, 2 and 3; but 2 leaves too few cells on crescents of 30 px.
+of other laws bend to that one cell: a right law was off by 4 standard deviations, and a limb of 50 px by 0.04 px.
+Bodies of Lommel and Seeliger of 60,000 DN at 100 degrees of phase came out with squared errors of 35 per degree of
+freedom without this, of 8.6, 4.0 and 1.1 with 1, 2 and 3; but 2 leaves too few cells on crescents of 30 px.
 """
 _CELL_RADII, _LEAST_CELL_PX = 0.25, 3.0
 """Longest cell over the apparent radius, as a cell is taken for straight; and the shortest, which needs its pixels."""

@@ -21,6 +21,7 @@ from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.rival import rival_log_odds
+from giantlike.relative.verification.turn import fit_turned
 from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid
 
@@ -38,6 +39,9 @@ _LINEAR = 0.01
 fifth of a cell. The square of a motion that is left looks like a blur."""
 _BELIEVED = 0.5
 """Motion over the radius, and change of the range, beyond which the coarse fit has not found the body."""
+_TURN_MISFIT = 0.2
+"""Residuals, as in ``QualityChecks.misfit``, from which on it is asked whether the face is turned: smaller ones leave
+no turn of more than a degree, and are those of most right fixes, which should not pay for four more renders."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
 
@@ -53,6 +57,8 @@ class _Numbers(TypedDict, total=False):
     place_chance: float
     figure_chance: float
     blur_chance: float
+    turn_chance: float
+    turn_share: float
     prediction_chance: float
 
 
@@ -182,6 +188,7 @@ def _image_numbers(fix: CenterFix, coarse: _Coarse, inputs: EstimatorInputs, sea
         )
     if coarse.fit is not None:
         numbers.update(_fit_numbers(fix, coarse.fit, psf_known=inputs.psf_sigma_px is not None))
+        numbers.update(_turn_numbers(coarse, coarse.fit, inputs))
     return numbers
 
 
@@ -197,6 +204,20 @@ def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers
         figure_chance=chance_of(fit.strain, fit.strain_covariance),
         blur_chance=chance_of(fit.blur, fit.blur_covariance) if psf_known else 1.0,
     )
+
+
+def _turn_numbers(coarse: _Coarse, fit: CoarseFit, inputs: EstimatorInputs) -> _Numbers:
+    """What a turn of the face explains of the residuals, and its chance; none where there is little to explain."""
+    if isinstance(inputs.geometry.target.shape, Ellipsoid) or not _TURN_MISFIT < fit.misfit < math.inf:
+        return _Numbers()
+    sun, turn_rad = inputs.geometry.sun_direction_camera, _turn_rad(inputs)
+    albedo = inputs.geometry.target.uncertainty.albedo
+    turned = fit_turned(coarse.cells, coarse.trace, coarse.own, sun, albedo=albedo, turn_rad=turn_rad)
+    if turned is None or not len(turned.further):
+        return _Numbers()
+    covariance = turned.further_covariance + turn_rad**2 * np.eye(len(turned.further))
+    share = 1.0 - (turned.misfit / fit.misfit) ** 2
+    return _Numbers(turn_chance=chance_of(turned.further, covariance), turn_share=share)
 
 
 @runtime_checkable

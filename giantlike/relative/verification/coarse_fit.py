@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,8 +34,10 @@ _OTHER_LAW = 0.5
 """Error that laws beyond those leave, over what they change: half of it."""
 _PLACE, _STRAIN, _BLUR = slice(10, 13), slice(13, 16), slice(16, 19)
 """Columns of the design for the place, the strain and the blur."""
-_GEOMETRY, _OF_GEOMETRY = slice(10, 19), (slice(0, 3), slice(3, 6), slice(6, 9))
-"""All of these, and each of them among all."""
+_GEOMETRY, _OF_GEOMETRY = slice(10, None), (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, None))
+"""All of these and what is fitted besides, and each of them among all."""
+_FURTHER = slice(19, None)
+"""Columns of what is fitted besides."""
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
 _PSF_PX2 = 0.3
@@ -91,6 +93,9 @@ class CoarseFit(Value):
     unevenness : float
         Mean squared difference of the places of neighboring rows, or columns, over its variance: where one of them ends
         light tells where it is. Errors of figures, laws and markings reach over many, so that 1 is far too much.
+    further : (k,) float64
+        What was fitted besides.
+    further_covariance : (k, k) float64
     """
 
     gain_dn: float
@@ -103,6 +108,8 @@ class CoarseFit(Value):
     blur: Float
     blur_covariance: Float
     unevenness: float
+    further: Float
+    further_covariance: Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,8 +121,15 @@ class _Design(Value):
     sigma: Float
     slope: Float
 
+    def with_further(self, columns: Float) -> _Design:
+        """Add columns (k, n, n) of unknowns of the order of 1."""
+        sigma = np.concatenate([self.sigma, np.ones(len(columns))])
+        return replace(self, columns=np.concatenate([self.columns, columns]), sigma=sigma)
 
-def fit_cells(cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_rad: float = 0.0) -> CoarseFit | None:
+
+def fit_cells(
+    cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_rad: float = 0.0, further: Float | None = None
+) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the place to the cells around a body.
 
     Parameters
@@ -129,6 +143,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_
         Standard deviation of the brightness of its surface about its law.
     turn_rad : float, rad
         Standard deviation of the orientation of the body, about any axis.
+    further : (k, n, n) float64, optional
+        Changes of the light in :attr:`Cells.inner` that are fitted besides, by unknowns of the order of 1 at most.
 
     Returns
     -------
@@ -136,6 +152,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_
         None where too few cells hold the body.
     """
     design = _design(cells, trace, own)
+    if further is not None:
+        design = design.with_further(further)
     fresh = cells.cropped(cells.fresh)
     lit = fresh & (design.own > _LIT * float(design.own.max()))
     if np.count_nonzero(lit) <= len(design.columns):
@@ -165,7 +183,7 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_
     influence = (np.linalg.inv(normal)[_GEOMETRY] @ weighted).reshape(-1, *values.shape)
     by_law = _OTHER_LAW * (solution - _without_laws(normal, projected))[_GEOMETRY]
     covariance = _covariance(influence, noise, shown_sigma, cells) + np.outer(by_law, by_law)
-    place, strain, blur = (covariance[part, part] for part in _OF_GEOMETRY)
+    place, strain, blur, besides = (covariance[part, part] for part in _OF_GEOMETRY)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
     return CoarseFit(
         gain_dn=gain,
@@ -178,6 +196,8 @@ def fit_cells(cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_
         strain=np.asarray(solution[_STRAIN] / gain),
         strain_covariance=strain / gain**2 + turn_rad**2 * np.eye(3),
         unevenness=_unevenness(design.columns[_PLACE] * np.sqrt(weights), normalized),
+        further=np.asarray(solution[_FURTHER] / gain),
+        further_covariance=besides / gain**2,
     )
 
 
@@ -288,6 +308,8 @@ def _nothing_alike() -> CoarseFit:
         blur=np.zeros(3),
         blur_covariance=np.eye(3),
         unevenness=0.0,
+        further=np.zeros(0),
+        further_covariance=np.zeros((0, 0)),
     )
 
 
