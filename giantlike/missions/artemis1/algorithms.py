@@ -175,7 +175,7 @@ def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
             0.3,
             DERIVED if name == "y" else INDEPENDENT,
             "Table 2",
-            "0.3: correlations go by the shares of noise that both see; gain, read noise and blur are assumed",
+            "correlations go by the shares of noise that both see; gain, read noise and blur are assumed",
         ),
         holds(
             f"two-sample t-test, {name}: the means differ",

@@ -139,8 +139,8 @@ def earth_section(setting: Setting, flown: dict[int, FlownPass]) -> Section:
     ]
     return Section(
         title="Earth performance (IV.C)",
-        text="Light of the lower atmosphere (molecules at 550 nm, scale height 8 km) above clouds, on full images by "
-        "exposure; every image as limb points with what those show. The whole-pass estimator finds, "
+        text="Light of the air of giantlike.atmosphere (molecules, 550 nm, scale height 7 km) above clouds, on full "
+        "images by exposure; every image as limb points with what those show. The whole-pass estimator finds, "
         + "; ".join(lines)
         + ".",
         figures=tuple(figures),
@@ -295,10 +295,14 @@ def _figure_21(flown: dict[int, FlownPass], again: dict[int, Float]) -> ReplayFi
 def _altitudes_compared(
     setting: Setting, flown: dict[int, FlownPass], altitudes: dict[int, AltitudeFound | Failure]
 ) -> list[Comparison]:
-    low, high = (detected_altitude_km(setting, 1.0, depth) for depth in setting.data["earth"]["spread_optical_depth"])
+    low, high = (detected_altitude_km(setting, 1.0, nm) for nm in setting.data["earth"]["band_nm"])
     half = 0.5 * (high - low)
     band = f"{low:.1f} to {high:.1f} km"
-    why = f"half of what 490 to 655 nm would change it by ({band}); the band of the camera is not told"
+    why = (
+        f"half of what 490 to 655 nm would change it by ({band}); the band of the camera is not told, and clouds and "
+        "light that is scattered more than once, which raise the limb, are not in the model: its own sigma is "
+        f"{setting.air.sigma_km:g} km"
+    )
     first = flown[1].edges[1.0].outward_px
     km_per_px = flown[1].one.range_km / setting.model.fx_px
     result = [

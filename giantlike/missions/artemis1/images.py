@@ -23,8 +23,6 @@ from giantlike.relative.horizon.geometry import Figure
 _MARGIN_PX = 14
 _RAYS = ((100.0, 4), (250.0, 3), (math.inf, 2))
 """Largest radius, px, and rays along the side of a pixel: steps of the limb are averaged along it and blurred."""
-_OVERHEAD = 71.0
-"""Air along a grazing ray over that overhead, sqrt(2 pi R / H) for 6371 and 8 km."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,20 +49,12 @@ class Shot(Value):
     radius_px: float
 
 
-def atmosphere_light(altitude_km: Float, optical_depth: float, scale_height_km: float) -> Float:
-    """Brightness of the sunlit edge of the atmosphere at altitudes, 1 where it is opaque along the ray."""
-    depth = optical_depth * _OVERHEAD * np.exp(-np.maximum(altitude_km, 0.0) / scale_height_km)
-    light: Float = 1.0 - np.exp(-depth)
-    return light
-
-
-def detected_altitude_km(setting: Setting, exposure_us: float, optical_depth: float | None = None) -> float:
+def detected_altitude_km(setting: Setting, exposure_us: float, wavelength_nm: float | None = None) -> float:
     """Altitude at which an edge by moments finds the limb: the height of a step that holds the same light."""
-    earth = setting.data["earth"]
-    depth = earth["optical_depth"] if optical_depth is None else optical_depth
+    air = setting.air if wavelength_nm is None else setting.air.seen_at(wavelength_nm)
     altitudes = np.linspace(0.0, 200.0, 20001)
-    level = exposure_us / earth["saturating_exposure_us"]
-    light = np.minimum(level * atmosphere_light(altitudes, depth, earth["scale_height_km"]), 1.0)
+    level = exposure_us / setting.data["earth"]["saturating_exposure_us"]
+    light = np.minimum(level * air.brightness(altitudes, float(setting.figure("earth").radii_km.mean())), 1.0)
     return float(np.trapezoid(light, altitudes)) / min(float(level), 1.0)
 
 
@@ -185,10 +175,8 @@ def _light(
         share = lunar_share(math.degrees(math.acos(-float(position_km @ sun) / float(np.linalg.norm(position_km)))))
         lunar = 2.0 * incidence / np.maximum(incidence + inward, 1e-9)
         return level[0] * np.where(on_disk, share * lunar + (1.0 - share) * incidence, 0.0)
-    earth = setting.data["earth"]
     lit = np.sqrt(incidence)  # clouds and air brighten the terminator less than Lambert's law
-    air = atmosphere_light(altitude, earth["optical_depth"], earth["scale_height_km"])
-    signal: Float = level[0] * lit * np.where(altitude > 0.0, air, 1.0)
+    signal: Float = level[0] * lit * setting.air.brightness(altitude, limb)
     return signal
 
 

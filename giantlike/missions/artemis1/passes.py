@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike.atmosphere import Atmosphere
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
@@ -96,6 +97,11 @@ class Setting(Value):
         earth = self.data["earth"]
         radii = np.array([earth["equatorial_km"], earth["equatorial_km"], earth["polar_km"]])
         return Figure(radii_km=radii, camera_from_axes=Rotation.from_euler("xz", [75.0, 20.0], degrees=True))
+
+    @property
+    def air(self) -> Atmosphere:
+        """Air of the Earth in the band of the camera."""
+        return Atmosphere.of("EARTH").seen_at(self.data["earth"]["wavelength_nm"])
 
     def knowledge(self, target: str) -> tuple[float, float]:
         """Errors of the best estimated trajectory: of the range, km, and of the pointing, px."""

@@ -25,8 +25,8 @@ ASSUMPTIONS = (
     "Moment-based edges are Zernike moments in windows of 5 x 5 pixels; edges by partial areas, tried too, "
     "come out 0.9 px too far on a "
     "Moon of 50 px whose limb is bright.",
-    "The band of the camera is not told: the atmosphere is that of molecules at 550 nm, without aerosol and "
-    "multiple scattering.",
+    "The band of the camera is not told: the air is that of giantlike.atmosphere, molecules at 550 nm with a scale "
+    "height of 7 km, without aerosol and multiple scattering.",
     "The time that fills a pixel of sunlit cloud (20 microseconds) is TUNED to the half pixel between "
     "exposures of 1 and 50.",
     "The automatic exposure goes in steps of 50 microseconds down to 1, an assumed rule that toggles as the "
