@@ -1,12 +1,16 @@
-"""Pages of the API reference, one per public package, made when the site is built: `docs/api/`."""
+"""Pages that are made when the site is built, in `docs/api/`: one per public package, one of all commands."""
 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import typer
+
+from giantlike.cli.app import app
 from tests.exported import PACKAGES, exported_names
 
 OTHERS = (
@@ -37,8 +41,17 @@ before. Those of the second may change; the :doc:`change log </CHANGELOG>` tells
 """
 
 
+_COMMANDS = """\
+# Commands
+
+Every command with its arguments and options, as `--help` shows them; examples:
+[at the shell](../command_line.md).
+
+"""
+
+
 def write_api_pages(folder: Path) -> None:
-    """Write the page of every public package and their index.
+    """Write the page of every public package, their index, and the page of commands.
 
     A name that several packages export is described once, in the deepest package; the others link there.
 
@@ -53,7 +66,8 @@ def write_api_pages(folder: Path) -> None:
     for package in sorted((*PACKAGES, *OTHERS), key=lambda name: -name.count(".")):
         pages[f"{package}.rst"] = _page(package, homes)
     pages["index.rst"] = _INDEX + _tree("Promised", PACKAGES) + _tree("Others", OTHERS)
-    for stale in {path.name for path in folder.glob("*.rst")} - set(pages):
+    pages["commands.md"] = _COMMANDS + "\n".join(_commands())
+    for stale in {path.name for path in folder.iterdir()} - set(pages):
         (folder / stale).unlink()
     for file, text in pages.items():
         path = folder / file
@@ -76,6 +90,30 @@ def _tree(caption: str, names: tuple[str, ...]) -> str:
     rows = [(f":doc:`{name} <{name}>`", _summary(import_module(name))) for name in sorted(names)]
     tree = "\n".join([".. toctree::\n   :hidden:\n", *(f"   {name}" for name in sorted(names))])
     return f"{caption}\n{'-' * len(caption)}\n\n{_table(rows)}\n{tree}\n\n"
+
+
+def _commands() -> Iterator[str]:
+    """Lines of every command, those of groups after one another."""
+    root: Any = typer.main.get_command(app)
+    context = root.context_class(root, info_name="giantlike")
+    for name in root.list_commands(context):
+        command = root.get_command(context, name)
+        if hasattr(command, "list_commands"):
+            for inner in command.list_commands(context):
+                yield from _command(f"{name} {inner}", command.get_command(context, inner), context)
+        else:
+            yield from _command(name, command, context)
+
+
+def _command(name: str, command: Any, above: Any) -> Iterator[str]:
+    """Lines of one command: its help, and a table of its arguments and options."""
+    text = "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(command.help).split("\n\n"))
+    yield f"## `giantlike {name}`\n\n{text}\n\n| argument or option | meaning |\n| --- | --- |"
+    context = command.context_class(command, info_name=name, parent=above)
+    for one in command.params:
+        spelled, meaning = (" ".join(text.split()) for text in one.get_help_record(context))
+        yield "| `{}` | {} |".format(spelled.replace("|", "\\|"), meaning.replace("|", "\\|"))
+    yield ""
 
 
 def _page(package: str, homes: dict[int, str]) -> str:

@@ -1,4 +1,4 @@
-"""Pages of the documentation that follow from code: the keys of campaign and scene files, the columns of tables.
+"""Pages of the documentation that follow from code: keys of campaign and scene files, columns, flags, header keywords.
 
 ``python -m giantlike.campaign.documentation docs`` writes them again; a test compares them with what is there.
 """
@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
 import math
+import re
 import sys
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
@@ -24,6 +26,7 @@ from giantlike.campaign.file.toml_file import model_in
 from giantlike.campaign.render.schema import RenderFile
 from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.outcomes import Quality, Reason
+from giantlike.io import fits, fits_keywords, isis_cube, label_geometry, label_times, pds4
 from giantlike.io.mission_files import mission, mission_names
 from giantlike.io.observables_file import ObservableRow
 from giantlike.io.run_tables import AttitudeRow, ObservationRow
@@ -126,6 +129,12 @@ kernels are in the archives of NAIF (`https://naif.jpl.nasa.gov/pub/naif`) and o
 out.
 
 """
+_HEADERS = """# Header keywords
+
+Taken from the headers and labels of images. A geometry table goes before the header, SPICE kernels come after it
+([campaigns](campaigns.md)). `Image.metadata` has every keyword, also those that are not read here.
+
+"""
 _TYPES: Mapping[Any, str] = types.MappingProxyType(
     {str: "text", int: "integer", float: "number", bool: "true or false", Any: "any", dict: "table"}
 )
@@ -157,6 +166,7 @@ def pages() -> dict[str, str]:
         "flags.md": _GENERATED
         + "# Reasons and flags\n\nA failed fit has a reason, a fix may have flags; `giantlike explain` tells "
         "them in the words below. A fix with a flag of the second table is `suspect`.\n\n" + "\n".join(_meanings()),
+        "header_keywords.md": _GENERATED + _HEADERS + "\n".join(_headers()),
         "observables.md": _GENERATED + _OBSERVABLES + "\n".join(_fields(ObservableRow)),
     }
 
@@ -174,6 +184,45 @@ def _meanings() -> Iterator[str]:
         yield f"## {title}\n\n| name | meaning and remedy |\n| --- | --- |"
         yield from (f"| `{name.lower()}` | {text} |" for name, text in meanings.items())
         yield ""
+
+
+def _headers() -> Iterator[str]:
+    """Lines of the keywords that are read, from the notes of the functions that read them, and of those written."""
+    yield "## FITS\n"
+    yield from _read("Exposure time", fits_keywords.fits_exposure_s)
+    yield from _read("Epoch", fits_keywords.fits_epoch)
+    yield from _read("A priori attitude", fits_keywords.fits_attitude)
+    yield from _read("Place of the spacecraft", fits_keywords.fits_observer)
+    yield "### What giantlike writes\n\n| keyword | comment |\n| --- | --- |"
+    yield from (f"| `{key}` | {comment} |" for key, comment in fits.WRITTEN_KEYWORDS.items())
+    yield "\n## Labels of VICAR, PDS3, PDS4 and ISIS\n"
+    yield from _read("Exposure time", label_times.label_exposure_s)
+    yield from _read("Epoch", label_times.label_epoch)
+    yield "Other formats have other names for the same:\n"
+    yield "| PDS3, VICAR | PDS4 | ISIS cube, group `Instrument` |\n| --- | --- | --- |"
+    pds4_names = {**pds4.LABEL_NAMES, "exposure_duration": "EXPOSURE_DURATION"}
+    for isis, name in isis_cube.LABEL_NAMES.items():
+        (element,) = (key for key, value in pds4_names.items() if value == name)
+        yield f"| `{name}` | `{element}` | `{isis}` |"
+    yield ""
+    yield from _read("Geometry", label_geometry.geometry_of_label)
+
+
+def _read(title: str, reader: Callable[..., Any]) -> Iterator[str]:
+    """Lines of what a function reads: its summary, and its notes."""
+    text = inspect.getdoc(reader) or ""
+    summary = text.partition("\n\n")[0]
+    notes = re.search(r"^Notes\n-+\n(.*?)(?=\n\n\w+\n---|\Z)", text, re.DOTALL | re.MULTILINE)
+    yield f"### {title}\n"
+    for part in (summary, notes[1] if notes else ""):
+        if part:
+            yield _markdown(part, vars(sys.modules[reader.__module__])) + "\n"
+
+
+def _markdown(text: str, names: dict[str, Any]) -> str:
+    """Text of a docstring as Markdown; constants that it refers to are spelled out."""
+    listed = re.sub(r":data:`(\w+)`", lambda found: ", ".join(f"`{key}`" for key in names[found[1]]), text)
+    return listed.replace("``", "`")
 
 
 def _sections(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

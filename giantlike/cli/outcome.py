@@ -22,10 +22,15 @@ class ExitCode(IntEnum):
     """Exit codes of the commands."""
 
     DONE = 0
+    """All is done."""
     SOME_IMAGES_FAILED = 1
+    """All is done that could be; some images or files failed, or a check found mistakes. The output names them."""
     GOALS_MISSED = 1
+    """The demonstration, the gauntlet or a replay ran, and missed a goal."""
     BAD_INPUT = 2
+    """An argument, a file or an option is wrong, in one line on stderr. Nothing was computed."""
     INTERRUPTED = 130
+    """You pressed Ctrl-C. What is finished is kept; the same command goes on."""
 
 
 def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None]:

@@ -39,7 +39,7 @@ _STRUCTURAL = re.compile(
     r"|CHECKSUM|DATASUM|TFIELDS|THEAP|T(TYPE|FORM|UNIT|DIM|SCAL|ZERO|NULL)\d+|Z(IMAGE|CMPTYPE|BITPIX|NAXIS\d*|TILE\d+)"
 )
 _KEYWORD = re.compile(r"[A-Z0-9_-]{1,8}")
-_COMMENTS = {
+WRITTEN_KEYWORDS = {
     "TIMESYS": "time scale of the dates",
     "DATE-AVG": "middle of the exposure",
     "EXPTIME": "[s] exposure time",
@@ -47,6 +47,7 @@ _COMMENTS = {
     **dict.fromkeys(OBSERVER_KEYS[:3], "[km] spacecraft from SSB, ICRF"),
     **dict.fromkeys(OBSERVER_KEYS[3:], "[km/s] spacecraft from SSB, ICRF"),
 }
+"""Keywords of :func:`navigation_header` with their comments."""
 
 
 @reads("a FITS image")
@@ -179,7 +180,9 @@ def write_fits(
     for key, value in (header or {}).items():
         if _KEYWORD.fullmatch(key) is None or _STRUCTURAL.fullmatch(key):
             raise InputError(f"FITS keyword {key!r} is not allowed: at most eight of A-Z, 0-9, _ and -, not structural")
-        given, comment = (value.value, value.comment) if isinstance(value, Card) else (value, _COMMENTS.get(key, ""))
+        given, comment = (
+            (value.value, value.comment) if isinstance(value, Card) else (value, WRITTEN_KEYWORDS.get(key, ""))
+        )
         plain = given.item() if isinstance(given, np.generic) else given
         try:
             unit.header[key] = (plain, comment)

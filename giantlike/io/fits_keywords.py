@@ -154,9 +154,9 @@ def fits_observer(cards: Mapping[str, Card], epoch: Time | None) -> ObserverStat
 
     Notes
     -----
-    Read from :data:`OBSERVER_KEYS`; else from ``SPCSSCX ... SPCSSCVZ`` (New Horizons), the vector from the
-    spacecraft to where the Sun was one light time ago, to which the Sun's own barycentric state of that
-    time is added.
+    Read from :data:`OBSERVER_KEYS`; else from ``SPCSSCX``, ``SPCSSCY``, ``SPCSSCZ``, ``SPCSSCVX``, ``SPCSSCVY``,
+    ``SPCSSCVZ`` (New Horizons), the vector from the spacecraft to where the Sun was one light time ago, to which the
+    Sun's own barycentric state of that time is added.
     """
     values = _group(cards, OBSERVER_KEYS)
     if values is not None:

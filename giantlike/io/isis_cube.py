@@ -28,7 +28,7 @@ CUBE_START = re.compile(rb"\s*Object\s*=\s*IsisCube\b")
 """First words of the label of a cube."""
 
 _INSTRUMENT = "IsisCube.Instrument."
-_TIMES = {"StartTime": "START_TIME", "StopTime": "STOP_TIME", "ExposureDuration": "EXPOSURE_DURATION"}
+LABEL_NAMES = {"StartTime": "START_TIME", "StopTime": "STOP_TIME", "ExposureDuration": "EXPOSURE_DURATION"}
 """Items of a cube's instrument group, and their names in PDS3 labels."""
 _VALID = {"uint8": (1, 254), "uint16": (3, 65522), "int16": (-32752, 32767), "uint32": (3, 4294967282)}
 """Least and greatest value of each integer type that is a measurement (reference 1)."""
@@ -125,4 +125,4 @@ def _special(stored: NDArray[Any]) -> Mask:
 
 def _pds3_names(items: Mapping[str, Any]) -> dict[str, Any]:
     """Times of a cube under the names that they have in PDS3 labels."""
-    return {name: items[_INSTRUMENT + key] for key, name in _TIMES.items() if _INSTRUMENT + key in items}
+    return {name: items[_INSTRUMENT + key] for key, name in LABEL_NAMES.items() if _INSTRUMENT + key in items}

@@ -73,10 +73,11 @@ def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> 
     Notes
     -----
     Galileo SSI: ``SUB_SPACECRAFT_SAMPLE`` and ``SUB_SPACECRAFT_LINE`` (the pixel of the point below the spacecraft, the
-    first being 1), ``TARGET_CENTER_DISTANCE``, planetocentric latitude and west longitude below the spacecraft and the
-    Sun, and ``NORAZ``, the azimuth of the north pole clockwise from the right of the image. The pixel is as good as the
-    pointing was, some 10 px. NEAR MSI: positions of spacecraft and target from the Sun and the spacecraft quaternion,
-    J2000 (``NEAR-019`` to ``NEAR-029``).
+    first being 1), ``TARGET``, ``TARGET_CENTER_DISTANCE``, planetocentric latitude and west longitude below the
+    spacecraft and the Sun (``SUB_SPACECRAFT_LATITUDE``, ``SUB_SPACECRAFT_LONGITUDE``, ``SUB_SOLAR_LATITUDE``,
+    ``SUB_SOLAR_LONGITUDE``), and ``NORAZ``, the azimuth of the north pole clockwise from the right of the image. The
+    pixel is as good as the pointing was, some 10 px. NEAR MSI: positions of spacecraft and target from the Sun and the
+    spacecraft quaternion, J2000 (``NEAR-019`` to ``NEAR-029``), and the name of the target (``NEAR-047``).
     """
     if "SUB_SPACECRAFT_SAMPLE" in header:
         return _galileo(header, model)

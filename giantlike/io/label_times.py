@@ -123,10 +123,11 @@ def label_epoch(label: Mapping[str, HeaderValue], exposure_s: float | None) -> T
     Notes
     -----
     Read, in this order: ``IMAGE_MID_TIME``; the middle of ``START_TIME`` and ``STOP_TIME``; ``START_TIME``
-    plus half the exposure; for Galileo SSI ``IMAGE_TIME`` or the ``SCET...`` items, which are the center of
-    the exposure. ``IMAGE_TIME`` of other cameras is not read (for Cassini it is the closing of the shutter),
-    nor are spacecraft clock counts. The SCET in Voyager's ``LAB02`` is the frame count truncated to a
-    second, not a time of the exposure: such images need their epoch from a geometry table.
+    plus half the exposure; for Galileo SSI ``IMAGE_TIME`` (where ``INSTRUMENT_NAME`` is the solid state imager)
+    or the items ``SCETYEAR``, ``SCETDAY``, ``SCETHOUR``, ``SCETMIN``, ``SCETSEC``, ``SCETMSEC`` (where ``SENSOR`` is
+    ``SSI``), which are the center of the exposure. ``IMAGE_TIME`` of other cameras is not read (for Cassini it is the
+    closing of the shutter), nor are spacecraft clock counts. The SCET in Voyager's ``LAB02`` is the frame count
+    truncated to a second, not a time of the exposure: such images need their epoch from a geometry table.
 
     References
     ----------

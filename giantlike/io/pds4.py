@@ -28,7 +28,8 @@ PRODUCT_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*<\?xml[^>]*>[\s\S]{0,20000}?<P
 """Beginning of the label of an observation; model references and comments may stand before the root."""
 
 _FILE_NAME = re.compile(rb"<file_name>\s*([^<]*?)\s*</file_name>")
-_TIMES = {"start_date_time": "START_TIME", "stop_date_time": "STOP_TIME"}
+LABEL_NAMES = {"start_date_time": "START_TIME", "stop_date_time": "STOP_TIME"}
+"""Elements of a label that tell times, and their names in PDS3 labels."""
 _SECONDS = {"s": 1.0, "ms": 1e-3, "microseconds": 1e-6, "min": 60.0}
 """Units of time of the information model, s."""
 
@@ -85,7 +86,7 @@ def decode_pds4(path: Path) -> DecodedImage:
     header: dict[str, HeaderValue] = json.loads(str(arrays["header"]))
     units: dict[str, str] = json.loads(str(arrays["units"]))
     exposure_s = _exposure_s(header, units)
-    times = {new: value for old, new in _TIMES.items() if (value := _leaf(header, old)) is not None}
+    times = {new: value for old, new in LABEL_NAMES.items() if (value := _leaf(header, old)) is not None}
     if times.get("START_TIME") == times.get("STOP_TIME"):  # the label gives one epoch twice: it is the start
         times.pop("STOP_TIME", None)
     return DecodedImage(
