@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import ndtr
 
 from giantlike.camera_models import CameraModel
@@ -71,9 +71,9 @@ class Cells:
         reach = PSF_REACH_SIGMA * sigma_px
         width = int(np.ceil(2 * reach + 2 * half)) + 1
         numbers = np.arange(self.count) + self.first
-        # cells alike in their pixels spread alike
-        within, place = np.unique(numbers % self.per_px, return_inverse=True)
-        centers = (within + 0.5) / self.per_px - 0.5
+        kinds = min(self.per_px, self.count)  # cells alike in their pixels spread alike
+        place = np.arange(self.count) % kinds
+        centers = (numbers[:kinds] % self.per_px + 0.5) / self.per_px - 0.5
         lowest = np.floor(centers - half - reach + 0.5).astype(np.int64)
         left = lowest[:, None] + np.arange(width) - 0.5 - centers[:, None]
         weights = _ramp(left + 1 + half, sigma_px) - _ramp(left + 1 - half, sigma_px)
@@ -81,8 +81,9 @@ class Cells:
         np.maximum(weights, 0.0, out=weights)  # rounding of differences far out
         rows = (lowest[place] + numbers // self.per_px - first_px)[:, None] + np.arange(width)
         inside = (rows >= 0) & (rows < count_px)
-        columns = np.broadcast_to(np.arange(self.count)[:, None], rows.shape)
-        return csr_matrix((weights[place][inside], (rows[inside], columns[inside])), shape=(count_px, self.count))
+        ends = np.concatenate([[0], np.cumsum(inside.sum(axis=1))])
+        by_cell = (weights[place][inside], rows[inside], ends)
+        return csc_matrix(by_cell, shape=(count_px, self.count)).tocsr()
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import weakref
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -276,12 +276,10 @@ class EllipsoidTracer:
         self.radius_km = ellipsoid.circumscribing_radius_km
         self._radii_km = ellipsoid.radii_km
 
-    @cached_property
+    @property
     def hull_points_km(self) -> Float:
         """Corners (k, 3) of a polyhedron around the ellipsoid, km."""
-        directions, faces = geodesic_directions(_HULL_FACETS)
-        facet_distance = float(np.linalg.norm(directions[faces].mean(axis=1), axis=1).min())
-        return directions * self._radii_km / facet_distance
+        return _around_unit_sphere() * self._radii_km
 
     def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
         """First hits of rays that come from outside."""
@@ -307,11 +305,23 @@ class EllipsoidTracer:
         return np.asarray(~(hits.normals @ sun_body > 0.0))
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
-        """Trace the rays of an image."""
-        hits = self.intersect(origin_body_km, directions_body[:, :3])
-        rays = np.flatnonzero(hits.hit)
-        points, normals = padded(hits.points_km.take(rays, axis=0)), padded(hits.normals.take(rays, axis=0))
-        cos_emission = -dot(normals, directions_body.take(rays, axis=0).astype(np.float32))
+        """Trace the rays of an image: as :meth:`intersect`, axis by axis and without what the rays that miss need."""
+        reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
+        step = np.ascontiguousarray(directions_body[:, :3].T) / self._radii_km[:, None]
+        start = (origin_body_km / self._radii_km)[:, None] + reach * step
+        square = (step * step).sum(axis=0)
+        middle = -(start * step).sum(axis=0) / square
+        closest = start + middle * step
+        with np.errstate(invalid="ignore"):
+            near = middle - np.sqrt((1.0 - (closest * closest).sum(axis=0)) / square)
+            rays = np.flatnonzero(near > 0.0)
+        direction = step.take(rays, axis=1)
+        place = start.take(rays, axis=1) + near.take(rays) * direction  # on the unit sphere
+        normal = place / self._radii_km[:, None]
+        normal /= np.sqrt((normal * normal).sum(axis=0))
+        direction *= self._radii_km[:, None]
+        cos_emission = -(normal * direction).sum(axis=0).astype(np.float32)
+        points, normals = padded((place * self._radii_km[:, None]).T), padded(normal.T)
         return Sight(rays, np.zeros(rays.size, np.int32), points, normals, cos_emission)
 
     def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
@@ -327,6 +337,13 @@ class EllipsoidTracer:
         with np.errstate(invalid="ignore"):
             half = np.sqrt((1.0 - np.einsum("ij,ij->i", closest, closest)) / square)
         return middle - half, middle + half
+
+
+@cache
+def _around_unit_sphere() -> Float:
+    """Corners (k, 3) of a polyhedron around the unit sphere."""
+    directions, faces = geodesic_directions(_HULL_FACETS)
+    return directions / float(np.linalg.norm(directions[faces].mean(axis=1), axis=1).min())
 
 
 def _approached(origins_body_km: ArrayLike, directions_body: ArrayLike, radius_km: float) -> tuple[Float, Float]:

@@ -158,7 +158,10 @@ def ifov_rad(model: CameraModel, points_px: ArrayLike) -> Float:
     -------
     (...,) float64, rad
     """
-    jacobian = model.unproject_jacobian(points_px)
-    gram = np.swapaxes(jacobian, -1, -2) @ jacobian
-    result: Float = np.linalg.det(gram) ** 0.25
+    # The derivative by the pixel is the pseudo-inverse of this one: its Gram matrix has the inverse determinant.
+    jacobian = model.project_jacobian(model.unproject(points_px))
+    gram = jacobian @ np.swapaxes(jacobian, -1, -2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        area = gram[..., 0, 0] * gram[..., 1, 1] - gram[..., 0, 1] ** 2
+        result: Float = np.abs(area) ** -0.25
     return result

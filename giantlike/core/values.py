@@ -6,7 +6,10 @@ many), a field named ``direction_FRAME``, ``directions_FRAME`` or ``..._directio
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import fields
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -20,6 +23,8 @@ ASYMMETRY_TOLERANCE = 1e-9
 """Largest difference of two mirrored elements, over the product of their standard deviations."""
 EIGENVALUE_TOLERANCE = 1e-9
 """How far below zero rounding may bring an eigenvalue of a correlation matrix."""
+_FEW = 3
+"""Most rows of a matrix that is faster checked element by element."""
 
 
 AnyValue = TypeVar("AnyValue", bound="Value")
@@ -51,15 +56,26 @@ class Value:
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        for field in fields(self):  # type: ignore[arg-type]
-            name = field.name
+        for name, check in _invariants(type(self)):
             value = getattr(self, name)
             if isinstance(value, np.ndarray):
-                if name.startswith("covariance"):
-                    check_covariance(value, name)
-                elif "direction_" in name or "directions_" in name:
-                    check_directions(value, name)
-                object.__setattr__(self, name, read_only(value))
+                if check is not None:
+                    check(value, name)
+                view = value.view()
+                view.flags.writeable = False
+                object.__setattr__(self, name, view)
+
+
+@cache
+def _invariants(kind: type[Value]) -> tuple[tuple[str, Callable[[Float, str], None] | None], ...]:
+    """Names of the fields of a class of values, and what their names say of them."""
+
+    def check(name: str) -> Callable[[Float, str], None] | None:
+        if name.startswith("covariance"):
+            return check_covariance
+        return check_directions if "direction_" in name or "directions_" in name else None
+
+    return tuple((field.name, check(field.name)) for field in fields(kind))  # type: ignore[arg-type]
 
 
 def select_rows(value: AnyValue, which: NDArray[np.integer] | Mask | slice) -> AnyValue:
@@ -79,10 +95,10 @@ def select_rows(value: AnyValue, which: NDArray[np.integer] | Mask | slice) -> A
     """
     # Rows of a checked value need no second check, which costs more than the selection.
     selected = object.__new__(type(value))
-    for field in fields(value):  # type: ignore[arg-type]
-        part = getattr(value, field.name)
+    for name, _ in _invariants(type(value)):
+        part = getattr(value, name)
         rows = read_only(part[which]) if isinstance(part, np.ndarray) else part
-        object.__setattr__(selected, field.name, rows)
+        object.__setattr__(selected, name, rows)
     return selected
 
 
@@ -103,7 +119,7 @@ def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE
     """
     shape = covariance.shape
     require(len(shape) >= 2 and shape[-1] == shape[-2], f"{name} must be square, got shape {shape}")
-    if shape[-2:] == (2, 2) and _clearly_covariances(covariance):
+    if _clearly_covariances(covariance):
         return
     if not np.isfinite(covariance).all():
         covariance = covariance[np.isfinite(covariance).all(axis=(-2, -1))]
@@ -122,10 +138,33 @@ def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE
 
 
 def _clearly_covariances(matrices: Float) -> bool:
-    """True if matrices (..., 2, 2) are exactly symmetric, finite and positive definite: in a tenth of the time."""
+    """True if matrices (..., n, n) are symmetric, finite and positive definite: in a tenth of the time."""
+    if matrices.ndim == 2:
+        return len(matrices) <= _FEW and _has_cholesky_factor(matrices.tolist())
+    if matrices.shape[-1] != 2:
+        return False
     a, b, c, d = matrices.reshape(-1, 4).T
     sound = (b == c) & (a > 0.0) & (b * b < a * d) & (a + d < np.inf)
     return bool(sound.all())
+
+
+def _has_cholesky_factor(rows: list[list[float]]) -> bool:
+    """True if a small matrix is symmetric to :data:`ASYMMETRY_TOLERANCE` and has a Cholesky factor."""
+    factor: list[list[float]] = []
+    for i, row in enumerate(rows):
+        if not row[i] > 0.0:
+            return False
+        found: list[float] = []
+        for j in range(i):
+            if not abs(row[j] - rows[j][i]) <= ASYMMETRY_TOLERANCE * math.sqrt(row[i] * rows[j][j]):
+                return False
+            before = sum([found[k] * factor[j][k] for k in range(j)])
+            found.append((row[j] - before) / factor[j][j])
+        left = row[i] - sum([one * one for one in found])
+        if not 0.0 < left < math.inf:
+            return False
+        factor.append([*found, math.sqrt(left)])
+    return True
 
 
 def _least_eigenvalues(matrices: Float) -> Float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
@@ -48,6 +49,8 @@ _UNLIKELY = 4.0
 """Standard deviations beyond which a cell is not explained, by noise and errors of the model together."""
 _ISOLATED = 3
 """Side, cells, of the median that takes stars, cosmic rays and single rows out of what is not explained."""
+_KERNEL_SIGMAS = 4.0
+"""Reach of a Gaussian, standard deviations: less than 1e-4 of it lies beyond."""
 _DARK = 1e-30
 """Sum of the light of cells below which a law leaves a body dark."""
 _LIT = 0.05
@@ -267,9 +270,16 @@ def _first_gain(values: Float, light: Float, fresh: Mask) -> float:
 
 def _scattered(light: Float, cells: Cells) -> Float:
     """Light scattered by wide wings of the optics."""
-    from scipy.ndimage import gaussian_filter
+    return _blurred(light, _WING_RADIUS * cells.radius)
 
-    return np.asarray(gaussian_filter(light, _WING_RADIUS * cells.radius))
+
+def _blurred(image: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> Float:
+    """Image (n, n) blurred by a Gaussian of a standard deviation in cells, cut at :data:`_KERNEL_SIGMAS` of them."""
+    reach = math.ceil(_KERNEL_SIGMAS * sigma)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
+    blurred = cv2.sepFilter2D(np.ascontiguousarray(image), cv2.CV_64F, kernel, kernel, borderType=border)
+    return np.asarray(blurred, dtype=np.float64)
 
 
 def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float) -> Float:
@@ -286,9 +296,7 @@ def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float) -> Float:
 
 def _model_sigma(design: _Design, albedo: float, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
     """Standard deviation (n, n) of the errors of the model over the gain by cell, and where edges are most of it."""
-    from scipy.ndimage import gaussian_filter
-
-    markings = albedo * gaussian_filter(design.own, _AROUND * cells.radius)
+    markings = albedo * _blurred(design.own, _AROUND * cells.radius)
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
     wings, floor = _WINGS * _scattered(design.own, cells), _FLOOR * float(design.own.max())
     face = markings**2 + wings**2 + floor**2
@@ -318,11 +326,9 @@ def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells
 
     ``influence`` (k, n, n) is how the unknowns change with the cells.
     """
-    from scipy.ndimage import gaussian_filter
-
     length = 0.5 * BLOCK * cells.radius
     area = max(2.0 * math.pi * length**2, 1.0)
-    spread = gaussian_filter(model_sigma * influence, (0.0, length, length), mode="constant")
+    spread = np.stack([_blurred(one, length, cv2.BORDER_CONSTANT) for one in model_sigma * influence])
     errors = noise * influence + area * model_sigma * spread
     covariance = np.tensordot(influence, errors, axes=([1, 2], [1, 2]))
     return np.asarray(0.5 * (covariance + covariance.T))

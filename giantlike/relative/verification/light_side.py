@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, unit
@@ -75,9 +76,9 @@ def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: 
     room = math.ceil(cells.radius)
     matches = ShiftedMatches.of(cells, room)
     turned = [rotate(Rotation.from_rotvec(angle * sight), sun_direction_camera) for angle in _OTHER_SIDES_RAD]
-    left = max(_least(matches, cells.place(own.brightness, own)), _EXACT)
+    left = _least(matches, cells.place(own.brightness, own))
     for one in (_without_shadows(trace), trace):
-        left_by_other = max(min(_least(matches, cells.light(one.with_sun(sun))) for sun in turned), _EXACT)
+        left_by_other = _least(matches, np.stack([cells.light(one.with_sun(sun)) for sun in turned]))
         if left < _CLEAR * left_by_other:
             break
     odds = 0.5 * parts * math.log(left / left_by_other)
@@ -109,5 +110,5 @@ def _without_shadows(trace: Trace) -> Trace:
 
 
 def _least(matches: ShiftedMatches, light: Float) -> float:
-    """Share of the variance of the cells that light leaves at its best shift."""
-    return float(matches.unexplained(light).min())
+    """Share of the variance of the cells that light (..., m, m), the best of it, leaves at its best shift."""
+    return max(float(matches.unexplained(light).min()), _EXACT)

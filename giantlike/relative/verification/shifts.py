@@ -55,7 +55,7 @@ class ShiftedMatches(Value):
         -------
         ShiftedMatches
         """
-        from scipy.fft import next_fast_len
+        from scipy.fft import next_fast_len, rfft2
 
         first = cells.room - room
         within = slice(first, cells.box.width - first)
@@ -64,7 +64,7 @@ class ShiftedMatches(Value):
         values = values - values.sum() / max(good.sum(), 1.0) * good
         length = next_fast_len(len(good), real=True)
         size, shifts = (length, length), 2 * room + 1
-        spectra = np.fft.rfft2(np.stack([good, values, values**2]), size)
+        spectra = rfft2(np.stack([good, values, values**2]), size)
         window = np.ones((len(good) - 2 * room,) * 2)
         number, total, squares = _products(spectra, window, size, shifts)
         number = np.maximum(np.rint(number), 1.0)
@@ -84,12 +84,12 @@ class ShiftedMatches(Value):
 
         Parameters
         ----------
-        model : (m, m) float64
+        model : (..., m, m) float64
             In the middle of the image, without the room for shifts.
 
         Returns
         -------
-        (shifts, shifts) float64
+        (..., shifts, shifts) float64
             By shift along rows and columns; 1 where only a negative gain would explain anything.
         """
         return 1.0 - self.explained(model)[0]
@@ -99,30 +99,34 @@ class ShiftedMatches(Value):
 
         Parameters
         ----------
-        model : (m, m) float64
+        model : (..., m, m) float64
 
         Returns
         -------
-        share : (shifts, shifts) float64
-        gain : (shifts, shifts) float64, DN
+        share : (..., shifts, shifts) float64
+        gain : (..., shifts, shifts) float64, DN
             Zero where it would be negative or where nothing is to be seen.
         """
+        model = model[..., None, :, :]
         if self.whole:
-            product = _products(self.spectra[1:], model, self.size, self.shifts)[0]
-            light, light_squares = (np.full_like(product, float(one.sum())) for one in (model, model**2))
+            product = _products(self.spectra[1:], model, self.size, self.shifts)[..., 0, :, :]
+            light, light_squares = (one.sum(axis=(-2, -1))[..., None] for one in (model, model**2))
         else:
-            light, product = _products(self.spectra, model, self.size, self.shifts)
-            light_squares = _products(self.spectra[:1], model**2, self.size, self.shifts)[0]
+            light, product = np.moveaxis(_products(self.spectra, model, self.size, self.shifts), -3, 0)
+            light_squares = _products(self.spectra[:1], model**2, self.size, self.shifts)[..., 0, :, :]
         light_variance = light_squares - light**2 / self.number
         covariance = np.maximum(product - self.total * light / self.number, 0.0)
-        seen = (self.variance > _EXACT * self.variance.max()) & (light_variance > _EXACT * light_variance.max())
-        share, gain = np.zeros_like(covariance), np.zeros_like(covariance)
-        share[seen] = np.minimum(covariance[seen] ** 2 / (self.variance[seen] * light_variance[seen]), 1.0)
-        gain[seen] = covariance[seen] / light_variance[seen]
+        most = light_variance.max(axis=(-2, -1), keepdims=True)
+        seen = (self.variance > _EXACT * self.variance.max()) & (light_variance > _EXACT * most)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gain = np.where(seen, covariance / light_variance, 0.0)
+            share = np.where(seen, np.minimum(gain * covariance / self.variance, 1.0), 0.0)
         return share, gain
 
 
 def _products(spectra: NDArray[np.complex128], model: Float, size: tuple[int, int], shifts: int) -> Float:
-    """Sums (k, shifts, shifts) of products of images and a template at all shifts that stay within them."""
-    products = np.fft.irfft2(spectra * np.conj(np.fft.rfft2(model, size)), size)
-    return np.asarray(products[:, :shifts, :shifts], dtype=np.float64)
+    """Sums (..., shifts, shifts) of products of images and templates at all shifts that stay within them."""
+    from scipy.fft import irfft2, rfft2
+
+    products = irfft2(spectra * np.conj(rfft2(model, size)), size)
+    return np.asarray(products[..., :shifts, :shifts], dtype=np.float64)
