@@ -22,7 +22,7 @@ from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 from giantlike.stars.smooth_errors import MOST_WEIGHED, shared_covariance, shared_error_px, unmodeled_errors
 
 _MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
-_STEP_RAD = 1e-11  # last step: 2 microarcsec, far below any sigma, above the rounding of float64
+_STEP_RAD = 1e-8  # last step: 2 milliarcsec; the next would be below 1e-12, for residuals turn with the attitude
 _MAX_ROUNDS = 10  # of fit and rejection
 _NOISE_EXPLAINS = 0.977
 """Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal

@@ -83,20 +83,22 @@ def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, am
     if visible.size == 0 or len(points_px) == 0:
         return Matches(star_indices=none, detection_indices=none, distance_px=np.zeros(0))
     stars, reach = predicted_px[visible], radius_px + ambiguous_px
-    to_points, point_of_star = _two_nearest(points_px, stars, reach)
+    count = 1 if ambiguous_px == 0.0 else 2  # without it the next nearest do not matter
+    to_points, point_of_star = _nearest(points_px, stars, count, reach)
     paired = np.flatnonzero(to_points[:, 0] <= radius_px)
     mine, distance = point_of_star[paired, 0], to_points[paired, 0]
-    to_stars, star_of_point = _two_nearest(stars, points_px[mine], reach)
+    to_stars, star_of_point = _nearest(stars, points_px[mine], count, reach)
     good = star_of_point[:, 0] == paired
-    good &= np.minimum(to_points[paired, 1], to_stars[:, 1]) - distance >= ambiguous_px
+    if count > 1:
+        good &= np.minimum(to_points[paired, 1], to_stars[:, 1]) - distance >= ambiguous_px
     return Matches(star_indices=visible[paired[good]], detection_indices=mine[good], distance_px=distance[good])
 
 
-def _two_nearest(among_px: Float, of_px: Float, reach_px: float) -> tuple[Float, NDArray[np.intp]]:
-    """Distances and indices (n, 2) of the two nearest points; infinite for those further away than ``reach_px``."""
+def _nearest(among_px: Float, of_px: Float, count: int, reach_px: float) -> tuple[Float, NDArray[np.intp]]:
+    """Distances and indices (n, count) of the nearest points; infinite for those further away than ``reach_px``."""
     limit = math.nextafter(reach_px, math.inf)
     tree = cKDTree(among_px, balanced_tree=False, compact_nodes=False)  # for one use: faster to build
-    distance, index = tree.query(of_px, k=2, distance_upper_bound=limit)
+    distance, index = tree.query(of_px, k=list(range(1, count + 1)), distance_upper_bound=limit)
     return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.intp)
 
 

@@ -39,9 +39,9 @@ from giantlike.processing.detection.patches import (
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
-_CONVERGED_SIGMAS = 0.1  # last step over the error of the centroid: the next is a fifth of it, 0.04 % of the variance
-_CONVERGED_FLUX = 0.02  # last step over the flux: the covariance is that before it
-_CONVERGED_WIDTH = 0.05  # last step of ln sigma: flags ask for widths off by a third
+_CONVERGED_SIGMAS = 0.35  # last step over its error: the next is a fifth of it, 0.5 % of the variance
+_CONVERGED_FLUX = 0.02  # the same over the flux, where that is more: the covariance is that before it
+_CONVERGED_WIDTH = 0.05  # the same of ln sigma: flags ask for widths off by a third
 _N_UNKNOWNS = 7
 _ROUNDING = 3e-6  # of the diagonal: above what single precision may take off an eigenvalue of fits to a few pixels
 _BLOCK = 512  # stars fitted together: derivatives by patches of 9 x 9 pixels are then 1.3 MB
@@ -124,16 +124,21 @@ def fit_stars(
     problem = _Problem(patches, psf, width_prior)
     solution = problem.solve(start)
     pairs = neighbor_pairs(patches.centers_px.astype(np.float64), patches.reach_px)
+    changed = np.ones(len(start), dtype=bool)
     for done in range(0 if isolated else _NEIGHBOR_ROUNDS):
         near = pairs[solution.good[pairs[:, 1]]]  # a fit that ran away must not be subtracted from its neighbors
-        if not len(near):
-            break
-        blended = np.unique(near[:, 0])
+        blended = np.unique(near[changed[near[:, 1]], 0])
         if done:
             blended = blended[solution.good[blended]]  # what did not converge without its neighbors never will
-        alone = _without_neighbors(patches, solution.parameters, near).select(blended)
-        again = np.where(solution.good[blended, None], solution.parameters[blended], start[blended])
-        solution.replace(blended, replace(problem, patches=alone).solve(again))
+        if not blended.size:
+            break
+        alone = _without_neighbors(patches, solution.parameters, near, blended)
+        before = solution.parameters[blended]
+        again = np.where(solution.good[blended, None], before, start[blended])
+        found = replace(problem, patches=alone).solve(again)
+        solution.replace(blended, found)
+        changed[:] = False
+        changed[blended] = ~_is_last(found.parameters - before, before, found.covariance, found.reduced_chi2)
     return problem.finish(solution)
 
 
@@ -143,13 +148,27 @@ def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
     return np.concatenate([pairs, pairs[:, ::-1]])
 
 
-def _without_neighbors(patches: Patches, parameters: Float, pairs: NDArray[np.int64]) -> Patches:
-    """Patches minus the fitted stars that each of them is paired with."""
-    of, neighbor = pairs.T
+def _without_neighbors(
+    patches: Patches, parameters: Float, pairs: NDArray[np.int64], which: NDArray[np.int64]
+) -> Patches:
+    """Patches ``which`` (k,), ascending, minus the fitted stars that each of them is paired with."""
+    of, neighbor = pairs[np.isin(pairs[:, 0], which)].T
     shares = patches.select(of).star_shares(parameters[neighbor, :2], np.exp(parameters[neighbor, 4]))
-    values = patches.values_dn.copy()
-    np.subtract.at(values, of, parameters[neighbor, 2, None, None] * shares)
-    return replace(patches, values_dn=values)
+    chosen = patches.select(which)
+    values = chosen.values_dn.copy()
+    np.subtract.at(values, np.searchsorted(which, of), parameters[neighbor, 2, None, None] * shares)
+    return replace(chosen, values_dn=values)
+
+
+def _is_last(step: Float, parameters: Float, covariance: Float, reduced_chi2: Float) -> Mask:
+    """True (n,) for steps (n, 7) after which another would not matter."""
+    variance = np.einsum("nii->ni", covariance)
+    across = np.sqrt((variance[:, 0] + variance[:, 1]) * np.maximum(1.0, reduced_chi2))
+    flux, width = np.sqrt(variance[:, 2]), np.sqrt(variance[:, 4])
+    still = np.hypot(step[:, 0], step[:, 1]) <= np.maximum(_CONVERGED_PX, _CONVERGED_SIGMAS * across)
+    still &= np.abs(step[:, 2]) <= np.maximum(_CONVERGED_FLUX * parameters[:, 2], _CONVERGED_SIGMAS * flux)
+    still &= np.abs(step[:, 4]) <= np.maximum(_CONVERGED_WIDTH, _CONVERGED_SIGMAS * width)
+    return np.asarray(still)
 
 
 @dataclass(slots=True)
@@ -164,6 +183,11 @@ class _Solution:
     chi2: Float
     count: NDArray[np.int64]
     good: Mask
+
+    @property
+    def reduced_chi2(self) -> Float:
+        """Chi-squares (n,) over the pixels used."""
+        return self.chi2 / self.count.clip(1)
 
     def replace(self, which: NDArray[np.integer], other: _Solution) -> None:
         """Take over the solution of the stars of these indices (k,)."""
@@ -206,9 +230,7 @@ class _Problem:
             last[active] = step
             solution.parameters[active] = now + pace[active, None] * step
             solution.covariance[active], solution.chi2[active], solution.count[active] = covariance, chi2, count
-            error = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) * np.maximum(1.0, chi2 / count.clip(1)))
-            still = np.hypot(step[:, 0], step[:, 1]) <= np.maximum(_CONVERGED_PX, _CONVERGED_SIGMAS * error)
-            still &= (np.abs(step[:, 2]) <= _CONVERGED_FLUX * now[:, 2]) & (np.abs(step[:, 4]) <= _CONVERGED_WIDTH)
+            still = _is_last(step, now, covariance, chi2 / count.clip(1))
             if still.any():
                 active, problem = active[~still], problem.select(np.flatnonzero(~still))
         reach = 1.0 + _MAX_SHIFT_WIDTHS * self.psf_sigma_px
@@ -245,11 +267,10 @@ class _Problem:
         residual, weight = patches.residuals(light, parameters[:, _PLANE])
         # Single precision moves the solution by 1e-5 sigma: the residuals themselves are rounded after the difference.
         table = np.empty((n, _N_UNKNOWNS + 1, size, size), dtype=np.float32)
-        weights = np.sqrt(weight).reshape(n, size, size)
-        table[:, _N_UNKNOWNS] = weights * residual.reshape(weights.shape)
+        root = np.sqrt(weight.astype(np.float32)).reshape(n, size, size)
+        np.multiply(root, residual.astype(np.float32).reshape(root.shape), out=table[:, _N_UNKNOWNS])
         px, dx, wx = (part.astype(np.float32) for part in across)
         py, dy, wy = (part.astype(np.float32) for part in down)
-        root = weights.astype(np.float32)
         np.multiply(root * px, py, out=table[:, 2])
         for index, term in zip(_PLANE, patches.plane_terms().astype(np.float32), strict=True):
             np.multiply(root, term, out=table[:, index])
