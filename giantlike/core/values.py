@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields
-from functools import cache
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,16 +65,25 @@ class Value:
                 object.__setattr__(self, name, view)
 
 
-@cache
-def _invariants(kind: type[Value]) -> tuple[tuple[str, Callable[[Float, str], None] | None], ...]:
-    """Names of the fields of a class of values, and what their names say of them."""
+_Check: TypeAlias = Callable[[Float, str], None]
 
-    def check(name: str) -> Callable[[Float, str], None] | None:
-        if name.startswith("covariance"):
-            return check_covariance
-        return check_directions if "direction_" in name or "directions_" in name else None
+_INVARIANTS: dict[type, tuple[tuple[str, _Check | None], ...]] = {}
 
-    return tuple((field.name, check(field.name)) for field in fields(kind))  # type: ignore[arg-type]
+
+def _invariants(kind: type) -> tuple[tuple[str, _Check | None], ...]:
+    """Names of the fields of a class of values, and the checks that their names ask for; found once for a class."""
+    known = _INVARIANTS.get(kind)
+    if known is None:
+        names = [field.name for field in fields(kind)]
+        known = _INVARIANTS[kind] = tuple((name, _check_of(name)) for name in names)
+    return known
+
+
+def _check_of(name: str) -> _Check | None:
+    """Check that the name of a field asks for."""
+    if name.startswith("covariance"):
+        return check_covariance
+    return check_directions if "direction_" in name or "directions_" in name else None
 
 
 def select_rows(value: AnyValue, which: NDArray[np.integer] | Mask | slice) -> AnyValue:

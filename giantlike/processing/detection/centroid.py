@@ -187,7 +187,8 @@ class _Solution:
     @property
     def reduced_chi2(self) -> Float:
         """Chi-squares (n,) over the pixels used."""
-        return self.chi2 / self.count.clip(1)
+        reduced: Float = self.chi2 / self.count.clip(1)
+        return reduced
 
     def replace(self, which: NDArray[np.integer], other: _Solution) -> None:
         """Take over the solution of the stars of these indices (k,)."""
