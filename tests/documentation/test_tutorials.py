@@ -61,7 +61,7 @@ def test_outputs_are_stored_small_and_without_errors(tutorial: Path) -> None:
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     outputs = [output for cell in cells for output in cell.outputs]
     assert not [output for output in outputs if output.output_type == "error" or output.get("name") == "stderr"]
-    assert sum("image/png" in kind or "text/html" in kind for cell in cells for kind in kinds(cell)) >= 2
+    assert sum("image/png" in kind or "text/html" in kind for cell in cells for kind in kinds(cell)) >= 1
 
 
 def test_nothing_stored_is_of_a_machine(tutorial: Path) -> None:
@@ -80,8 +80,12 @@ def test_figures_that_the_text_states_are_checked(tutorial: Path) -> None:
 
 
 @pytest.mark.slow
-def test_executed_again_it_holds_what_it_says_and_shows_the_same_kinds(tutorial: Path) -> None:
+def test_executed_again_it_holds_what_it_says_and_shows_the_same_kinds(
+    tutorial: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The checks of its cells raise where a figure of the text does not hold."""
+    if "GIANTLIKE_DATA" in tutorial.read_text(encoding="utf-8"):
+        monkeypatch.setenv("GIANTLIKE_DATA", str(request.getfixturevalue("data_dir")))
     store = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "store_notebooks.py")))
     stored, again = nbformat.read(tutorial, as_version=4), store.executed(tutorial)
     assert [kinds(cell) for cell in code_cells(again)] == [kinds(cell) for cell in code_cells(stored)]

@@ -91,6 +91,8 @@ def test_the_position_is_found_from_a_prediction_ten_pixels_and_a_percent_off(se
     fix = estimated(one)
     assert_sound(one, fix)
     assert fix.estimator == "surface_features"
+    assert repr(fix).startswith("LandmarkFix(")
+    assert len(repr(fix)) < 200
     assert fix.n_used == len(fix.landmark_names) == len(fix.landmark_px) >= 6
     assert_allclose(fix.residuals.reshape(-1, 2), fix.landmark_px - fix.landmark_predicted_px, rtol=0, atol=0.1)
     assert not fix.flags.suspect
