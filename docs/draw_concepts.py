@@ -176,7 +176,7 @@ def light_time() -> Drawing:
     """Where the body was, is, and seems to be."""
     d = Drawing(720, 380, "Geometric, astrometric and apparent place")
     camera, then, now, seems = (90, 320), (420, 70), (560, 110), (470, 48)
-    d.line((330, 44), (680, 144), FAINT, dash="5 4", arrow=True)
+    d.line((441, 76), (680, 144), FAINT, dash="5 4", arrow=True)
     d.text((600, 164), "path of the body", DARK, size=12)
     d.ellipse(then, (20, 20), fill=BODY)
     d.ellipse(now, (20, 20), fill=PAPER, dash="4 3")
