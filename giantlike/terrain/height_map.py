@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
 from giantlike.core.reading import file_sha256
 from giantlike.core.values import Value
-from giantlike.io.height_maps import HeightGrid, read_height_grid, require_usable, write_height_archive
+from giantlike.io.height_maps import HeightGrid, joined_grid, read_height_grid, require_usable, write_height_archive
 from giantlike.shapes import TriangleMesh
 
 _TILE = 256
@@ -60,7 +61,7 @@ class HeightMap(Value):
     @classmethod
     def open(
         cls,
-        path: str | Path,
+        path: str | Path | Sequence[str | Path],
         *,
         sigma_km: float | None = None,
         reference_radii_km: ArrayLike | None = None,
@@ -70,7 +71,8 @@ class HeightMap(Value):
 
         Parameters
         ----------
-        path : path-like
+        path : path-like or sequence of path-like
+            Several files of one map, such as quarters, are joined; where they overlap, the later counts.
         sigma_km : float, km, optional
             Standard deviation of the heights; that of the file, else 0.
         reference_radii_km : (3,), km, optional
@@ -85,14 +87,17 @@ class HeightMap(Value):
         Raises
         ------
         DataError
-            The file is missing, damaged, of another kind or in another projection.
+            A file is missing, damaged, of another kind or in another projection; or files are not of one map.
         InputError
-            An argument makes no sense, or a GeoTIFF is to be read and tifffile is not installed.
+            An argument makes no sense, no file is given, or a GeoTIFF is to be read and tifffile is not installed.
         """
         radii = None if reference_radii_km is None else as_finite(reference_radii_km, (3,), "reference_radii_km")
         if unit_km is not None:
             require_number(unit_km, "unit_km", above=0.0)
-        grid = read_height_grid(path, reference_radii_km=radii, unit_km=unit_km)
+        paths = [path] if isinstance(path, str | Path) else list(path)
+        require(bool(paths), "a height map needs a file")
+        grids = [read_height_grid(each, reference_radii_km=radii, unit_km=unit_km) for each in paths]
+        grid = grids[0] if len(grids) == 1 else joined_grid(grids)
         found = cls(grid=grid, sigma_km=(grid.sigma_km or 0.0) if sigma_km is None else sigma_km)
         require_usable(grid, np.concatenate([block.ravel() for block in _sample(found)]))
         return found
@@ -158,7 +163,7 @@ class HeightMap(Value):
 
     @property
     def sha256(self) -> str:
-        """Hash of the file, hexadecimal; of the samples of a map that was made in memory."""
+        """Hash of the file, hexadecimal; of the samples of a map that was made in memory or joined of files."""
         return _sha256(self)
 
     @property
@@ -391,6 +396,9 @@ def _sha256(heights: HeightMap) -> str:
         return file_sha256(heights.grid.path)
     import hashlib
 
-    grid = heights.grid
-    whole = grid.block(slice(0, grid.rows), slice(0, grid.columns))
-    return hashlib.sha256(np.ascontiguousarray(whole).tobytes() + grid.reference_radii_km.tobytes()).hexdigest()
+    grid, digest = heights.grid, hashlib.sha256()
+    for top in range(0, grid.rows, _TILE):
+        rows = slice(top, min(top + _TILE, grid.rows))
+        digest.update(np.ascontiguousarray(grid.block(rows, slice(0, grid.columns))).tobytes())
+    digest.update(grid.reference_radii_km.tobytes())
+    return digest.hexdigest()

@@ -73,6 +73,56 @@ def test_only_the_blocks_that_are_asked_for_are_read(tmp_path: Path) -> None:
     assert HeightMap(grid=grid).heights_km([0.3, 0.2, -0.6]) == 0.0
 
 
+def quarter(path: Path, rows: slice, columns: slice) -> Path:
+    """A part of the map in a file of its own."""
+    whole, step = heights_km(), 10.0
+    np.savez(
+        path,
+        heights_km=whole[rows, columns],
+        reference_radii_km=[1737.4] * 3,
+        bounds_deg=[90 - step * rows.stop, 90 - step * rows.start, step * columns.start, step * columns.stop],
+        sigma_km=0.01 * (1 + rows.start),
+    )
+    return path
+
+
+def quarters(folder: Path) -> list[Path]:
+    return [
+        quarter(folder / f"{i}{j}.npz", slice(*rows), slice(*columns))
+        for i, rows in enumerate(((9, 18), (0, 9)))
+        for j, columns in enumerate(((20, 36), (0, 20)))
+    ]
+
+
+def test_a_map_in_several_files_is_one_map_in_whatever_order(tmp_path: Path) -> None:
+    files = quarters(tmp_path)
+    joined = HeightMap.open(files)
+    assert_allclose(joined.heights_km(centers()), heights_km(), rtol=0, atol=SINGLE_KM)
+    assert joined.sigma_km == pytest.approx(0.1)
+    assert joined.grid.global_columns
+    joined.save(tmp_path / "whole.npz")
+    again = HeightMap.open(tmp_path / "whole.npz")
+    assert_allclose(again.heights_km(centers()), heights_km(), rtol=0, atol=SINGLE_KM)
+    partly = HeightMap.open([files[0], files[3]]).heights_km(centers())
+    assert np.isnan(partly[:9, 20:]).all()
+    assert_allclose(partly[:8, :19], heights_km()[:8, :19], rtol=0, atol=SINGLE_KM)  # beside nothing there is none
+    assert HeightMap.open(files).sha256 == joined.sha256 != HeightMap.open(files[:3]).sha256
+
+
+def test_files_that_are_not_of_one_map_are_not_joined(tmp_path: Path) -> None:
+    files = quarters(tmp_path)
+    np.savez(tmp_path / "fine.npz", heights_km=np.zeros((18, 40)), reference_radii_km=[1737.4] * 3,
+             bounds_deg=[0, 90, 0, 200])  # fmt: skip
+    with pytest.raises(DataError, match=r"fine\.npz.*step of latitude"):
+        HeightMap.open([files[0], tmp_path / "fine.npz"])
+    np.savez(tmp_path / "off.npz", heights_km=np.zeros((9, 20)), reference_radii_km=[1737.4] * 3,
+             bounds_deg=[-5, 85, 3, 203])  # fmt: skip
+    with pytest.raises(DataError, match=r"off\.npz.*lie between"):
+        HeightMap.open([files[0], tmp_path / "off.npz"])
+    with pytest.raises(InputError, match="needs a file"):
+        HeightMap.open([])
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [

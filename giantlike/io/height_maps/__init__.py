@@ -16,10 +16,11 @@ from giantlike.core.reading import reads
 from giantlike.io.height_maps.archive import open_archive, write_height_archive
 from giantlike.io.height_maps.geotiff import open_geotiff
 from giantlike.io.height_maps.grid import HeightGrid, require_usable
+from giantlike.io.height_maps.joined import joined_grid
 from giantlike.io.height_maps.labeled import open_labeled
 from giantlike.io.pds3 import LABEL_START
 
-__all__ = ["HeightGrid", "read_height_grid", "require_usable", "write_height_archive"]
+__all__ = ["HeightGrid", "joined_grid", "read_height_grid", "require_usable", "write_height_archive"]
 
 _LABEL_BYTES = 1_000_000
 """Beginning of a file in which a label is looked for; those of maps have some kilobytes."""
