@@ -61,6 +61,7 @@ _COMMANDS = {
     "show": Entry("Draw an image of a run with what was found in it.", "bench_commands", "show"),
     "explain": Entry("Say in words how the results of an image came about.", "bench_commands", "explain"),
     "backplanes": Entry("Write range, angles and coordinates of every pixel.", "bench_commands", "backplanes"),
+    "dossier": Entry("Put together what a verification report of a run needs.", "dossier_command", "dossier"),
     "edit": Entry("Reject or restore images, stars and fixes of a run.", "status_commands", "edit"),
     "calibrate": Entry("Calibrate a camera from stars or a checkerboard.", "calibrate_command", "calibrate"),
     "stars": Entry("Solve the attitude of star images, without a campaign file.", "stars_command", "stars"),

@@ -80,7 +80,7 @@ def environment_of(campaign: Campaign) -> dict[str, Any]:
         "camera_sha256": None if campaign.camera_file is None else file_sha256(campaign.camera_file),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "packages": _package_versions(),
+        "packages": package_versions(),
     }
 
 
@@ -114,7 +114,13 @@ def _plain(options: Any) -> dict[str, Any]:
     return {key: value if isinstance(value, bool | int | str | None) else repr(value) for key, value in values.items()}
 
 
-def _package_versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
+    """Versions of the packages that this one needs.
+
+    Returns
+    -------
+    dict of str to str
+    """
     found = {}
     for requirement in requires("giantlike") or []:
         if "extra ==" in requirement:

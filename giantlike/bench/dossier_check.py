@@ -1,0 +1,159 @@
+"""Whether a dossier holds: its inputs are the same, and its run comes out the same again."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from giantlike.bench.dossier import DOSSIER_FILE
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.provenance import file_sha256, package_versions
+from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.edits import EDITS_FILE
+from giantlike.core.errors import DataError
+from giantlike.core.version import VERSION
+
+_TABLES = ("attitudes.csv", "observations.csv")
+_TIME_COLUMN = "time_s"
+"""Column of the tables that differs from run to run."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DossierCheck:
+    """Whether a dossier and its inputs are what they were.
+
+    Parameters
+    ----------
+    same : int
+        Number of files that are.
+    changed, missing : tuple of str
+        Roles and paths of inputs, and files of the dossier.
+    versions : tuple of str
+        Packages that have another version here; they do not make the dossier wrong.
+    """
+
+    same: int
+    changed: tuple[str, ...]
+    missing: tuple[str, ...]
+    versions: tuple[str, ...]
+
+    @property
+    def holds(self) -> bool:
+        """True if nothing changed and nothing is missing."""
+        return not self.changed and not self.missing
+
+
+def check_dossier(dossier: Path) -> DossierCheck:
+    """Compare a dossier and the inputs of its run with the hashes that it holds.
+
+    Parameters
+    ----------
+    dossier : Path
+
+    Returns
+    -------
+    DossierCheck
+
+    Raises
+    ------
+    DataError
+        It is no dossier.
+    """
+    content = read_dossier(dossier)
+    known = [(f"{each['role']} {each['path']}", each["path"], each["sha256"]) for each in content["inputs"]]
+    known += [(f"{path} in the dossier", path, digest) for path, digest in content["files"].items()]
+    changed, missing = [], []
+    for name, path, digest in known:
+        file = dossier / path
+        if not file.is_file():
+            missing.append(name)
+        elif file_sha256(file) != digest:
+            changed.append(name)
+    before = {"giantlike": content["versions"]["giantlike"], **content["versions"]["packages"]}
+    now = {"giantlike": VERSION, **package_versions()}
+    versions = [f"{name} {old}, here {now.get(name)}" for name, old in before.items() if now.get(name) != old]
+    return DossierCheck(
+        same=len(known) - len(changed) - len(missing),
+        changed=tuple(changed),
+        missing=tuple(missing),
+        versions=tuple(versions),
+    )
+
+
+def reproduce(dossier: Path, output: Path, *, workers: int | None = None) -> list[str]:
+    """Run the campaign of a dossier again, with its edits, and compare the tables.
+
+    Parameters
+    ----------
+    dossier : Path
+    output : Path
+        New run folder.
+    workers : int, optional
+        Number of processes; default: one per CPU.
+
+    Returns
+    -------
+    list of str
+        Lines of tables that differ in more than the time that they took; empty if the run came out the same.
+
+    Raises
+    ------
+    InputError
+        The run folder exists and holds something else.
+    DataError
+        It is no dossier, or inputs are damaged.
+    """
+    content = read_dossier(dossier)
+    campaign = replace(Campaign.load(dossier / content["campaign_file"]), output=output)
+    run_campaign(campaign, workers=workers)
+    edits = dossier / "run" / EDITS_FILE
+    if edits.is_file():
+        shutil.copyfile(edits, output / EDITS_FILE)
+        run_campaign(campaign, workers=workers)
+    different = []
+    for name in _TABLES:
+        before, now = (_rows(folder / name) for folder in (dossier / "run", output))
+        different += [f"{name}: {key}" for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]
+    return different
+
+
+def read_dossier(dossier: Path) -> dict[str, Any]:
+    """Content of ``dossier.json``.
+
+    Parameters
+    ----------
+    dossier : Path
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    DataError
+        There is none, or it is damaged.
+    """
+    path = dossier / DOSSIER_FILE
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        whole = isinstance(content["inputs"], list) and isinstance(content["files"], dict)
+        if not whole or "packages" not in content["versions"]:
+            raise TypeError("parts are missing")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DataError(path, "is missing or damaged: this is no dossier; giantlike dossier RUN writes one") from error
+    return dict(content)
+
+
+def _rows(path: Path) -> dict[str, dict[str, str]]:
+    """Rows of a table by image, target and estimator, without the time that they took."""
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DataError(path, f"cannot be read: {error}") from error
+    keys = ("file", "target", "estimator")
+    return {" ".join(row[key] for key in keys if key in row): row | {_TIME_COLUMN: ""} for row in rows}
