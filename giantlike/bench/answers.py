@@ -44,8 +44,8 @@ _LONGEST_PX = 2048
 """Pictures of longer images are reduced to this, px: as much as a screen shows."""
 _KEPT_IMAGES = 4
 """Images whose backplanes and templates are kept: those between which a person goes back and forth."""
-_DIFFERENCE_SIGMA = 6.0
-"""Gray scale of differences, in units of their spread, to either side."""
+_DIFFERENCE_PERCENT = 99.5
+"""Percentile of the differences at which their gray scale ends: the noise of a bright body stays gray."""
 
 
 class Answers:
@@ -147,8 +147,8 @@ class Answers:
                 match = match_of(self._session, file, target, estimator or None)
                 values = match.model_dn if kind == "template" else match.difference_dn
         if kind == "difference":
-            spread = 1.4826 * float(np.median(np.abs(values[values != 0]))) if np.any(values) else 1.0
-            gray = np.clip(127.5 + 127.5 * values / (_DIFFERENCE_SIGMA * max(spread, 1e-9)), 0, 255).astype(np.uint8)
+            full = float(np.percentile(np.abs(values[values != 0]), _DIFFERENCE_PERCENT)) if np.any(values) else 1.0
+            gray = np.clip(127.5 + 127.5 * values / max(full, 1e-9), 0, 255).astype(np.uint8)
         else:
             gray = _stretched(values, stretch)
         return _encoded(_colored(gray, colors), ".png")
@@ -224,9 +224,12 @@ class Answers:
         try:
             result = run_campaign(campaign, workers=1, progress=progress)
             made = {name: count.redone for name, count in result.steps.items() if count.redone}
-            text = ", ".join(f"{name}: {number} made" for name, number in made.items()) or "nothing had changed"
+            text = (
+                ", ".join(f"{name}: {number} made" for name, number in made.items())
+                or "nothing to compute; tables and report are up to date"
+            )
             with self._lock:
-                self._session.reload()
+                self._session.reopen()
                 self._planes.clear()
             self._solving = {"state": "done", "text": text}
         except OpNavError as error:

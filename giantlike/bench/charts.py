@@ -83,7 +83,7 @@ def limb_chart(session: Session, file: str, target: str) -> str:
         found = limb_residuals(session, file, fix)
         points = np.column_stack([found.angle_deg, found.distance_px])
         color = SERIES[len(layers) % len(SERIES)]
-        layers.append(Layer(points=points, shape=Shape.DOT, color=color, size=3.0, label=fix.estimator))
+        layers.append(Layer(points=points, shape=Shape.DOT, color=color, size=4.5, label=fix.estimator))
         values.append(found.distance_px)
         if len(seen.points[fix.of]["limb_rejected_px"]):
             others = limb_residuals(session, file, fix, rejected=True)
@@ -94,12 +94,12 @@ def limb_chart(session: Session, file: str, target: str) -> str:
         raise InputError(f"{file}: no fix of {target} has limb points")
     zero = Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9)
     chart = Chart(
-        title=f"{target}: limb points from the outline at each fix, outward; crosses: rejected",
-        x=Axis(label="angle around the center from +x towards +y, deg", low=-180.0, high=180.0),
-        y=Axis.around("distance, px", np.concatenate(values)),
+        title=f"{target}: limb points off the outline; crosses: rejected",
+        x=Axis(label="angle from +x towards +y, deg", low=-180.0, high=180.0),
+        y=Axis.around("outward, px", np.concatenate(values)),
         layers=[zero, *crosses, *layers],
     )
-    return charts_svg(ChartSheet(charts=[chart], width_in=7.5, height_in=2.6), f"limb-{target}")
+    return charts_svg(ChartSheet(charts=[chart], width_in=3.6, height_in=2.2), f"limb-{target}")
 
 
 def residual_chart(session: Session, file: str, target: str, estimator: str) -> str:
@@ -156,5 +156,5 @@ def correlation_chart(session: Session, file: str, target: str, estimator: str |
     surface = match.correlation()
     peak = find_peak(surface)
     where = None if peak is None else peak.offset_px - (np.array(surface.shape[::-1]) - 1) / 2
-    title = f"{target}: template at {match.estimator or 'the prediction'}, correlation by shift"
+    title = f"{target}, {match.estimator or 'prediction'}: correlation by shift"
     return svg_text(correlation_surface_figure(surface, where, title), f"correlation-{target}")

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -34,6 +35,8 @@ PLANES: Mapping[str, str] = MappingProxyType(
 
 
 _HORIZON_DEG = 90.0
+_BY_DAY = 0.5
+"""Share of a piece of a terminator that must have sunlight beside it."""
 _LEAST_PIECE = 0.05
 """Extent of a piece of a terminator over that of the longest, below which it is not drawn."""
 
@@ -92,8 +95,8 @@ def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> S
     Returns
     -------
     SeenImage
-        With the lines of incidence 90 deg between pixels of one body; pieces of a few pixels, which single boulders
-        make, are left out.
+        With the lines of incidence 90 deg between pixels of one body; pieces within shadows, and those of a few pixels,
+        which single boulders make, are left out.
     """
     from matplotlib.figure import Figure
 
@@ -103,6 +106,9 @@ def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> S
         if not (np.nanmin(height, initial=np.inf) < _HORIZON_DEG < np.nanmax(height, initial=-np.inf)):
             continue
         lines = Figure().add_subplot().contour(np.ma.masked_invalid(height), levels=[_HORIZON_DEG]).allsegs[0]
+        day = ((planes.body == number) & (height < _HORIZON_DEG) & ~planes.shadowed).astype(np.uint8)
+        near = cv2.dilate(day, np.ones((3, 3), np.uint8)) > 0
+        lines = [line for line in lines if np.mean(near[tuple(np.rint(line).astype(int).T[::-1])]) > _BY_DAY]
         sizes = [float(np.ptp(line, axis=0).max()) for line in lines]
         least = max(_LEAST_PIECE * max(sizes, default=0.0), 1.0)
         found[name] = tuple(line for line, size in zip(lines, sizes, strict=True) if size >= least)

@@ -102,6 +102,14 @@ class Session:
         """Read records and edits again, after a run or an edit."""
         self.result = load_result(self.folder)
 
+    def reopen(self) -> None:
+        """Read the campaign file again too, after a run: it may have been edited."""
+        bench = self.__dict__.pop("workbench", None)
+        if bench is not None:
+            bench.close()
+        self.__dict__.pop("camera", None)
+        self.reload()
+
     @property
     def campaign_file(self) -> Path:
         """The campaign file of the run.
