@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
 from api_pages import write_api_pages  # noqa: E402
+from gallery import write_gallery  # noqa: E402
 
 from giantlike.core.version import VERSION  # noqa: E402
 
@@ -71,4 +72,9 @@ html_theme_options = {
 
 def setup(app: Sphinx) -> None:
     """Make the pages that are not kept in git before Sphinx looks for pages."""
-    app.connect("builder-inited", lambda _: write_api_pages(ROOT / "docs" / "api"))
+    app.connect("builder-inited", _make_pages)
+
+
+def _make_pages(app: Sphinx) -> None:
+    write_api_pages(ROOT / "docs" / "api")
+    write_gallery(ROOT / "docs" / "gallery")
