@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from ipython_pygments_lexers import IPython3Lexer
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,6 +74,7 @@ html_theme_options = {
 def setup(app: Sphinx) -> None:
     """Make the pages that are not kept in git before Sphinx looks for pages."""
     app.connect("builder-inited", _make_pages)
+    app.add_lexer("python", IPython3Lexer)  # Python, and the shell lines of notebooks
 
 
 def _make_pages(app: Sphinx) -> None:

@@ -42,8 +42,8 @@ Images of real bodies with what was predicted (dashed), the limb points that wer
 
 """
 _ABSENT = """\
-The images are not part of the project, so no picture is shown here. To see them, put the images, shapes and kernels that
-[`examples/real_bodies.py`](../../examples/real_bodies.py) names into a folder with `bodies`, `shapes` and `kernels`
+The images are not part of the project, so no picture is shown here. To see them, put the images, shapes and kernels
+that [`examples/real_bodies.py`](../../examples/real_bodies.py) names into a folder with `bodies`, `shapes`, `kernels`
 (images and shapes are in the archives of the PDS, kernels in that of NAIF), set `GIANTLIKE_TEST_DATA` to it and run
 `make docs` again.
 """
