@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -255,17 +255,23 @@ class LinearFit(Value):
     weights : (h, w) float64
         0 where a pixel is not used.
     prior : Prior
+
+    Attributes
+    ----------
+    information : (k, k) float64
+        Normal matrix, the prior included.
     """
 
     columns: Float
     weights: Float
     prior: Prior
+    information: Float = field(init=False)
 
-    @property
-    def information(self) -> Float:
-        """Normal matrix (k, k), the prior included."""
+    def __post_init__(self) -> None:
         design = self.columns.reshape(len(self.columns), -1).T
-        return np.asarray((design * self.weights.reshape(-1, 1)).T @ design + np.diag(self.prior.information))
+        information = (design * self.weights.reshape(-1, 1)).T @ design + np.diag(self.prior.information)
+        object.__setattr__(self, "information", information)
+        Value.__post_init__(self)
 
     def _sandwich(self, scatter: Float) -> Float:
         """Covariance (k, k) of the parameters from that of their scores."""

@@ -60,15 +60,19 @@ class Problem:
         if images.winged:
             differences += [_winged(images.light, state.psf_variance_px2, w) - images.light for w in _WING_WIDTHS]
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
-        basis = np.stack([images.light, *_background(images.light.shape), *differences])
+        seen = (images.light, *_background(images.light.shape), *differences)
+        self.columns = np.empty((GAIN + len(seen), *images.light.shape))
+        moved, basis = self.columns[:GAIN], self.columns[GAIN:]
+        np.stack(seen, out=basis)
         if photometry is None:
             first = unweighted(basis[: LAWS - GAIN], pixels)
             photometry = first
         photometry = np.pad(photometry, (0, len(basis) - len(photometry)))  # of wings, after a render without
         self.gain_dn = float(photometry[0])
-        body = [0, *range(LAWS - GAIN, len(basis))]
-        self.signal = np.tensordot(photometry[body], basis[body], 1)
-        self.model = self.signal + np.tensordot(photometry[1 : LAWS - GAIN], basis[1 : LAWS - GAIN], 1)
+        under = np.zeros_like(photometry)
+        under[1 : LAWS - GAIN] = photometry[1 : LAWS - GAIN]
+        self.signal, level = np.tensordot(np.stack([photometry - under, under]), basis, 1)
+        self.model = self.signal + level
         x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
@@ -79,14 +83,13 @@ class Problem:
             by_pixels = np.tensordot(photometry[wings], basis[wings] + images.light, 1)
         slope_x, slope_y, curvature = _derivatives(by_pixels)
         radial = x * slope_x + y * slope_y + spread * curvature
-        moved = np.stack([-slope_x, -slope_y, radial, 0.5 * curvature])
+        np.stack([-slope_x, -slope_y, radial, 0.5 * curvature], out=moved)
         if rendered is not None:
             shares = photometry[LAWS - GAIN :]
             scales = [total / max(float(other.sum()), 1e-300) for other in images.others]
             moved += rendered(np.array([photometry[0] - shares.sum(), *(shares[: self.n_laws] * scales)]))
         self._slope2 = moved[X] ** 2 + moved[Y] ** 2
         self._places = np.stack(np.broadcast_arrays(x, y))
-        self.columns = np.concatenate([moved, basis])
         self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / total))
 
     @property
@@ -126,7 +129,7 @@ class Problem:
     def misfit_dn2(self) -> float:
         """Mean square of image minus model, with the brightness that fits best."""
         use = self._short
-        basis, values = self.columns[GAIN:, use], self.pixels.values_dn[use]
+        basis, values = _chosen(self.columns[GAIN:], use), self.pixels.values_dn[use]
         found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
         return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.offered)), 1)
 
@@ -153,7 +156,7 @@ class Problem:
         variances = VarianceModel(self.pixels.noise_variance_dn2(signal), shapes)
         censored = np.zeros(signal.size, bool) if self.pixels.censored is None else self.pixels.censored[use]
         measured = Measured(self.pixels.values_dn[use], censored, variances)
-        fit = robust_fit(self.columns[:, use].T, measured, prior, clip_sigma=clip_sigma, start=errors)
+        fit = robust_fit(_chosen(self.columns, use).T, measured, prior, clip_sigma=clip_sigma, start=errors)
         if fit is None:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"
@@ -174,8 +177,13 @@ def unweighted(basis: Float, pixels: BoxPixels) -> Float:
     (k,) float64
         Coefficients of the images, over the usable pixels.
     """
-    brightness = np.linalg.lstsq(basis[:, pixels.usable].T, pixels.values_dn[pixels.usable], rcond=None)[0]
+    brightness = np.linalg.lstsq(_chosen(basis, pixels.usable).T, pixels.values_dn[pixels.usable], rcond=None)[0]
     return brightness.astype(np.float64, copy=False)
+
+
+def _chosen(images: Float, use: Mask) -> Float:
+    """Values (k, n) of images (k, h, w) where ``use`` (h, w) is True: no copy where that is everywhere."""
+    return images.reshape(len(images), -1) if use.all() else images[:, use]
 
 
 def _difference(other: Float, light: Float) -> Float:

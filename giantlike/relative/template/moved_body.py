@@ -81,7 +81,7 @@ class MovedBody(Value):
         lights = np.stack([spread_over(down.value, columns[:, law].T) for law in range(cells.shape[1])])
 
         def derivatives(weights: Float) -> Float:
-            whole, own = (np.tensordot(weights, each[:, : len(weights)], (0, 1)) for each in (cells, columns))
+            whole, own = (weights @ each[:, : len(weights)] for each in (cells, columns))
 
             def by(by_column: csr_matrix[np.float64]) -> Float:
                 return spread_over(down.value, spread_over(by_column, whole).T)
