@@ -233,7 +233,9 @@ def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) 
         part = axes[:, :, axis] @ steps.T
         length += part**2
         directions[..., axis] = part
-    directions /= np.sqrt(length)[..., None]
+    scale = 1.0 / np.sqrt(length)
+    for axis in range(3):  # in a fraction of the time of rows of four
+        directions[..., axis] *= scale
     traced = trace_rays(view, directions.reshape(-1, 4))
     return np.stack([traced.brightness(law).reshape(-1, per_side**2) for law in laws])
 

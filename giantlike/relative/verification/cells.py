@@ -34,6 +34,8 @@ _RAYS_PER_CELL = 3
 to a cell of 8 % of the radius it was off by 1.4 %."""
 _ACROSS = 1.6
 """Rays across the narrow side of a body, at least, over those across a radius of the usual number of cells."""
+_RAYS_ACROSS_POINT = 32
+"""Rays across a body without a face, which is only looked for elsewhere: its light is then right to 1 %."""
 _MOST_CELLS = 240
 """Most cells along the side of the region: a body much larger than its mean radius says gets larger cells."""
 
@@ -118,6 +120,7 @@ class Cells(Value):
             None where nothing of it is seen.
         """
         camera = self.camera
+        across = math.ceil(_ACROSS * _RAYS_PER_CELL * CELLS_PER_RADIUS) if self.has_face else _RAYS_ACROSS_POINT
         traced = trace_body(
             body,
             camera.model,
@@ -127,7 +130,7 @@ class Cells(Value):
             rows=camera.rows,
             options=RenderOptions(
                 rays_per_pixel_side=_RAYS_PER_CELL,
-                min_rays_across=math.ceil(_ACROSS * _RAYS_PER_CELL * CELLS_PER_RADIUS),
+                min_rays_across=across,
                 margin_px=self.box.width,
             ),
         )
