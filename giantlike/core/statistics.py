@@ -135,6 +135,22 @@ def _turned(values: Float, axes: Float) -> Float:
     return result.reshape(values.shape)
 
 
+def nearest_covariance(matrix: Float) -> Float:
+    """Return the positive semi-definite matrix nearest to a symmetric one.
+
+    Parameters
+    ----------
+    matrix : (n, n) float64
+
+    Returns
+    -------
+    (n, n) float64
+        Without the parts of negative variance, as differences and tabulated correlations have.
+    """
+    variances, axes = np.linalg.eigh(matrix)
+    return np.asarray((axes * np.maximum(variances, 0.0)) @ axes.T)
+
+
 def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[float, float]:
     """Factor on the standard deviations, and an error floor, that together explain residuals.
 

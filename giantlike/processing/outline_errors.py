@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 
 from giantlike.core.arrays import Float, require
+from giantlike.core.statistics import nearest_covariance
 from giantlike.core.values import Value
 
 _MOST_BINS = 24
@@ -120,6 +121,8 @@ class OutlineErrors(Value):
             near = np.exp(apart / -length)
             noise += shared[0][0][number] * near
             rough_noise += shared[1][0][number] * near
+        # Relief of a sphere is that of a circle: along other outlines its table may give negative variances.
+        relief = nearest_covariance(relief)
         return PointCovariances(noise=noise, relief=relief, for_weights=rough_noise + rough_relief)
 
     @property

@@ -13,6 +13,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality
+from giantlike.core.statistics import nearest_covariance
 from giantlike.relative.budget import position_covariance
 
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
@@ -202,5 +203,4 @@ def _by_camera(fix: PositionFix, model: CameraModel) -> Float:
     if Cause.CAMERA not in fix.parts:
         return np.zeros((3, 3))
     in_image = position_covariance(model, fix.position_camera_km, summed(fix.parts))
-    variances, axes = np.linalg.eigh(fix.covariance_camera_km2 - in_image)
-    return np.asarray((axes * np.maximum(variances, 0.0)) @ axes.T)
+    return nearest_covariance(fix.covariance_camera_km2 - in_image)

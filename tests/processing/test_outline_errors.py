@@ -54,6 +54,17 @@ def test_what_relief_that_nobody_declared_does_to_place_and_size_is_in_the_covar
     assert HONEST[0] < np.mean(squared) < HONEST[1]
 
 
+def test_relief_along_an_ellipse_has_no_negative_variance() -> None:
+    """Its covariance is that of circles; positions of long bodies had parts that did not sum to their covariance."""
+    relief = bumps(1, rms=RELIEF_PX, widths_deg=(15.0, 30.0), count=60, cells=64)
+    directions, points, design = limb(np.random.default_rng(5), np.radians(360.0))
+    points = points * [1.3, 0.7]
+    sigma = np.full(len(points), NOISE_PX)
+    errors = outline_errors(relief(directions), design, sigma, points, radius=RADIUS_PX, least_length=1.5)
+    assert errors.relief_sigma > NOISE_PX
+    assert np.linalg.eigvalsh(errors.covariances(sigma, points).relief)[0] > -1e-9 * RELIEF_PX**2
+
+
 def test_a_body_without_relief_is_as_certain_as_its_noise_allows() -> None:
     rng = np.random.default_rng(4)
     squared, ratios = [], []
