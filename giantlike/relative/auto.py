@@ -12,7 +12,7 @@ import numpy as np
 
 from giantlike.core.arrays import require
 from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
-from giantlike.ray_tracing import FocalPlane, Silhouette, trace_silhouette
+from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative.consensus import fused, verdict
 from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
@@ -20,6 +20,7 @@ from giantlike.relative.landmarks.surface_features import SurfaceFeatures, Surfa
 from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
+from giantlike.relative.place import limb_in_frame
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.shapes import Ellipsoid
 
@@ -226,7 +227,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
             plane = inputs.focal_plane()
             sun = inputs.geometry.sun_direction_camera
             outline = trace_silhouette(inputs.geometry.body(), plane.model, _OUTLINE_RAD, sun_direction_camera=sun)
-            in_frame, limb_px = _limb_in_frame(outline, plane)
+            in_frame, limb_px = limb_in_frame(outline, plane)
         return choose(
             diameter_px=diameter_px,
             is_ellipsoid=isinstance(inputs.geometry.target.shape, Ellipsoid),
@@ -261,14 +262,3 @@ def _nothing(choice: Choice, outcomes: Mapping[str, CenterFix | Failure]) -> Fai
     first, *others = failures
     also = "".join(f"; {name}: {one.reason}" for name, one in others)
     return Failure(first[1].reason, f"{choice.because}; {first[1].detail}{also}")
-
-
-def _limb_in_frame(outline: Silhouette, plane: FocalPlane) -> tuple[float, float]:
-    """Part of the lit outline that lies within the frame, and its length in px."""
-    if not outline.lit.any():
-        return 0.0, 0.0
-    inside = plane.contains(outline.points_px)
-    seen = inside & outline.lit
-    lengths = np.linalg.norm(np.roll(outline.points_px, -1, axis=0) - outline.points_px, axis=1)
-    usable = seen & np.roll(inside, -1) & np.isfinite(lengths)
-    return float(seen.sum() / outline.lit.sum()), float(lengths[usable].sum())

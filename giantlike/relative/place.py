@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float
-from giantlike.ray_tracing import FocalPlane
+from giantlike.ray_tracing import FocalPlane, Silhouette
 
 
 def apparent_radius_px(camera: Camera | FocalPlane, center_px: ArrayLike, radius_km: float, range_km: float) -> float:
@@ -111,3 +111,25 @@ def place_jacobian(model: CameraModel, position_camera_km: Float) -> Float:
     """
     along = position_camera_km / float(position_camera_km @ position_camera_km)
     return np.vstack([model.project_jacobian(position_camera_km), along])
+
+
+def limb_in_frame(outline: Silhouette, plane: FocalPlane) -> tuple[float, float]:
+    """Return the part of the lit outline of a body that lies within the frame, and its length.
+
+    Parameters
+    ----------
+    outline : Silhouette
+    plane : FocalPlane
+
+    Returns
+    -------
+    share : float
+    length_px : float, px
+    """
+    if not outline.lit.any():
+        return 0.0, 0.0
+    inside = plane.contains(outline.points_px)
+    seen = inside & outline.lit
+    lengths = np.linalg.norm(np.roll(outline.points_px, -1, axis=0) - outline.points_px, axis=1)
+    usable = seen & np.roll(inside, -1) & np.isfinite(lengths)
+    return float(seen.sum() / outline.lit.sum()), float(lengths[usable].sum())

@@ -14,7 +14,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
-from giantlike.core.outcomes import PositionFix
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, Pose, Psf
@@ -90,14 +90,13 @@ def test_the_sampling_of_renders_does_not_limit_crescents() -> None:
     assert_honest(results)
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_limb_whose_center_lies_far_outside_is_fitted(side: float) -> None:
-    """Center and range move together by pixels, while the limb in view hardly moves."""
+def near_body(side: float) -> tuple[Float, CenterFix | Failure]:
+    """True position, km, and fix of a body larger than the frame, its center ``side`` radii beside the middle."""
     radii, focal = np.array([1.0, 0.93, 0.88]), 5000.0
     middle = (FRAME_PX - 1) / 2
     distance = 2.0 * float(np.cbrt(radii.prod())) * focal / LIMB_PX
     true_km = distance * np.array([side * 0.5 * LIMB_PX / focal, 12.0 / focal, 1.0])
-    sun = np.array([-side, 0.1, -0.1]) / math.sqrt(1.02)
+    sun = np.array([-side, 0.1, -0.1]) / math.hypot(side, math.sqrt(0.02))
     turn = Rotation.from_rotvec([0.4, -0.7, 1.1])
     view = independent.PinholeView(focal_px=focal, center_px=(middle, middle), columns=FRAME_PX, rows=FRAME_PX)
     clean = independent.render_body(EllipsoidBody(radii), view, Pose(true_km, turn, sun), law="mcewen", psf=Psf(0.8))
@@ -114,8 +113,21 @@ def test_a_limb_whose_center_lies_far_outside_is_fitted(side: float) -> None:
     )
     target = Target(name="BODY", shape=Ellipsoid(radii_km=radii), ephemeris=geometry)
     image = Image(pixels=pixels.astype(np.int32), camera_from_inertial=Rotation.identity())
-    fix = CrossCorrelation().estimate(image, camera, Scene(targets=(target,)))
+    return true_km, CrossCorrelation().estimate(image, camera, Scene(targets=(target,)))
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_limb_whose_center_lies_far_outside_is_fitted(side: float) -> None:
+    """Center and range move together by pixels, while the limb in view hardly moves."""
+    true_km, fix = near_body(side)
     assert isinstance(fix, PositionFix), fix
     assert not fix.flags.suspect, fix.flags
     error = fix.position_camera_km - true_km
     assert float(error @ np.linalg.solve(fix.covariance_camera_km2, error)) < chi2.ppf(1.0 - RARE, 3)
+
+
+def test_a_smooth_body_without_a_limb_in_view_is_not_placed() -> None:
+    """How its light falls off gave a place and a range that were off by 7 sigma."""
+    _, fix = near_body(0.1)
+    assert isinstance(fix, Failure)
+    assert fix.reason is Reason.NO_LIMB
