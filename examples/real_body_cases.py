@@ -213,15 +213,13 @@ def jupiter(data: Path) -> Iterator[Case]:
     ]
     for name in ("n1350122987.2", "n1351469359.2", "n1354897340.1", "w1354897340.1"):
         image = Image.open(data / "bodies" / "cassini_iss" / name)
-        # kernel cas_iss_v08.ti: 2000 and 200.22 mm, pixels of 12 um
-        focal_px = (2000.0 if name.startswith("n") else 200.22) / 0.012
-        camera = cassini_camera(focal_px, image)
+        camera = cassini_camera("cassini_nac" if name.startswith("n") else "cassini_wac", image)
         assert image.et is not None
         with load_kernels(files, base=Path()):
             position, turn, sun, radii = planet("JUPITER", "CASSINI", image.et)
         shape = Ellipsoid(radii_km=radii, name="Jupiter")
         range_km = float(np.linalg.norm(position))
-        disk = seen_disk(image.pixels.astype(np.float64), radii[0] / range_km * focal_px)
+        disk = seen_disk(image.pixels.astype(np.float64), radii[0] / range_km / float(camera.ifov_rad()))
         apparent = ApparentGeometry(position_inertial_km=position, inertial_from_body=turn, sun_direction_inertial=sun)
         scene = placed("JUPITER", shape, apparent)
         image = image.with_attitude(best_roll(image, camera, scene, disk))
@@ -237,15 +235,11 @@ def jupiter(data: Path) -> Iterator[Case]:
         )
 
 
-def cassini_camera(focal_px: float, image: Image) -> Camera:
-    """A Cassini camera as the instrument kernel has it; noise and level of images that went through a table."""
-    middle = 511.5
+def cassini_camera(preset: str, image: Image) -> Camera:
+    """A Cassini camera; noise and level of images that went through a table."""
     dark = float(np.percentile(image.pixels, 10.0))
-    return Camera(
-        name="Cassini ISS",
-        columns=image.columns,
-        rows=image.rows,
-        model=PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle, cy_px=middle),
+    return replace(
+        camera_preset(preset).camera,
         psf=GaussianPsf(sigma_px=0.6),
         detector=Detector(
             gain_e_per_dn=29.0,
@@ -372,7 +366,6 @@ def voyager_camera(focal_px: float, image: Image) -> Camera:
 def cassini_without_geometry(data: Path) -> Iterator[Case]:
     """Mimas and Saturn by Cassini: no trajectory. Place, size and Sun are read off the image: size and shape only."""
     folder, kernels = data / "bodies" / "cassini_iss", data / "kernels"
-    focal_px = 2000.0 / 0.012
     with load_kernels([str(kernels / "pck00011.tpc")], base=Path()):
         mimas, saturn = (Ellipsoid(radii_km=body_radii_km(body), name=body) for body in ("MIMAS", "SATURN"))
     image = Image.open(folder / "N1644787857_1.LBL")
@@ -400,8 +393,8 @@ def cassini_without_geometry(data: Path) -> Iterator[Case]:
         ),
     ):
         image = Image.open(folder / name).with_attitude(Rotation.identity())
-        camera = cassini_camera(focal_px, image)
-        position = float(shape.mean_radius_km) / radius_px * focal_px * camera.model.unproject(center)
+        camera = cassini_camera("cassini_nac", image)
+        position = float(shape.mean_radius_km) / radius_px / float(camera.ifov_rad()) * camera.model.unproject(center)
         apparent = ApparentGeometry(
             position_inertial_km=position, inertial_from_body=turn, sun_direction_inertial=unit(np.array(sun))
         )

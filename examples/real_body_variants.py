@@ -232,8 +232,10 @@ def _binned(frame: Frame) -> Frame:
 
 
 def peak_dn(frame: Frame) -> float:
-    """Brightness of the body, DN above bias: that of its brightest parts but for a percent of the frame."""
-    return float(np.percentile(frame.pixels, 99.0)) - frame.camera.detector.bias_dn
+    """Brightness of the body, DN above bias: all but a tenth of as many pixels as it covers are darker."""
+    good = frame.pixels[~frame.mask]
+    covered = min(math.pi * frame.radius_px**2 / good.size, 1.0)
+    return float(np.percentile(good, 100.0 - 10.0 * covered)) - frame.camera.detector.bias_dn
 
 
 def like(pixels: Float, frame: Frame) -> NDArray[Any]:
@@ -558,6 +560,9 @@ def counted(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield "|" + " --- |" * len(head)
     groups: list[tuple[str, list[dict[str, Any]]]] = [("**all**", rows)]
     groups += [(f"*{name}*", [row for row in rows if row["estimator"] == name]) for name in NAMES]
+    groups += [
+        (name, [row for row in rows if row["image"] == name]) for name in dict.fromkeys(r["image"] for r in rows)
+    ]
     groups += [
         (name, [row for row in rows if row["variant"] == name]) for name in dict.fromkeys(r["variant"] for r in rows)
     ]

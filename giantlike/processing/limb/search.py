@@ -20,7 +20,7 @@ _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0
 """First step over the radius, and the most that it may be, px."""
 _FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
 """Least first step and last step, px; and how many of the next step go into one."""
-_SKY_STEP = 5  # pixels from one to the next that the level of the sky is found from
+_SKY_BLOCK = 5  # pixels along a block whose mean the level of the sky is found from: its noise is a fifth of theirs
 _COARSE_OFFSET_PX = 1.5  # least distance of the compared pixels from the outline: beyond the blur of a sharp limb
 _COARSE_POINTS = 80  # that the first step needs
 _COARSE_NOISE_SIGMAS = 4.0  # brightness, in noise of the dark, that is added below contrasts: noise alone has none
@@ -81,8 +81,7 @@ def search_limb(
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
     coarsest = step
     corner, crop, good = _around_outline(view, center_px + (1.0 + search_range) * (points_px - center_px), search_px)
-    sky = float(np.percentile(crop[good][::_SKY_STEP], 1.0)) if good.any() else 0.0
-    dark_sky = np.where(good, crop - sky, 0.0).astype(np.float32)
+    dark_sky = np.where(good, crop - _sky_dn(crop, good), 0.0).astype(np.float32)
     scales = _around(1.0, search_range, int(np.ceil(search_range * radius_px / step)))
     best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
     shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
@@ -177,6 +176,16 @@ def _around_outline(view: LimbView, outline_px: Float, search_px: float) -> tupl
     x0, y0 = np.clip(low, 0, last).astype(int)
     x1, y1 = np.clip(high, 0, last).astype(int) + 1
     return np.array([x0, y0], dtype=np.float64), view.pixels_dn[y0:y1, x0:x1], view.with_clipped[y0:y1, x0:x1]
+
+
+def _sky_dn(crop: Float, good: Mask) -> float:
+    """Level of the sky, DN: that of the darkest percent of blocks of pixels, whose noise hides it less than theirs."""
+    if min(crop.shape) >= _SKY_BLOCK:
+        size = (crop.shape[1] // _SKY_BLOCK, crop.shape[0] // _SKY_BLOCK)
+        means, whole = (cv2.resize(one.astype(np.float32), size, interpolation=cv2.INTER_AREA) for one in (crop, good))
+        if (whole == 1.0).any():
+            return float(np.percentile(means[whole == 1.0], 1.0))
+    return float(np.percentile(crop[good], 1.0)) if good.any() else 0.0
 
 
 def _around(middle: float, reach: float, steps: int) -> Float:

@@ -301,12 +301,13 @@ def measure_by_cells(
     )
     if isinstance(found, Failure):
         return found
-    start = LimbState(position_camera_km=found[0], psf_px2=scan.nominal_psf_px2)
     closest_km = float(figure.radii_km.max())
-    settled = settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
-    if isinstance(settled, Failure) and settled.reason is Reason.NOT_CONVERGED:
-        scan = replace(scan, held=True)
-        settled = settle_limb(scan, start, search, min_points=options.min_cells, closest_km=closest_km)
+    settled: LimbMeasurement | Failure = Failure(Reason.NOT_CONVERGED, "")
+    for tried in scan.in_turn():
+        start = LimbState(position_camera_km=found[0], psf_px2=tried.nominal_psf_px2)
+        settled = settle_limb(tried, start, search, min_points=options.min_cells, closest_km=closest_km)
+        if not isinstance(settled, Failure) or settled.reason is not Reason.NOT_CONVERGED:
+            break
     if view.clipped.any() and _mostly_lost(settled):
         by_lines = measure_clipped(view, figure, law, found[0], search, options)
         return settled if isinstance(by_lines, Failure) else by_lines
@@ -340,6 +341,14 @@ class CellScan(Value):
     search: IteratedSearch
     options: HorizonScan
     held: bool = False
+
+    def in_turn(self) -> tuple[CellScan, ...]:
+        """Ways to measure, each for a limb that does not come to rest by the one before.
+
+        An image that is blurred beyond what its camera knows takes long with that width: it is estimated freely then.
+        """
+        unknown = replace(self.view, plane=replace(self.view.plane, psf=None))
+        return self, replace(self, held=True), replace(self, view=unknown)
 
     @property
     def nominal_psf_px2(self) -> float:
