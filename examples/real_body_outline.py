@@ -4,6 +4,11 @@ The reference of ``real_body_variants.py`` where an image has no attitude. It sh
 lens of the camera: edges are read off the image along lines across the outline of the ellipsoid, by level or by slope,
 and the outline of known shape is moved and scaled onto them. Which edge is taken changes the result; the spread over
 the ways to take it, over the part of the limb, and over what is uncertain of range and roll, is the uncertainty.
+
+A disk that darkens toward its limb has its edge, at any level, inside of where it ends, and only a part of the limb is
+lit: of a Lambert sphere of 160 px at 20 deg of phase the center found so is 1.0 px too far toward the Sun. So the
+darkening is read off the disk (the exponent of Minnaert's law), an ellipsoid is drawn with it by the few lines here,
+the same is done to that image, and what is found there is taken off.
 """
 
 from __future__ import annotations
@@ -27,6 +32,11 @@ BLUR_PX = 1.0  # of the image before edges are read
 LEVELS = (0.35, 0.5, 0.65, None)  # of the edge between sky and body; None is the steepest slope
 OUTLIER_MAD = 3.0
 LEAST_SIGMA_PX = 0.3  # of the center: haze, lens and point spread function are not known better
+MINNAERT = (0.3, 1.2)  # exponents that surfaces and clouds have
+SIGMA_MINNAERT = 0.1  # of the exponent read off a disk: markings and bands
+FACE_COSINE = 0.3  # least cosine of incidence and emission where the darkening is read off
+SKY = (1.15, 1.4)  # radii between which the level of the sky is read off
+RAYS = 3  # along the side of a pixel of a drawn ellipsoid
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +118,83 @@ def measured_outline(pixels: Float, camera: Camera, seen: Seen) -> Outline:
     Returns
     -------
     Outline
+        Without what the same finds on an ellipsoid that is drawn as dark toward its limb.
     """
+    found = _by_edges(pixels, camera, seen)
+    range_km = float(np.linalg.norm(seen.position_km)) / found.scale
+    placed = replace(seen, position_km=range_km * camera.model.unproject(found.center_px))
+    exponent, gain, sky = darkening(pixels, camera, placed)
+    errors, scales = [], []
+    for tilt in (-1.0, 0.0, 1.0):
+        drawn = sky + gain * drawn_ellipsoid(camera, placed, exponent + tilt * SIGMA_MINNAERT)
+        again = _by_edges(drawn, camera, placed)
+        errors.append(again.center_px - found.center_px)
+        scales.append(again.scale)
+    by_exponent = 0.5 * float(np.linalg.norm(errors[2] - errors[0]))
+    sigma_px = max(float(np.hypot(found.sigma_px, by_exponent)), LEAST_SIGMA_PX)
+    return Outline(found.center_px - errors[1], sigma_px, found.scale / scales[1], found.edges_px)
+
+
+def surface(camera: Camera, seen: Seen, points_px: Float) -> tuple[Float, Float]:
+    """Cosines of incidence and of emission (n,) at what points (n, 2) of an image show of a body; 0 beside it."""
+    to_sphere = np.diag(1.0 / seen.radii_km) @ seen.camera_from_body.as_matrix().T
+    rays = camera.model.unproject(points_px)
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    eye, along = -to_sphere @ seen.position_km, rays @ to_sphere.T
+    half, square = along @ eye, np.sum(along**2, axis=1)
+    root2 = half**2 - square * float(eye @ eye - 1.0)
+    hit = root2 > 0.0
+    depth = (-half - np.sqrt(np.where(hit, root2, 0.0))) / square
+    normals = (eye + depth[:, None] * along) @ to_sphere
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    incidence, emission = normals @ seen.sun_camera, -np.sum(normals * rays, axis=1)
+    return np.where(hit, np.maximum(incidence, 0.0), 0.0), np.where(hit, np.maximum(emission, 0.0), 0.0)
+
+
+def darkening(pixels: Float, camera: Camera, seen: Seen) -> tuple[float, float, float]:
+    """Exponent of Minnaert's law, brightness of a face seen and lit along its normal, and sky, DN, read off a disk.
+
+    ``ln(I mu) = ln I0 + k ln(mu mu0)`` over the part of the disk in the sectors of the limb that are used.
+    """
+    rows, columns = (one.ravel() for one in np.indices(pixels.shape))
+    points = np.stack([columns, rows], axis=-1).astype(np.float64)
+    center = camera.model.project(seen.position_km)
+    outline, _ = outline_px(camera, seen.radii_km, seen.camera_from_body, seen.position_km)
+    radius_px = 0.5 * float(np.mean(np.ptp(outline, axis=0)))
+    away = points - center
+    angle, radii = np.degrees(np.arctan2(away[:, 1], away[:, 0])), np.linalg.norm(away, axis=1) / radius_px
+    near = (radii < SKY[1]) & np.any([(angle >= low) & (angle <= high) for low, high in seen.sectors_deg], axis=0)
+    values, points, radii = pixels.ravel()[near].astype(np.float64), points[near], radii[near]
+    sky = float(np.median(values[radii > SKY[0]]))
+    incidence, emission = surface(camera, seen, points)
+    face = (np.minimum(incidence, emission) > FACE_COSINE) & (values > sky + 1.0)
+    light, mu0, mu = values[face] - sky, incidence[face], emission[face]
+    slope, height = np.polyfit(np.log(mu * mu0), np.log(light * mu), 1)
+    return float(np.clip(slope, *MINNAERT)), float(np.exp(height)), sky
+
+
+def drawn_ellipsoid(camera: Camera, seen: Seen, exponent: float) -> Float:
+    """Image (rows, columns) of an ellipsoid by Minnaert's law, blurred like those of the camera."""
+    outline, _ = outline_px(camera, seen.radii_km, seen.camera_from_body, seen.position_km)
+    size = np.array([camera.columns, camera.rows])
+    low = np.clip(np.floor(outline.min(axis=0)).astype(int) - 2, 0, size - 1)
+    high = np.clip(np.ceil(outline.max(axis=0)).astype(int) + 3, 1, size)
+    width, height = (high - low).tolist()
+    steps = (np.arange(RAYS) + 0.5) / RAYS - 0.5
+    image = np.zeros((camera.rows, camera.columns))
+    rows, columns = (one.ravel() for one in np.indices((height, width)))
+    for across, down in itertools.product(steps, steps):
+        points = np.stack([columns + low[0] + across, rows + low[1] + down], axis=-1)
+        mu0, mu = surface(camera, seen, points)
+        lit = (mu0 > 0.0) & (mu > 0.0)
+        light = np.zeros(len(points))
+        light[lit] = mu0[lit] ** exponent * mu[lit] ** (exponent - 1.0)
+        image[low[1] : high[1], low[0] : high[0]] += light.reshape(height, width) / RAYS**2
+    return np.asarray(gaussian_filter(image, 0.0 if camera.psf is None else camera.psf.sigma_px))
+
+
+def _by_edges(pixels: Float, camera: Camera, seen: Seen) -> Outline:
+    """Center by the edges as they are, and the spread over the ways to take them."""
     spread = (-1.0, 0.0, 1.0)
     results = []
     for level, lit, tilt in itertools.product(LEVELS, seen.lit_cosines, spread):
@@ -123,7 +209,7 @@ def measured_outline(pixels: Float, camera: Camera, seen: Seen) -> Outline:
     centers = np.array([center for center, _, _ in results])
     scatter = float(np.max(np.std(centers, axis=0)))
     scale = float(np.median([one for _, one, _ in results]))
-    return Outline(np.median(centers, axis=0), max(scatter, LEAST_SIGMA_PX), scale, results[0][2])
+    return Outline(np.median(centers, axis=0), scatter, scale, results[0][2])
 
 
 def _fitted(

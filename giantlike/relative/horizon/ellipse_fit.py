@@ -31,6 +31,7 @@ from giantlike.relative.horizon.geometry import Altitude, Figure, christian_robi
 from giantlike.relative.light.phase_correction import sunlight_px
 from giantlike.relative.limb.fix import IteratedSearch, LimbSearch, LimbSolution, ScanOptions, limb_fix, limb_view
 from giantlike.relative.limb.terrain import with_terrain
+from giantlike.relative.quality import LEAST_USED_SHARE
 
 __all__ = ["EllipseFit", "EllipseFitOptions"]
 
@@ -147,7 +148,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
         stand_in = replace(stand_in, figure=altitude.above(stand_in.figure))
         view = limb_view(inputs)
         measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)
-        if isinstance(measured, Failure) and view.clipped.any():
+        if view.clipped.any() and _mostly_lost(measured):
             search = IteratedSearch(search_px=self.options.search_px, search_range=self.options.search_range)
             law, start_km = inputs.geometry.target.reflectance, stand_in.position_camera_km
             measured = measure_clipped(view, stand_in.figure, law, start_km, search, ScanOptions())
@@ -158,6 +159,13 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
         if isinstance(solved, Failure):
             return solved
         return limb_fix(inputs, *solved, self.options)
+
+
+def _mostly_lost(measured: LimbMeasurement | Failure) -> bool:
+    """True if the limb could not be measured, or less than half of the edges that sunlight meets are limb."""
+    return isinstance(measured, Failure) or measured.n_offered < LEAST_USED_SHARE * (
+        measured.n_offered + measured.n_elsewhere
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
