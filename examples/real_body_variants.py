@@ -7,8 +7,7 @@ others through the base and every third, unless ``--all`` is given.
 
     python examples/real_body_variants.py DATA OUTPUT [--only VARIANT;...] [--images NAME] [--processes 2] [--all]
 
-Prints a table and writes ``variants.md`` and ``variants.json``: per estimator and variant the number of fixes that are
-ok, suspect and failed, the median error of the ok ones, and those beyond 3 and 5 sigma of fix and truth together.
+Prints the tables of ``real_body_report.py`` and writes them, ``variants.json``, and row by row ``variants.jsonl``.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ from numpy.typing import NDArray
 from real_bodies import eros
 from real_body_cases import Case, cassini_without_geometry, earth, europa, jupiter, vesta, voyager
 from real_body_outline import Seen, measured_outline
+from real_body_report import NAMES, report
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
@@ -48,9 +48,7 @@ from giantlike.relative import ESTIMATORS, Auto, AutoOptions, Estimator
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, load_shape
 
-NAMES = ("moment", "cross_correlation", "limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit", "auto")
 OFF_PX, OFF_RANGE = np.array([7.0, -5.0]), 0.01  # of the prediction in all variants but those that say otherwise
-SILENT, GROSS = 3.0, 5.0  # sigmas
 RINGS_FREE_DEG = ((-180.0, -110.0), (150.0, 180.0), (-30.0, 50.0))  # parts of Saturn's limb that no ring crosses
 ROLL_RAD = 0.035  # of attitudes found by likeness to three degrees
 OUTLINES = {
@@ -553,42 +551,6 @@ def run(
     return found
 
 
-def counted(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Lines of a table: numbers of fixes by estimator, and by variant."""
-    head = ["", "ok", "suspect", "failed", "median, px", "ok > 3 sigma", "ok > 5 sigma"]
-    yield "| " + " | ".join(head) + " |"
-    yield "|" + " --- |" * len(head)
-    groups: list[tuple[str, list[dict[str, Any]]]] = [("**all**", rows)]
-    groups += [(f"*{name}*", [row for row in rows if row["estimator"] == name]) for name in NAMES]
-    groups += [
-        (name, [row for row in rows if row["image"] == name]) for name in dict.fromkeys(r["image"] for r in rows)
-    ]
-    groups += [
-        (name, [row for row in rows if row["variant"] == name]) for name in dict.fromkeys(r["variant"] for r in rows)
-    ]
-    for name, group in groups:
-        ok = [row for row in group if row["status"] == "ok"]
-        errors = [math.hypot(*row["error_px"]) for row in ok if math.isfinite(row["off"])]
-        number = [sum(row["status"] == status for row in group) for status in ("ok", "suspect", "failed")]
-        beyond = [sum(row["worst"] > limit for row in ok) for limit in (SILENT, GROSS)]
-        middle = f"{np.median(errors):.2f}" if errors else ""
-        yield f"| {name} | {number[0]} | {number[1]} | {number[2]} | {middle} | {beyond[0]} | {beyond[1]} |"
-
-
-def offenders(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """A line for each ``ok`` fix beyond 3 sigma, worst first."""
-    for row in sorted(
-        (row for row in rows if row["status"] == "ok" and row["worst"] > SILENT), key=lambda r: -r["worst"]
-    ):
-        ranges = f", range {row['range_error']:+.2%} ({row['range_off']:+.1f})" if "range_error" in row else ""
-        chosen = f" [{row['chosen']}, checked by {row.get('checked_by', 'none')}]" if "chosen" in row else ""
-        yield (
-            f"{row['worst']:6.1f}  {row['image']} | {row['estimator']}{chosen} | {row['variant']} | "
-            f"{row['error_px'][0]:+.2f}, {row['error_px'][1]:+.2f} px "
-            f"(sigma {row['sigma_px'][0]:.2f}, {row['sigma_px'][1]:.2f}){ranges}"
-        )
-
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
@@ -602,10 +564,9 @@ def main() -> None:
     only = [one.strip() for one in given.only.split(";") if one.strip()]
     rows = run(given.data, given.output, only=only, images=given.images, processes=given.processes, every=given.all)
     (given.output / "variants.json").write_text(json.dumps(rows, indent=1))
-    text = "\n".join([*counted(rows), "", "```", *offenders(rows), "```"])
-    (given.output / "variants.md").write_text(text + "\n")
+    text = report(rows)
+    (given.output / "variants.md").write_text(text)
     print(text)
-    print(f"{sum(row['cpu_s'] for row in rows):.0f} s of CPU for {len(rows)} runs")
 
 
 if __name__ == "__main__":

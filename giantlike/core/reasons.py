@@ -240,8 +240,8 @@ class Quality(enum.Flag):
     UNEXPLAINED_LIGHT = enum.auto()
     """The image around the body holds light that a body there does not explain, or lacks light that it should have.
 
-    A second exposure, another body, rings, an eclipse, stray light or another shape: look at the image, and mask what
-    is not the body.
+    A second exposure, another body, rings, clouds, an eclipse, stray light or another shape: look at the image, mask
+    what is not the body, tell `rings` of the target and `uncertainty.albedo` of a face with clouds.
     """
     WRONG_FIGURE = enum.auto()
     """Parts of the body ask for different places: wrong shape, orientation or roll, rows that are shifted, or a

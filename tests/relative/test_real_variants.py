@@ -58,3 +58,21 @@ def test_vesta_larger_than_the_frame_and_upside_down_is_not_ok(harness: Any, dat
     for name in ("cross_correlation", "limb_matching"):
         row = harness.judged(harness.variants(data_dir)["upside down"](vesta), name, {})
         assert row["status"] != "ok", row
+
+
+def test_a_limb_that_is_blurred_beyond_its_camera_is_still_found(harness: Any, jupiter: Any, data_dir: Path) -> None:
+    row = harness.judged(harness.variants(data_dir)["blurred 1 px"](jupiter), "ellipsoid_cra", {})
+    assert row["status"] != "failed", row
+    assert row["status"] != "ok" or row["worst"] < GROSS_SIGMAS, row
+
+
+def test_a_limb_in_the_noise_of_a_tenth_of_its_disk_is_found(harness: Any, jupiter: Any, data_dir: Path) -> None:
+    row = harness.judged(harness.variants(data_dir)["noise 10 %, declared"](jupiter), "limb_matching", {})
+    assert row["status"] == "ok", row
+    assert row["worst"] < GROSS_SIGMAS, row
+
+
+def test_edges_of_a_clipped_disk_with_rings_are_not_ok_and_far_off(harness: Any, data_dir: Path) -> None:
+    saturn = frame_of(harness, "voyager", data_dir)
+    row = harness.judged(harness.variants(data_dir)["clipped 70 %, declared"](saturn), "ellipse_fit", {})
+    assert row["status"] != "ok" or row["worst"] < GROSS_SIGMAS, row

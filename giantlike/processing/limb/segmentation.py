@@ -279,8 +279,8 @@ def identify_blobs(
     if not found:
         return Failure(
             Reason.NO_SIGNAL,
-            f"{len(expected)} bodies were expected, each within {search_px:g} px of its place; the {len(blobs)} blobs "
-            "of light are elsewhere or of other sizes",
+            f"none of the {len(blobs)} blobs of light has the size of a body and lies within {search_px:g} px of its "
+            f"place ({len(expected)} expected): stray light may join it to others",
         )
     order = sorted(found, key=lambda chosen: found[chosen])
     if len(order) > 1 and found[order[1]] - found[order[0]] < _RIVAL_COST:
