@@ -18,7 +18,6 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import Body, trace_silhouette
 from giantlike.relative import ESTIMATORS, Estimator
-from giantlike.relative.horizon.cell_scan import HorizonScan
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions, relief_sigma_km
 from giantlike.relative.horizon.geometry import (
     CraMethod,
@@ -27,6 +26,7 @@ from giantlike.relative.horizon.geometry import (
     cone_weights,
     horizon_residuals,
 )
+from giantlike.relative.horizon.options import HorizonScan
 from giantlike.relative.limb.fix import EdgeModel
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid
 from tests.limb_images import BodyImage, assert_sound, body_image, horizon_covariance, mean_nees_band

@@ -31,7 +31,7 @@ from giantlike.independent import (
 from giantlike.ray_tracing import Hapke, Lambert, LommelSeeliger, McEwen, Minnaert, Reflectance
 from giantlike.relative import ESTIMATORS as RELATIVE
 from giantlike.relative import EllipsoidCRA, EllipsoidCRAOptions, Estimator, SigmoidLimb
-from giantlike.relative.horizon.cell_scan import HorizonScan
+from giantlike.relative.horizon.options import HorizonScan
 from giantlike.relative.limb.fix import EdgeModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid

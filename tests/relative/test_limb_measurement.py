@@ -17,8 +17,9 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError, judge_points, smooth_parts, too_few
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body, FocalPlane, McEwen, RenderOptions, Template, render
-from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
+from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import Altitude, Figure, fit_horizon
+from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
 from giantlike.relative.limb.fix import IteratedSearch
 from giantlike.relative.limb.limb_matching import solve_limb
 from giantlike.relative.limb.line_scan import measure_by_lines

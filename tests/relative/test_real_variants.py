@@ -61,9 +61,9 @@ def test_vesta_larger_than_the_frame_and_upside_down_is_not_ok(harness: Any, dat
 
 
 def test_a_limb_that_is_blurred_beyond_its_camera_is_still_found(harness: Any, jupiter: Any, data_dir: Path) -> None:
-    row = harness.judged(harness.variants(data_dir)["blurred 1 px"](jupiter), "ellipsoid_cra", {})
+    row = harness.judged(harness.variants(data_dir)["blurred 2 px"](jupiter), "ellipsoid_cra", {})
     assert row["status"] != "failed", row
-    assert row["status"] != "ok" or row["worst"] < GROSS_SIGMAS, row
+    assert row["worst"] < GROSS_SIGMAS, row
 
 
 def test_a_limb_in_the_noise_of_a_tenth_of_its_disk_is_found(harness: Any, jupiter: Any, data_dir: Path) -> None:

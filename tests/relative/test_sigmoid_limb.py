@@ -37,8 +37,8 @@ from giantlike.ray_tracing import (
     render,
 )
 from giantlike.relative import ESTIMATORS, EllipsoidCRA, EllipsoidCRAOptions, Estimator, SigmoidLimb, SigmoidLimbOptions
-from giantlike.relative.horizon.cell_scan import HorizonScan
 from giantlike.relative.horizon.geometry import Figure
+from giantlike.relative.horizon.options import HorizonScan
 from giantlike.relative.horizon.profile import ArcPlaces, HorizonArc, blur_width_px, horizon_arc, profile_table
 from giantlike.relative.limb.fix import EdgeModel
 from giantlike.rings import Rings

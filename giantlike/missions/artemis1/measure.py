@@ -16,7 +16,7 @@ from giantlike.processing.limb.edges import EdgePoints, scan_edges
 from giantlike.processing.limb.view import LimbView
 from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.ray_tracing import FocalPlane, McEwen
-from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
+from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import (
     Altitude,
     CraMethod,
@@ -25,6 +25,7 @@ from giantlike.relative.horizon.geometry import (
     fit_horizon,
     horizon_residuals,
 )
+from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
 
 _THRESHOLD_SIGMAS = 8.0
 _LIT_COSINE = math.cos(math.radians(75.0))

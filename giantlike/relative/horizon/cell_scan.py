@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require, require_number
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.causes import Cause
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
@@ -26,8 +26,9 @@ from giantlike.processing.limb.view import LimbView, PredictedLimb
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.horizon.cells import CellFits
 from giantlike.relative.horizon.clipped_disk import measure_clipped
-from giantlike.relative.horizon.geometry import Altitude, Figure
+from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.horizon.good_cells import CellRules, NoCells, good_cells
+from giantlike.relative.horizon.options import HorizonScan
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
 from giantlike.relative.limb.fix import (
     PATIENCE,
@@ -35,18 +36,14 @@ from giantlike.relative.limb.fix import (
     IteratedSearch,
     LimbState,
     LimbStep,
-    ScanOptions,
     agreeing_step,
     settle_limb,
 )
 from giantlike.relative.quality import LEAST_USED_SHARE
 from giantlike.rings import Rings
-from giantlike.scene import Target, TargetGeometry
 
 _COARSE_POINTS = 120
 """Points for the search of the horizon as a whole."""
-_LAW_POWERS, _STEP_POWERS = 2, 3
-"""Powers of the cosine of emission that are free in every cell: a line on the law, or a parabola without one."""
 OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.5), Minnaert(k=0.75))
 """Laws that the surface may have instead of the one told, or mixtures with it: they are estimated with the position.
 
@@ -69,6 +66,7 @@ _FIRST_BLUR_PX2 = 2.0
 """Variance added to the blur while the horizon is known to a pixel or two only: wider profiles catch from farther."""
 _FIRST_CELLS, _FEW_CELLS_ROUNDS = 24, 2
 """Cells of the first measurements, which only need to be good to a part of the width of a profile, and their number."""
+_WIDE = 2.0  # times the width of an unknown point spread function, from which a free width is estimated
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _BLUR_REST, _BLUR_REST_LATER = 0.1, 0.5
 """Steps of the variance of the blur, over that variance, in which profiles are linear: to 1 % of their width at first;
@@ -89,107 +87,6 @@ freedom without this, of 8.6, 4.0 and 1.1 with 1, 2 and 3; but 2 leaves too few 
 """
 _CELL_RADII, _LEAST_CELL_PX = 0.25, 3.0
 """Longest cell over the apparent radius, as a cell is taken for straight; and the shortest, which needs its pixels."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HorizonScan(ScanOptions):
-    """Options of the cells along the horizon of an ellipsoid.
-
-    Parameters
-    ----------
-    edges : EdgeModel
-        With ``TEMPLATE`` the brightness inside is that of the reflectance law times a line in the cosine of emission;
-        with ``STEP`` a parabola in that cosine, whatever the law. With both, shares of other laws are estimated.
-    window_px : float, px
-        How far to both sides of the horizon pixels are used.
-    cell_px : float, px
-        Length of the cells along the horizon, each with its own brightness; on small disks they are shorter.
-    min_cells : int
-        Fewer good cells than this are no limb.
-    min_contrast : float
-        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
-    psf_error : float
-        Relative standard deviation of the width of the camera's point spread function. The limb itself tells the width
-        better: told 30 % too wide or narrow at 30 to 300 px, squared errors are 0.6-1.1 per degree of freedom with 0.1
-        to 0.4 here, and sigmas change by 2 %; with 0.05 they reach 2.2.
-    rings_km : (float, float), optional
-        Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out. Without them,
-        those of the target.
-    """
-
-    cell_px: float = 7.0
-    min_cells: int = 8
-    psf_error: float = 0.2
-    rings_km: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        ScanOptions.__post_init__(self)
-        require_number(self.window_px, "window_px", least=2.0)
-        require_number(self.cell_px, "cell_px", least=2.0, most=50.0)
-        require_number(self.min_cells, "min_cells", least=6)
-        if self.rings_km is not None:
-            require(len(self.rings_km) == 2, f"rings_km must be an inner and an outer radius, got {self.rings_km}")
-            object.__setattr__(self, "rings_km", tuple(float(radius) for radius in self.rings_km))
-            Rings(*self.rings_km)  # checks the values
-
-    def about(self, target: Target) -> HorizonScan:
-        """Return the options with the rings of a target, where they tell none.
-
-        Parameters
-        ----------
-        target : Target
-
-        Returns
-        -------
-        HorizonScan
-        """
-        rings = target.rings
-        return (
-            self
-            if rings is None or self.rings_km is not None
-            else replace(self, rings_km=(rings.inner_km, rings.outer_km))
-        )
-
-    @property
-    def powers(self) -> int:
-        """Powers of the cosine of emission that are free in every cell."""
-        return _LAW_POWERS if self.edges is EdgeModel.TEMPLATE else _STEP_POWERS
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HorizonSearch(IteratedSearch):
-    """Options of the estimators on horizons of ellipsoids.
-
-    Parameters
-    ----------
-    limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
-        that of the target's atmosphere.
-    altitude_sigma_km : float, km
-        Standard deviation of that; where it is not zero the altitude is estimated with the position.
-    """
-
-    limb_altitude_km: float = 0.0
-    altitude_sigma_km: float = 0.0
-
-    def __post_init__(self) -> None:
-        IteratedSearch.__post_init__(self)
-        Altitude(self.limb_altitude_km, self.altitude_sigma_km)  # checks the values
-
-    def altitude(self, geometry: TargetGeometry) -> Altitude:
-        """Return the altitude of the limb as known before.
-
-        Parameters
-        ----------
-        geometry : TargetGeometry
-            Its target may have an atmosphere.
-
-        Returns
-        -------
-        Altitude
-        """
-        own = Altitude(self.limb_altitude_km, self.altitude_sigma_km)
-        return Altitude(*geometry.limb_altitude_km) if own == Altitude() else own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -303,8 +200,8 @@ def measure_by_cells(
         return found
     closest_km = float(figure.radii_km.max())
     settled: LimbMeasurement | Failure = Failure(Reason.NOT_CONVERGED, "")
-    for tried in scan.in_turn():
-        start = LimbState(position_camera_km=found[0], psf_px2=tried.nominal_psf_px2)
+    for tried, psf_px2 in scan.in_turn():
+        start = LimbState(position_camera_km=found[0], psf_px2=psf_px2)
         settled = settle_limb(tried, start, search, min_points=options.min_cells, closest_km=closest_km)
         if not isinstance(settled, Failure) or settled.reason is not Reason.NOT_CONVERGED:
             break
@@ -342,13 +239,15 @@ class CellScan(Value):
     options: HorizonScan
     held: bool = False
 
-    def in_turn(self) -> tuple[CellScan, ...]:
-        """Ways to measure, each for a limb that does not come to rest by the one before.
+    def in_turn(self) -> tuple[tuple[CellScan, float], ...]:
+        """Ways to measure, each for a limb that does not come to rest by the one before, and variances to start with.
 
-        An image that is blurred beyond what its camera knows takes long with that width: it is estimated freely then.
+        An image that is blurred beyond what its camera knows takes long with that width: it is estimated freely then,
+        from above, since a profile that is too sharp asks for a fraction of the blur that is missing.
         """
-        unknown = replace(self.view, plane=replace(self.view.plane, psf=None))
-        return self, replace(self, held=True), replace(self, view=unknown)
+        free = replace(self, view=replace(self.view, plane=replace(self.view.plane, psf=None)))
+        nominal_px2 = self.nominal_psf_px2
+        return (self, nominal_px2), (replace(self, held=True), nominal_px2), (free, _WIDE**2 * free.nominal_psf_px2)
 
     @property
     def nominal_psf_px2(self) -> float:

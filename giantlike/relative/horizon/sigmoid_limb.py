@@ -7,8 +7,9 @@ from typing import ClassVar
 
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
-from giantlike.relative.horizon.cell_scan import HorizonScan, HorizonSearch, measure_by_cells
+from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import Figure, fit_horizon
+from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
 from giantlike.relative.limb.fix import limb_fix, limb_view
 from giantlike.relative.limb.terrain import CELL_SLOPE_ERROR, with_terrain
 from giantlike.shapes import Ellipsoid
