@@ -136,3 +136,16 @@ def test_a_small_replay_compares_figures_tables_and_numbers(tmp_path: Path) -> N
     assert any("No value was tuned" in each for each in replay.assumptions)
     page = (tmp_path / "report.html").read_text("utf-8")
     assert page.index("Camera calibration") < page.index("Approach") < page.index("Preliminary Survey")
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_a_small_replay_with_the_kernels_of_the_mission_has_bennu_in_every_image(
+    data_dir: Path, tmp_path: Path
+) -> None:
+    replay = run_replay("osiris_rex", ReplaySettings(output=tmp_path, small=True, data=data_dir))
+    survey = next(section for section in replay.sections if section.title == "Preliminary Survey")
+
+    assert "1 of them on the trajectory of the mission's kernels" in survey.text
+    assert {each.reference: each.agrees for each in replay.comparisons}["Fig. 18"]
+    assert "nothing found" not in [each.ours for each in replay.comparisons]
