@@ -10,7 +10,7 @@ Printed: the position at the last image by the example and by Orekit's Kalman fi
 and position, velocity and a constant acceleration at the first image by the example and by Orekit's batch least
 squares, which takes no correlations within a position, so that they are left out of both.
 With noise of zero the filters agree to 0.03 mm, with noise to 0.15 sigma, and their sigmas to 1e-4. The nine parameters
-of the batch agree to 0.02 and 0.04 sigma, and their sigmas to 8e-4: the example has wide sigmas at the start, Orekit's
+of the batch agree to 0.02 and 0.05 sigma, and their sigmas to 8e-4: the example has wide sigmas at the start, Orekit's
 batch has none. (Orekit's filter, 13.1, with a constant acceleration did not fit even data without noise, for no
 reason found.)
 """
