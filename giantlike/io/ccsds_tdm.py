@@ -15,6 +15,9 @@ from giantlike.core.arrays import require
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
 
+ABERRATION_REMOVED = "stellar aberration is removed"
+"""Words of the comment by which a message says that its angles are astrometric."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TdmPoint:

@@ -17,7 +17,7 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.frames import radec_from_direction, rotate
 from giantlike.core.light import aberrate
 from giantlike.core.time import time_from_et
-from giantlike.io.ccsds_tdm import TdmPoint, TdmSegment
+from giantlike.io.ccsds_tdm import ABERRATION_REMOVED, TdmPoint, TdmSegment
 from giantlike.io.observables_file import ObservableBlock, ObservableRow
 from giantlike.io.picture_sequence import PsfCamera, PsfImage, PsfKind, PsfPicture
 from giantlike.io.spc_sumfile import Sumfile
@@ -83,7 +83,7 @@ def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecra
                 TdmPoint(epoch_utc=row.epoch_utc, ra_deg=ra, dec_deg=dec, range_km=range_km)
             )
     removed = {
-        Angles.ASTROMETRIC: "angles: stellar aberration is removed, light time is not",
+        Angles.ASTROMETRIC: f"angles: {ABERRATION_REMOVED}, light time is not",
         Angles.APPARENT: "angles: neither stellar aberration nor light time is removed",
     }[angles]
     comments = (removed, "range: light time by the speed of light", "covariances: see the observables file")

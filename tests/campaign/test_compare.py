@@ -196,6 +196,10 @@ def test_angles_of_a_tdm_and_a_reconstructed_trajectory_give_the_same_offset(tmp
     (tmp_path / "theirs.tdm").write_text("\n".join([*lines, "DATA_STOP"]) + "\n")
     center = rows(compare_external(run, tmp_path / "theirs.tdm"))["ROCK: limb_matching", "x"]
     assert (center["n"], center["mean"]) == (N, pytest.approx(0.5, abs=PIXEL))
+    lines.insert(2, "COMMENT angles: stellar aberration is removed, light time is not")
+    (tmp_path / "astrometric.tdm").write_text("\n".join([*lines, "DATA_STOP"]) + "\n")
+    with pytest.raises(InputError, match="--angles apparent"):  # not off by up to 20 arcsec
+        compare_external(run, tmp_path / "astrometric.tdm")
     _write_trajectory(tmp_path / "theirs.bsp")
     options = ExternalOptions(spacecraft="-999", body="2000999")
     compared = compare_external(run, tmp_path / "theirs.bsp", options)

@@ -167,6 +167,19 @@ def test_tracks_in_all_directions_are_no_common_streak() -> None:
     assert not any(DetectionFlag.STREAK in DetectionFlag(int(flags)) for flags in found.flags)
 
 
+def test_a_line_fitted_to_a_body_stays_within_reach_of_its_patch() -> None:
+    rows, columns = np.mgrid[:201, :201]
+    bright_side = 3000.0 * (np.hypot(columns - 100.0, rows - 100.0) < 70.0) * np.exp((columns - 100.0) / 100.0)
+    peaks = np.array([[100, 100], [140, 60], [140, 140], [165, 100], [40, 100]])
+    half = 24
+    patches = cut_patches(bright_side, None, peaks, half, detector=Detector(), noise_dn=5.0)
+    halves, flux = np.tile([12.0, 3.0], (5, 1)), np.full(5, 1e5)
+    start = Lines(centers_px=peaks.astype(float), halves_px=halves, flux_dn=flux, background_dn=np.zeros(5))
+    fits = fit_lines(patches, start, SIGMA_PX)
+    assert np.isfinite(fits.halves_px).all()
+    assert (fits.lengths_px <= 4.0 * half).all()  # thousands of px, and minutes, before lengths were bounded
+
+
 def test_detections_of_streaks_can_be_selected() -> None:
     shape = (300, 300)
     points = spread_points(shape, 50, 8)

@@ -22,6 +22,7 @@ from giantlike.core.frames import direction_from_radec, rotate, rotation_between
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD, RAD_PER_DEG
 from giantlike.io.attitude_series import read_attitude_table
+from giantlike.io.ccsds_tdm import ABERRATION_REMOVED
 from giantlike.io.csv_rows import CsvRow, read_csv_rows
 from giantlike.io.spice import attitude as spice_attitude
 from giantlike.io.spice import load_kernels
@@ -257,6 +258,11 @@ def _tdm(path: Path) -> list[_Seen]:
         raise DataError(path, f"cannot be read: {error}") from error
     if "CCSDS_TDM_VERS" not in text:
         raise DataError(path, "is no CCSDS TDM in keyword form: it has no CCSDS_TDM_VERS")
+    if ABERRATION_REMOVED in text:
+        raise InputError(
+            f"{path}: a comment says that {ABERRATION_REMOVED} from its angles, but apparent ones are compared: write "
+            "it with giantlike export --format tdm --angles apparent"
+        )
     seen = list[_Seen]()
     for segment in re.split(r"^\s*META_START\s*$", text, flags=re.MULTILINE)[1:]:
         meta = dict(re.findall(r"^\s*([A-Z_0-9]+)\s*=\s*(.*?)\s*$", segment.partition("DATA_START")[0], re.MULTILINE))

@@ -35,6 +35,10 @@ _NODE_SPACING = 1.5  # between the nodes of the integral, in widths of the line:
 _SPARE_NODES = 4  # nodes of a line of no length
 _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8  # relative to the diagonal of the normal matrix
 
+_LONGEST = 2.0
+"""Half length of a line over the half side of its patch: a patch is 1.4 from the middle to a corner, and of what is
+longer no end can be measured. Without it fits of bodies run away to thousands of px, whose nodes take minutes."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines(Value):
@@ -212,6 +216,8 @@ class _Problem:
             step = np.linalg.solve(damped, right[active, :, None])[:, :, 0]
             trial = best[active] + step
             trial[:, 4] = np.maximum(trial[:, 4], 0.1 * best[active, 4])
+            lengths = np.hypot(trial[:, 2], trial[:, 3])
+            trial[:, 2:4] *= np.minimum(1.0, _LONGEST * self.patches.half_px / np.maximum(lengths, 1e-12))[:, None]
             t_normal, t_right, t_cost = self.select(active).linearize(trial)
             better = np.isfinite(t_cost) & (t_cost <= cost[active])
             settled = (np.einsum("ni,ni->n", step, right[active]) < _SETTLED) & (better | (damping[active] > 1.0))
