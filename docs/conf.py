@@ -12,10 +12,11 @@ from ipython_pygments_lexers import IPython3Lexer
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+sys.path[:0] = [str(ROOT), str(ROOT / "docs"), str(ROOT / "benchmarks")]
 
 from api_pages import write_api_pages  # noqa: E402
 from gallery import write_gallery  # noqa: E402
+from plots import write_plots  # noqa: E402
 
 from giantlike.core.version import VERSION  # noqa: E402
 
@@ -80,3 +81,4 @@ def setup(app: Sphinx) -> None:
 def _make_pages(app: Sphinx) -> None:
     write_api_pages(ROOT / "docs" / "api")
     write_gallery(ROOT / "docs" / "gallery")
+    write_plots(ROOT / "docs" / "plots")
