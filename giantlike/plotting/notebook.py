@@ -173,7 +173,7 @@ def _arrows(axes: Axes, observed_px: Float, residuals_px: Float, rejected_px: Fl
 
 @paints(CenterFix)
 def draw_fix(fix: CenterFix, axes: Axes | None = None, *, image: Image | None = None) -> Axes:
-    """Draw the center of a body with its ellipse of three sigma, and limb points where there are any.
+    """Draw the center of a body with its ellipse of three sigma, and limb points used and rejected, or the outline.
 
     Parameters
     ----------
@@ -190,7 +190,11 @@ def draw_fix(fix: CenterFix, axes: Axes | None = None, *, image: Image | None = 
 
     axes = _axes(axes, 1.0) if image is None else draw_image(image, axes)
     limb = fix.limb_px if isinstance(fix, PositionFix) else np.zeros((0, 2))
-    axes.plot(*limb.T, ".", color=MARKS["limb points used"], markersize=3)
+    if isinstance(fix, PositionFix) and len(fix.measured_limb_px):
+        axes.plot(*fix.limb_rejected_px.T, ".", color=MARKS["limb points rejected"], markersize=3)
+        axes.plot(*limb.T, ".", color=MARKS["limb points used"], markersize=3)
+    else:  # the outline of a template, or landmarks
+        axes.plot(*limb.T, ".", color=BLUE, markersize=2)
     values, vectors = np.linalg.eigh(fix.covariance_px2)
     width, height = 6.0 * np.sqrt(np.maximum(values, 0.0))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))

@@ -144,6 +144,25 @@ def test_the_table_is_filtered_sorted_and_leads_to_images(page: Page, run: Path)
         page.wait_for_function("() => state.image.file === 'visit0_b_short.fits'")
 
 
+def test_the_table_of_the_report_is_sorted_by_a_click_and_every_card_is_printed_whole(page: Page, run: Path) -> None:
+    page.goto((run / "report.html").as_uri())
+    order = (
+        "() => [...document.querySelectorAll('.sortable tbody tr')].map(row => parseFloat(row.cells[4].textContent))"
+    )
+    page.click(".sortable th >> nth=4")
+    assert page.evaluate(order) == sorted(page.evaluate(order))
+    page.click(".sortable th >> nth=4")
+    assert page.evaluate(order) == sorted(page.evaluate(order), reverse=True)
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 703, "height": 1032})  # A4 less its margins, at 96 px per inch
+    wide = page.evaluate(
+        """() => [...document.querySelectorAll('main *')].filter(each => !each.closest('svg'))
+            .map(each => each.getBoundingClientRect().right)"""
+    )
+    assert max(wide) <= 703 + MARK_PX
+    assert not page.locator("nav").is_visible()
+
+
 def test_a_thousand_images_are_listed_and_the_last_one_opens(page: Page, run: Path) -> None:
     multiply(run, IMAGES)
     with served(run) as address:

@@ -72,6 +72,17 @@ def test_errors_with_wrong_laws_and_ranges_are_within_the_stated_covariance() ->
     assert np.median(sigma) < 2.0 * REQUIRED * 30.0
 
 
+def test_residuals_are_those_of_the_bright_pixels_and_say_where_they_are() -> None:
+    case = body_image(ROCK, 7, phase_deg=35.0, radius_px=20.0)
+    fix = found(case)
+    columns, rows = np.rint(fix.residuals_at_px).astype(int).T
+    assert fix.residuals_at_px.shape == (fix.n_used, 2)
+    brightest = np.unravel_index(np.argmax(case.image.pixels), case.image.pixels.shape)
+    assert brightest in set(zip(rows.tolist(), columns.tolist(), strict=True))
+    others = np.delete(case.image.pixels, np.ravel_multi_index((rows, columns), case.image.pixels.shape))
+    assert np.median(case.image.pixels[rows, columns]) > np.quantile(others, 0.99)
+
+
 def test_noise_alone_is_within_the_covariance() -> None:
     """A sphere at zero phase needs no correction, so that nothing but noise is left."""
     errors: list[float] = []
