@@ -226,8 +226,8 @@ def range_comparison(
             f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range, as it does the mean "
             f"of errors of height: mean {np.mean(percent):+.3f} %. Around it they scatter by "
             f"{np.std(percent):.3f} %: errors "
-            f"of height of {phase.model.error_m:g} m, relief finer than facets of the model. Orbit determination "
-            "that estimates the scale takes out the mean only."
+            f"of height of {phase.model.error_m:g} m, relief finer than facets of the model, noise of the limb. "
+            "Orbit determination that estimates the scale takes out the mean only."
         )
     return Comparison(
         what=what,
