@@ -61,9 +61,12 @@ degrees and 5 sigma, none came to more than 0.09; rocks that were turned by 2 de
 LEAST_CHANCE = 6e-6
 """Probability below which the place, the figure or the blur that a coarse render asks for contradicts a fix.
 
-Of three degrees of freedom it is that of 9 each: sigmas that would have to grow threefold, as they do above it. Errors
-of markings and relief have longer tails than a Gaussian. Of 80 right fixes without markings, of five laws told as one,
-0.1 is the least. Real limbs of Jupiter came to 6.5e-6.
+Of three degrees of freedom it is that of 9 each: sigmas that would have to grow threefold, as they do above it. Of 70
+right fixes of bodies with markings of 15 % or relief of 1 % that no shape holds 5e-3 is the least for place and figure;
+of 80 without, of five laws told as one, 0.1. Real limbs are not as good: Jupiter came to 6.5e-6, and with 1e-4 Saturn
+within its rings is refused. Of 176 fixes of seed 2000 of the gauntlet that need not be ok 33 are refused with 6e-6, 38
+with 1e-4, 43 with 1e-3; of 102 that must be, none. A blur is less sure: markings along a terminator at 90 degrees of
+phase came to 1e-8 to 1e-3, three of fourteen right fixes to less than 6e-6.
 """
 LEAST_PREDICTION_CHANCE = 1e-4
 """Probability below which a fix contradicts the declared errors of its prediction: the rate of false alarms."""
