@@ -85,7 +85,7 @@ def limb_chart(session: Session, file: str, target: str) -> str:
         color = SERIES[len(layers) % len(SERIES)]
         layers.append(Layer(points=points, shape=Shape.DOT, color=color, size=4.5, label=fix.estimator))
         values.append(found.distance_px)
-        if len(seen.points[fix.of]["limb_rejected_px"]):
+        if len(seen.points[fix.of].get("limb_rejected_px", ())):
             others = limb_residuals(session, file, fix, rejected=True)
             points = np.column_stack([others.angle_deg, others.distance_px])
             crosses.append(Layer(points=points, shape=Shape.CROSS, color=color, size=4.0, label=""))
