@@ -21,7 +21,7 @@ check: $(VENV)/installed-dev
 	$(BIN)/lint-imports
 
 docs: $(VENV)/installed-dev
-	$(BIN)/sphinx-build -q -W --keep-going -c docs . docs/_build/html
+	$(BIN)/sphinx-build -q -a -W --keep-going -c docs . docs/_build/html
 	@echo docs/_build/html/index.html
 
 notebooks: $(VENV)/installed-dev
