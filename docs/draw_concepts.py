@@ -11,7 +11,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent / "images" / "concepts"
 PAPER, INK, FAINT = "#fbfaf6", "#22303c", "#9aa5ad"
-BLUE, RED, GREEN, GOLD, BODY, DARK = "#1f6fb2", "#c0392b", "#2e8b57", "#d9a514", "#d8d2c4", "#4b5560"
+BLUE, RED, GREEN, GOLD, BODY, DARK = "#1f6fb2", "#c0392b", "#2e8b57", "#a97700", "#d8d2c4", "#4b5560"
 
 
 class Drawing:

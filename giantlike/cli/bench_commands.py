@@ -60,6 +60,7 @@ def show(
     make_folder(output.parent)
     with replacing(output) as part:
         figure.savefig(part, format=output.suffix.removeprefix(".") or "png")
+    typer.echo(f"wrote {output}")
     return ExitCode.DONE
 
 
@@ -88,6 +89,7 @@ def backplanes(
     """Write range, angles, latitude and longitude of every pixel as a FITS cube with world coordinates."""
     session = Session(run, campaign)
     write_backplanes(output, session, session.find(image), estimator=estimator, predicted=predicted)
+    typer.echo(f"wrote {output}")
     return ExitCode.DONE
 
 
