@@ -116,6 +116,12 @@ def _command(name: str, command: Any, above: Any) -> Iterator[str]:
     yield ""
 
 
+def _members(cls: type) -> str:
+    """Options that show the members of a class, those that it inherits from classes of giantlike included."""
+    foreign = [base.__name__ for base in cls.__mro__ if not base.__module__.startswith("giantlike")]
+    return f"   :members:\n   :inherited-members: {', '.join(foreign)}\n"
+
+
 def _page(package: str, homes: dict[int, str]) -> str:
     """Text of the page of a package: a table of its names, then those in full that no page before has."""
     module = import_module(package)
@@ -132,6 +138,6 @@ def _page(package: str, homes: dict[int, str]) -> str:
             home, kind, summary = f"{package}.{name}", "data", ""
         rows.append((f":py:obj:`{name} <{home}>`", summary))
         if home == f"{package}.{name}":
-            full.append(f".. auto{kind}:: {home}\n" + ("   :members:\n" if is_class else ""))
+            full.append(f".. auto{kind}:: {home}\n" + (_members(value) if is_class else ""))
     title = f"{package}\n{'=' * len(package)}\n\n.. automodule:: {package}\n\n"
     return title + _table(rows) + "\n" + "\n".join(full)
