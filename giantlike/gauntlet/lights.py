@@ -315,28 +315,6 @@ def field_stars(count: int, faintest_dn: float, brightest_dn: float) -> Light:
     return add
 
 
-def point_source(place_px: Float, flux_dn: float) -> Light:
-    """One star, of which nobody told.
-
-    Parameters
-    ----------
-    place_px : (2,), px
-    flux_dn : float, DN
-        Over all pixels.
-
-    Returns
-    -------
-    Light
-    """
-
-    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
-        rows, columns = signal.shape
-        share = world.psf.star(place_px, np.arange(columns, dtype=float), np.arange(rows, dtype=float))
-        return signal + flux_dn * share
-
-    return add
-
-
 def dark(signal: Float, world: World, rng: np.random.Generator) -> Float:
     """Nothing but a level: the shutter stayed closed, or the camera looked elsewhere.
 
