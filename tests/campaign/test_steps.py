@@ -287,6 +287,7 @@ def test_a_rejected_image_is_no_donor_and_a_restored_one_costs_nothing(copied: P
     assert rejected.problem is not None
     assert (rejected.file, rejected.attitude, rejected.problem.reason) == ("visit0_a_long.fits", None, "rejected")
     assert rejected.problem.detail == "visit0_a_long.fits: by ann on 2026-11-22: smear"
+    assert not load_result(run).failed_images
     carried = next(record for record in load_result(run).attitudes if record.file == "visit0_b_short.fits")
     assert carried.provenance["from"] == "visit0_c_long.fits"
     add_edits(run, [edit(Edited.IMAGE, "visit0_a_long.fits", action="restore")])

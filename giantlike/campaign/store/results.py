@@ -19,6 +19,7 @@ from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, 
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
 from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError
+from giantlike.core.reasons import Reason
 from giantlike.core.values import Value
 from giantlike.io.attitude_series import AttitudeSeries
 
@@ -170,13 +171,18 @@ class RunResult(Pictured, Value):
 
     @property
     def failed_images(self) -> tuple[str, ...]:
-        """Images without an attitude, and those with a body of which no estimator made a fix."""
-        seen = {record.file for record in self.observations}
-        fixed = {record.file for record in self.observations if record.status != "failed"}
+        """Images without an attitude, and those with a body of which no estimator made a fix.
+
+        What a person rejected is no failure.
+        """
+        tried = [record for record in self.observations if not _rejected(record)]
+        seen = {record.file for record in tried}
+        fixed = {record.file for record in tried if record.status != "failed"}
         return tuple(
             record.file
             for record in self.attitudes
-            if record.status == "failed" or (record.file in seen and record.file not in fixed)
+            if (record.status == "failed" and not _rejected(record))
+            or (record.file in seen and record.file not in fixed)
         )
 
     def summary(self) -> dict[str, Any]:
@@ -319,6 +325,10 @@ def attitude_series(records: Sequence[AttitudeRecord], camera: Camera) -> Attitu
         names=tuple(file for _, file, _ in known),
         frame=camera.frame_name,
     )
+
+
+def _rejected(record: AttitudeRecord | ObservationRecord) -> bool:
+    return record.problem is not None and record.problem.reason == Reason.REJECTED
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:
