@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -93,7 +94,8 @@ def _attitude(record: AttitudeRecord) -> Iterator[str]:
             f"{record.n_rejected or 0} matches rejected; residual rms {record.rms_px:.3f} px."
         )
         if record.false_match_probability is not None:
-            yield f"  Chance that the identification is false: at most {record.false_match_probability:.1g}."
+            chance = max(record.false_match_probability, sys.float_info.min)
+            yield f"  Chance that the identification is false: at most {chance:.1g}."
     if record.attitude_shares:
         shares = ", ".join(f"{file} ({share:.0%})" for file, share in record.attitude_shares.items())
         yield f"  Made of {shares}."
