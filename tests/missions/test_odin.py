@@ -14,7 +14,7 @@ from giantlike.missions.odin.optics import choices, coverage, dominated, range_s
 from giantlike.missions.odin.paper import paper
 from giantlike.missions.replay import ComparisonKind, ReplaySettings, run_replay, save_replay
 
-NAMED = ("Table 3", "Fig. 5", "Fig. 6", "Fig. 9", "Fig. 16", "Fig. 18", "Fig. 20", "eqs. 21-23", "30 s")
+NAMED = ("Table 3", "Fig. 5", "Fig. 6", "Fig. 9", "Fig. 16", "Fig. 18", "Fig. 20", "eqs. 21-23", "Flight Software")
 
 
 @pytest.fixture(scope="module")
