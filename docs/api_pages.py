@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from sphinx.pycode import ModuleAnalyzer
 
 from giantlike.cli.app import app
 from tests.exported import PACKAGES, exported_names
@@ -26,6 +27,7 @@ OTHERS = (
     "giantlike.presets",
     "giantlike.processing",
     "giantlike.ray_tracing.reflectance",
+    "giantlike.rings",
     "giantlike.simulation",
     "giantlike.terrain",
 )
@@ -126,6 +128,7 @@ def _page(package: str, homes: dict[int, str]) -> str:
     """Text of the page of a package: a table of its names, then those in full that no page before has."""
     module = import_module(package)
     rows, full = [], []
+    constants = ModuleAnalyzer.for_module(package).find_attr_docs()
     for name in exported_names(module):
         value = getattr(module, name)
         if name.startswith("__"):
@@ -135,7 +138,8 @@ def _page(package: str, homes: dict[int, str]) -> str:
             home = homes.setdefault(id(value), f"{package}.{name}")
             kind, summary = ("class" if is_class else "function"), _summary(value)
         else:  # constants and aliases of types: their documentation stands in the source
-            home, kind, summary = f"{package}.{name}", "data", ""
+            home, kind = f"{package}.{name}", "data"
+            summary = "".join(constants.get(("", name), ())[:1])
         rows.append((f":py:obj:`{name} <{home}>`", summary))
         if home == f"{package}.{name}":
             full.append(f".. auto{kind}:: {home}\n" + (_members(value) if is_class else ""))

@@ -452,9 +452,9 @@ def auto() -> Drawing:
         (184, "none confirms: unconfirmed, suspect", RED),
         (216, "none finds the body: unchecked", GOLD),
     ):
-        d.line((494, y - 4), (506, y - 4), color, width=2)
-        d.text((512, y), words, color, size=12)
-    d.line((494, 88), (494, 212), FAINT)
+        d.line((476, y - 4), (488, y - 4), color, width=2)
+        d.text((494, y), words, color, size=12)
+    d.line((476, 88), (476, 212), FAINT)
     return d
 
 
