@@ -1,8 +1,9 @@
 """Accuracy and consistency of the center of brightness, over size, phase angle and reflectance law; prints JSON.
 
 Irregular bodies rendered with rays at other places than the templates, Poisson and read noise, a priori errors of 10 px
-and a normal deviate of 2 % in range. Errors are given in percent of the radius, beside the correction of paper 1 eq. 3;
-the mean squared error over covariance (2 where that is honest) beside the band in which 95 % of such means lie.
+and a normal deviate of 2 % in range. Errors are given in percent of the radius, beside the correction of
+Liounis et al. eq. 3; the mean squared error over covariance (2 where that is honest) beside the band in which 95 % of
+such means lie.
 
 Usage: python benchmarks/estimators_moment.py [--draws N] [--sizes PX ...]
 """

@@ -1,9 +1,9 @@
 """Estimators on the horizon of an ellipsoid: bias at long range, a pass of the Moon, rows of targets; prints JSON.
 
 ``bias``: the Christian-Robinson algorithm on horizon points of the Moon from 252,400 km with 0.1 px of noise, mean
-range error of each method over its standard error. ``pass``: 102 images of the Moon in the geometry of paper 000, Table
-2 (Artemis I, pass 3), by the algorithm as flown (edges along the sunlight, whole pixels refined to a fraction, least
-squares), by ``sigmoid_limb`` and by ``ellipsoid_cra``; standard deviations and correlations beside the table's.
+range error of each method over its standard error. ``pass``: 102 images of the Moon in the geometry of Inman et al.,
+Table 2 (Artemis I, pass 3), by the algorithm as flown (edges along the sunlight, whole pixels refined to a fraction,
+least squares), by ``sigmoid_limb`` and by ``ellipsoid_cra``; standard deviations and correlations beside the table's.
 ``rows``: the rows of the table of targets, with the Cramer-Rao bound and the normalized error of the covariance.
 ``sizes``: error against size. ``altitude``: a hazy limb, its altitude known or estimated.
 
@@ -45,8 +45,8 @@ from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 
 MOON_KM = 1737.4
-PASS_KM = 136_300 * 1.852  # paper 000, Table 1, pass 3
-IFOV_RAD = math.radians(28.2 / 3600.0)  # paper 000, section IV.B
+PASS_KM = 136_300 * 1.852  # Inman et al., Table 1, pass 3
+IFOV_RAD = math.radians(28.2 / 3600.0)  # Inman et al., section IV.B
 PASS_IMAGES = 102
 PASS_PHASE_DEG = 60.0  # the paper does not say
 PASS_DRIFT_PX = 25.0  # so that the limb meets pixels in all ways; nor does it say this
@@ -108,7 +108,7 @@ def bias(draws: int) -> dict[str, object]:
 
 
 def as_flown(image: Image, camera: Camera, sunlight: Float) -> Float:
-    """The non-iterative algorithm as paper 000 has it: edges from the side of the Sun, then least squares."""
+    """The non-iterative algorithm as Inman et al. have it: edges from the side of the Sun, then least squares."""
     pixels = image.pixels.astype(np.float64)
     usable = np.ones(pixels.shape, dtype=bool)
     assert camera.psf is not None

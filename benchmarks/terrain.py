@@ -1,9 +1,9 @@
 """Limbs with relief and atmosphere: what a height map and a limb altitude make of biases; prints JSON.
 
 ``passes``: a made-up Moon (waves by Kaula's rule, 1.8 km rms, some 14 km from lowest to highest), rendered by
-``giantlike.independent``, which shares no code with the estimators, at ranges and phases of Artemis I (paper 000), each
-from another side: range and center of every estimator on limbs with the smooth sphere, with the map, with maps that are
-too coarse, and with the map of another side. ``haze``: an Earth in haze of some optical depths, whose light is summed
+``giantlike.independent``, which shares no code with the estimators, at ranges and phases of Artemis I (Inman et al.),
+each from another side: range and center of every estimator on limbs with the smooth sphere, with the map, with maps
+that are too coarse, and with the map of another side. ``haze``: an Earth in haze of some optical depths, whose light is summed
 along rays, with and without its atmosphere told.
 
 Usage: python benchmarks/terrain.py [passes haze] [--sides 16] [--images 1] [--seed 1]
@@ -45,8 +45,8 @@ from giantlike.terrain import HeightMap, limb_profile
 MOON_KM = 1737.4
 EARTH_KM, EARTH_AT_KM, HAZE_KM = 6371.0, 350_000.0, 7.0
 RELIEF_KM = 1.8  # rms; LOLA's shape has 2.2 with the South Pole-Aitken basin
-IFOV_RAD = math.radians(28.2 / 3600.0)  # paper 000, section IV.B
-RANGES_KM = (60_000.0, 400_000.0)  # passes of the Moon in paper 000, Table 1
+IFOV_RAD = math.radians(28.2 / 3600.0)  # Inman et al., section IV.B
+RANGES_KM = (60_000.0, 400_000.0)  # passes of the Moon in Inman et al., Table 1
 PHASES_DEG = (20.0, 110.0)
 ESTIMATORS: tuple[Estimator, ...] = (LimbMatching(), EllipsoidCRA(), SigmoidLimb(), EllipseFit())
 

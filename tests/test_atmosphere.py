@@ -38,7 +38,7 @@ def test_air_is_seen_higher_in_blue_by_four_scale_heights_of_the_ratio_of_wavele
 
 
 def test_the_limb_of_the_earth_is_where_a_camera_on_the_way_to_the_moon_saw_it() -> None:
-    """Paper 000, section IV.C.3: 24.25 km in one image, 25 km on the average."""
+    """Inman et al., section IV.C.3: 24.25 km in one image, 25 km on the average."""
     earth = Atmosphere.of("EARTH")
     assert abs(earth.limb_altitude_km(EARTH_KM) - 25.0) < 1.1 * earth.sigma_km
 

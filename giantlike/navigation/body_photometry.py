@@ -23,7 +23,7 @@ half angle 0.2666 degrees has 1,466 there."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricCamera:
-    """Photometric constants of a camera, which turn the light of a body into numbers: those of paper 004's eq. 23.
+    """Photometric constants of a camera, which turn the light of a body into numbers: Thrasher et al., eq. 23.
 
     Parameters
     ----------

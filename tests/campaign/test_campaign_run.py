@@ -779,7 +779,7 @@ def test_kernels_that_do_not_cover_an_image_fail_its_rows_with_a_reason(tmp_path
     assert "-64" in record.problem.detail
 
 
-ORX_UTC = "2018-12-01T00:00:00"  # paper 001's Approach
+ORX_UTC = "2018-12-01T00:00:00"  # the Approach of Liounis et al.
 ORX_KM = 1e-9  # the expectation is of first order in v/c, which is 5e-8
 ORX_SUN = np.array([0.6, -0.7, -0.3])  # any: the kernels have no Sun
 

@@ -34,7 +34,7 @@ EARTH_KM_S = 1e-5
 BODY_AXES_RAD = 1e-10  # the same formula in float64; W has grown to 1e7 degrees since 2000
 NAC_HALF_FIELD_DEG = 0.175  # Cassini's narrow angle camera covers 0.35 degrees
 RATE_KM_S = 1e-6  # central differences of a trajectory that the moons bend by some 1e-6 km/s^2
-ORBIT_LIMITS_KM = (29.0, 74.0)  # paper 001: Bennu (0.5 km) 100 to 250 px across, MapCam's pixels are 68 urad
+ORBIT_LIMITS_KM = (29.0, 74.0)  # Liounis et al.: Bennu (0.5 km) 100 to 250 px across, MapCam's pixels are 68 urad
 
 pytestmark = pytest.mark.filterwarnings("ignore::erfa.ErfaWarning")
 

@@ -105,7 +105,7 @@ def test_the_covariance_is_that_of_the_paper_for_a_pinhole_camera() -> None:
     sigma = np.linspace(0.05, 0.2, 50)
     a, s = TRIAXIAL.shape_matrix, POSITION_KM
     information = np.zeros((3, 3))
-    m = a @ np.outer(s, s) @ a - (s @ a @ s - 1.0) * a  # paper 004, eq. 15
+    m = a @ np.outer(s, s) @ a - (s @ a @ s - 1.0) * a  # Thrasher et al., eq. 15
     for u, sigma_u in zip(points, sigma, strict=True):
         x = np.array([(u[0] - ORION.cx_px) / ORION_FOCAL_PX, (u[1] - ORION.cy_px) / ORION_FOCAL_PX, 1.0])
         r = (sigma_u / ORION_FOCAL_PX) ** 2 * np.diag([1.0, 1.0, 0.0])  # eq. 16

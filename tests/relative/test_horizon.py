@@ -35,7 +35,7 @@ BIAS_DRAWS, COVARIANCE_DRAWS, ALTITUDE_DRAWS = 1500, 1000, 300
 
 DISTORTED = BrownModel(fx_px=2500.0, fy_px=2490.0, cx_px=510.0, cy_px=500.0, k1=-0.3, p1=2e-4)
 MOON = Figure(radii_km=np.array([1737.4, 1737.4, 1737.4]), camera_from_axes=Rotation.identity())
-ORION = PinholeModel(fx_px=7291.7, fy_px=7291.7, cx_px=1295.5, cy_px=971.5)  # the Orion camera of paper 003
+ORION = PinholeModel(fx_px=7291.7, fy_px=7291.7, cx_px=1295.5, cy_px=971.5)  # the Orion camera of Holt et al. (2018)
 METHODS = pytest.mark.parametrize("method", list(CraMethod))
 
 

@@ -1,4 +1,4 @@
-"""ODIN (paper 004): modes, target determination, calibration, interlock and two-camera pose, replayed by simulation."""
+"""ODIN: modes, target determination, calibration, interlock and two-camera pose, replayed by simulation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def replay(settings: ReplaySettings) -> Replay:
-    """Replay paper 004.
+    """Replay Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What paper 004 states, and the cameras that follow from it."""
+"""What Thrasher et al. state, and the cameras that follow from it."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def whole_replay(settings: ReplaySettings) -> Replay:
     )  # fmt: skip
     return Replay(
         name="odin",
-        title="ODIN, optical navigation for small satellites (paper 004)",
+        title="ODIN, optical navigation for small satellites (Thrasher et al.)",
         sections=(
             Section(
                 title="Cameras", text="Fields, projection and sizes by the tables, and the trade of sensor and lens.",

@@ -18,7 +18,7 @@ _SMALL_CAMPAIGNS = {("approach", "mapcam"): (2, 7), ("preliminary_survey", "navc
 
 
 def replay(settings: ReplaySettings) -> Replay:
-    """Replay paper 1: calibrations, then the phases as campaigns on simulated images.
+    """Replay Liounis et al.: calibrations, then the phases as campaigns on simulated images.
 
     Parameters
     ----------

@@ -135,7 +135,7 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
     Notes
     -----
     Otsu's method: the largest ``w0 w1 (m1 - m0)^2`` over all cuts between bins, w the shares and m the means of the two
-    classes. Paper 1 takes it to find the pixels of a target.
+    classes. Liounis et al. [1]_ take it to find the pixels of a target.
 
     References
     ----------
@@ -262,9 +262,9 @@ def identify_blobs(
 
     Notes
     -----
-    Each pair costs the squares of its distance over ``search_px`` / 3, of the logarithm of its areas and, as paper 4
-    tells Moon from Earth, of its fluxes, over their standard deviations; the cheapest assignment of all bodies at once
-    wins. It is tried about the shift of every possible first pair, so that a common error of pointing costs once.
+    Each pair costs the squares of its distance over ``search_px`` / 3, of the logarithm of its areas and, as Thrasher
+    et al. tell Moon from Earth, of its fluxes, over their standard deviations; the cheapest assignment of all bodies at
+    once wins. It is tried about the shift of every possible first pair, so that a common error of pointing costs once.
 
     References
     ----------

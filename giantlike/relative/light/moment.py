@@ -95,12 +95,12 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
 
     Bright pixels are joined to blobs; that of the target, distinguished from those of the other targets of the scene by
     place and size, is separated from the dark by Otsu's method, and the brightness above the plane through the sky
-    gives the center of light (paper 1 eq. 4). The correction to the center of the figure is by default that of the
-    body rendered at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is the one of the
-    paper. It grows with the size of the body, predicted (``range_sigma``) and measured by the lit area.
+    gives the center of light (Liounis et al. eq. 4). The correction to the center of the figure is by default that of
+    the body rendered at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is their
+    eq. 3. It grows with the size of the body, predicted (``range_sigma``) and measured by the lit area.
 
     No limb and no detail of the surface is used, so that nothing can be mistaken for them. The reflectance law counts:
-    how far it is from the law of the target towards that of Lommel and Seeliger or that of Lambert follows from the
+    how far it is from the law of the target toward that of Lommel and Seeliger or that of Lambert follows from the
     brightness of blocks of a quarter of the radius. ``score`` is the lit area over that expected, ``residuals`` are
     image minus template over the brightest pixel of the template.
 

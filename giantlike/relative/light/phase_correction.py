@@ -26,7 +26,7 @@ class Correction(StrEnum):
     RENDERED = "rendered"
     """That of the body rendered at its predicted geometry."""
     KAASALAINEN_TANGA = "kaasalainen_tanga"
-    """By paper 1 eq. 3, meant for bodies that are not resolved."""
+    """By Liounis et al. eq. 3, meant for bodies that are not resolved."""
     ELLIPSOID = "ellipsoid"
     """By the center of light of its best-fitting ellipsoid under the law of Lommel and Seeliger, in closed form."""
     NONE = "none"
