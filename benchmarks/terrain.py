@@ -3,8 +3,8 @@
 ``passes``: a made-up Moon (waves by Kaula's rule, 1.8 km rms, some 14 km from lowest to highest), rendered by
 ``giantlike.independent``, which shares no code with the estimators, at ranges and phases of Artemis I (Inman et al.),
 each from another side: range and center of every estimator on limbs with the smooth sphere, with the map, with maps
-that are too coarse, and with the map of another side. ``haze``: an Earth in haze of some optical depths, whose light is summed
-along rays, with and without its atmosphere told.
+that are too coarse, and with the map of another side. ``haze``: an Earth in haze of some optical depths, whose light
+is summed along rays, with and without its atmosphere told.
 
 Usage: python benchmarks/terrain.py [passes haze] [--sides 16] [--images 1] [--seed 1]
 """
