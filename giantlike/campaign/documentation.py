@@ -129,10 +129,10 @@ name = "voyager1_nac"
 kernels = "kernels"   # a folder; its kernels with names such as these are loaded, in this order
 ```
 
-stands for the keys below it in this list, `[spice]` where a folder of kernels is named or that table is there. Keys of
-the campaign file win, one by one; a `[camera]` with more than `binned` is another camera. Nothing is downloaded: the
-kernels are in the archives of NAIF (`https://naif.jpl.nasa.gov/pub/naif`) and of JAXA. What no source tells is left
-out.
+stands for the keys that this page lists below that name. Those of `[spice]` count only if you name a folder of kernels
+or have a table `[spice]`. Keys of your campaign file win, one by one; a `[camera]` with more than `binned` is another
+camera. You fetch the kernels yourself, from the archives of NAIF (`https://naif.jpl.nasa.gov/pub/naif`) and of JAXA:
+nothing is downloaded. What no source tells is left out.
 
 """
 _HEADERS = """# Header keywords
@@ -155,15 +155,18 @@ def pages() -> dict[str, str]:
     """
     return {
         "campaign_file.md": _GENERATED
-        + "# Campaign file\n\nInput of `giantlike run` and `giantlike calibrate`. Paths are relative to the file that "
-        "names them; unknown keys are refused.\n\n" + "\n".join(_sections(CampaignFile)),
+        + "# Campaign file\n\nInput of `giantlike run` and `giantlike calibrate`; an example is in "
+        "[campaigns](campaigns.md). Paths are relative to the file that names them; unknown keys are refused.\n\n"
+        + "\n".join(_sections(CampaignFile)),
         "scene_file.md": _GENERATED
-        + "# Scene file\n\nInput of `giantlike render`. Paths are relative to the file that names them; unknown keys "
-        "are refused, and numbers must be finite.\n\n" + "\n".join(_sections(RenderFile)),
+        + "# Scene file\n\nInput of `giantlike render`; examples are in [How do I render](howto/render-an-image.md) "
+        "and, with more tables, in [two_moons.toml](../examples/two_moons.toml). Paths are relative to the file that "
+        "names them; unknown keys are refused, and numbers must be finite.\n\n" + "\n".join(_sections(RenderFile)),
         "camera_presets.md": _GENERATED
         + '# Camera presets\n\nReal cameras that come with the package: `preset = "NAME"` in the `[camera]` table of a '
         "campaign, `giantlike.presets.camera_preset` in Python. They hold what their sources state and nothing else; a "
-        "calibration from stars of one's own images is better.\n\n" + "\n".join(_presets()),
+        "calibration from stars of your own images is better. For images whose pixels were summed in blocks of 2 x 2, "
+        "add `binned = 2`.\n\n" + "\n".join(_presets()),
         "missions.md": _GENERATED + _MISSIONS + "\n".join(_missions()),
         "tables.md": _GENERATED
         + "# Tables of a run\n\nEach table is written as CSV and as Parquet, where each column has its unit, frame and "

@@ -24,11 +24,13 @@ class ExitCode(IntEnum):
     DONE = 0
     """All is done."""
     SOME_IMAGES_FAILED = 1
-    """All is done that could be; some images or files failed, or a check found mistakes. The output names them."""
+    """All is done that could be, and the output names what is not: images without an attitude or not readable, a
+    calibration that is refused, a dossier that no longer holds. Fixes that fail, and what you reject, do not count."""
     GOALS_MISSED = 1
     """The demonstration, the gauntlet or a replay ran, and missed a goal."""
     BAD_INPUT = 2
-    """An argument, a file or an option is wrong, in one line on stderr. Nothing was computed."""
+    """An argument, a file or an option is wrong, in one line on stderr; `check` has a line on stdout for each mistake.
+    Nothing was computed."""
     INTERRUPTED = 130
     """You pressed Ctrl-C. What is finished is kept; the same command goes on."""
 

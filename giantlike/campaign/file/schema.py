@@ -113,7 +113,7 @@ class ImagesSection(Section):
     files: list[str] = Field(min_length=1)
     """File names or glob patterns (`**` for subfolders) of images in any readable format."""
     geometry: str | None = None
-    """Table of a priori geometry; what it leaves out comes from headers, then SPICE."""
+    """Table of a priori geometry ([columns](howto/a-priori.md)); what it leaves out comes from headers, then SPICE."""
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
@@ -202,7 +202,8 @@ class StarsSection(Section):
     transfer: TransferMethod = TransferMethod.INTERPOLATE
     """Method by which a short exposure gets its attitude."""
     rates: str | None = None
-    """Table of angular rates (a gyro's) for `transfer = "propagate"`."""
+    """Table of angular rates (a gyro's) for `transfer = "propagate"`: CSV with `epoch_utc` or `et`, and `rate_x_rad_s`,
+    `rate_y_rad_s`, `rate_z_rad_s` about the camera axes."""
     max_gap_s: float = math.inf
     """Largest distance in time to a star image, s."""
     drift_arcsec_per_sqrt_s: float = 0.1
@@ -311,7 +312,7 @@ class CampaignFile(Section):
     camera: dict[str, Any]
     """`file`, the name of a camera file; `preset`, the name of a real camera that comes with the package
     ([list](camera_presets.md)), and with it `binned`, the pixels along one side of a block that was summed; or the keys
-    of a camera file. A `[mission]` may tell it."""
+    of a [camera file](campaigns.md#the-camera-file). A `[mission]` may tell it."""
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None

@@ -166,7 +166,7 @@ class RenderFile(SceneSection):
 
     render: RenderSection = RenderSection()
     camera: dict[str, Any]
-    """`file`, the name of a camera file with `[psf]`, or the keys of one."""
+    """`file`, the name of a [camera file](campaigns.md#the-camera-file) with `[psf]`, or the keys of one."""
     light: LightSection = LightSection()
     photometry: PhotometrySection = PhotometrySection()
     stars: SkySection | None = None
