@@ -208,7 +208,7 @@ class Quality(enum.Flag):
     OBSERVER_UNKNOWN = enum.auto()
     """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
 
-    The covariance holds it too, as :attr:`~giantlike.core.causes.Cause.ABERRATION`. Give the position and velocity of
+    The covariance holds it too, as the part `aberration`. Give the position and velocity of
     the observer with respect to the solar system barycenter: kernels or tables relative to the target do not tell it.
     """
     EPOCH_UNKNOWN = enum.auto()

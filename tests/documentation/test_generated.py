@@ -32,6 +32,12 @@ def test_every_key_and_column_is_described(name: str) -> None:
     assert all(len(row[-1].split()) >= 1 and row[-1].endswith(".") and "None" not in row[-1] for row in rows)
 
 
+@pytest.mark.parametrize("name", sorted(pages()))
+def test_a_page_has_no_markup_of_docstrings(name: str) -> None:
+    """What people read on pages, in reports and at the shell is not that of Sphinx."""
+    assert not re.findall(r":(?:attr|class|func|meth|mod|data):`[^`]*`", pages()[name])
+
+
 def test_the_exit_codes_of_the_page_are_those_of_the_commands() -> None:
     rows = re.findall(r"^\| (\d+) \| (.*) \|$", (DOCS / "command_line.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert rows == [(str(ExitCode[name].value), meaning) for name, meaning in attribute_docs(ExitCode).items()]
