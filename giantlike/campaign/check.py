@@ -31,8 +31,17 @@ from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Shape
 
 _SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|targets|report"
-_KEY = re.compile(rf"\[?((?:{_SECTIONS})\b[\w.\[\]]*?)\]?:? ")
-_ALONE: dict[str, Any] = {"shape": (1.0, 1.0, 1.0), "reflectance": None, "estimators": ["moment"], "options": {}}
+_KEY = re.compile(rf"\[?((?:{_SECTIONS})\b(?:[\w.]|\[\d+\])*)\]?:? ")
+_ALONE: dict[str, Any] = {
+    "shape": (1.0, 1.0, 1.0),
+    "reflectance": None,
+    "estimators": ["moment"],
+    "options": {},
+    "terrain": None,
+    "terrain_sigma_km": None,
+    "atmosphere": None,
+    "rings": None,
+}
 """Keys of a target that stand in while one of them is checked."""
 
 

@@ -65,7 +65,7 @@ def line_of(key: str, lines: Mapping[str, int]) -> int | None:
     while key:
         if key in lines:
             return lines[key]
-        key = re.sub(r"(\[\d+\]|\.?[^.\[\]]+)$", "", key)
+        key = re.sub(r"(\[\d+\]|\.?[^.\[\]]+|.)$", "", key)
     return None
 
 
