@@ -412,7 +412,9 @@ def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> T
 
 
 def unless_dark(template: Template | Failure) -> Template | Failure:
-    """Return the template, or a failure ``NOT_LIT`` for one without any lit surface."""
+    """Return the template, or a failure: ``NOT_LIT`` without any lit surface, ``OUT_OF_FRAME`` without any light."""
     if isinstance(template, Template) and template.lit_fraction == 0.0:
         return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
+    if isinstance(template, Template) and not template.brightness.any():
+        return Failure(Reason.OUT_OF_FRAME, "no light of the body falls on the frame")
     return template

@@ -18,6 +18,7 @@ from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
+from giantlike.gauntlet import stage_of
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative.light.moment import Moment, MomentOptions
@@ -214,3 +215,10 @@ def test_what_cannot_be_measured_is_refused_with_its_reason() -> None:
         MomentOptions(correction="magic")
     with pytest.raises(InputError, match="search_px"):
         MomentOptions(search_px=0.0)
+
+
+def test_a_body_whose_lit_side_is_beyond_the_frame_is_out_of_it() -> None:
+    stage = stage_of(3000, 804)
+    failure = Moment().estimate(stage.image, stage.camera, stage.scene)
+    assert isinstance(failure, Failure)
+    assert failure.reason is Reason.OUT_OF_FRAME
