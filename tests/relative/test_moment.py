@@ -219,6 +219,7 @@ def test_what_cannot_be_measured_is_refused_with_its_reason() -> None:
 
 def test_a_body_whose_lit_side_is_beyond_the_frame_is_out_of_it() -> None:
     stage = stage_of(3000, 804)
+    assert stage.scene is not None
     failure = Moment().estimate(stage.image, stage.camera, stage.scene)
     assert isinstance(failure, Failure)
     assert failure.reason is Reason.OUT_OF_FRAME
