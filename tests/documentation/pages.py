@@ -3,9 +3,10 @@
 A ``python`` block is executed. Of a ``console`` block each line that begins with ``$`` is carried out: a plain
 ``giantlike`` command in this process, anything else by bash. The lines below it must occur in what the command
 writes, in this order; numbers and spaces may differ, and ``...`` stands for anything. ``# exits with 1`` behind a
-command tells its exit code where it is not 0. Blocks of other languages are not run. A comment on the line before a
-block says what is done with it: ``<!-- slow -->``, it runs with ``make test-all`` only (as do blocks that need it);
-``<!-- not run: REASON -->``, never, but a ``python`` block must still compile.
+command tells its exit code where it is not 0. A ``text`` block right below one of these, without words in between, is
+what that block writes, and is compared in the same way. Blocks of other languages are not run. A comment on the line
+before a block says what is done with it: ``<!-- slow -->``, it runs with ``make test-all`` only (as do blocks that
+need it); ``<!-- not run: REASON -->``, never, but a ``python`` block must still compile.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ import shlex
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +29,8 @@ from typer.testing import CliRunner
 from giantlike.cli.app import app
 
 ROOT = Path(__file__).resolve().parents[2]
+RUN = ("python", "console")
+"""Languages of the blocks that are run."""
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _SHELL = re.compile(r"[|<>&;$`*?(){}~]")
 _EXIT = re.compile(r"# exits with (\d+)")
@@ -32,12 +38,13 @@ _EXIT = re.compile(r"# exits with (\d+)")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """A fenced block: its language, text, number of its first line in the page, and the comment before it."""
+    """A fenced block: its language, text, number of its first line in the page, comment before it, and output below."""
 
     language: str
     text: str
     line: int
     comment: str
+    output: tuple[str, ...] = ()
 
     @property
     def slow(self) -> bool:
@@ -69,10 +76,17 @@ def blocks_of(page: Path) -> list[Block]:
         language = lines[start].strip().strip("`")
         comment = lines[start - 1].strip() if start else ""
         text = "\n".join(each[indent:] for each in lines[start + 1 : number])
+        if language == "text" and blocks and _between(lines, blocks[-1], start) == "":
+            blocks[-1] = replace(blocks[-1], output=tuple(text.splitlines()))
         blocks.append(Block(language=language, text=text, line=start + 2, comment=comment))
         start = None
     assert start is None, f"{page.name}: the block of line {(start or 0) + 1} has no end"
     return blocks
+
+
+def _between(lines: list[str], block: Block, start: int) -> str:
+    """What stands between the end of a block and the line on which another starts."""
+    return "".join(lines[block.line + len(block.text.split("\n")) : start]).strip()
 
 
 def run_page(page: Path, *, slow: bool) -> dict[str, Any]:
@@ -81,12 +95,16 @@ def run_page(page: Path, *, slow: bool) -> dict[str, Any]:
     for block in blocks_of(page):
         if block.exempt or (block.slow and not slow):
             continue
+        place, written = f"{page.name}:{block.line}", ""
         if block.language == "python":
             code = compile("\n" * (block.line - 1) + block.text, str(page), "exec", dont_inherit=True)
-            exec(code, names)
+            with redirect_stdout(StringIO()) as printed:
+                exec(code, names)
+            written = printed.getvalue()
         elif block.language == "console":
-            for command, shown in _commands(block):
-                _run_command(f"{page.name}:{block.line}", command, shown)
+            written = "".join(_run_command(place, command, shown) for command, shown in _commands(block))
+        missing = _first_missing(block.output, written) if block.language in RUN else None
+        assert missing is None, f"{place}: the block does not write the line\n{missing}\nbut\n{written}"
     return names
 
 
@@ -101,7 +119,8 @@ def _commands(block: Block) -> list[tuple[str, list[str]]]:
     return commands
 
 
-def _run_command(place: str, command: str, shown: list[str]) -> None:
+def _run_command(place: str, command: str, shown: list[str]) -> str:
+    """Carry out a command, compare, and return what it writes."""
     told = _EXIT.search(command)
     expected = int(told[1]) if told else 0
     plain = command.partition(" # ")[0].strip()
@@ -126,9 +145,10 @@ def _run_command(place: str, command: str, shown: list[str]) -> None:
     assert code == expected, f"{place}: `{plain}` exits with {code}:\n{output}"
     missing = _first_missing(shown, output)
     assert missing is None, f"{place}: `{plain}` does not write the line\n{missing}\nbut\n{output}"
+    return output if output.endswith("\n") else f"{output}\n"
 
 
-def _first_missing(shown: list[str], output: str) -> str | None:
+def _first_missing(shown: Sequence[str], output: str) -> str | None:
     """The first shown line that does not occur in the output after those before it; None if all do."""
     written = iter([_without_numbers(line) for line in output.splitlines()])
     for line in shown:

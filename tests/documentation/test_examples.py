@@ -10,11 +10,10 @@ import matplotlib.pyplot as plt
 import pytest
 
 from giantlike.campaign.demo import DemoReport
-from tests.documentation.pages import ROOT, blocks_of, pages, run_page
+from tests.documentation.pages import ROOT, RUN, blocks_of, pages, run_page
 
 DEMO = "demo-output"
 LANGUAGES = {"python", "console", "text", "toml", "json", "csv", "bash", "{toctree}", "{math}", "{image}", "{figure}"}
-RUN = {"python", "console"}
 WITH_EXAMPLES = [page for page in pages() if any(block.language in RUN for block in blocks_of(page))]
 FAST = [page for page in WITH_EXAMPLES if any(each.language in RUN and not each.slow for each in blocks_of(page))]
 SLOW = [page for page in WITH_EXAMPLES if any(block.slow for block in blocks_of(page))]
