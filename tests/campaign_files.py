@@ -42,6 +42,8 @@ TURN_RAD_S = np.array([3e-7, -2e-7, 5e-7])
 OBSERVER = ObserverState(position_km=np.array([1.5e8, 0.0, 0.0]), velocity_km_s=np.array([0.0, 29.0, 5.0]))
 APRIORI_ERROR_RAD = np.array([1e-3, -7e-4, 2e-3])
 APRIORI_OFFSET_KM = np.array([0.1, -0.08, 0.3])
+BODY_TURN = Rotation.from_euler("xyz", [20.0, 30.0, 40.0], degrees=True)
+"""``camera_from_body``."""
 SUN_CAMERA = unit(np.array([0.8, -0.3, -0.5]))
 
 
@@ -140,7 +142,7 @@ def _write_image(path: Path, visit: int, et: float, seconds: float, exposure_s: 
 def _apparent(attitude: Rotation, position_camera_km: Float) -> ApparentGeometry:
     return ApparentGeometry(
         position_inertial_km=rotate(attitude.inv(), position_camera_km),
-        inertial_from_body=attitude.inv() * Rotation.from_euler("xyz", [20.0, 30.0, 40.0], degrees=True),
+        inertial_from_body=attitude.inv() * BODY_TURN,
         sun_direction_inertial=rotate(attitude.inv(), SUN_CAMERA),
     )
 

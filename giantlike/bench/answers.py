@@ -259,6 +259,7 @@ def _layer(each: MarkLayer) -> dict[str, Any]:
         "color": each.layer.color,
         "points": np.round(each.layer.points, 3).tolist(),
         "labels": list(each.labels),
+        "names": list(each.names),
         "star_ids": list(each.star_ids),
     }
 

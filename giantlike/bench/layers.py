@@ -21,6 +21,7 @@ _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
 """Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
 TERMINATOR = "#ff7ad9"
 """Color of the line where the Sun stands at the horizon of the surface."""
+LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,7 +37,9 @@ class MarkLayer(Value):
     layer : Layer
         Points, shape and color.
     labels : sequence of str
-        Text of each point; empty where there is none.
+        What there is to say of each point; empty where there is nothing.
+    names : sequence of str
+        Short text to write beside each point; empty where there is none. The points that matter most come first.
     star_ids : sequence of int
         Number of each point in the catalog; empty where points are no stars.
     """
@@ -45,6 +48,7 @@ class MarkLayer(Value):
     title: str
     layer: Layer
     labels: Sequence[str] = ()
+    names: Sequence[str] = ()
     star_ids: Sequence[int] = field(default=())
 
 
@@ -93,17 +97,14 @@ def _catalog(seen: SeenImage) -> list[MarkLayer]:
     stars = _stars_of(seen).get("stars")
     if stars is None:
         return []
+    order = np.argsort(stars["magnitudes"], kind="stable")
+    ids, magnitudes = (np.asarray(stars[name])[order].tolist() for name in ("star_ids", "magnitudes"))
     layer = Layer(
-        points=_points(stars["predicted_px"]),
+        points=_points(stars["predicted_px"])[order],
         shape=Shape.PLUS, color=MARKS["where the solution puts catalog stars"], size=6.0, width=0.8,
     )  # fmt: skip
-    labels = [
-        f"{number} ({magnitude:.1f})"
-        for number, magnitude in zip(_list(stars["star_ids"]), _list(stars["magnitudes"]), strict=True)
-    ]
-    return [
-        MarkLayer(name="catalog", title="catalog stars", layer=layer, labels=labels, star_ids=_list(stars["star_ids"]))
-    ]
+    labels = [f"{number} ({magnitude:.1f})" for number, magnitude in zip(ids, magnitudes, strict=True)]
+    return [MarkLayer(name="catalog", title="catalog stars", layer=layer, labels=labels, names=labels, star_ids=ids)]
 
 
 def _matches(seen: SeenImage) -> list[MarkLayer]:
@@ -224,19 +225,44 @@ def _terminator(seen: SeenImage) -> list[MarkLayer]:
 
 
 def _landmarks(seen: SeenImage) -> list[MarkLayer]:
-    return [
-        MarkLayer(
-            name="landmarks",
-            title=f"{fix.target}: landmarks of {fix.estimator}",
-            layer=Layer(
-                points=_points(landmarks["observed_px"]), shape=Shape.RING, color="#7df9ff", size=7.0, width=1.0
-            ),
-            labels=_list(landmarks["names"]),
+    made = []
+    for fix, marks in _landmarks_of(seen):
+        observed, names = _points(marks["observed_px"]), _list(marks["names"])
+        off_px = np.linalg.norm(observed - _points(marks["predicted_px"]), axis=1).tolist()
+        made.append(
+            MarkLayer(
+                name="landmarks",
+                title=f"{fix.target}: landmarks of {fix.estimator}",
+                layer=Layer(points=observed, shape=Shape.RING, color=LANDMARK, size=7.0, width=1.0),
+                labels=[
+                    f"{name}: {off:.3f} px off its place by the fix" for name, off in zip(names, off_px, strict=True)
+                ],
+                names=names,
+            )
         )
-        for fix in _fixes(seen)
-        for landmarks in [seen.points.get(fix.of, {}).get("landmarks")]
-        if landmarks is not None
-    ]
+    return made
+
+
+def _landmarks_rejected(seen: SeenImage) -> list[MarkLayer]:
+    made = []
+    for fix, marks in _landmarks_of(seen):
+        names, because, points = (marks.get(f"rejected_{what}", []) for what in ("names", "because", "px"))
+        made.append(
+            MarkLayer(
+                name="landmarks-rejected",
+                title=f"{fix.target}: landmarks not used by {fix.estimator}, where its fix puts them",
+                layer=Layer(points=_points(points), shape=Shape.CROSS, color=LANDMARK_REJECTED, size=6.0, width=1.0),
+                labels=[f"{name}: {why}" for name, why in zip(_list(names), _list(because), strict=True)],
+                names=_list(names),
+            )
+        )
+    return made
+
+
+def _landmarks_of(seen: SeenImage) -> list[tuple[ObservationRecord, Mapping[str, Any]]]:
+    """Fixes that were made of landmarks, and those."""
+    found = [(fix, seen.points.get(fix.of, {}).get("landmarks")) for fix in _fixes(seen)]
+    return [(fix, marks) for fix, marks in found if marks is not None]
 
 
 _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType(
@@ -252,6 +278,7 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "limb-rejected": _limb_rejected,
         "terminator": _terminator,
         "landmarks": _landmarks,
+        "landmarks-rejected": _landmarks_rejected,
     }
 )
 LAYERS: tuple[str, ...] = tuple(_MAKERS)

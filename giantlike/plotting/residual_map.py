@@ -21,6 +21,8 @@ _LETTER = 6.8
 """Mean width of a letter of the title, SVG units."""
 _BAR, _BAR_WIDTH = 8.0, 110.0
 """Height and width of the scale of colors, SVG units."""
+_TICKS = 5
+"""Most numbers along a side."""
 _FULL_SHARE = 0.98
 """Share of the cells whose color is not that of an end of the scale: single cells do not make the others pale."""
 _ENDS_BGR = np.array([[150.0, 70.0, 20.0], [245.0, 245.0, 245.0], [30.0, 30.0, 180.0]])
@@ -66,10 +68,10 @@ def residual_map_svg(at_px: Float, values: Float, cell_px: float, title: str, *,
         f'<path d="M0 0V{height:.1f}H{width:.1f}" fill="none" stroke="{GRAY}"/>',
     ]
     edge = low - 0.5 * cell_px
-    for value, text in Axis(label="x", low=edge[0], high=edge[0] + columns * cell_px).ticks(3):
+    for value, text in Axis(label="x", low=edge[0], high=edge[0] + columns * cell_px).ticks(_TICKS):
         at = (value - edge[0]) / cell_px * scale
         parts.append(f'<text x="{at:.1f}" y="{height + 12:.1f}" text-anchor="middle">{text}</text>')
-    for value, text in Axis(label="y", low=edge[1], high=edge[1] + rows * cell_px).ticks(3):
+    for value, text in Axis(label="y", low=edge[1], high=edge[1] + rows * cell_px).ticks(_TICKS):
         at = (value - edge[1]) / cell_px * scale
         parts.append(f'<text x="-4" y="{at + 3:.1f}" text-anchor="end">{text}</text>')
     bar = np.dstack([_colors(_SCALE)[None], np.full((1, len(_SCALE)), 255)]).astype(np.uint8)

@@ -76,3 +76,13 @@ def multiply(run: Path, count: int) -> None:
         for number, (file, original) in enumerate(files):
             for record in whole[original]:
                 folder.save(record.replace(file=file, index=number), "key")
+
+
+def with_rejected_match(run: Path, file: str, place_px: list[float]) -> None:
+    """Give the stars of an image a match that was thrown out."""
+    folder = RunFolder.open(run)
+    record = folder.load(AttitudeRecord, file)
+    assert record is not None
+    assert record.stars is not None
+    with folder.writing():
+        folder.save(record.replace(stars=record.stars.replace(rejected_px=[place_px])), "key")

@@ -184,6 +184,9 @@ def _landmarks(fix: LandmarkFix) -> Landmarks:
         predicted_px=fix.landmark_predicted_px.tolist(),
         covariance_px2=fix.covariance_landmarks_px2.tolist(),
         body_km=fix.landmark_body_km.tolist(),
+        rejected_names=list(fix.rejected_names),
+        rejected_px=fix.rejected_predicted_px.tolist(),
+        rejected_because=list(fix.rejected_because),
     )
 
 
@@ -203,7 +206,7 @@ def _residuals(fix: CenterFix) -> Residuals | None:
     if not (isinstance(fix, PositionFix) and len(fix.measured_limb_px)):
         low = at_px.min(axis=0)
         cell_px = max(float(np.ptp(at_px, axis=0).max()) / _MAP_CELLS, 1.0)
-        cells = np.floor((at_px - low) / cell_px).astype(np.int64)
+        cells = np.floor((at_px - low + 0.5) / cell_px).astype(np.int64)  # from the edge of the first pixel
         number = cells[:, 1] * (_MAP_CELLS + 1) + cells[:, 0]
         count = np.bincount(number)
         full = np.flatnonzero(count)

@@ -94,6 +94,11 @@ class Landmarks(PlainRecord):
     covariance_px2 : list of n (2, 2) lists, px^2
         Of each alone: noise and the excess of the residuals over it.
     body_km : (n, 3) list of float, km, body-fixed axes
+    rejected_names : (k,) list of str
+        Of those looked for and not used.
+    rejected_px : (k, 2) list of float, px
+        Projected by the pose.
+    rejected_because : (k,) list of str
     """
 
     names: list[str]
@@ -101,6 +106,9 @@ class Landmarks(PlainRecord):
     predicted_px: list[Pair]
     covariance_px2: list[TwoByTwo]
     body_km: list[Triple]
+    rejected_names: list[str] = Field(default_factory=list)
+    rejected_px: list[Pair] = Field(default_factory=list)
+    rejected_because: list[str] = Field(default_factory=list)
 
 
 class Residuals(PlainRecord):

@@ -126,6 +126,12 @@ class LandmarkFix(PositionFix):
     covariance_landmarks_px2 : (n, 2, 2) float64, px^2
         Of each measured landmark alone: the noise, and the excess of the residuals over it.
     landmark_body_km : (n, 3) float64, km, body-fixed axes
+    rejected_names : tuple of str
+        Of the landmarks that were looked for and not used.
+    rejected_predicted_px : (k, 2) float64, px
+        Projected by the pose.
+    rejected_because : tuple of str
+        For each: that it was not found, or by how much it was off the pose.
     """
 
     camera_from_body: Rotation
@@ -136,6 +142,9 @@ class LandmarkFix(PositionFix):
     landmark_predicted_px: Float
     covariance_landmarks_px2: Float
     landmark_body_km: Float
+    rejected_names: tuple[str, ...] = ()
+    rejected_predicted_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    rejected_because: tuple[str, ...] = ()
 
     def unwrap(self) -> LandmarkFix:
         """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead).
@@ -154,7 +163,13 @@ class _Found(Value):
     matches: tuple[LandmarkMatch, ...]
     observed_px: Float
     pose: PnpFix
-    tried: int
+    tried: tuple[int, ...]
+
+    @property
+    def off_px(self) -> dict[int, float]:
+        """Distance from the pose of every landmark matched, by its number."""
+        lengths = np.linalg.norm(self.pose.residuals_px, axis=1)
+        return {match.number: float(length) for match, length in zip(self.matches, lengths, strict=True)}
 
 
 class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
@@ -304,7 +319,7 @@ class _Search:
         )
         if isinstance(pose, Failure):
             return pose
-        return _Found(matches=matches, observed_px=observed, pose=pose, tried=len(patches))
+        return _Found(matches=matches, observed_px=observed, pose=pose, tried=tuple(patch.number for patch in patches))
 
     def _matches(self, body: Body, patches: tuple[Patch, ...], *, first: bool) -> tuple[LandmarkMatch, ...] | Failure:
         """Landmarks found, each near the shift that all share."""
@@ -354,10 +369,11 @@ class _Search:
         inputs, pose = self.inputs, found.pose
         used = [match for match, inlier in zip(found.matches, pose.inliers, strict=True) if inlier]
         numbers = np.array([match.number for match in used])
+        rejected, off_px = np.setdiff1d(found.tried, numbers), found.off_px
         covariance = pose.covariance[:3, :3]
         center, covariance_px2 = center_of_position(inputs.camera.model, pose.position_camera_km, covariance)
         score = float(np.mean([match.score for match in used]))
-        observed = found.observed_px[pose.inliers]
+        observed, projected = found.observed_px[pose.inliers], self._projected(body)
         known, identity = inputs.geometry.camera_from_body, inputs.identity
         identity["provenance"] = {**inputs.provenance, "landmarks_sha256": self.catalog.sha256}
         return LandmarkFix(
@@ -367,7 +383,7 @@ class _Search:
             residuals=pose.residuals_px[pose.inliers].ravel(),
             residuals_at_px=np.repeat(observed, 2, axis=0),
             n_used=len(used),
-            n_rejected=found.tried - len(used),
+            n_rejected=len(rejected),
             score=score,
             flags=self._flags(found, observed, score),
             position_camera_km=pose.position_camera_km,
@@ -378,9 +394,14 @@ class _Search:
             attitude_change_rad=(pose.camera_from_body * known.inv()).as_rotvec(),
             landmark_names=tuple(self.catalog.landmarks[number].name for number in numbers),
             landmark_px=observed,
-            landmark_predicted_px=self._projected(body)[numbers],
+            landmark_predicted_px=projected[numbers],
             covariance_landmarks_px2=np.array([match.covariance_px2 for match in used]) + pose.floor_px**2 * np.eye(2),
             landmark_body_km=self.viewer.points_body_km[numbers],
+            rejected_names=tuple(self.catalog.landmarks[number].name for number in rejected),
+            rejected_predicted_px=projected[rejected],
+            rejected_because=tuple(
+                f"{off_px[number]:.1f} px off the others" if number in off_px else "not found" for number in rejected
+            ),
         )
 
     def _flags(self, found: _Found, observed_px: Float, score: float) -> Quality:
@@ -393,7 +414,7 @@ class _Search:
             search_px=self.options.search_px,
             bounded=True,
             n_used=len(observed_px),
-            n_offered=found.tried,
+            n_offered=len(found.tried),
             residuals=math.sqrt(float(np.mean(residuals_px**2))) / _LARGE_RESIDUALS_PX,
             weakness=_LOW_SCORE / score,
         )
