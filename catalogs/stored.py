@@ -284,10 +284,16 @@ def _arrays(path: Path, header: CatalogHeader, raw: NDArray[np.uint8]) -> dict[s
         missing = (set(COLUMN_TYPES) | set(_INDEX)) - set(arrays) - set(header["constants"])
         if missing:
             raise ValueError(f"no column {sorted(missing)[0]}")
-        wrong = [name for name, array in arrays.items() if name not in _INDEX[2:] and array.shape[-1:] != (count,)]
+        shapes = {name: (count,) for name in arrays if name not in _INDEX} | {
+            "directions": (3, count),
+            "rank": (count,),
+        }
+        wrong = [name for name, shape in shapes.items() if arrays[name].shape != shape]
         starts = arrays["starts"]
         if (
             wrong
+            or starts.ndim != 1
+            or arrays["fast_margin_rad"].ndim != 1
             or starts[0] != 0
             or starts[-1] + arrays["fast_margin_rad"].size != count
             or (np.diff(starts) < 0).any()

@@ -15,8 +15,9 @@ from giantlike.core.reading import reads, unzipped
 from giantlike.core.values import Value
 
 Places = Mapping[str, tuple[int, int]]
-_LARGEST = 2.0**53  # whole numbers beyond this are not exact as float64
 """First and last byte of each column, counted from 1, as in the byte-by-byte descriptions of the CDS."""
+_LARGEST = 2.0**53
+"""Whole numbers beyond this are not exact as float64; no column of these catalogs has room for one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,15 +47,16 @@ class Lines(Value):
         except ValueError:
             row = next(row for row, word in enumerate(words) if parsed(word) is None)
             raise self._refusal(row, place, "a number") from None
-        if np.isinf(found).any():
-            raise self._refusal(int(np.isinf(found).argmax()), place, "a finite number")
+        wrong = np.abs(found) > _LARGEST
+        if wrong.any():
+            raise self._refusal(int(wrong.argmax()), place, "a number below 9e15")
         return found
 
     def integers(self, place: tuple[int, int]) -> NDArray[np.int64]:
         """Whole numbers (n,) of a column, 0 where it is blank; anything else is a ``ValueError``."""
         found = self.numbers(place)
         found = np.where(np.isnan(found), 0.0, found)
-        wrong = (found != np.round(found)) | (np.abs(found) > _LARGEST)
+        wrong = found != np.round(found)
         if wrong.any():
             raise self._refusal(int(wrong.argmax()), place, "a whole number")
         return found.astype(np.int64)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import sys
+from collections.abc import Iterator
 from multiprocessing.context import BaseContext
+
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def process_count(workers: int | None, jobs: int) -> int:
@@ -23,9 +27,53 @@ def process_count(workers: int | None, jobs: int) -> int:
     int
         At least 1.
     """
-    if workers is None:
-        workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(workers, jobs))
+    return max(1, min(available_cpus() if workers is None else workers, jobs))
+
+
+def available_cpus() -> int:
+    """Return the number of CPUs that this process may use.
+
+    Returns
+    -------
+    int
+    """
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Context manager in which processes start that do arithmetic with one thread each.
+
+    Libraries read environment variables for that when numpy is imported. Variables that are set already are left.
+
+    Yields
+    ------
+    None
+    """
+    missing = {name: "1" for name in _THREAD_VARIABLES if name not in os.environ}
+    os.environ.update(missing)
+    try:
+        yield
+    finally:
+        for name in missing:
+            os.environ.pop(name, None)
+
+
+def start_server(*modules: str) -> None:
+    """Start the server of :func:`worker_context`, so that it imports modules while this process does other things.
+
+    Without effect where processes start otherwise. The server ends with this process.
+
+    Parameters
+    ----------
+    *modules : str
+    """
+    if sys.platform == "linux":
+        from multiprocessing import forkserver  # not on all systems
+
+        with one_thread_each():
+            worker_context(*modules)
+            forkserver.ensure_running()
 
 
 def worker_context(*modules: str) -> BaseContext:

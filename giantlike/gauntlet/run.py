@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import time
 import warnings
 from collections import Counter
@@ -21,6 +20,7 @@ import numpy as np
 
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
+from giantlike.core.processes import one_thread_each
 from giantlike.core.values import Value
 from giantlike.gauntlet.kinds import KINDS
 from giantlike.gauntlet.real import REAL_KIND, image_files, real_rows
@@ -35,7 +35,6 @@ _FAINT, _BRIGHT, _GAMMA = 1.0, 99.8, 0.5
 """Percentiles of the values shown as black and white, and the power between: faint light is to be seen."""
 _QUALITY = 60
 """Quality of the JPEG of a thumbnail, percent."""
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -244,17 +243,12 @@ def _results(workers: int, jobs: Sequence[_Job]) -> Iterator[ImageResult | None]
         for job in jobs:
             yield job()
         return
-    missing = {name: "1" for name in _THREAD_VARIABLES if name not in os.environ}
-    os.environ.update(missing)  # read when numpy is imported: a thread for each process
     try:
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        with one_thread_each(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
             for future in as_completed([pool.submit(job) for job in jobs]):
                 yield future.result()
     except BrokenProcessPool as error:
         raise InputError("a worker process was ended; run with one worker to see the image that does it") from error
-    finally:
-        for name in missing:
-            del os.environ[name]
 
 
 COUNTED = (*(str(verdict) for verdict in Verdict),)

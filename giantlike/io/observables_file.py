@@ -21,7 +21,7 @@ from giantlike.core.atomic import replacing
 from giantlike.core.causes import Cause
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.values import Value
-from giantlike.io.tables import arrow_schema, arrow_table, column, columns_of
+from giantlike.io.tables import arrow_schema, column, columns_of
 
 FORMAT, FORMAT_VERSION = "giantlike observables", "1"
 """Metadata of the file: what it is, and the version of its columns."""
@@ -327,12 +327,8 @@ def _write_parquet(path: Path, rows: Iterator[ObservableRow | ObservableBlock], 
     repeated = [field.name for field in schema if pa.types.is_string(field.type)]  # numbers hardly ever are
     with parquet.ParquetWriter(path, schema, use_dictionary=repeated) as writer:
         while group := list(_group(rows)):
-            tables = [
-                _block_table(schema, one) if isinstance(one, ObservableBlock) else arrow_table(schema, [one])
-                for one in group
-            ]
-            table = pa.concat_tables(tables)
-            writer.write_table(table.combine_chunks())
+            table = _table(schema, group)
+            writer.write_table(table)
             count += table.num_rows
     return count
 
@@ -345,21 +341,41 @@ def _group(rows: Iterator[ObservableRow | ObservableBlock]) -> Iterator[Observab
         yield item
 
 
-def _block_table(schema: Any, block: ObservableBlock) -> Any:
-    """Rows of a block as a table of a schema."""
+def _table(schema: Any, items: Sequence[ObservableRow | ObservableBlock]) -> Any:
+    """Rows and blocks as a table of a schema."""
     import pyarrow as pa
 
+    columns = [item.columns if isinstance(item, ObservableBlock) else {} for item in items]
+    counts = [item.count if isinstance(item, ObservableBlock) else 1 for item in items]
+    repeats, starts = np.repeat(np.arange(len(items)), counts), np.cumsum([0, *counts[:-1]])
     arrays = []
     for field in schema:
-        values, shared = block.columns.get(field.name), block.shared.get(field.name)
-        if values is None:
-            arrays.append(pa.repeat(pa.scalar(shared, type=field.type), block.count))
-        elif values.ndim == 2:
-            flat = pa.array(np.ascontiguousarray(values).ravel())
-            arrays.append(pa.FixedSizeListArray.from_arrays(flat, values.shape[1]).cast(field.type))
-        else:
-            arrays.append(pa.array(values, type=field.type))
+        cells = [_shared(item, field.name) for item in items]
+        array = pa.array(cells, type=field.type).take(repeats)
+        if any(field.name in of_item for of_item in columns):
+            pieces = [
+                _cells(field, of_item[field.name]) if field.name in of_item else array.slice(start, count)
+                for of_item, start, count in zip(columns, starts, counts, strict=True)
+            ]
+            array = pa.concat_arrays(pieces)
+        arrays.append(array)
     return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _shared(item: ObservableRow | ObservableBlock, name: str) -> Any:
+    """Cell that all rows of an item have; None where they differ."""
+    return item.shared.get(name) if isinstance(item, ObservableBlock) else getattr(item, name)
+
+
+def _cells(field: Any, values: NDArray[Any]) -> Any:
+    """Column of a block as an array of the type of a field."""
+    import pyarrow as pa
+
+    if values.ndim == 1:
+        return pa.array(values, type=field.type)
+    return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).ravel()), values.shape[1]).cast(
+        field.type
+    )
 
 
 def _write_json_lines(path: Path, rows: Iterator[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.core.archives import array_of, open_archive_of_arrays, unpacked_sizes
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
@@ -39,18 +40,15 @@ def archive_arrays(path: Path, form: str, version: int) -> Mapping[str, NDArray[
     ValueError, KeyError, exceptions of zipfile
         The archive is damaged, of another format, or of a later version.
     """
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+    with path.open("rb") as file, open_archive_of_arrays(file) as archive:
         if "format" not in archive or str(archive["format"]) != form:
             raise ValueError(f"the archive holds no {form.removeprefix('giantlike ')}")
         if (found := int(archive["version"])) != version:
             raise ValueError(f"needed version {version} of the format, got {found}: update giantlike")
-        needed = sum(member.file_size for member in archive.zip.infolist())
+        needed = sum(unpacked_sizes(archive).values())
         if needed > max(_SMALL_BYTES, _MOST_COMPRESSION * path.stat().st_size):
             raise ValueError(f"its arrays would take {needed / 1e6:.0f} MB, too much for a file of its size")
-        arrays = {name: archive[name] for name in archive.files}
-    if damaged := [name for name, array in arrays.items() if not isinstance(array, np.ndarray)]:
-        raise ValueError(f"the archive holds {damaged[0]!r}, which is no array")
-    return arrays
+        return {name: array_of(archive, name) for name in archive.files}
 
 
 def read_npz(path: Path) -> Surface:

@@ -15,14 +15,14 @@ import spiceypy
 
 from giantlike.camera import Camera
 from giantlike.core.child import end_template, in_child
-from giantlike.core.errors import DataError
+from giantlike.core.errors import DataError, OpNavError
 from giantlike.io import load_kernels
 from giantlike.io.camera_opencv import read_opencv_camera
 from giantlike.io.daf import require_whole_daf
 from giantlike.io.image_files import read_image_file
 from giantlike.shapes import load_shape
 from tests.child_functions import doubles, ends, fails, fills, leaves, spins
-from tests.hostile import attack
+from tests.hostile import attack, damaged
 from tests.hostile_seeds import KINDS
 
 FILES, MANY_FILES = 12, 100  # of each kind
@@ -34,6 +34,26 @@ def test_damaged_files_of_every_kind_are_read_or_refused() -> None:
     assert tally.problems == []
     assert tally.files == FILES * len(KINDS)
     assert tally.outcomes["refused"] > tally.files / 2  # the damage is real
+
+
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [
+        ("heights pds3", 24),
+        ("heights geotiff", 2267),
+        ("heights npz", 292),
+        ("heights tiled npz", 1744),
+        ("shape npz", 1158),
+        ("catalog", 1100),
+        ("catalog tycho2", 2430),
+    ],
+)
+def test_damaged_files_that_once_were_neither_read_nor_refused(kind: str, number: int, tmp_path: Path) -> None:
+    path = tmp_path / KINDS[kind].file
+    KINDS[kind].write(path)
+    path.write_bytes(damaged(kind, path.read_bytes(), number, 71))
+    with contextlib.suppress(OpNavError):  # any other exception fails, and so does a warning
+        KINDS[kind].read(path)
 
 
 @pytest.mark.slow

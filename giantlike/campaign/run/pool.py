@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -17,19 +18,17 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run import WORKER_MODULES
 from giantlike.campaign.run.bench import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
-from giantlike.core.processes import worker_context
+from giantlike.core.processes import one_thread_each, worker_context
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 _QUEUED_PER_WORKER = 2
 """Jobs handed out per worker: one at work and one waiting, so that few are lost when a process dies."""
-_NEEDED = ("giantlike.campaign.run.worker", "astropy.io.fits")
-"""Modules that worker processes find imported."""
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Pool(Protocol):
@@ -88,7 +87,7 @@ class WorkerPool:
         self._bench = bench
         self._workers = workers
         self._executors: dict[int, ProcessPoolExecutor] = {}
-        self._variables: list[str] = []
+        self._variables = contextlib.ExitStack()
         self._limits: threadpool_limits | None = None
         self._cv2_threads = 0
 
@@ -98,16 +97,13 @@ class WorkerPool:
             self._cv2_threads = cv2.getNumThreads()
             cv2.setNumThreads(1)
         else:
-            # Read when numpy is imported, so they must be there when the first process starts.
-            self._variables = [name for name in _THREAD_VARIABLES if name not in os.environ]
-            os.environ.update(dict.fromkeys(self._variables, "1"))
+            self._variables.enter_context(one_thread_each())
         return self
 
     def __exit__(self, *_: object) -> None:
         for size in list(self._executors):
             self._executors.pop(size).shutdown(wait=True, cancel_futures=True)
-        for name in self._variables:
-            del os.environ[name]
+        self._variables.close()
         if self._limits is not None:
             self._limits.restore_original_limits()
             cv2.setNumThreads(self._cv2_threads)
@@ -177,7 +173,7 @@ class WorkerPool:
     def _executor(self, size: int) -> ProcessPoolExecutor:
         if size not in self._executors:
             self._executors[size] = ProcessPoolExecutor(
-                size, worker_context(*_NEEDED), _start_worker, (self._bench.campaign,)
+                size, worker_context(*WORKER_MODULES), _start_worker, (self._bench.campaign,)
             )
         return self._executors[size]
 

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike, NDArray
 
+from giantlike.core.archives import array_of, open_archive_of_arrays, unpacked_sizes
 from giantlike.core.arrays import Float
 from giantlike.core.reading import reads
 from giantlike.io.height_maps.grid import MOST_AT_ONCE, HeightGrid, Read, put, tiles_of
@@ -39,9 +41,9 @@ def open_archive(path: Path, radii_km: Float | None) -> HeightGrid:
     ValueError, exceptions of zipfile
         The archive is damaged, or lacks something.
     """
-    archive = np.load(path, allow_pickle=False)
+    archive = open_archive_of_arrays(path)
     names = set(archive.files)
-    sizes = {member.filename.removesuffix(".npy"): member.file_size for member in archive.zip.infolist()}
+    sizes = unpacked_sizes(archive)
     if radii_km is None:
         radii_km = np.atleast_1d(_small(archive, sizes, "reference_radii_km").astype(np.float64))
         radii_km = np.repeat(radii_km, 3) if radii_km.size == 1 else radii_km
@@ -55,7 +57,7 @@ def open_archive(path: Path, radii_km: Float | None) -> HeightGrid:
             raise ValueError(
                 f"heights_km takes {sizes['heights_km'] / 1e6:.0f} MB: write larger maps with HeightMap.save"
             )
-        whole = archive["heights_km"]
+        whole = array_of(archive, "heights_km")
         if whole.ndim != 2 or whole.dtype.kind not in "iuf":
             raise ValueError(
                 f"heights_km must be numbers in rows and columns, got {whole.dtype} of shape {whole.shape}"
@@ -83,14 +85,14 @@ def open_archive(path: Path, radii_km: Float | None) -> HeightGrid:
     )
 
 
-def _small(archive: Any, sizes: Mapping[str, int], name: str) -> NDArray[Any]:
+def _small(archive: NpzFile, sizes: Mapping[str, int], name: str) -> NDArray[Any]:
     """A few numbers of an archive."""
     if name not in sizes:
         raise ValueError(f"the archive holds no {name}")
     if sizes[name] > 1000:
         raise ValueError(f"{name} must be a few numbers, it takes {sizes[name]} bytes")
-    array = archive[name]
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
+    array = array_of(archive, name)
+    if array.dtype.kind not in "iuf":
         raise ValueError(f"{name} must be a few numbers")
     return array
 
@@ -99,7 +101,7 @@ def _of_array(whole: NDArray[Any]) -> Read:
     return lambda rows, columns: whole[rows, columns]
 
 
-def _of_tiles(path: Path, archive: Any, sizes: Mapping[str, int], tile: int) -> Read:
+def _of_tiles(path: Path, archive: NpzFile, sizes: Mapping[str, int], tile: int) -> Read:
     @reads("tiles of a height map")
     def part(path: Path, rows: slice, columns: slice) -> NDArray[np.float32]:
         result = np.full((rows.stop - rows.start, columns.stop - columns.start), np.nan, dtype=np.float32)
@@ -107,7 +109,7 @@ def _of_tiles(path: Path, archive: Any, sizes: Mapping[str, int], tile: int) -> 
             name = f"tile_{i}_{j}"
             if sizes.get(name, 0) > 4 * tile**2 + 1000:
                 raise ValueError(f"{name} takes {sizes[name]} bytes, more than {tile} x {tile} single numbers")
-            put(result, (rows.start, columns.start), archive[name], (i * tile, j * tile))
+            put(result, (rows.start, columns.start), array_of(archive, name), (i * tile, j * tile))
         return result
 
     return lambda rows, columns: part(path, rows, columns)
@@ -153,6 +155,6 @@ def write_height_archive(path: str | Path, grid: HeightGrid, *, sigma_km: float,
             _write_member(archive, f"tile_{i}_{j}", grid.block(rows, columns))
 
 
-def _write_member(archive: Any, name: str, array: NDArray[Any]) -> None:
+def _write_member(archive: zipfile.ZipFile, name: str, array: NDArray[Any]) -> None:
     with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
         np.lib.format.write_array(file, array, allow_pickle=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Mapping
@@ -43,7 +44,16 @@ def open_geotiff(path: Path, radii_km: Float | None, unit_km: float | None) -> H
         import tifffile
     except ImportError as error:
         raise InputError("GeoTIFF needs the package tifffile: pip install 'giantlike[geotiff]'") from error
-    page: Any = tifffile.TiffFile(path).pages[0]
+    file = tifffile.TiffFile(path)
+    with contextlib.ExitStack() as unless_opened:
+        unless_opened.callback(file.close)
+        grid = _grid_of(path, file.pages[0], radii_km, unit_km)
+        unless_opened.pop_all()
+    return grid
+
+
+def _grid_of(path: Path, page: Any, radii_km: Float | None, unit_km: float | None) -> HeightGrid:
+    """Map of a page of a TIFF file."""
     if page.ndim != 2 or page.dtype is None or page.dtype.kind not in "iuf":
         raise ValueError(f"needed one band of numbers, got {page.dtype} of shape {page.shape}")
     tags: Mapping[str, Any] = page.geotiff_tags or {}
@@ -63,7 +73,8 @@ def open_geotiff(path: Path, radii_km: Float | None, unit_km: float | None) -> H
             raise ValueError(f"needed degrees or the equirectangular projection (17), it has projection {transform:g}")
         parallel = math.cos(math.radians(_number(tags, "ProjStdParallel1GeoKey", 0.0)))
         radius_m = 1000.0 * float(radii_km[0])
-        degrees = np.degrees(degrees / radius_m) / np.array([parallel, 1.0, parallel, 1.0])
+        with np.errstate(over="ignore"):  # the grid refuses what is not finite
+            degrees = np.degrees(degrees / radius_m) / np.array([parallel, 1.0, parallel, 1.0])
         degrees[2] += _number(tags, "ProjCenterLongGeoKey", _number(tags, "ProjNatOriginLongGeoKey", 0.0))
     shift = 0.0 if _number(tags, "GTRasterTypeGeoKey", 1.0) == 2 else 0.5  # a tie point is a corner, or a center
     first = (shift - tie[0]) * degrees[0] + degrees[2], degrees[3] - (shift - tie[1]) * degrees[1]

@@ -76,8 +76,8 @@ class HeightGrid(Value):
         last = self.first_latitude_rad + (self.rows - 1) * self.latitude_step_rad
         limit = 0.5 * math.pi + abs(self.latitude_step_rad)
         if not (abs(self.first_latitude_rad) < limit and abs(last) < limit):
-            ends = np.degrees([self.first_latitude_rad, last]).round(4).tolist()
-            raise ValueError(f"needed latitudes in [-90, 90] deg, the rows go from {ends[0]} to {ends[1]}")
+            north, south = (round(math.degrees(end), 4) for end in (self.first_latitude_rad, last))
+            raise ValueError(f"needed latitudes in [-90, 90] deg, the rows go from {north} to {south}")
         if self.columns * abs(self.longitude_step_rad) > 2.0 * math.pi + 2.0 * abs(self.longitude_step_rad):
             raise ValueError(f"the {self.columns} columns cover more than 360 deg of longitude")
         radii = np.asarray(self.reference_radii_km, dtype=np.float64)
@@ -112,8 +112,7 @@ class HeightGrid(Value):
         stored = self.read(rows, columns)
         with np.errstate(over="ignore", invalid="ignore"):
             heights = (stored.astype(np.float64) * self.unit_km + self.offset_km).astype(np.float32)
-        if stored.dtype.kind == "f":
-            heights[~np.isfinite(stored)] = np.nan
+        heights[~np.isfinite(heights)] = np.nan
         for value in self.missing:
             heights[stored == value] = np.nan
         return heights
