@@ -9,6 +9,7 @@ from giantlike.catalogs.bands import BANDS, Band
 from giantlike.catalogs.blends import blended
 from giantlike.catalogs.cache import cache_folder, write_to_cache
 from giantlike.catalogs.catalog import MemoryCatalog, StarCatalog
+from giantlike.catalogs.proper_names import proper_names
 from giantlike.catalogs.table import StarTable, et_of_julian_year, julian_year
 from giantlike.core.errors import DataError
 
@@ -24,6 +25,7 @@ __all__ = [
     "et_of_julian_year",
     "julian_year",
     "load_catalog",
+    "proper_names",
     "write_to_cache",
 ]
 

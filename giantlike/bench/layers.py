@@ -98,13 +98,23 @@ def _catalog(seen: SeenImage) -> list[MarkLayer]:
     if stars is None:
         return []
     order = np.argsort(stars["magnitudes"], kind="stable")
+    names = np.array(_names_of(stars))[order].tolist()
     ids, magnitudes = (np.asarray(stars[name])[order].tolist() for name in ("star_ids", "magnitudes"))
     layer = Layer(
         points=_points(stars["predicted_px"])[order],
         shape=Shape.PLUS, color=MARKS["where the solution puts catalog stars"], size=6.0, width=0.8,
     )  # fmt: skip
-    labels = [f"{number} ({magnitude:.1f})" for number, magnitude in zip(ids, magnitudes, strict=True)]
-    return [MarkLayer(name="catalog", title="catalog stars", layer=layer, labels=labels, names=labels, star_ids=ids)]
+    known = list(zip(names, ids, magnitudes, strict=True))
+    return [
+        MarkLayer(
+            name="catalog",
+            title="catalog stars",
+            layer=layer,
+            labels=[f"{_called(name, number)} ({magnitude:.1f})" for name, number, magnitude in known],
+            names=[f"{name or number} ({magnitude:.1f})" for name, number, magnitude in known],
+            star_ids=ids,
+        )
+    ]
 
 
 def _matches(seen: SeenImage) -> list[MarkLayer]:
@@ -115,12 +125,8 @@ def _matches(seen: SeenImage) -> list[MarkLayer]:
         points=_points(stars["observed_px"]), shape=Shape.RING, color=MARKS["matched star"], size=8.0, width=0.9
     )
     residuals = np.linalg.norm(_points(stars["observed_px"]) - _points(stars["predicted_px"]), axis=1)
-    labels = [
-        f"{number}: {off:.3f} px off, sigma {sigma:.3f}"
-        for number, off, sigma in zip(
-            _list(stars["star_ids"]), residuals.tolist(), _list(stars["sigma_px"]), strict=True
-        )
-    ]
+    rows = zip(_names_of(stars), _list(stars["star_ids"]), residuals.tolist(), _list(stars["sigma_px"]), strict=True)
+    labels = [f"{_called(name, number)}: {off:.3f} px off, sigma {sigma:.3f}" for name, number, off, sigma in rows]
     return [
         MarkLayer(name="matches", title="matched stars", layer=layer, labels=labels, star_ids=_list(stars["star_ids"]))
     ]
@@ -291,6 +297,15 @@ def _fixes(seen: SeenImage) -> list[ObservationRecord]:
 
 def _stars_of(seen: SeenImage) -> Mapping[str, Any]:
     return seen.points.get(seen.record.of, {})
+
+
+def _names_of(stars: Mapping[str, Any]) -> list[str]:
+    """Proper names of the stars of a solution; runs of before there were names have none."""
+    return _list(stars.get("star_names", ())) or [""] * len(stars["star_ids"])
+
+
+def _called(name: str, number: int) -> str:
+    return f"{name}, {number}" if name else str(number)
 
 
 def _points(values: ArrayLike) -> Float:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
+from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog, proper_names
 from giantlike.catalogs.join import join_catalogs
 from giantlike.catalogs.readers import FORMATS, build_catalog, column_map
 from giantlike.catalogs.stored import SUFFIX, Source, catalog_header, is_catalog_file, save_catalog
@@ -144,11 +144,11 @@ def query(
         return ExitCode.DONE
     typer.echo(f"{len(inside)} stars in {catalog.name}, magnitudes in {catalog.band}")
     if rows:
-        typer.echo(f"{'id':>20} {'ra_deg':>14} {'dec_deg':>14} {'mag':>7} {'distance_deg':>12}  double")
+        typer.echo(f"{'id':>20} {'ra_deg':>14} {'dec_deg':>14} {'mag':>7} {'distance_deg':>12}  double  name")
     for row in rows:
         typer.echo(
             f"{row['id']:>20} {row['ra_deg']:>14.8f} {row['dec_deg']:>14.8f} {row['magnitude']:>7.3f} "
-            f"{row['distance_deg']:>12.6f}  {'yes' if row['is_double'] else ''}".rstrip()
+            f"{row['distance_deg']:>12.6f}  {'yes' if row['is_double'] else '':6}  {row['name']}".rstrip()
         )
     if limit is None and len(inside) > _SHOWN:
         typer.echo(f"... and {len(inside) - _SHOWN} fainter ones: give --limit or --json")
@@ -222,6 +222,7 @@ def _rows(stars: StarTable, directions: Float, distance_deg: Float, epoch: float
     return rows_of(
         {
             "id": stars.ids.tolist(),
+            "name": list(proper_names(stars)),
             "ra_deg": ra.tolist(),
             "dec_deg": dec.tolist(),
             "epoch_jyear": stars.epoch_jyear.tolist() if epoch is None else [epoch] * len(stars),

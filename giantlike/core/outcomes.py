@@ -132,6 +132,8 @@ class AttitudeFix(Pictured, Value):
         noise.
     by_camera : (3, m) float64, rad per unit of each parameter, optional
         Derivative of ``e`` by the parameters of the camera model, in the order of their names.
+    star_names : tuple of n str
+        Proper names of the stars used, empty for those that have none.
     """
 
     camera_from_inertial: Rotation
@@ -153,6 +155,7 @@ class AttitudeFix(Pictured, Value):
     provenance: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[Cause, Float] = field(default_factory=dict)
     by_camera: Float | None = None
+    star_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", checked_parts(self.parts, 3))

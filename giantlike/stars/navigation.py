@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
-from giantlike.catalogs import StarCatalog
+from giantlike.catalogs import StarCatalog, proper_names
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import rotate
@@ -276,6 +276,7 @@ class StarNavigation:
             predicted_px=solution.predicted_px[used],
             sigma_px=solution.sigma_px[used],
             magnitudes=field.stars.magnitude,
+            star_names=proper_names(field.stars),
             n_detected=outcome.n_detections,
             n_rejected=int((~used).sum()),
             false_match_probability=outcome.false_match_probability,

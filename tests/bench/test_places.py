@@ -16,7 +16,7 @@ from giantlike.bench.comparison import limb_residuals, match_of
 from giantlike.bench.planes import backplanes_of
 from giantlike.bench.session import SeenImage
 from giantlike.campaign.file.config import Campaign
-from giantlike.catalogs import apparent_directions
+from giantlike.catalogs import apparent_directions, proper_names
 from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.core.time import et_from_time, time_from_utc
@@ -95,6 +95,10 @@ def test_stars_detected_matched_and_of_the_catalog_are_where_the_sky_has_them(se
         if name == "catalog":
             assert [label.split()[-1] for label in layers[name].names] == [f"({m:.1f})" for m in known.magnitude]
             assert np.all(np.diff(known.magnitude) >= 0.0), "the brightest are named first"
+            proper = [(k, name) for k, name in enumerate(proper_names(known)) if name]
+            assert proper
+            assert all(layers[name].names[k].startswith(f"{called} (") for k, called in proper)
+            assert all(layers[name].labels[k].startswith(f"{called}, {ids[k]} (") for k, called in proper)
     apart = layers["matches"].layer.points[:, None] - layers["detections"].layer.points
     assert np.linalg.norm(apart, axis=2).min(axis=1).max() < PREDICTED_PX, "each match is a detection"
 

@@ -139,7 +139,7 @@ def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> Atti
         fov_deg=fix.fov_deg,
         flags=list(fix.flags.names()),
         provenance=dict(fix.provenance),
-        stars=StarMatches(**{name: getattr(fix, name).tolist() for name in StarMatches.model_fields}),
+        stars=StarMatches(**{name: np.asarray(getattr(fix, name)).tolist() for name in StarMatches.model_fields}),
     )
 
 

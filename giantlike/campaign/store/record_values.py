@@ -73,6 +73,8 @@ class StarMatches(PlainRecord):
     sigma_px, magnitudes : (n,) list of float, px and magnitudes
     rejected_px : (m, 2) list of float, px
         Matches rejected as outliers.
+    star_names : (n,) list of str
+        Proper names, empty for stars without one; no list in runs made before there were names.
     """
 
     star_ids: list[int]
@@ -81,6 +83,7 @@ class StarMatches(PlainRecord):
     sigma_px: Vector
     magnitudes: Vector
     rejected_px: list[Pair] = Field(default_factory=list)
+    star_names: list[str] = Field(default_factory=list)
 
 
 class Landmarks(PlainRecord):

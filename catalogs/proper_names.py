@@ -1,0 +1,87 @@
+"""Proper names of bright stars, by place and magnitude, whatever catalog they come from.
+
+``iau_star_names.csv`` has the names that the IAU Working Group on Star Names approved for single stars of Hipparcos
+brighter than V = 6.5 [1]_, with the place at J2000.0 and Hp of the Hipparcos entry that the group names [2]_. Alula
+Australis is left out: the new reduction of Hipparcos does not have it.
+
+References
+----------
+.. [1] IAU Catalog of Star Names, edition of 2022-04-04, IAU Division C Working Group on Star Names (CC BY).
+.. [2] van Leeuwen (2007), Hipparcos, the New Reduction, catalog I/311.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from giantlike.catalogs.astrometry import apparent_directions
+from giantlike.catalogs.table import StarTable
+from giantlike.core.arrays import Float
+from giantlike.core.frames import direction_from_radec
+from giantlike.core.units import RAD_PER_ARCSEC
+
+_FILE = Path(__file__).with_name("iau_star_names.csv")
+_RADIUS_ARCSEC = 5.0
+"""Places of one star in two catalogs differ by less at J2000.0, orbits of double stars included."""
+_MAGNITUDES = 2.0
+"""Hp of a named star and its magnitude in any band differ by less; much fainter companions do not get its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Named:
+    names: tuple[str, ...]
+    directions: Float
+    magnitude: Float
+
+
+def proper_names(stars: StarTable) -> tuple[str, ...]:
+    """Proper names of stars.
+
+    Parameters
+    ----------
+    stars : StarTable
+        Of any catalog, in any band.
+
+    Returns
+    -------
+    tuple of n str
+        Empty for the many that have none. A name is given once, to the star nearest to its place.
+
+    Examples
+    --------
+    >>> from giantlike.catalogs import load_catalog, proper_names
+    >>> from giantlike.core.frames import direction_from_radec
+    >>> proper_names(load_catalog().cone(direction_from_radec(101.288, -16.713), 0.001, max_magnitude=2.0))
+    ('Sirius',)
+    """
+    known = _named()
+    found = [""] * len(stars)
+    bright = np.flatnonzero(stars.magnitude < known.magnitude.max() + _MAGNITUDES)
+    if not len(bright):
+        return tuple(found)
+    some = stars.select(bright)
+    apart, which = map(np.asarray, cKDTree(known.directions).query(apparent_directions(some, 0.0)))
+    alike = np.abs(some.magnitude - known.magnitude[which]) < _MAGNITUDES
+    near = np.flatnonzero(alike & (apart < _RADIUS_ARCSEC * RAD_PER_ARCSEC))
+    nearest = near[np.argsort(apart[near])]
+    _, first = np.unique(which[nearest], return_index=True)
+    for place in nearest[first]:
+        found[bright[place]] = known.names[which[place]]
+    return tuple(found)
+
+
+@lru_cache(maxsize=1)
+def _named() -> _Named:
+    """The names of the file with places and magnitudes."""
+    with _FILE.open(encoding="ascii", newline="") as file:
+        rows = list(csv.DictReader(file))
+    ra, dec, magnitude = (
+        np.array([float(row[name]) for row in rows]) for name in ("ra_deg", "dec_deg", "magnitude_hp")
+    )
+    return _Named(tuple(row["name"] for row in rows), direction_from_radec(ra, dec), magnitude)
