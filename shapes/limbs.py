@@ -6,6 +6,7 @@ those between a facet that faces the camera and one that does not.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -285,8 +286,15 @@ def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
 
 def _square_to(axis: Float) -> Float:
     """Two unit vectors (2, 3) square to an axis (3,) and to each other."""
-    right = unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
-    return np.stack([right, unit(np.cross(axis, right))])
+    x, y, z = axis.tolist()
+    size = [abs(x), abs(y), abs(z)]
+    rights = ([0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0])  # products with the axes of coordinates
+    a, b, c = rights[size.index(min(size))]
+    length = math.hypot(a, b, c) or 1.0
+    a, b, c = a / length, b / length, c / length
+    down = [y * c - z * b, z * a - x * c, x * b - y * a]
+    length = math.hypot(*down) or 1.0
+    return np.array([[a, b, c], [part / length for part in down]])
 
 
 def _unit_derivative(vectors: Float, derivative: Float) -> Float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.statistics import robust_sigma
@@ -23,6 +24,9 @@ _LENGTH_STEP = 3.0
 """Ratio of neighboring correlation lengths of the grid: solutions are averaged over it, which needs no finer one."""
 _LEAST_SCALE = 1e-12
 """Least variance over that predicted: residuals that are exactly zero have a likelihood too."""
+_SINGULAR = 1e-6
+"""Least diagonal of the factor of a normal matrix of trace 1 from which that matrix tells all parameters: its square is
+far beyond rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,9 +104,10 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
     require(residuals.size > design.shape[1], f"needed more than {design.shape[1]} residuals, got {residuals.size}")
     floor = 1e-6 + 0.1 * float(np.median(sigma))
     weights = np.ones_like(residuals)
-    left = residuals
+    left, scale = residuals, np.linalg.norm(design, axis=0)
+    x = design / scale
     for _ in range(_ITERATIONS):
-        solution, before = _weighted(residuals, design, weights), left
+        solution, before = _weighted(residuals, x, weights) / scale, left
         left = residuals - design @ solution
         if _same(left, before, _START_REST * floor):
             break
@@ -112,7 +117,7 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
         biweight = np.maximum(1.0 - (left / (_TUKEY_LIMIT * outlier_mad * total)) ** 2, 0.0) ** 2
         if np.count_nonzero(biweight) <= design.shape[1]:
             break
-        solution, before = _weighted(residuals, design, biweight / total**2), left
+        solution, before = _weighted(residuals, x, biweight / total**2) / scale, left
         left = residuals - design @ solution
         if _same(left, before, _REST * floor):
             break
@@ -277,11 +282,14 @@ def _restricted_likelihoods(white: Float, log_determinant: Float) -> tuple[Float
 
 
 def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
-    scale = np.linalg.norm(design, axis=0)
-    x = design / scale
-    weighted = x * weights[:, None]
-    result: Float = np.linalg.lstsq(weighted.T @ x, weighted.T @ residuals, rcond=None)[0] / scale
-    return result
+    """Weighted least squares (k,); the least solution where the design (n, k), of unit columns, leaves some open."""
+    weighted = (design * weights[:, None]).T
+    normal, right = weighted @ design, weighted @ residuals
+    scale = float(np.trace(normal))
+    factor, solution, info = dposv(normal / scale, right / scale)
+    if info == 0 and float(factor.diagonal().min()) > _SINGULAR:
+        return np.asarray(solution)
+    return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0], dtype=np.float64)
 
 
 def _same(left: Float, before: Float, rest: float) -> bool:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -39,7 +38,7 @@ from giantlike.ray_tracing import (
 from giantlike.relative import ESTIMATORS, EllipsoidCRA, EllipsoidCRAOptions, Estimator, SigmoidLimb, SigmoidLimbOptions
 from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.horizon.options import HorizonScan
-from giantlike.relative.horizon.profile import ArcPlaces, HorizonArc, blur_width_px, horizon_arc, profile_table
+from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, horizon_arc, profile_table
 from giantlike.relative.limb.fix import EdgeModel
 from giantlike.rings import Rings
 from giantlike.scene import Scene, Target
@@ -88,12 +87,6 @@ def horizon_of(position_km: Float, figure: Figure) -> HorizonArc:
     return arc
 
 
-def nodes_of(nodes: ArrayLike) -> ArcPlaces:
-    """The points of a horizon themselves."""
-    index = np.asarray(nodes, dtype=np.int64)
-    return ArcPlaces(nodes=index, beside=index, share=np.zeros(index.size))
-
-
 @pytest.mark.parametrize("law", [McEwen(), Lambert()], ids=["mcewen", "lambert"])
 @pytest.mark.parametrize("radius_px", [45.0, 12.0])
 def test_the_profile_across_the_horizon_is_that_of_rendered_light(law: Reflectance, radius_px: float) -> None:
@@ -125,7 +118,7 @@ def test_the_profile_across_the_horizon_is_that_of_rendered_light(law: Reflectan
                 continue
             outward = np.array([away @ arc.normals_px[node]])
             x, y = place.astype(int)
-            differences.append(table.at(nodes_of([node]), outward)[0][0, 0] - light[y, x])
+            differences.append(table.at(arc.along_px[[node]], outward)[0][0, 0] - light[y, x])
     assert len(differences) > 40
     scale = float(light.max())
     assert np.abs(np.mean(differences)) < 0.2 * LIGHT * scale
@@ -135,15 +128,20 @@ def test_the_profile_across_the_horizon_is_that_of_rendered_light(law: Reflectan
 def test_the_slopes_of_the_profile_are_its_derivatives() -> None:
     figure = Figure(radii_km=np.array([0.3, 0.26, 0.22]), camera_from_axes=Rotation.identity())
     position = np.array([0.01, 0.02, 6.0])
+    arc = horizon_of(position, figure)
     table = profile_table(
-        horizon_of(position, figure),
+        arc,
         unit(np.array([0.7, -0.4, -0.6])),
         McEwen(),
         width_px=0.8,
         window_px=5.0,
         powers=3,
     )
-    nodes, places, step = nodes_of(np.repeat(np.arange(0, 160, 8), 15)), np.tile(np.linspace(-4.5, 4.5, 15), 20), 1e-4
+    nodes, places, step = (
+        arc.along_px[np.repeat(np.arange(0, 160, 8), 15)],
+        np.tile(np.linspace(-4.5, 4.5, 15), 20),
+        1e-4,
+    )
     value, slope, curve = table.at(nodes, places)
     far, near = table.at(nodes, places + step), table.at(nodes, places - step)
     for order, analytic, tolerance in ((0, slope, SLOPE), (1, curve, CURVE)):

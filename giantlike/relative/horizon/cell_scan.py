@@ -62,10 +62,10 @@ _LAW_SIGMA = 0.2
 """How much a smooth reflectance law may add to another at the square of the cosine of emission, over the first."""
 _STEP_LAW_SIGMA = 2.0
 """The same at its cube, where no law is used."""
-_FIRST_BLUR_PX2 = 2.0
+_FIRST_BLUR_PX2 = 1.0
 """Variance added to the blur while the horizon is known to a pixel or two only: wider profiles catch from farther."""
-_FIRST_CELLS, _FEW_CELLS_ROUNDS = 24, 2
-"""Cells of the first measurements, which only need to be good to a part of the width of a profile, and their number."""
+_FIRST_CELLS = 24
+"""Cells of the first measurement, which only needs to be good to a part of the width of a profile."""
 _WIDE = 2.0  # times the width of an unknown point spread function, from which a free width is estimated
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _BLUR_REST, _BLUR_REST_LATER = 0.1, 0.5
@@ -305,10 +305,9 @@ class CellScan(Value):
             return lit
         arc, _, cut_by_frame = lit
         every = math.ceil(len(arc.points_px) * arc.spacing_px / self.cell_px / _FIRST_CELLS)
-        if every > 1 and state.iteration < _FEW_CELLS_ROUNDS:
-            few = self._measured(arc.thinned(self.cell_px, every), state, cut_by_frame=cut_by_frame, whole=False)
-            if state.iteration == 0 or isinstance(few, CellMeasurement):
-                return few
+        if every > 1 and state.iteration == 0:
+            few = arc.thinned(self.cell_px, every)
+            return self._measured(few, state, cut_by_frame=cut_by_frame, whole=False)
         return self._measured(arc, state, cut_by_frame=cut_by_frame, whole=True)
 
     def _measured(
@@ -375,7 +374,7 @@ class CellScan(Value):
         normal = design.T @ design
         normal[3:, 3:] += information + stiff * np.eye(len(information))
         right = design.T @ (measured.shift_px[keep] / sigma)
-        right[3:] += pull
+        right[3:] += pull + stiff * measured.expected
         scale = np.sqrt(np.diagonal(normal))
         solution = np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale
         psf_px2 = 0.0 if state.iteration == 0 or stiff else float(solution[3])

@@ -211,7 +211,9 @@ def fit_cells(
     profile is linearized; blur enters through half the second derivative of the profile.
     """
     good = pixels.good
-    profiles = tuple(part.reshape(*good.shape, -1) for part in table.at(pixels.places, pixels.outward_px.ravel()))
+    profiles = tuple(
+        part.reshape(*good.shape, -1) for part in table.at(pixels.places.along_px, pixels.outward_px.ravel())
+    )
     data = np.where(good, data_dn[pixels.rows, pixels.columns], 0.0)
     problem = _CellProblem(along=pixels.along, data=data, profiles=profiles, free=table.powers - 1, noise=variance_dn2)
     kept = good
