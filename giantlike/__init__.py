@@ -54,7 +54,7 @@ if TYPE_CHECKING:
         UnresolvedOptions,
     )
     from giantlike.scene import Scene, Target
-    from giantlike.stars import StarNavigation, StarOptions
+    from giantlike.stars import StarNavigation, StarOptions, TransferOptions, carry_attitude
 
 __version__ = VERSION
 
@@ -94,7 +94,7 @@ _HOMES = {
     "giantlike.processing": ("DetectionOptions",),
     "giantlike.calibration": ("CalibrationOptions",),
     "giantlike.scene": ("Scene", "Target"),
-    "giantlike.stars": ("StarNavigation", "StarOptions"),
+    "giantlike.stars": ("StarNavigation", "StarOptions", "TransferOptions", "carry_attitude"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -142,9 +142,11 @@ __all__ = [
     "SurfaceFeaturesOptions",
     "TableEphemeris",
     "Target",
+    "TransferOptions",
     "Unresolved",
     "UnresolvedOptions",
     "__version__",
+    "carry_attitude",
 ]
 
 

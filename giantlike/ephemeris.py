@@ -21,6 +21,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
 from giantlike.io.ephemeris_table import EphemerisSamples, read_ephemeris_table
+from giantlike.io.geometry_table import GeometryRow
 from giantlike.io.spice import orientation, spk_state
 
 _LIGHT_TIME_STEPS = 5  # fixed-point iterations; each gains a factor v/c, and three suffice for the solar system
@@ -313,6 +314,52 @@ class ApparentGeometry(Value):
             velocity = as_finite(self.velocity_inertial_km_s, (3,), "velocity_inertial_km_s")
             object.__setattr__(self, "velocity_inertial_km_s", velocity)
         Value.__post_init__(self)
+
+    @classmethod
+    def from_row(cls, row: GeometryRow) -> ApparentGeometry:
+        """Return what a row of a geometry table says of its target.
+
+        Parameters
+        ----------
+        row : GeometryRow
+            ``read_geometry(path).image(file).targets[name]``.
+
+        Returns
+        -------
+        ApparentGeometry
+
+        Raises
+        ------
+        InputError
+            The row has no position or no orientation. (A sphere looks the same from everywhere: give
+            ``ApparentGeometry`` its position and the identity.)
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from scipy.spatial.transform import Rotation
+        >>> from giantlike.io.geometry_table import GeometryRow
+        >>> row = GeometryRow(
+        ...     file="a.fits",
+        ...     target="ROCK",
+        ...     target_position_inertial_km=np.array([0.0, 0.0, 100.0]),
+        ...     body_from_inertial=Rotation.identity(),
+        ... )
+        >>> ApparentGeometry.from_row(row).position_inertial_km
+        array([  0.,   0., 100.])
+        """
+        position, turn = row.target_position_inertial_km, row.body_from_inertial
+        if position is None or turn is None:
+            columns = (
+                "target_x_km, target_y_km, target_z_km" if position is None else "body_qx, body_qy, body_qz, body_qw"
+            )
+            raise InputError(f"the row of {row.target or 'no target'} in {row.file} lacks {columns}")
+        return cls(
+            position_inertial_km=position,
+            inertial_from_body=turn.inv(),
+            sun_direction_inertial=row.sun_direction_inertial,
+            velocity_inertial_km_s=row.target_velocity_inertial_km_s,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ from giantlike.core.outcomes import AttitudeFix, Failure, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import ApparentGeometry, DistantLight, FixedEphemeris, SpiceEphemeris, light_path
 from giantlike.image import AttitudeSource, Image, ObserverState
+from giantlike.io.geometry_table import GeometryRow
 from giantlike.io.spice import load_kernels
 from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import Ellipsoid
@@ -269,3 +270,26 @@ def test_scenes_refuse_twins_strangers_and_mixed_origins() -> None:
         Scene(targets=(a,)).target("B")
     with pytest.raises(FrameMismatchError, match="origin"):
         Scene(targets=(a,), observer=FixedEphemeris(origin="SUN"))
+
+
+def test_a_row_of_a_geometry_table_is_the_geometry_of_a_target() -> None:
+    turn, sun = Rotation.from_rotvec([0.1, 0.2, 0.3]), np.array([0.6, 0.0, 0.8])
+    row = GeometryRow(
+        file="a.fits",
+        target="ROCK",
+        target_position_inertial_km=np.array([1.0, 2.0, 300.0]),
+        body_from_inertial=turn.inv(),
+        sun_direction_inertial=sun,
+        target_velocity_inertial_km_s=np.array([0.1, 0.0, 0.0]),
+    )
+    place = ApparentGeometry.from_row(row)
+    assert place.position_inertial_km.tolist() == [1.0, 2.0, 300.0]
+    assert (place.inertial_from_body * turn.inv()).magnitude() < FLOAT64
+    assert place.sun_direction_inertial is not None
+    assert place.velocity_inertial_km_s is not None
+    assert_allclose(place.sun_direction_inertial, sun, rtol=0, atol=FLOAT64)
+    assert place.velocity_inertial_km_s.tolist() == [0.1, 0.0, 0.0]
+    with pytest.raises(InputError, match=r"the row of ROCK in a\.fits lacks body_qx, body_qy, body_qz, body_qw"):
+        ApparentGeometry.from_row(dataclasses.replace(row, body_from_inertial=None))
+    with pytest.raises(InputError, match="lacks target_x_km"):
+        ApparentGeometry.from_row(dataclasses.replace(row, target_position_inertial_km=None))

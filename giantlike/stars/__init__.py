@@ -9,6 +9,7 @@ from giantlike.stars.lost_in_space import identify_lost_in_space
 from giantlike.stars.navigation import StarNavigation
 from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, refine_attitude
+from giantlike.stars.transfer import TransferMethod, TransferOptions, carry_attitude
 
 __all__ = [
     "EPOCH_WHEN_UNKNOWN",
@@ -21,7 +22,10 @@ __all__ = [
     "StarField",
     "StarNavigation",
     "StarOptions",
+    "TransferMethod",
+    "TransferOptions",
     "bright_enough",
+    "carry_attitude",
     "fit_attitude",
     "identify_apriori",
     "identify_lost_in_space",

@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, as_finite, require, require_number
 from giantlike.core.causes import Cause, summed
+from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
 from giantlike.core.values import Value
+from giantlike.image import AttitudeSource, Image
 from giantlike.stars.rates import AngularRates
 
 
@@ -183,6 +185,61 @@ def transfer_attitude(
         result = _from_one(et, stars, nearest, relative, options)
     refusal = _disagreement(result, stars, apriori, options)
     return result if refusal is None else refusal
+
+
+def carry_attitude(
+    image: Image,
+    solved: Sequence[Image],
+    *,
+    rates: AngularRates | None = None,
+    options: TransferOptions = TransferOptions(),
+) -> Image | Failure:
+    """Carry attitudes of images of stars to an image between them, as campaigns do.
+
+    Parameters
+    ----------
+    image : Image
+        The exposure without stars; an attitude that it has is replaced.
+    solved : sequence of Image
+        Exposures of the same camera with the attitudes of their stars (``long.with_attitude(fix)``), in any order.
+    rates : AngularRates, optional
+        Used by ``propagate``.
+    options : TransferOptions
+        Default: a constant rate of turn between the images before and after, and the drift of a quiet platform.
+
+    Returns
+    -------
+    Image or Failure
+        The image with the attitude, its covariance and errors by cause, source ``interpolated``; ``NO_EPOCH`` if the
+        image has none, else as :func:`transfer_attitude`.
+
+    Raises
+    ------
+    InputError
+        A solved image lacks epoch, attitude or the covariance of it, or is of another camera.
+    """
+    if image.et is None:
+        return Failure(Reason.NO_EPOCH, f"{image.name} has no epoch, so it has no neighbors in time")
+    outcome = transfer_attitude(image.et, [_solution(image, each) for each in solved], rates=rates, options=options)
+    if isinstance(outcome, Failure):
+        return Failure(outcome.reason, f"{image.name}: {outcome.detail}")
+    return image.with_attitude(
+        outcome.camera_from_inertial,
+        source=AttitudeSource.INTERPOLATED,
+        covariance_rad2=outcome.covariance_rad2,
+        errors=outcome.errors,
+    )
+
+
+def _solution(image: Image, solved: Image) -> StarAttitude:
+    """Attitude of a solved image, as the transfer takes it."""
+    et, rotation, covariance = solved.et, solved.camera_from_inertial, solved.attitude_covariance_rad2
+    if et is None or rotation is None or covariance is None:
+        lacks = "epoch" if et is None else "attitude" if rotation is None else "covariance of its attitude"
+        raise InputError(f"{solved.name} has no {lacks}: solve its stars and give image.with_attitude(fix)")
+    same = not (image.camera_name and solved.camera_name) or image.camera_name == solved.camera_name
+    require(same, f"{solved.name} is of camera {solved.camera_name!r}, {image.name} of {image.camera_name!r}")
+    return StarAttitude(et=et, camera_from_inertial=rotation, covariance_rad2=covariance, errors=solved.attitude_errors)
 
 
 def _relative(

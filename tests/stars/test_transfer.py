@@ -15,13 +15,16 @@ from scipy.spatial.transform import Rotation, Slerp
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotation_between
-from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
+from giantlike.core.time import time_from_et
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
+from giantlike.image import AttitudeSource, Image
 from giantlike.stars.transfer import (
     StarAttitude,
     TransferMethod,
     TransferOptions,
     TransferredAttitude,
+    carry_attitude,
     transfer_attitude,
 )
 from tests.tolerances import FLOAT64
@@ -221,3 +224,51 @@ def test_options_out_of_range_are_refused() -> None:
     for values, method in itertools.product(bad, TransferMethod):
         with pytest.raises(InputError, match=next(iter(values))):
             TransferOptions(method=method, **values)
+
+
+def taken(name: str, et: float | None, *, camera_name: str = "") -> Image:
+    """An image without an attitude."""
+    epoch = None if et is None else time_from_et(et)
+    return Image(pixels=np.zeros((2, 2)), name=name, epoch=epoch, camera_name=camera_name)
+
+
+def solved(name: str, et: float) -> Image:
+    known = star(et)
+    errors = AttitudeErrors(flags=Quality.SATURATED)
+    return taken(name, et).with_attitude(
+        known.camera_from_inertial, source=AttitudeSource.STARS, covariance_rad2=known.covariance_rad2, errors=errors
+    )
+
+
+def test_an_image_between_two_of_stars_gets_their_attitude_covariance_and_errors() -> None:
+    short, around = taken("short", 30.0), [solved("long2", 50.0), solved("long1", 0.0)]
+    carried = carry_attitude(short, around, options=INTERPOLATE)
+    assert isinstance(carried, Image)
+    wanted = fixed(transfer_attitude(30.0, [star(50.0), star(0.0)], options=INTERPOLATE))
+    assert carried.camera_from_inertial is not None
+    assert angle_rad(carried.camera_from_inertial, attitude(30.0)) <= 1e-9  # microseconds of the epoch
+    assert carried.attitude_covariance_rad2 is not None
+    assert_allclose(carried.attitude_covariance_rad2, wanted.covariance_rad2, rtol=1e-6, atol=0)
+    assert carried.attitude_source is AttitudeSource.INTERPOLATED
+    assert carried.attitude_errors.flags == Quality.SATURATED
+    assert short.camera_from_inertial is None, "images are values"
+
+
+def test_what_an_attitude_cannot_be_carried_from_or_to_is_told() -> None:
+    around = [solved("long1", 0.0), solved("long2", 50.0)]
+    timeless = carry_attitude(taken("short", None), around)
+    assert isinstance(timeless, Failure)
+    assert timeless.reason is Reason.NO_EPOCH
+    alone = carry_attitude(taken("short", 30.0), [])
+    assert isinstance(alone, Failure)
+    assert alone.reason is Reason.NO_ATTITUDE
+    short = taken("short", 30.0, camera_name="wide")
+    for unsolved, lacks in (
+        (taken("long1", 0.0), "no attitude"),
+        (taken("long1", 0.0).with_attitude(START), "no covariance"),
+        (dataclasses.replace(around[0], epoch=None), "no epoch"),
+    ):
+        with pytest.raises(InputError, match=f"long1 has {lacks}.*solve its stars"):
+            carry_attitude(short, [unsolved])
+    with pytest.raises(InputError, match="long1 is of camera 'narrow', short of 'wide'"):
+        carry_attitude(short, [dataclasses.replace(around[0], camera_name="narrow")])
