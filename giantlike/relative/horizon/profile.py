@@ -25,8 +25,12 @@ from giantlike.shapes.limbs import limb_ellipse
 
 Indices = NDArray[np.int64]
 
-_OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 180, 1200
-"""Points of a horizon from which its length is found; least and largest number of the points laid on it."""
+_OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 300, 1200
+"""Points of a horizon from which its length is found; least and largest number of the points laid on it.
+
+With 180 instead of 300 on disks of 100 px, light between points near the terminator was off: limbs of Lommel and
+Seeliger at 100 degrees of phase by 3.0e-4 of the range instead of 1.8e-4 (3,000 DN), for 4 % less time.
+"""
 _NODE_PX = 2.0
 """Length of horizon to a point, px."""
 _KNOT_ERROR, _KNOT_REACH = 5e-4, 8
