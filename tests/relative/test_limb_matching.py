@@ -355,6 +355,28 @@ def test_a_surface_that_fills_the_frame_is_refused_as_such() -> None:
     assert "400 x 400" in failure.detail
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("radius_px", "seed"), [(320.0, 3), (340.0, 3), (340.0, 5)])
+def test_a_terminator_is_no_limb_where_the_surface_fills_the_frame(radius_px: float, seed: int) -> None:
+    """The search that widens by itself led 60 to 100 px away, to a position that was suspect and no more."""
+    failure = refused(body_image(body(seed), 43, phase_deg=90.0, radius_px=radius_px))
+    assert failure.reason is Reason.NO_LIMB
+    assert "beyond the search" in failure.detail
+
+
+def test_an_outline_that_fits_best_at_the_border_of_the_widest_search_is_no_limb() -> None:
+    """Light that fades over 200 px, told to be a body of 600 px: the search ran along it to its end."""
+    case = body_image(body(), 43, phase_deg=60.0)
+    near = case.believed(range_error=80.0 / 300.0 - 1.0)
+    away = -unit(np.array([-0.74, -0.45]))  # from the Sun, in the image
+    rows, columns = np.mgrid[:400, :400] - 200.0
+    light = 3000.0 * np.clip((away[0] * columns + away[1] * rows + 120.0) / 200.0, 0.0, 1.0)
+    rng = np.random.default_rng(0)
+    failure = refused(near, image=repainted(near, rng.poisson(light) + rng.normal(100.0, 5.0, light.shape)))
+    assert failure.reason is Reason.NO_LIMB
+    assert "at the border" in failure.detail
+
+
 def test_another_body_than_the_one_in_the_image_is_not_believed() -> None:
     case = body_image(body(), 44, phase_deg=60.0)
     other = replace(case, target=replace(case.target, shape=irregular_body(9, facets=20_000, relief=0.12)))

@@ -30,8 +30,10 @@ _WIDER, _WIDEST_RANGE, _AT_BORDER = 2.75, 0.3, 0.95
 the range; and where that border begins. What is found farther out is suspect.
 
 With 40 px and 3 % declared, starts 80 px and 5 % off lead within 15 px of the truth, and to suspect, in 18 of 21 cases
-on Vesta, 12 on Europa (a tenth of its limb) and 21 on Jupiter.
+on Vesta, 12 on Europa (a tenth of its limb) and 21 on Jupiter. An outline that fits best at the border of that wider
+search too is on its way to something else: a terminator where the surface fills the frame.
 """
+_NO_RANGE = 1e-6  # search of size below which there is none
 _LIGHT_SIGMAS = 5.0  # of the noise in the dark, beyond which a pixel is light
 
 
@@ -133,8 +135,8 @@ def find_limb(
     Returns
     -------
     (position_camera_km, CoarseLimb) or Failure
-        ``NO_LIMB`` where the contrast across the best outline is too small; ``OUT_OF_FRAME`` where the camera model
-        images nothing there.
+        ``NO_LIMB`` where the contrast across the best outline is too small, or best at the border of all that is
+        searched; ``OUT_OF_FRAME`` where the camera model images nothing there.
     """
     center_px = view.model.project(position_camera_km)
     found = search_limb(view, limb, center_px, search_px=search_px, search_range=search_range)
@@ -143,6 +145,13 @@ def find_limb(
         wider = search_limb(view, limb, center_px, search_px=farther_px, search_range=farther_range)
         if wider.contrast > found.contrast:
             found, search_px = wider, farther_px
+            if found.contrast >= min_contrast and _at_border(found, farther_px, farther_range):
+                return Failure(
+                    Reason.NO_LIMB,
+                    f"no limb within {farther_px:g} px and {farther_range:.1%} of size of the predicted one: contrast "
+                    f"across the outline is best at the border of that, at {np.max(np.abs(found.shift_px)):.0f} px and "
+                    f"{found.scale - 1.0:+.1%}, as where it moves towards a terminator",
+                )
     if found.contrast < min_contrast:
         return _no_contrast(view, limb, found, search_px=search_px, min_contrast=min_contrast)
     range_km = float(np.linalg.norm(position_camera_km)) / found.scale
@@ -150,6 +159,14 @@ def find_limb(
     if not np.isfinite(position_km).all():
         return Failure(Reason.OUT_OF_FRAME, "the limb was found outside the field of the camera model")
     return position_km, found
+
+
+def _at_border(found: CoarseLimb, search_px: float, search_range: float) -> bool:
+    """True if an outline fits best at the border of what was searched, in place or in size."""
+    moved = max(
+        float(np.max(np.abs(found.shift_px))) / search_px, abs(found.scale - 1.0) / max(search_range, _NO_RANGE)
+    )
+    return moved > _AT_BORDER
 
 
 def _no_contrast(

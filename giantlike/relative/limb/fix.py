@@ -21,7 +21,7 @@ from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.place import center_of_position, place_covariance
-from giantlike.relative.quality import QualityChecks
+from giantlike.relative.quality import LEAST_USED_SHARE, QualityChecks
 
 _LOG = logging.getLogger("giantlike.relative")
 
@@ -374,8 +374,9 @@ def limb_fix(
     Returns
     -------
     PositionFix or Failure
-        ``LARGE_RESIDUALS``, ``DEGENERATE_GEOMETRY``, or ``WRONG_SHAPE`` where the ellipsoid that stands for a shape
-        leaves so much of the range open that right fixes lie beyond the search.
+        ``LARGE_RESIDUALS``, ``DEGENERATE_GEOMETRY``, ``WRONG_SHAPE`` where the ellipsoid that stands for a shape
+        leaves so much of the range open that right fixes lie beyond the search, or ``NO_LIMB`` where the outline was
+        found beyond the search and most of it is unlike a limb there.
     """
     position_km, covariance_km2 = solution.position_camera_km, solution.covariance_camera_km2
     rms_px = float(np.sqrt(np.mean(solution.residuals_px**2)))
@@ -415,6 +416,13 @@ def limb_fix(
         terrain_log_odds=-math.inf if measured.terrain is None else measured.terrain.log_odds,
         terrain_misfit=0.0 if measured.terrain is None else measured.terrain.misfit,
     )
+    if checks.far_from_prediction and measured.n_used < LEAST_USED_SHARE * measured.n_offered:
+        return Failure(
+            Reason.NO_LIMB,
+            f"the outline was found {np.max(np.abs(checks.off_px)):.0f} px and {checks.range_ratio - 1.0:+.1%} of size "
+            f"from the predicted one, beyond the search of {search.search_px:g} px and {search.search_range:.1%}, and "
+            f"{measured.n_used} of {measured.n_offered} points there are like a limb: a terminator, or another edge",
+        )
     replaced = Quality.SHAPE_APPROXIMATED if measured.relief_px > 0.0 else Quality.NONE
     identity = inputs.identity
     identity["provenance"] = {**inputs.provenance, **terrain_provenance(measured), **solution.provenance}
