@@ -18,7 +18,7 @@ from giantlike.bench import (
 )
 from giantlike.bench import explain as explained
 from giantlike.cli.arguments import Json, Run, RunOption
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, replacing
 from giantlike.core.extras import require_extra
@@ -69,11 +69,9 @@ def explain(image: ImageName, run: RunOption, json: Json = False) -> ExitCode:
     session = Session(run)
     file = session.find(image)
     seen = session.seen(file)
-    if json:
-        print_json({"file": file, "verdict": verdict_of(seen.record, seen.observations), "text": explained(seen)})
-    else:
-        typer.echo(explained(seen))
-    return ExitCode.DONE
+    text = explained(seen)
+    summary = {"file": file, "verdict": verdict_of(seen.record, seen.observations), "text": text}
+    return show_result(summary, text, json=json)
 
 
 def backplanes(

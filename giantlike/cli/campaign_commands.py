@@ -13,7 +13,7 @@ from giantlike.campaign.interlock import interlock_of, write_interlock
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.render.run import RenderedImage, render_images
 from giantlike.cli.arguments import Json, Overwrite, Run, Workers
-from giantlike.cli.outcome import ExitCode, print_json, say
+from giantlike.cli.outcome import ExitCode, print_json, say, show_result
 from giantlike.cli.progress import progress_bar
 from giantlike.observables.exchange import Angles
 
@@ -123,12 +123,7 @@ def render(
         say(f"giantlike: {warning}")
     with progress_bar() as progress:
         images = render_images(plan, output, overwrite=overwrite, progress=progress)
-    if json:
-        print_json([_fields(image) for image in images])
-    else:
-        for image in images:
-            typer.echo(_line(image))
-    return ExitCode.DONE
+    return show_result([_fields(image) for image in images], map(_line, images), json=json)
 
 
 def demo(

@@ -10,12 +10,13 @@ import numpy as np
 import typer
 
 from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog, proper_names
+from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.join import join_catalogs
 from giantlike.catalogs.readers import FORMATS, build_catalog, column_map
 from giantlike.catalogs.stored import SUFFIX, Source, catalog_header, is_catalog_file, save_catalog
 from giantlike.catalogs.table import StarTable
 from giantlike.cli.arguments import Json, Overwrite
-from giantlike.cli.outcome import ExitCode, print_json, rows_of
+from giantlike.cli.outcome import ExitCode, print_json, rows_of, show_result
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import Float, finite_or_none, require
 from giantlike.core.errors import InputError
@@ -73,16 +74,13 @@ def build(
             progress=partial(show, "reading"),
         )
         save_catalog(built.catalog, target, sources=built.sources)
-    if json:
-        shown = {"file": str(target), "stars": len(built.catalog), "band": built.catalog.band}
-        print_json(shown | {"left_out": built.left_out, "repeated": built.repeated, "version": built.catalog.version})
-    else:
-        typer.echo(f"wrote {target}: {len(built.catalog)} stars, magnitudes in {built.catalog.band}")
-        if built.left_out:
-            typer.echo(f"left out {built.left_out} entries without a place or a magnitude")
-        if built.repeated:
-            typer.echo(f"left out {built.repeated} entries whose identifier an earlier one has")
-    return ExitCode.DONE
+    shown = _written(target, built.catalog) | {"left_out": built.left_out, "repeated": built.repeated}
+    lines = [f"wrote {target}: {len(built.catalog)} stars, magnitudes in {built.catalog.band}"]
+    if built.left_out:
+        lines.append(f"left out {built.left_out} entries without a place or a magnitude")
+    if built.repeated:
+        lines.append(f"left out {built.repeated} entries whose identifier an earlier one has")
+    return show_result(shown, lines, json=json)
 
 
 def join(
@@ -104,12 +102,8 @@ def join(
     made = join_catalogs(catalogs, name=name or target.stem)
     sources = [source for one in names[:-1] for source in _sources(one)]
     save_catalog(made, target, sources=sources)
-    if json:
-        shown = {"file": str(target), "stars": len(made), "band": made.band, "version": made.version}
-        print_json(shown | {"replaced": sum(len(one) for one in catalogs) - len(made)})
-    else:
-        typer.echo(f"wrote {target}: {len(made)} stars, magnitudes in {made.band}")
-    return ExitCode.DONE
+    shown = _written(target, made) | {"replaced": sum(len(one) for one in catalogs) - len(made)}
+    return show_result(shown, f"wrote {target}: {len(made)} stars, magnitudes in {made.band}", json=json)
 
 
 def query(
@@ -202,6 +196,10 @@ def _target(path: Path, overwrite: bool) -> Path:
     require(path.suffix == SUFFIX, f"{path}: the last name is that of the new catalog and must end in {SUFFIX}")
     require(overwrite or not path.exists(), f"{path} exists: give --overwrite to replace it")
     return path
+
+
+def _written(target: Path, catalog: MemoryCatalog) -> dict[str, Any]:
+    return {"file": str(target), "stars": len(catalog), "band": catalog.band, "version": catalog.version}
 
 
 def _sources(name: str) -> list[Source]:

@@ -11,7 +11,7 @@ import typer
 from giantlike.campaign.check import check_campaign
 from giantlike.campaign.init import CameraChoice, write_campaign_file
 from giantlike.cli.arguments import Json, Overwrite
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, print_json, show_result
 
 
 def check(
@@ -44,8 +44,4 @@ def init(
     """Write a commented campaign file for a folder of images."""
     choice = CameraChoice(file=camera, preset=preset, fov_deg=fov)
     path = write_campaign_file(images, output, choice, overwrite=overwrite)
-    if json:
-        print_json({"campaign": path})
-    else:
-        typer.echo(f"wrote {path}; complete it, then giantlike check {path}")
-    return ExitCode.DONE
+    return show_result({"campaign": path}, f"wrote {path}; complete it, then giantlike check {path}", json=json)

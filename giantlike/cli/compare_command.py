@@ -11,7 +11,7 @@ from giantlike.campaign.compare.external import ExternalOptions, compare_externa
 from giantlike.campaign.compare.runs import compare_runs
 from giantlike.campaign.merge import merge_runs
 from giantlike.cli.arguments import Json, Run
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, print_json, show_result
 
 _WIDTH = 140
 """Columns of a table in a file, which has no width of its own: no number is cut."""
@@ -75,11 +75,7 @@ def merge(
     Nothing is computed again; the runs must have the same camera, targets and options.
     """
     result = merge_runs(runs, output)
-    if json:
-        print_json(result.summary())
-    else:
-        typer.echo(f"{output}: {len(result.attitudes)} images of {len(runs)} runs")
-    return ExitCode.DONE
+    return show_result(result.summary(), f"{output}: {len(result.attitudes)} images of {len(runs)} runs", json=json)
 
 
 def _show(summary: dict[str, Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +14,7 @@ import typer
 from giantlike.camera import Camera
 from giantlike.cli.arguments import Frames, Hdu, Images, Json, Sequence
 from giantlike.cli.frames_input import ImageReader
-from giantlike.cli.outcome import ExitCode, rows_of, show_results
+from giantlike.cli.outcome import ExitCode, Results, rows_of, show_results
 from giantlike.cli.progress import with_progress
 from giantlike.cli.sequence_input import BOTH_PATTERNS, sequence_pattern, without_pattern
 from giantlike.core.arrays import require
@@ -161,7 +161,7 @@ def detect(
         psf_degree=psf_degree,
         options=DetectionOptions(threshold_sigma=threshold, streak=streak, noise=noise, covered=covered),
     )
-    return show_results(_all_searched(images, wanted), _print_table, json=json)
+    return show_results(_all_searched(images, wanted), _lines, json=json)
 
 
 def _all_searched(images: list[Path], wanted: DetectRequest) -> list[dict[str, Any]]:
@@ -224,29 +224,29 @@ def _rows(found: Detections) -> list[dict[str, Any]]:
     return rows_of(columns)
 
 
-def _print_table(results: list[dict[str, Any]]) -> None:
+def _lines(results: Results) -> Iterator[str]:
     """A line per image, and under it the brightest detections or the reason of the failure."""
     for result in results:
         rows = result["detections"]
         if result["status"] == "failed":
-            typer.echo(f"{result['file']}: failed\n  {result['reason']}: {result['detail']}")
+            yield f"{result['file']}: failed\n  {result['reason']}: {result['detail']}"
             continue
         stars = sum(row["is_star"] for row in rows)
-        typer.echo(
+        yield (
             f"{result['file']}: {len(rows)} detections, {stars} look like stars; "
             f"PSF sigma {result['psf_sigma_px']:.3f} px, noise {result['noise_dn']:.4g} DN"
         )
         if "psf" in result:
-            typer.echo(f"  {_psf_line(result['psf'])}")
+            yield f"  {_psf_line(result['psf'])}"
         if rows:
-            typer.echo(f"  {'x_px':>10}{'y_px':>10}{'sigma_x':>9}{'sigma_y':>9}{'flux_dn':>12}{'snr':>9}  flags")
+            yield f"  {'x_px':>10}{'y_px':>10}{'sigma_x':>9}{'sigma_y':>9}{'flux_dn':>12}{'snr':>9}  flags"
         for row in rows[:_SHOWN]:
-            typer.echo(
+            yield (
                 f"  {row['x_px']:>10.3f}{row['y_px']:>10.3f}{row['sigma_x_px']:>9.4f}{row['sigma_y_px']:>9.4f}"
                 f"{row['flux_dn']:>12.1f}{row['snr']:>9.1f}  {', '.join(row['flags'])}".rstrip()
             )
         if len(rows) > _SHOWN:
-            typer.echo(f"  ... and {len(rows) - _SHOWN} fainter ones: --json lists all")
+            yield f"  ... and {len(rows) - _SHOWN} fainter ones: --json lists all"
 
 
 def _psf_line(psf: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ import typer
 from giantlike.bench.dossier import write_dossier
 from giantlike.bench.dossier_check import check_dossier, reproduce
 from giantlike.cli.arguments import Json, Workers
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
 
 _MOST_LINES = 20
@@ -48,33 +48,20 @@ def dossier(
     if again is not None:
         return _reproduce(folder, again, workers, json=json)
     written = write_dossier(folder, output, campaign)
-    if json:
-        print_json({"dossier": written})
-    else:
-        typer.echo(f"wrote {written}; look at {written / 'dossier.html'}")
-    return ExitCode.DONE
+    return show_result({"dossier": written}, f"wrote {written}; look at {written / 'dossier.html'}", json=json)
 
 
 def _check(folder: Path, *, json: bool) -> ExitCode:
     found = check_dossier(folder)
-    if json:
-        print_json(asdict(found))
-    else:
-        for kind, names in (("changed", found.changed), ("missing", found.missing), ("version", found.versions)):
-            for name in names:
-                typer.echo(f"{kind}: {name}")
-        typer.echo(f"{found.same} files are the same")
-    return ExitCode.DONE if found.holds else ExitCode.SOME_IMAGES_FAILED
+    kinds = (("changed", found.changed), ("missing", found.missing), ("version", found.versions))
+    lines = [f"{kind}: {name}" for kind, names in kinds for name in names] + [f"{found.same} files are the same"]
+    return show_result(asdict(found), lines, json=json, failed=not found.holds)
 
 
 def _reproduce(folder: Path, output: Path, workers: int | None, *, json: bool) -> ExitCode:
     different = reproduce(folder, output, workers=workers)
-    if json:
-        print_json({"run": output, "different": different})
-    else:
-        for line in different[:_MOST_LINES]:
-            typer.echo(f"different: {line}")
-        if len(different) > _MOST_LINES:
-            typer.echo(f"and {len(different) - _MOST_LINES} more")
-        typer.echo("the tables are the same" if not different else f"{len(different)} lines of the tables differ")
-    return ExitCode.DONE if not different else ExitCode.SOME_IMAGES_FAILED
+    lines = [f"different: {line}" for line in different[:_MOST_LINES]]
+    if len(different) > _MOST_LINES:
+        lines.append(f"and {len(different) - _MOST_LINES} more")
+    lines.append("the tables are the same" if not different else f"{len(different)} lines of the tables differ")
+    return show_result({"run": output, "different": different}, lines, json=json, failed=bool(different))

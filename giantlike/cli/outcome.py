@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import Any, ParamSpec, TypeAlias
 
@@ -75,15 +75,44 @@ def say(text: str) -> None:
     sys.stderr.flush()
 
 
-def show_results(results: Results, show: Callable[[Results], None], *, json: bool) -> ExitCode:
+def show_result(
+    value: Mapping[str, Any] | Sequence[Any], lines: str | Iterable[str], *, json: bool, failed: bool = False
+) -> ExitCode:
+    """Write what a command found or made.
+
+    Parameters
+    ----------
+    value : mapping or sequence
+        For ``--json``.
+    lines : str or iterable of str
+        For people; taken only without ``--json``.
+    json : bool
+        Write JSON.
+    failed : bool
+        Some images or files failed.
+
+    Returns
+    -------
+    ExitCode
+        ``SOME_IMAGES_FAILED`` or ``DONE``.
+    """
+    if json:
+        print_json(value)
+    else:
+        for line in [lines] if isinstance(lines, str) else lines:
+            typer.echo(line)
+    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+
+
+def show_results(results: Results, lines: Callable[[Results], Iterable[str]], *, json: bool) -> ExitCode:
     """Write the results of a command that goes from file to file.
 
     Parameters
     ----------
     results : list of dict
         One per file, with its ``status``.
-    show : callable
-        Writes all of them for people.
+    lines : callable
+        Tells all of them to people.
     json : bool
         Write JSON instead.
 
@@ -92,12 +121,8 @@ def show_results(results: Results, show: Callable[[Results], None], *, json: boo
     ExitCode
         ``SOME_IMAGES_FAILED`` if a status is failed.
     """
-    if json:
-        print_json(results)
-    else:
-        show(results)
     failed = any(result["status"] == "failed" for result in results)
-    return ExitCode.SOME_IMAGES_FAILED if failed else ExitCode.DONE
+    return show_result(results, lines(results), json=json, failed=failed)
 
 
 def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from giantlike.cli.arguments import Json, Overwrite, Workers
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.cli.progress import progress_bar
 from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
@@ -50,20 +50,14 @@ def replay(
             progress=progress,
         )
         summary = save_replay(run_replay(name, settings), settings)
-    if json:
-        print_json(summary)
-    else:
-        _show(summary, output)
-    return ExitCode.DONE
+    return show_result(summary, _lines(summary, output), json=json)
 
 
-def _show(summary: Mapping[str, Any], output: Path) -> None:
+def _lines(summary: Mapping[str, Any], output: Path) -> Iterator[str]:
     """A line per comparison, for people."""
     for each in summary["comparisons"]:
         mark = "agrees" if each["agrees"] else "DIFFERS"
-        typer.echo(
-            f"{mark:<8}{each['kind']:<12}{each['reference']:<10} {each['what']}: {each['paper']} | {each['ours']}"
-        )
+        yield (f"{mark:<8}{each['kind']:<12}{each['reference']:<10} {each['what']}: {each['paper']} | {each['ours']}")
     counts = summary["counts"]
     told = ", ".join(f"{count['agree']} of {count['comparisons']} {kind}" for kind, count in counts.items())
-    typer.echo(f"agree: {told}; see {output / 'report.html'}")
+    yield f"agree: {told}; see {output / 'report.html'}"

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import typer
-
 from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.store.results import load_result
 from giantlike.cli.arguments import Json, Run
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, show_result
 
 
 def report(folder: Run, json: Json = False) -> ExitCode:
     """Write report.html of a finished run again."""
     path = write_report(load_result(folder))
-    if json:
-        print_json({"report": path})
-    else:
-        typer.echo(f"wrote {path}")
-    return ExitCode.DONE
+    return show_result({"report": path}, f"wrote {path}", json=json)

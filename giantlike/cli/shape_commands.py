@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
-from giantlike.cli.outcome import ExitCode, print_json, say, show_results
+from giantlike.cli.outcome import ExitCode, Results, say, show_result, show_results
 from giantlike.core.errors import InputError, OpNavError
 from giantlike.shapes import TriangleMesh, load_shape, save_shape
 from giantlike.shapes.decimate import decimated, deviation
@@ -64,7 +64,7 @@ def info(
     A file fails when it is damaged, or holds a surface that no body can be rendered from. One that fails does not
     stop the others.
     """
-    return show_results([_info(path, units) for path in files], _show_info, json=json)
+    return show_results([_info(path, units) for path in files], _lines, json=json)
 
 
 def convert(
@@ -175,14 +175,10 @@ def units_said() -> Iterator[None]:
 def _written(
     mesh: TriangleMesh, target: Path, lines: Sequence[str], *, json: bool, more: dict[str, Any] | None = None
 ) -> ExitCode:
-    if json:
-        values = {"file": str(target), "facets": len(mesh.faces), "vertices": len(mesh.vertices_km)}
-        print_json(values | {"volume_km3": mesh.volume_km3} | (more or {}) | {"notes": list(lines)})
-    else:
-        for line in lines:
-            typer.echo(line)
-        typer.echo(f"wrote {target}: {len(mesh.faces)} facets, {mesh.volume_km3:.6g} km^3")
-    return ExitCode.DONE
+    values = {"file": str(target), "facets": len(mesh.faces), "vertices": len(mesh.vertices_km)}
+    values |= {"volume_km3": mesh.volume_km3} | (more or {}) | {"notes": list(lines)}
+    last = f"wrote {target}: {len(mesh.faces)} facets, {mesh.volume_km3:.6g} km^3"
+    return show_result(values, [*lines, last], json=json)
 
 
 def _info(path: Path, units: str) -> dict[str, Any]:
@@ -208,23 +204,19 @@ def _info(path: Path, units: str) -> dict[str, Any]:
     return values | {"status": "suspect" if found else "ok", "detail": found.text(), "sha256": mesh.sha256}
 
 
-def _show_info(results: list[dict[str, Any]]) -> None:
+def _lines(results: Results) -> Iterator[str]:
     for result in results:
-        _show_one(result)
-
-
-def _show_one(result: dict[str, Any]) -> None:
-    typer.echo(f"{result['file']}: {result['status']}")
-    if result["detail"]:
-        typer.echo(f"  {result['detail']}")
-    if result["facets"] is not None:
-        closed = "watertight" if result["watertight"] else "not watertight"
-        euler = "" if result["euler_number"] is None else f", Euler number {result['euler_number']}"
-        typer.echo(f"  {result['facets']} facets, {result['vertices']} vertices, {closed}{euler}")
-    for key, label in _SHOWN.items():
-        if result[key] is not None:
-            numbers = np.atleast_1d(result[key])
-            typer.echo(f"  {label:<36}" + " ".join(f"{number:>13.7g}" for number in numbers))
-    if result["principal_axes"] is not None:
-        for label, axis in zip(("long", "middle", "short"), result["principal_axes"], strict=True):
-            typer.echo(f"  {'principal axis, ' + label:<36}" + " ".join(f"{part:>13.6f}" for part in axis))
+        yield f"{result['file']}: {result['status']}"
+        if result["detail"]:
+            yield f"  {result['detail']}"
+        if result["facets"] is not None:
+            closed = "watertight" if result["watertight"] else "not watertight"
+            euler = "" if result["euler_number"] is None else f", Euler number {result['euler_number']}"
+            yield f"  {result['facets']} facets, {result['vertices']} vertices, {closed}{euler}"
+        for key, label in _SHOWN.items():
+            if result[key] is not None:
+                numbers = np.atleast_1d(result[key])
+                yield f"  {label:<36}" + " ".join(f"{number:>13.7g}" for number in numbers)
+        if result["principal_axes"] is not None:
+            for label, axis in zip(("long", "middle", "short"), result["principal_axes"], strict=True):
+                yield f"  {'principal axis, ' + label:<36}" + " ".join(f"{part:>13.6f}" for part in axis)

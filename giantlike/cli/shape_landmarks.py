@@ -9,12 +9,12 @@ import numpy as np
 import typer
 
 from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.cli.shape_commands import units_said
 from giantlike.core.arrays import require
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks
 from giantlike.shapes import load_shape
-from giantlike.shapes.landmarks import MAPLET_SUFFIX, LandmarkCatalog, load_landmarks, save_landmarks
+from giantlike.shapes.landmarks import MAPLET_SUFFIX, load_landmarks, save_landmarks
 
 
 def landmarks(
@@ -42,25 +42,19 @@ def landmarks(
             mesh = load_shape(source, units=units)
         catalog = build_landmarks(mesh, LandmarkBuildOptions(**chosen))  # type: ignore[arg-type]
     save_landmarks(catalog, target, overwrite=overwrite)
-    _show(catalog, target, json=json)
-    return ExitCode.DONE
-
-
-def _show(catalog: LandmarkCatalog, target: Path, *, json: bool) -> None:
     sizes = np.array([landmark.size_km for landmark in catalog.landmarks])
     texture = np.array([landmark.texture for landmark in catalog.landmarks])
-    if json:
-        print_json(
-            {
-                "file": str(target),
-                "landmarks": len(catalog),
-                "body_name": catalog.body_name,
-                "shape_sha256": catalog.shape_sha256,
-                "size_km": [float(sizes.min()), float(sizes.max())],
-                "texture": [float(texture.min()), float(np.median(texture)), float(texture.max())],
-                "sha256": catalog.sha256,
-            }
-        )
-        return
-    typer.echo(f"texture {texture.min():.3f} to {texture.max():.3f}, median {np.median(texture):.3f} (rad of tilt)")
-    typer.echo(f"wrote {target}: {len(catalog)} landmarks of {sizes.min():.4g} to {sizes.max():.4g} km")
+    summary = {
+        "file": str(target),
+        "landmarks": len(catalog),
+        "body_name": catalog.body_name,
+        "shape_sha256": catalog.shape_sha256,
+        "size_km": [float(sizes.min()), float(sizes.max())],
+        "texture": [float(texture.min()), float(np.median(texture)), float(texture.max())],
+        "sha256": catalog.sha256,
+    }
+    lines = [
+        f"texture {texture.min():.3f} to {texture.max():.3f}, median {np.median(texture):.3f} (rad of tilt)",
+        f"wrote {target}: {len(catalog)} landmarks of {sizes.min():.4g} to {sizes.max():.4g} km",
+    ]
+    return show_result(summary, lines, json=json)

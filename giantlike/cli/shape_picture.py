@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import PinholeModel
 from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.cli.shape_commands import units_said
 from giantlike.core.arrays import require
 from giantlike.core.atomic import write_bytes_atomic
@@ -83,11 +83,8 @@ def render_shape(
     with units_said():
         mesh = load_shape(source, units=units)
     write_bytes_atomic(target, _png(picture(mesh, view)))
-    if json:
-        print_json({"file": str(target), "facets": len(mesh.faces), "columns": view.size_px, "rows": view.size_px})
-    else:
-        typer.echo(f"wrote {target}: {view.size_px} x {view.size_px} px")
-    return ExitCode.DONE
+    summary = {"file": str(target), "facets": len(mesh.faces), "columns": view.size_px, "rows": view.size_px}
+    return show_result(summary, f"wrote {target}: {view.size_px} x {view.size_px} px", json=json)
 
 
 def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +15,7 @@ from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.cli.arguments import Frames, Hdu, Images, Json, Sequence
 from giantlike.cli.frames_input import ImageReader
-from giantlike.cli.outcome import ExitCode, show_results
+from giantlike.cli.outcome import ExitCode, Results, show_results
 from giantlike.cli.progress import with_progress
 from giantlike.cli.sequence_input import BOTH_PATTERNS, sequence_pattern, without_pattern
 from giantlike.cli.star_review import write_review
@@ -115,7 +116,7 @@ def stars(
         review=review,
     )
     results = [_solve(path, wanted) for path in with_progress("solving stars", images)]
-    return show_results(results, _print_table, json=json)
+    return show_results(results, _lines, json=json)
 
 
 def _check_fov(camera: Camera | None, fov_deg: float | None, fov_error: float) -> None:
@@ -171,16 +172,16 @@ def _solve(path: Path, wanted: StarsRequest) -> dict[str, Any]:
     }
 
 
-def _print_table(results: list[dict[str, Any]]) -> None:
+def _lines(results: Results) -> Iterator[str]:
     """One line per image, and under a failed one the reason."""
     width = max(len(result["file"]) for result in results)
     heads = "".join(f"{name.removesuffix('_deg'):>{size}}" for name, (size, _) in _NUMBERS.items())
-    typer.echo(f"{'file':<{width}}  status {heads}")
+    yield f"{'file':<{width}}  status {heads}"
     for result in results:
         numbers = "".join(
             f"{'' if result[name] is None else format(result[name], style):>{size}}"
             for name, (size, style) in _NUMBERS.items()
         )
-        typer.echo(f"{result['file']:<{width}}  {result['status']:<7}{numbers}".rstrip())
+        yield f"{result['file']:<{width}}  {result['status']:<7}{numbers}".rstrip()
         if result["status"] != "ok":
-            typer.echo(f"  {result['reason'] or ', '.join(result['flags'])}: {result['detail']}".rstrip(" :"))
+            yield f"  {result['reason'] or ', '.join(result['flags'])}: {result['detail']}".rstrip(" :")

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import getpass
 import time
+from collections.abc import Iterator
 from dataclasses import asdict
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from giantlike.campaign.status import status_of_run
+from giantlike.campaign.status import RunStatus, status_of_run
 from giantlike.campaign.store.edits import Edit, Edited, add_edits, read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.arguments import Json, Run
-from giantlike.cli.outcome import ExitCode, print_json
+from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
 
 
@@ -30,21 +31,21 @@ class Action(StrEnum):
 def status(folder: Run, json: Json = False) -> ExitCode:
     """Show the state of a run, of one at work too: what is done, what failed and why, and who is at it."""
     found = status_of_run(folder)
-    if json:
-        print_json(asdict(found))
-        return ExitCode.DONE
+    return show_result(asdict(found), _lines(found), json=json)
+
+
+def _lines(found: RunStatus) -> Iterator[str]:
     holder = "" if found.holder is None else f" ({found.holder})"
     last = "" if found.last_event is None else f", last event {found.last_event}"
-    typer.echo(f"{found.folder}: {found.state}{holder}, {found.images} images{last}")
+    yield f"{found.folder}: {found.state}{holder}, {found.images} images{last}"
     for name, step in found.steps.items():
         expected = "" if step.expected is None else f" of {step.expected}"
         counts = ", ".join(f"{count} {status}" for status, count in sorted(step.statuses.items()))
-        typer.echo(f"{name}: {step.done}{expected} done: {counts}")
+        yield f"{name}: {step.done}{expected} done: {counts}"
         for reason, count in step.reasons.items():
-            typer.echo(f"  {reason} ({count}), such as {step.example[reason]}")
+            yield f"  {reason} ({count}), such as {step.example[reason]}"
     if found.edits:
-        typer.echo(f"{found.edits} rejections by hand; giantlike edit {folder} list")
-    return ExitCode.DONE
+        yield f"{found.edits} rejections by hand; giantlike edit {found.folder} list"
 
 
 def edit(
@@ -66,12 +67,7 @@ def edit(
     run = RunFolder.open(folder)
     if action is Action.LIST:
         edits = read_edits(folder).edits
-        if json:
-            print_json([one.model_dump(mode="json", exclude_none=True) for one in edits])
-        else:
-            for one in edits:
-                typer.echo(_line(one))
-        return ExitCode.DONE
+        return show_result(list(map(_fields, edits)), map(_line, edits), json=json)
     require(file is not None and why is not None, f"{action} needs an IMAGE and --why TEXT")
     require((target is None) == (estimator is None), "a fix has a --target and an --estimator")
     require(star is None or target is None, "give either --star or --target and --estimator")
@@ -86,11 +82,12 @@ def edit(
          "who": who or getpass.getuser(), "when_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "why": why}
     )  # fmt: skip
     add_edits(folder, [made])
-    if json:
-        print_json(made.model_dump(mode="json", exclude_none=True))
-    else:
-        typer.echo(f"{_line(made)}\nrun the campaign again to bring tables and report up to date")
-    return ExitCode.DONE
+    lines = [_line(made), "run the campaign again to bring tables and report up to date"]
+    return show_result(_fields(made), lines, json=json)
+
+
+def _fields(edit: Edit) -> dict[str, Any]:
+    return edit.model_dump(mode="json", exclude_none=True)
 
 
 def _line(edit: Edit) -> str:
