@@ -13,7 +13,7 @@ from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.readers.rows import REQUIRED, stars_of
 from giantlike.catalogs.readers.tabular import Table, text_table
 from giantlike.catalogs.table import COLUMN_TYPES
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 
 TEXT_COLUMNS = ("name", "source", "comment")
 """Columns for people, which are not read."""
@@ -52,8 +52,7 @@ def read_csv_catalog(path: Path) -> MemoryCatalog:
         if empty.any():
             raise ValueError(f"{table.record(int(empty.argmax()))}: column {name!r} must be a number, it is empty")
     columns["ids"] = table.integers("ids") if "ids" in table.names else np.arange(1, count + 1)
-    if np.unique(columns["ids"]).size != count:
-        raise ValueError("ids must be unique")
+    check(np.unique(columns["ids"]).size == count, "ids must be unique")
     columns["sigma_pm_mas_yr"] = np.nan_to_num(columns.get("sigma_pm_mas_yr", np.zeros(count)))  # 0: taken as exact
     stars = stars_of(columns, band="user", record=table.record).stars
     digest = hashlib.sha256(content).hexdigest()
@@ -63,8 +62,7 @@ def read_csv_catalog(path: Path) -> MemoryCatalog:
 def _check_names(table: Table) -> None:
     known = (*COLUMN_TYPES, *TEXT_COLUMNS)
     for name in table.names:
-        if name not in known:
-            raise ValueError(f"unknown column {name!r}; columns are {', '.join(known)}")
+        check(name in known, f"unknown column {name!r}; columns are {', '.join(known)}")
     missing = [name for name in REQUIRED if name not in table.names]
     if missing:
         raise ValueError(f"column {missing[0]!r} is missing; required are {', '.join(REQUIRED)}")

@@ -40,7 +40,7 @@ from giantlike.catalogs.cells import ZONES, SkyIndex
 from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 
 SUFFIX = ".stars"
 FORMAT = 2  # version of the format above; raise it when that changes
@@ -278,8 +278,7 @@ def _arrays(path: Path, header: CatalogHeader, raw: NDArray[np.uint8]) -> dict[s
             name, shape, offset = entry["name"], tuple(entry["shape"]), int(entry["offset"])
             dtype = np.dtype(_DTYPES[name])
             stop = offset + int(np.prod(shape)) * dtype.itemsize
-            if entry["dtype"] != _DTYPES[name] or not 0 <= offset <= stop <= raw.size:
-                raise ValueError(f"column {name}")
+            check(entry["dtype"] == _DTYPES[name] and 0 <= offset <= stop <= raw.size, f"column {name}")
             arrays[name] = raw[offset:stop].view(dtype).reshape(shape)
         missing = (set(COLUMN_TYPES) | set(_INDEX)) - set(arrays) - set(header["constants"])
         if missing:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, frozen, require
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.core.values import Value
 from giantlike.shapes.files.maplet import read_maplet
 from giantlike.shapes.files.npz import archive_arrays
@@ -193,8 +193,7 @@ def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = Fa
     (n,), ``texture`` (n,), ``shapes`` (n, 2; rows and columns of the maps), all maps one after the other in
     ``heights_km`` (float32, NaN where there is none) and, for those with ``has_albedo`` (n,), in ``albedo``.
     """
-    if path.suffix.lower() != CATALOG_SUFFIX:
-        raise InputError(f"{path}: a catalog of landmarks ends in {CATALOG_SUFFIX}")
+    require(path.suffix.lower() == CATALOG_SUFFIX, f"{path}: a catalog of landmarks ends in {CATALOG_SUFFIX}")
     if path.exists() and not overwrite:
         raise InputError(f"{path} exists; give --overwrite to replace it")
     maps = [landmark.map for landmark in catalog.landmarks]
@@ -242,8 +241,7 @@ def landmark_of(local: LocalMap) -> Landmark:
 @reads("a catalog of landmarks")
 def _read_catalog(path: Path) -> LandmarkCatalog:
     archive = archive_arrays(path, _FORMAT, _VERSION)
-    if archive["shapes"].dtype.kind not in "iu":
-        raise ValueError(f"shapes must be whole numbers, got {archive['shapes'].dtype}")
+    check(archive["shapes"].dtype.kind in "iu", f"shapes must be whole numbers, got {archive['shapes'].dtype}")
     shapes: NDArray[np.int64] = archive["shapes"].astype(np.int64)
     sizes, painted = np.prod(shapes, axis=1), archive["has_albedo"].astype(bool)
     with np.errstate(invalid="ignore"):  # a damaged file may hold signaling NaN

@@ -18,6 +18,7 @@ from giantlike.catalogs.readers.rows import ReadStars
 from giantlike.catalogs.readers.ucac4 import read_ucac4, zone_files
 from giantlike.catalogs.stored import Source
 from giantlike.catalogs.table import joined
+from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.reading import file_sha256
 from giantlike.core.values import Value
@@ -122,11 +123,9 @@ def build_catalog(
 
 
 def _files(paths: Sequence[Path], form: str) -> list[Path]:
-    if form not in FORMATS:
-        raise InputError(f"unknown format {form!r}: one of {', '.join(FORMATS)} is needed")
+    require(form in FORMATS, f"unknown format {form!r}: one of {', '.join(FORMATS)} is needed")
     files = [file for path in paths for file in (zone_files(path) if form == "ucac4" else [path])]
-    if not files:
-        raise InputError(f"no files to read: {', '.join(str(path) for path in paths) or 'none given'}")
+    require(bool(files), f"no files to read: {', '.join(str(path) for path in paths) or 'none given'}")
     return files
 
 

@@ -23,9 +23,9 @@ from giantlike.catalogs.readers.rows import (
 )
 from giantlike.catalogs.readers.tabular import Table, open_table
 from giantlike.catalogs.table import COLUMN_TYPES
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads, toml_table
+from giantlike.core.reading import check, reads, toml_table
 
 Term = str | float
 """``NAME`` or ``NAME*FACTOR`` of a column, or a number that all stars have in common."""
@@ -179,12 +179,10 @@ class ColumnMap:
 
     def __post_init__(self) -> None:
         for name, term in self.terms.items():
-            if name not in COLUMN_TYPES:
-                raise InputError(f"unknown column {name!r}: a star table has {', '.join(COLUMN_TYPES)}")
+            require(name in COLUMN_TYPES, f"unknown column {name!r}: a star table has {', '.join(COLUMN_TYPES)}")
             if isinstance(term, bool) or not isinstance(term, str | float | int) or term == "":
                 raise InputError(f"column {name!r} must be the name of a column or a number, got {term!r}")
-            if name == "ids" and not isinstance(term, str):
-                raise InputError("column 'ids' must be the name of a column")
+            require(name != "ids" or isinstance(term, str), "column 'ids' must be the name of a column")
         object.__setattr__(self, "terms", MappingProxyType(dict(self.terms)))
 
 
@@ -226,8 +224,7 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
 def _read_column_map(path: Path) -> ColumnMap:
     terms = toml_table(path, "file of columns")
     band = terms.pop("band", "user")
-    if not isinstance(band, str):
-        raise ValueError(f"band must be text such as 'V', got {band!r}")
+    check(isinstance(band, str), f"band must be text such as 'V', got {band!r}")
     return ColumnMap(terms=terms, band=band)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from giantlike.catalogs.readers.rows import parsed
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
-from giantlike.core.reading import unzipped
+from giantlike.core.reading import check, unzipped
 from giantlike.core.values import Value
 
 MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")
@@ -166,16 +166,13 @@ def text_table(content: bytes) -> Table:
         start = end
     header_end = content.find(b"\n", start)
     header = content[start : header_end if header_end >= 0 else None].decode("utf-8-sig", errors="replace").strip()
-    if not header:
-        raise ValueError("the table is empty: expected a header line with the names of the columns")
+    check(bool(header), "the table is empty: expected a header line with the names of the columns")
     delimiter = _delimiter(b"".join(comments).decode(errors="replace"), header)
     names = [name.strip().strip('"') for name in header.split(delimiter)]
     for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"column {name!r} appears twice")
+        check(names.count(name) <= 1, f"column {name!r} appears twice")
     first_line, body = len(comments) + 2, content[header_end + 1 :] if header_end >= 0 else b""
-    if not body.strip():
-        raise ValueError("the table holds a header but no rows")
+    check(bool(body.strip()), "the table holds a header but no rows")
     blank = []
     if re.search(rb"(?:^|\n) *\r?\n", body):  # the parser leaves empty lines out, and stumbles over blanks in them
         blank = [number for number, line in enumerate(body.split(b"\n"), start=first_line) if not line.strip(b" \r")]
@@ -220,8 +217,7 @@ class _ArrayTable(Value):
             numbers = values.astype(np.float64)
         except (TypeError, ValueError) as error:
             raise ValueError(f"column {name!r} must hold numbers: {error}") from error
-        if numbers.ndim != 1:
-            raise ValueError(f"column {name!r} must hold one number per row, got shape {numbers.shape}")
+        check(numbers.ndim == 1, f"column {name!r} must hold one number per row, got shape {numbers.shape}")
         return np.asarray(np.ma.filled(numbers, np.nan), dtype=np.float64)
 
     def integers(self, name: str) -> NDArray[np.int64]:

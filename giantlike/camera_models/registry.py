@@ -16,7 +16,7 @@ from giantlike.camera_models.opencv import OpenCVModel
 from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
 from giantlike.camera_models.scaramuzza import ScaramuzzaModel
-from giantlike.core.arrays import as_floats
+from giantlike.core.arrays import as_floats, require
 from giantlike.core.errors import InputError
 from giantlike.core.tables import checked_table, record_of_numbers
 
@@ -78,8 +78,7 @@ def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
     InputError
         It is not a table, the type or a key is unknown, a required parameter is missing, or a value is not a number.
     """
-    if not isinstance(table, Mapping):
-        raise InputError(f"[model] must be a table, got {table!r}")
+    require(isinstance(table, Mapping), f"[model] must be a table, got {table!r}")
     values = dict(table)
     name = values.pop("type", None)
     if name == GridCorrectedModel.type_name:

@@ -11,7 +11,7 @@ import typer
 
 from giantlike.cli.arguments import Json
 from giantlike.cli.outcome import ExitCode, print_json
-from giantlike.core.errors import InputError
+from giantlike.core.arrays import require
 from giantlike.relative import ESTIMATORS
 
 
@@ -20,8 +20,7 @@ def estimators(
     json: Json = False,
 ) -> ExitCode:
     """List the estimators, or show one with its options."""
-    if name is not None and name not in ESTIMATORS:
-        raise InputError(f"unknown estimator {name!r}; there are {', '.join(ESTIMATORS)}")
+    require(name is None or name in ESTIMATORS, f"unknown estimator {name!r}; there are {', '.join(ESTIMATORS)}")
     described = [_described(one) for one in ESTIMATORS if name in (None, one)]
     if json:
         print_json(described)

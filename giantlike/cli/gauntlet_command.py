@@ -13,6 +13,7 @@ from giantlike.campaign.store.lock import locked
 from giantlike.cli.arguments import Json, Overwrite, Resume, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
+from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
 from giantlike.core.processes import process_count
@@ -89,8 +90,7 @@ def _run(wanted: Gauntlet, output: Path | None, *, resume: bool, overwrite: bool
     """Run the images that are missing, and keep the folder up to date."""
     finished: list[ImageResult] = []
     if output is not None and has_results(output) and not overwrite:
-        if not resume:
-            raise InputError(f"{output} holds a gauntlet already: use --resume, --overwrite or another folder")
+        require(resume, f"{output} holds a gauntlet already: use --resume, --overwrite or another folder")
         finished = load_results(output, wanted)
     results = {result.index: result for result in finished}
     with progress_bar() as progress:

@@ -1,9 +1,9 @@
 """The border of every file reader: what a damaged file makes a parser raise becomes a DataError with the path.
 
-A reader raises ``ValueError`` with a full sentence for content that is not as it should be, and lets through what the
-libraries under it raise; the decorator :func:`reads` adds the path, and for libraries what to do. Mistakes in the code
-of this package stay what they are: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in
-one of its own frames is not caught, the same exception raised inside a parser library is.
+A reader raises ``ValueError`` with a full sentence for content that is not as it should be (:func:`check`), and lets
+through what the libraries under it raise; the decorator :func:`reads` adds the path, and for libraries what to do.
+Mistakes in the code of this package stay what they are: a ``TypeError``, ``AttributeError``, ``NameError`` or
+``AssertionError`` raised in one of its own frames is not caught, the same exception raised inside a parser library is.
 """
 
 from __future__ import annotations
@@ -34,6 +34,12 @@ _LONGEST_TEXT = 200  # characters of a library's message that are passed on: som
 _SMALL_BYTES = 200_000_000  # unpacked, read in any case: an image of 7000 x 7000 in single precision
 _MOST_COMPRESSION = 20  # unpacked over packed size of what is larger: tables of stars pack to a third to a sixth
 _CHUNK_BYTES = 1_000_000  # unpacked at a time
+
+
+def check(condition: bool, sentence: str) -> None:
+    """Raise ``ValueError`` with ``sentence`` on what is wrong with the content of a file, unless ``condition``."""
+    if not condition:
+        raise ValueError(sentence)
 
 
 class _Decorator(Protocol):

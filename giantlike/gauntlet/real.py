@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
-from giantlike.core.errors import InputError, OpNavError
+from giantlike.core.errors import OpNavError
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.gauntlet.bodies import ROCKS, ellipsoid, rock
 from giantlike.gauntlet.plan import FOCAL_PX, log_uniform, sun_at
@@ -55,8 +56,7 @@ def image_files(folder: Path) -> list[Path]:
         There is none.
     """
     files = sorted(path for path in folder.rglob("*") if _is_image(path) and path.is_file())
-    if not files:
-        raise InputError(f"{folder}: no image file there, of {', '.join(SUFFIXES)}")
+    require(bool(files), f"{folder}: no image file there, of {', '.join(SUFFIXES)}")
     return files
 
 

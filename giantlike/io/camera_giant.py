@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import BrownModel, EquidistantModel, OpenCVModel, OwenModel, PinholeModel
 from giantlike.camera_models.affine import AffineModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.mission_frame import Boresight, ImportedCamera, from_mission_frame
 
 _KINDS: dict[str, type[AffineModel]] = {
@@ -77,16 +77,14 @@ def read_giant_camera(
     """
     element = _element(ElementTree.parse(path).getroot(), name)
     kind = element.get("type", "")
-    if kind not in _KINDS:
-        raise ValueError(f"camera {element.tag!r} is of type {kind!r}; known are {', '.join(_KINDS)}")
+    check(kind in _KINDS, f"camera {element.tag!r} is of type {kind!r}; known are {', '.join(_KINDS)}")
     return _imported(element.tag, kind, {child.tag: _numbers(child.text or "") for child in element}, boresight)
 
 
 def _element(root: ElementTree.Element, name: str | None) -> ElementTree.Element:
     """The element of the camera with this name, or of the only camera."""
     cameras = {element.tag: element for element in root.iter() if element.get("type") and element.get("module")}
-    if not cameras:
-        raise ValueError("it holds no GIANT camera: elements with the attributes module and type were expected")
+    check(bool(cameras), "it holds no GIANT camera: elements with the attributes module and type were expected")
     if name is None and len(cameras) == 1:
         return next(iter(cameras.values()))
     if name not in cameras:
@@ -146,8 +144,7 @@ def _matrix(single: dict[str, float], stored: Float | None) -> tuple[Float, floa
     focal = single.get("focal_length", 1.0)
     with np.errstate(over="ignore"):
         matrix[:, :2] *= focal
-    if not np.isfinite(matrix).all():
-        raise InputError(f"kx, ky and focal_length {focal:g} come to infinite focal lengths")
+    require(bool(np.isfinite(matrix).all()), f"kx, ky and focal_length {focal:g} come to infinite focal lengths")
     return matrix, focal
 
 

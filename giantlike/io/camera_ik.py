@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from giantlike.camera_models import PinholeModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.mission_frame import Boresight, ImportedCamera, from_mission_frame
 
 _BLOCK = re.compile(r"\\begindata(.*?)(?=\\begintext|\Z)", re.DOTALL)
@@ -92,8 +92,7 @@ def _keywords(text: str, prefix: str) -> dict[str, list[str]]:
             if key.startswith(prefix):
                 items = [quoted or bare for quoted, bare in _ITEM.findall(value)]
                 found.setdefault(key.removeprefix(prefix), []).extend(items)
-    if not found:
-        raise ValueError(f"it holds no keyword that begins with {prefix}")
+    check(bool(found), f"it holds no keyword that begins with {prefix}")
     return found
 
 
@@ -105,8 +104,7 @@ def _numbers(keywords: Mapping[str, list[str]], key: str) -> list[float]:
 
 
 def _number(keywords: Mapping[str, list[str]], key: str) -> float:
-    if key not in keywords:
-        raise InputError(f"{key} is missing; there are {', '.join(sorted(keywords))}")
+    require(key in keywords, f"{key} is missing; there are {', '.join(sorted(keywords))}")
     return _numbers(keywords, key)[0]
 
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, OpenCVModel, PinholeModel
 from giantlike.camera_models.affine import TEMPERATURE_NAMES, AffineModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, require
 from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import InputError
 from giantlike.core.reading import reads
@@ -189,13 +189,10 @@ def _model(matrix: Float, coefficients: Float, fisheye: bool) -> AffineModel:
     affine |= {"skew_px": matrix[0, 1]}
     values = {name: float(value) for name, value in affine.items()}
     if fisheye:
-        if coefficients.size != 4:
-            raise InputError(f"a fisheye has 4 distortion coefficients, got {coefficients.size}")
+        require(coefficients.size == 4, f"a fisheye has 4 distortion coefficients, got {coefficients.size}")
         return EquidistantModel(**values, **dict(zip(("k1", "k2", "k3", "k4"), coefficients.tolist(), strict=True)))
-    if coefficients.size not in _COUNTS:
-        raise InputError(f"distortion coefficients number one of {_COUNTS}, got {coefficients.size}")
-    if coefficients[12:].any():
-        raise InputError("the tilted sensor of OpenCV (coefficients 13 and 14) has no model here")
+    require(coefficients.size in _COUNTS, f"distortion coefficients number one of {_COUNTS}, got {coefficients.size}")
+    require(not coefficients[12:].any(), "the tilted sensor of OpenCV (coefficients 13 and 14) has no model here")
     lens = dict(zip(_ORDER, coefficients[:12].tolist(), strict=False))
     kind: type[AffineModel] = (
         OpenCVModel if coefficients.size > 5 else BrownModel if coefficients.size else PinholeModel

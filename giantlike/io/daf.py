@@ -14,6 +14,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from giantlike.core.reading import check
+
 # Layout of a DAF file, bytes and words: NAIF, "DAF Required Reading", sections on file and summary records.
 _RECORD_BYTES, _WORD_BYTES = 1024, 8
 _SIZES_AT, _POINTERS_AT, _FORMAT_AT = 8, 76, 88  # bytes, in the file record
@@ -73,8 +75,7 @@ def _check_summaries(file: BinaryIO, number: int, order: str, sizes: tuple[int, 
         for k in range(int(count)):
             at = _WORD_BYTES * (_HEAD_WORDS + k * words + n_reals)
             start, end = np.frombuffer(record, order + "i4", n_integers, at)[-2:].tolist()
-            if not 1 <= start <= end <= size // _WORD_BYTES:
-                raise ValueError(f"a segment cannot lie in its words {start} to {end}")
+            check(1 <= start <= end <= size // _WORD_BYTES, f"a segment cannot lie in its words {start} to {end}")
         number = int(after)
 
 

@@ -16,7 +16,7 @@ from giantlike.core.arrays import as_finite, as_image, require
 from giantlike.core.atomic import write_bytes_atomic
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.core.time import utc_text
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.fits_keywords import (
@@ -204,8 +204,7 @@ def _require_whole(data: bytes) -> None:
         sizes: dict[str, int] = {}
         ended = False
         while not ended:
-            if offset + _BLOCK > len(data):
-                raise ValueError(f"the FITS file is truncated: it ends in the header of HDU {index}")
+            check(offset + _BLOCK <= len(data), f"the FITS file is truncated: it ends in the header of HDU {index}")
             block = data[offset : offset + _BLOCK].decode("latin-1")
             offset += _BLOCK
             for card in (block[k : k + _CARD] for k in range(0, _BLOCK, _CARD)):
@@ -220,8 +219,7 @@ def _require_whole(data: bytes) -> None:
             axes = axes[1:]  # random groups
         elements = int(np.prod(axes, dtype=object)) if axes else 0
         size = abs(sizes.get("BITPIX", 8)) // 8 * sizes.get("GCOUNT", 1) * (sizes.get("PCOUNT", 0) + elements)
-        if min([size, *axes]) < 0:
-            raise ValueError(f"HDU {index} of the FITS file has a negative size")
+        check(min([size, *axes]) >= 0, f"HDU {index} of the FITS file has a negative size")
         offset += -(-size // _BLOCK) * _BLOCK
         if offset > len(data):
             raise ValueError(
@@ -247,8 +245,7 @@ def _open(data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[
             inherited = _cards(units[0].header).items()
             cards |= {key: card for key, card in inherited if key not in cards and not _STRUCTURAL.fullmatch(key)}
         pixels = np.array(unit.data)
-    if pixels.ndim < 2 or pixels.dtype.kind not in "iuf":
-        raise ValueError("its image has no pixels")
+    check(pixels.ndim >= 2 and pixels.dtype.kind in "iuf", "its image has no pixels")
     return cards, pixels.reshape(pixels.shape[-2:])
 
 
@@ -257,17 +254,14 @@ def _choose(units: Any, hdu: int | str | None) -> int:
     names = ", ".join(f"{k} {unit.name}".rstrip() for k, unit in enumerate(units))
     images = [k for k, unit in enumerate(units) if unit.is_image and _is_plane(getattr(unit, "shape", ()))]
     if hdu is None:
-        if not images:
-            raise ValueError(f"no HDU holds a 2-D image; HDUs are {names}")
+        check(bool(images), f"no HDU holds a 2-D image; HDUs are {names}")
         return images[0]
     if isinstance(hdu, str):
         chosen = next((k for k, unit in enumerate(units) if unit.name.upper() == hdu.strip().upper()), -1)
     else:
         chosen = hdu
-    if not 0 <= chosen < len(units):
-        raise ValueError(f"there is no HDU {hdu!r}; HDUs are {names}")
-    if chosen not in images:
-        raise ValueError(f"HDU {hdu!r} holds no 2-D image; HDUs are {names}")
+    check(0 <= chosen < len(units), f"there is no HDU {hdu!r}; HDUs are {names}")
+    check(chosen in images, f"HDU {hdu!r} holds no 2-D image; HDUs are {names}")
     return chosen
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Mask
 from giantlike.core.child import in_child
 from giantlike.core.extras import require_extra
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.decoded import DecodedImage
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.pds3 import parse_pds3
@@ -101,8 +101,7 @@ def read_cube(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
     (path,) = paths
     warnings.simplefilter("ignore", NotGeoreferencedWarning)
     with rasterio.open(path, driver="ISIS3") as cube:
-        if cube.count != 1:
-            raise ValueError(f"only cubes of one band are read, got {cube.count}: take one by ISIS explode")
+        check(cube.count == 1, f"only cubes of one band are read, got {cube.count}: take one by ISIS explode")
         bytes_needed = cube.width * cube.height * np.dtype(cube.dtypes[0]).itemsize
         if bytes_needed > path.stat().st_size:
             raise ValueError(f"it is truncated: {bytes_needed} bytes of pixels are needed, the file has fewer")

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.core.arrays import require
 from giantlike.core.atomic import replacing
 from giantlike.core.causes import Cause
-from giantlike.core.errors import DataError, InputError
+from giantlike.core.errors import DataError
 from giantlike.core.values import Value
 from giantlike.io.tables import arrow_schema, column, columns_of
 
@@ -279,8 +280,7 @@ def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock
         The file cannot be written.
     """
     writers = {".parquet": _write_parquet, ".jsonl": _write_json_lines}
-    if path.suffix not in writers:
-        raise InputError(f"{path}: observables are written as .parquet or .jsonl, got {path.suffix!r}")
+    require(path.suffix in writers, f"{path}: observables are written as .parquet or .jsonl, got {path.suffix!r}")
     with replacing(path) as part:
         return writers[path.suffix](part, iter(rows), metadata)
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.decoded import DecodedImage
 
 LUMINANCE_BGR = (0.114, 0.587, 0.299)
@@ -115,8 +115,7 @@ def _require_whole_png(data: bytes) -> None:
 def _require_whole_jpeg(data: bytes) -> None:
     position = 2
     while position + 4 <= len(data):
-        if data[position] != 0xFF:
-            raise ValueError(f"there is no JPEG marker at byte {position}")
+        check(data[position] == 0xFF, f"there is no JPEG marker at byte {position}")
         marker = data[position + 1]
         if marker == 0xFF:
             position += 1
@@ -156,8 +155,7 @@ def _whole_tiff_tags(data: bytes) -> dict[int, _TiffTag]:
     if len(offsets) != 1 or len(counts) != 1 or len(offsets[0]) != len(counts[0]):
         raise ValueError("the first page of the TIFF file has no table of strips or tiles")
     end = max(offset + count for offset, count in zip(offsets[0], counts[0], strict=True))
-    if end > len(data):
-        raise ValueError(f"the TIFF file is truncated: its pixels reach to byte {end}, got {len(data)}")
+    check(end <= len(data), f"the TIFF file is truncated: its pixels reach to byte {end}, got {len(data)}")
     return tags
 
 

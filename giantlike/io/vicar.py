@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Mask
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.raw_image import RawLayout, label_count, read_raw
@@ -125,8 +125,7 @@ def _header(items: list[LabelItem]) -> dict[str, HeaderValue]:
 def _label_size(data: bytes) -> int:
     match = _LABEL_SIZE.match(data)
     size = int(match[1]) if match else 0
-    if not 0 < size <= len(data):
-        raise ValueError(f"the file is truncated: its VICAR label needs {size} bytes, got {len(data)}")
+    check(0 < size <= len(data), f"the file is truncated: its VICAR label needs {size} bytes, got {len(data)}")
     return size
 
 
@@ -151,8 +150,7 @@ def _system_items(items: list[LabelItem]) -> dict[str, HeaderValue]:
         if item.group == _SYSTEM or item.key in {"NBB", "NLB"}:
             system.setdefault(item.key, item.value)
     for key in ("FORMAT", "RECSIZE", "NL", "NS"):
-        if key not in system:
-            raise ValueError(f"the VICAR label has no {key}")
+        check(key in system, f"the VICAR label has no {key}")
     return system
 
 
@@ -181,13 +179,11 @@ def _sample(system: dict[str, HeaderValue]) -> str:
     kind, integers, reals = system["FORMAT"], system.get("INTFMT", "LOW"), system.get("REALFMT", "VAX")
     if kind in _INTEGER_SAMPLES:
         orders = {"LOW": "<", "HIGH": ">"}
-        if integers not in orders:
-            raise ValueError(f"VICAR INTFMT must be HIGH or LOW, got {integers!r}")
+        check(integers in orders, f"VICAR INTFMT must be HIGH or LOW, got {integers!r}")
         return orders[str(integers)] + _INTEGER_SAMPLES[str(kind)]
     if kind in _REAL_BYTES:
         starts = {"IEEE": ">f", "RIEEE": "<f", "VAX": "vax"}
-        if reals not in starts:
-            raise ValueError(f"VICAR REALFMT must be IEEE, RIEEE or VAX, got {reals!r}")
+        check(reals in starts, f"VICAR REALFMT must be IEEE, RIEEE or VAX, got {reals!r}")
         return starts[str(reals)] + str(_REAL_BYTES[str(kind)])
     known = ", ".join([*_INTEGER_SAMPLES, *_REAL_BYTES])
     raise ValueError(f"VICAR FORMAT {kind!r} is not read; formats are {known}")

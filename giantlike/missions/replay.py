@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import InputError
 from giantlike.core.version import VERSION
@@ -201,8 +202,7 @@ def run_replay(name: str, settings: ReplaySettings) -> Replay:
     InputError
         There is no such replay.
     """
-    if name not in REPLAYS:
-        raise InputError(f"there is no replay {name!r}; there are {', '.join(REPLAYS)}")
+    require(name in REPLAYS, f"there is no replay {name!r}; there are {', '.join(REPLAYS)}")
     replayed: Replay = import_module(f"giantlike.missions.{name}").replay(settings)
     return replayed
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, as_finite, require, require_number
 from giantlike.core.causes import Cause
-from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Quality, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
@@ -234,8 +233,7 @@ def locate(
         A target has no ephemeris, ephemerides have different origins, or as :func:`triangulate`.
     """
     missing = sorted({line.target for line in sightlines} - set(ephemerides))
-    if missing:
-        raise InputError(f"no ephemeris of {', '.join(missing)}; there are {', '.join(sorted(ephemerides))}")
+    require(not missing, f"no ephemeris of {', '.join(missing)}; there are {', '.join(sorted(ephemerides))}")
     origins = {ephemerides[line.target].origin for line in sightlines}
     require(len(origins) <= 1, f"ephemerides must have one origin, got {', '.join(sorted(origins))}")
     require_number(et, "et")

@@ -17,7 +17,6 @@ from scipy.special import ndtr
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, as_finite, require
-from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.values import Value
 from giantlike.terrain.height_map import HeightMap
@@ -222,8 +221,7 @@ def _profile(
     toward = np.asarray(camera) / distance
     first = np.asarray(up if up is not None else np.eye(3)[int(np.argmin(np.abs(toward)))], dtype=np.float64)
     first = first - (first @ toward) * toward
-    if not np.linalg.norm(first) > 1e-6:
-        raise InputError("up_body must not be along the line of sight")
+    require(float(np.linalg.norm(first)) > 1e-6, "up_body must not be along the line of sight")
     first /= np.linalg.norm(first)
     second = np.cross(first, toward)
     angles: Float = np.arange(count, dtype=np.float64) * (2.0 * math.pi / count)

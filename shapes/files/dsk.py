@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, require
 from giantlike.core.child import in_child
 from giantlike.core.errors import InputError
-from giantlike.core.reading import library_message
+from giantlike.core.reading import check, library_message
 from giantlike.core.units import SECONDS_PER_JULIAN_YEAR
 from giantlike.shapes.files.das import require_whole_das
 from giantlike.shapes.mesh import Faces, TriangleMesh
@@ -116,8 +116,7 @@ def _segments(spice: Any, handle: int, size: int) -> list[tuple[Float, Faces]]:
     descriptor = spice.dlabfs(handle)
     while True:
         kind = spice.dskgd(handle, descriptor).dtype
-        if kind != _DSK_TYPE:
-            raise ValueError(f"needed DSK segments of type {_DSK_TYPE}, got type {kind}")
+        check(kind == _DSK_TYPE, f"needed DSK segments of type {_DSK_TYPE}, got type {kind}")
         n_vertices, n_plates = spice.dskz02(handle, descriptor)
         bytes_needed = n_vertices * _BYTES_PER_VERTEX + n_plates * _BYTES_PER_PLATE
         if n_vertices < 1 or n_plates < 1 or bytes_needed > size:
@@ -125,8 +124,7 @@ def _segments(spice: Any, handle: int, size: int) -> list[tuple[Float, Faces]]:
         vertices = np.array(spice.dskv02(handle, descriptor, 1, n_vertices), dtype=np.float64)
         plates = np.array(spice.dskp02(handle, descriptor, 1, n_plates), dtype=np.int64) - 1
         segments.append((vertices.reshape(-1, 3), plates.reshape(-1, 3)))
-        if sum(len(part) for part, _ in segments) * _BYTES_PER_VERTEX > size:
-            raise ValueError("the list of segments has no end")
+        check(sum(len(part) for part, _ in segments) * _BYTES_PER_VERTEX <= size, "the list of segments has no end")
         try:
             descriptor = spice.dlafns(handle, descriptor)
         except NotFoundError:

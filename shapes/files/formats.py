@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.files.dsk import read_dsk
 from giantlike.shapes.files.exchange import read_exchange, write_obj, write_stl
@@ -122,8 +122,7 @@ def read_file(path: Path) -> Surface:
     known = format_of(path)
 
     def read(path: Path) -> Surface:
-        if path.stat().st_size == 0:
-            raise ValueError("the file is empty")
+        check(path.stat().st_size != 0, "the file is empty")
         return known.read(path)
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):

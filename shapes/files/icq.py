@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from giantlike.core.arrays import require
+from giantlike.core.reading import check
 from giantlike.shapes.albedo import VertexAlbedo
 from giantlike.shapes.files.text import numbers, text_rows, write_rows
 from giantlike.shapes.mesh import Faces, TriangleMesh
@@ -67,8 +68,7 @@ def read_icq(path: Path) -> Surface:
     """
     rows = text_rows(path)
     q = int(rows[0]) if rows else 0
-    if not 1 <= q <= _LARGEST_Q:
-        raise ValueError(f"needed Q in [1, {_LARGEST_Q}] in the first row, got {q}")
+    check(1 <= q <= _LARGEST_Q, f"needed Q in [1, {_LARGEST_Q}] in the first row, got {q}")
     if len(rows) != 1 + 6 * (q + 1) ** 2:
         raise ValueError(f"needed 6 (Q + 1)^2 = {6 * (q + 1) ** 2} vertices for Q = {q}, found {len(rows) - 1}")
     table = numbers(rows[1:], (3, 4))

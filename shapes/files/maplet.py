@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.shapes.local_map import LocalMap
 
 _RECORD = 72  # bytes before the pixels [1]_ of read_maplet
@@ -51,8 +51,7 @@ def read_maplet(path: Path) -> LocalMap:
     .. [3] NASA GIANT: giant/utilities/stereophotoclinometry.py, which takes pixels in the same order.
     """
     content = path.read_bytes()
-    if len(content) < _RECORD:
-        raise ValueError(f"needed at least {_RECORD} bytes, got {len(content)}")
+    check(len(content) >= _RECORD, f"needed at least {_RECORD} bytes, got {len(content)}")
     if content.startswith(b"DOUBLE"):
         raise ValueError("it is in double precision by its first bytes: maplets are in single precision")
     (scale_km,) = struct.unpack_from(">f", content, 6)
@@ -78,7 +77,6 @@ def read_maplet(path: Path) -> LocalMap:
 def _pixels(content: bytes, side: int) -> NDArray[np.void]:
     """Heights and albedo (side, side): rows along y = Uy, columns along x = Ux."""
     needed = _RECORD + 3 * side * side
-    if len(content) < needed:
-        raise ValueError(f"needed {side} x {side} pixels, {needed} bytes, got {len(content)}")
+    check(len(content) >= needed, f"needed {side} x {side} pixels, {needed} bytes, got {len(content)}")
     pixels = np.frombuffer(content, dtype=[("height", ">i2"), ("albedo", "u1")], count=side * side, offset=_RECORD)
     return pixels.reshape(side, side).T

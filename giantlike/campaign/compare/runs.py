@@ -12,9 +12,8 @@ from giantlike.campaign.compare.differences import Comparison, Difference, diffe
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.campaign.store.run_folder import RunFolder
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, require
 from giantlike.core.causes import Cause, summed
-from giantlike.core.errors import InputError
 from giantlike.core.frames import rotation_between
 from giantlike.core.units import ARCSEC_PER_RAD
 
@@ -56,8 +55,7 @@ def compare_runs(first: Path, second: Path) -> Comparison:
     inputs = [RunFolder(path).provenance().get("inputs", {}) for path in (first, second)]
     left, right = _by_file(one), _by_file(other)
     common = [file for file in left if file in right]
-    if not common:
-        raise InputError(f"{first} and {second}: no image of one is in the other; images are matched by name")
+    require(bool(common), f"{first} and {second}: no image of one is in the other; images are matched by name")
     shared = _Shared(inputs, one, other)
     differences: list[Difference] = []
     for file in common:

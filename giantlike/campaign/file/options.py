@@ -40,8 +40,7 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
     InputError
         A name is unknown, or a value has the wrong type or is out of range.
     """
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where}: expected a table of options, got {table!r}")
+    require(isinstance(table, Mapping), f"{where}: expected a table of options, got {table!r}")
     hints = get_type_hints(kind)
     known = [field.name for field in dataclasses.fields(kind) if field.init]  # type: ignore[arg-type]
     values = {}

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from giantlike.core.outcomes import Quality
+from giantlike.core.reading import check
 
 Vector: TypeAlias = list[float]
 Matrix: TypeAlias = list[list[float]]
@@ -25,14 +26,12 @@ def _unit_quaternion(values: Vector) -> Vector:
 
 
 def _of_equal_rows(values: Matrix) -> Matrix:
-    if len({len(row) for row in values}) != 1:
-        raise ValueError("a matrix with rows of equal length is needed")
+    check(len({len(row) for row in values}) == 1, "a matrix with rows of equal length is needed")
     return values
 
 
 def _flag_name(name: str) -> str:
-    if name.upper() not in Quality.__members__:
-        raise ValueError(f"there is no quality flag {name!r}")
+    check(name.upper() in Quality.__members__, f"there is no quality flag {name!r}")
     return name
 
 

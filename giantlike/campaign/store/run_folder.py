@@ -20,6 +20,7 @@ from giantlike.campaign.store.records import (
     ObservationsRecord,
     TargetRecord,
 )
+from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Reason
@@ -111,8 +112,7 @@ class RunFolder:
         """
         if not self.path.exists():
             return
-        if not self.path.is_dir():
-            raise InputError(f"{self.path}: is a file, and a run needs a folder: choose another output")
+        require(self.path.is_dir(), f"{self.path}: is a file, and a run needs a folder: choose another output")
         self._check_version()
         others = [item.name for item in self.path.iterdir() if not item.name.startswith(".")]
         if others and not (self.path / _PROVENANCE).is_file():

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from giantlike.core.archives import array_of, open_archive_of_arrays, unpacked_sizes
 from giantlike.core.arrays import Float
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.height_maps.grid import MOST_AT_ONCE, HeightGrid, Read, put, tiles_of
 
 _FORMAT, _VERSION = "giantlike heights", 1
@@ -66,8 +66,7 @@ def open_archive(path: Path, radii_km: Float | None) -> HeightGrid:
     elif "tile" in names and "shape" in names:
         rows, columns = (int(size) for size in _small(archive, sizes, "shape"))
         tile = int(_small(archive, sizes, "tile"))
-        if not 1 <= tile <= 8192:
-            raise ValueError(f"needed tiles of 1 to 8192 samples, got {tile}")
+        check(1 <= tile <= 8192, f"needed tiles of 1 to 8192 samples, got {tile}")
         read = _of_tiles(path, archive, sizes, tile)
     else:
         raise ValueError("needed an array heights_km, or the tiles that HeightMap.save writes")
@@ -87,8 +86,7 @@ def open_archive(path: Path, radii_km: Float | None) -> HeightGrid:
 
 def _small(archive: NpzFile, sizes: Mapping[str, int], name: str) -> NDArray[Any]:
     """A few numbers of an archive."""
-    if name not in sizes:
-        raise ValueError(f"the archive holds no {name}")
+    check(name in sizes, f"the archive holds no {name}")
     if sizes[name] > 1000:
         raise ValueError(f"{name} must be a few numbers, it takes {sizes[name]} bytes")
     array = array_of(archive, name)

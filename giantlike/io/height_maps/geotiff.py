@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.height_maps.grid import MOST_AT_ONCE, HeightGrid, Read, put
 
 
@@ -60,8 +60,7 @@ def _grid_of(path: Path, page: Any, radii_km: Float | None, unit_km: float | Non
     rows, columns = (_count(size) for size in page.shape)
     if radii_km is None:
         major = _number(tags, "GeogSemiMajorAxisGeoKey", 0.0)
-        if not major > 0.0:
-            raise ValueError("it tells no radius of the body: give reference_radii_km")
+        check(major > 0.0, "it tells no radius of the body: give reference_radii_km")
         radii_km = np.array([major, major, _number(tags, "GeogSemiMinorAxisGeoKey", major)]) / 1000.0
     scale, tie = tags.get("ModelPixelScale"), tags.get("ModelTiepoint")
     if scale is None or tie is None or len(scale) < 2 or len(tie) < 6:

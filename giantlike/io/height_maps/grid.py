@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
+from giantlike.core.reading import check
 from giantlike.core.values import Value
 
 Read = Callable[[slice, slice], NDArray[Any]]
@@ -183,8 +184,7 @@ def put(result: NDArray[Any], corner: tuple[int, int], tile: NDArray[Any], tile_
     ValueError
         The tile has no rows and columns.
     """
-    if tile.ndim != 2:
-        raise ValueError(f"needed tiles of rows and columns, got one of shape {tile.shape}")
+    check(tile.ndim == 2, f"needed tiles of rows and columns, got one of shape {tile.shape}")
     first = [max(a, b) for a, b in zip(corner, tile_corner, strict=True)]
     last = [min(a + n, b + m) for a, n, b, m in zip(corner, result.shape, tile_corner, tile.shape, strict=True)]
     if last[0] > first[0] and last[1] > first[1]:
