@@ -126,22 +126,14 @@ def dead_rows(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan.but(world={"defects": defects}, hard=rows + columns > 2)
 
 
-def _saturated(plan: Plan, rng: np.random.Generator, share: float, *, blooms: bool) -> Plan:
+def saturated(plan: Plan, rng: np.random.Generator, *, least_share: float, blooms: bool) -> Plan:
+    """Values end below the brightest light, or charge flows along columns beyond that."""
+    share = rng.uniform(least_share, 0.9)
     limit = BIAS_DN + share * _level_dn(plan.world)
     declared = rng.uniform() < _DECLARED_SHARE
     recorder = replace(plan.world.recorder, saturation_dn=float(np.round(limit)), blooms=blooms)
     told = {"saturation_dn": recorder.saturation_dn} if declared else {}
     return plan.but(world={"recorder": recorder}, told=told, hard=blooms or share < 0.5 or not declared)
-
-
-def saturation(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Values end below the brightest light."""
-    return _saturated(plan, rng, rng.uniform(0.2, 0.9), blooms=False)
-
-
-def blooming(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Values end below the brightest light, and charge flows along columns."""
-    return _saturated(plan, rng, rng.uniform(0.3, 0.9), blooms=True)
 
 
 def smear(plan: Plan, rng: np.random.Generator) -> Plan:
@@ -229,15 +221,8 @@ def _break_row(plan: Plan, place: float) -> float:
     return middle + 0.5 * radius_px * ((1.0 - cosine) * toward_sun + 0.6 * (1.0 + cosine) * place)
 
 
-def eight_bit(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Values on 255 steps, and a detector told in the new unit."""
+def eight_bit(plan: Plan, rng: np.random.Generator, *, square_root: bool) -> Plan:
+    """Values on 255 steps, and a detector told in the new unit; of a table of square roots nobody told."""
     full = min(FULL_DN, BIAS_DN + _level_dn(plan.world) * log_uniform(rng, 1.2, 3.0))
-    told = {"dn_scale": 255.0 / full}
-    return _read(plan, readouts.eight_bits(full), hard=False).but(told=told, hard=False)
-
-
-def eight_bit_root(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Values on 255 steps by a table of square roots that nobody told of."""
-    full = min(FULL_DN, BIAS_DN + _level_dn(plan.world) * log_uniform(rng, 1.2, 3.0))
-    told = {"dn_scale": 255.0 / full}
-    return _read(plan, readouts.eight_bits(full, square_root=True), hard=False).but(told=told, hard=True)
+    readout = readouts.eight_bits(full, square_root=square_root)
+    return _read(plan, readout, hard=False).but(told={"dn_scale": 255.0 / full}, hard=square_root)

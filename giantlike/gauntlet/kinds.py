@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -140,8 +141,8 @@ _BODY_KINDS = (
     Kind(name="wrong_time", summary="geometry of another time", disturb=mistakes.wrong_time, base=_STATED),
     Kind(name="attitude", summary="attitude 0.1 to 3 degrees off", disturb=mistakes.wrong_attitude, base=_STATED),
     Kind(name="roll", summary="attitude rolled by 3 to 8 degrees", disturb=mistakes.wrong_roll, base=_STATED),
-    Kind(name="scale_5", summary="size told 5 % off", disturb=mistakes.scale_5, base=_STATED),
-    Kind(name="scale_20", summary="size told 20 % off", disturb=mistakes.scale_20, base=_STATED),
+    Kind(name="scale_5", summary="size told 5 % off", disturb=partial(mistakes.wrong_scale, share=0.05), base=_STATED),
+    Kind(name="scale_20", summary="size told 20 % off", disturb=partial(mistakes.wrong_scale, share=0.2), base=_STATED),
     Kind(name="focal", summary="focal length told 2 % off", disturb=mistakes.focal, base=_STATED),
     Kind(name="pole", summary="pole told 10 to 180 degrees off", disturb=mistakes.pole, base=Base(rocks=0.5)),
     Kind(name="rotation", summary="rotation told 20 to 180 degrees off", disturb=mistakes.rotation, base=_ROCK),
@@ -162,8 +163,13 @@ _BODY_OR_STARS: tuple[tuple[str, str, Disturb, Base], ...] = (
     ("radiation", "a radiation storm", damage.radiation, _WITH_POINTS),
     ("hot_columns", "hot columns", damage.hot_columns, _WITH_POINTS),
     ("dead_rows", "dead rows and columns", damage.dead_rows, _WITH_POINTS),
-    ("saturation", "saturated, declared or not", damage.saturation, Base()),
-    ("blooming", "saturated, and charge flows along columns", damage.blooming, Base()),
+    ("saturation", "saturated, declared or not", partial(damage.saturated, least_share=0.2, blooms=False), Base()),
+    (
+        "blooming",
+        "saturated, and charge flows along columns",
+        partial(damage.saturated, least_share=0.3, blooms=True),
+        Base(),
+    ),
     ("smear", "light from the transfer of the frame", damage.smear, _WITH_POINTS),
     ("motion", "motion during the exposure", damage.motion, _WITH_POINTS),
     ("defocus", "out of focus", damage.defocus, _WITH_POINTS),
@@ -174,8 +180,8 @@ _BODY_OR_STARS: tuple[tuple[str, str, Disturb, Base], ...] = (
     ("mirrored", "columns in the wrong order", damage.mirrored, _STATED),
     ("inverted", "rows in the wrong order", damage.inverted, _STATED),
     ("rows_shifted", "rows shifted against each other", damage.rows_shifted, Base()),
-    ("eight_bit", "requantized to 8 bits", damage.eight_bit, _WITH_POINTS),
-    ("eight_bit_root", "8 bits by a table of square roots", damage.eight_bit_root, _WITH_POINTS),
+    ("eight_bit", "requantized to 8 bits", partial(damage.eight_bit, square_root=False), _WITH_POINTS),
+    ("eight_bit_root", "8 bits by a table of square roots", partial(damage.eight_bit, square_root=True), _WITH_POINTS),
 )
 """Kinds that spoil any image: each comes with a body, and with stars under the name ``stars_...``."""
 

@@ -65,23 +65,14 @@ def wrong_roll(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan.but(told={"attitude_error": error}, hard=True)
 
 
-def _wrong_scale(plan: Plan, rng: np.random.Generator, share: float) -> Plan:
+def wrong_scale(plan: Plan, rng: np.random.Generator, *, share: float) -> Plan:
+    """Tell a body too large or too small by a share of its size."""
     told = plan.told
     assert told.shape is not None
     new: dict[str, object] = {"shape": scaled(told.shape, 1.0 + share * rng.choice([-1.0, 1.0]))}
     if rng.uniform() < _STATED_SHARE:
         new["scale_sigma"] = share
     return plan.but(told=new, hard=True)
-
-
-def scale_5(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Tell a body 5 % too large or too small."""
-    return _wrong_scale(plan, rng, 0.05)
-
-
-def scale_20(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Tell a body 20 % too large or too small."""
-    return _wrong_scale(plan, rng, 0.2)
 
 
 def focal(plan: Plan, rng: np.random.Generator) -> Plan:

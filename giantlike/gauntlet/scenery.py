@@ -67,25 +67,25 @@ def filling(plan: Plan, rng: np.random.Generator) -> Plan:
 
 def partly_outside(plan: Plan, rng: np.random.Generator) -> Plan:
     """Move the body over the edge of the frame."""
-    world = plan.world
-    size = np.array([world.view.columns - 1, world.view.rows - 1], dtype=float)
-    place = rng.uniform(0.2, 0.8, 2) * size
-    axis = int(rng.integers(2))
-    beyond = rng.uniform(-0.4, 0.4) * _diameter_px(world)
-    place[axis] = -beyond if rng.uniform() < 0.5 else size[axis] + beyond
-    return _moved_target(plan, place)
+    return _moved_target(plan, _place_at_edge(plan.world, rng, (-0.4, 0.4)))
 
 
 def outside(plan: Plan, rng: np.random.Generator) -> Plan:
     """Move the body out of the frame; half of them are still predicted inside."""
-    world = plan.world
+    place = _place_at_edge(plan.world, rng, (0.55, 1.55), more_px=8.0)
+    return _moved_target(plan, place, predicted=rng.uniform() < 0.5).but(hard=True)
+
+
+def _place_at_edge(
+    world: World, rng: np.random.Generator, diameters: tuple[float, float], *, more_px: float = 0.0
+) -> Float:
+    """Place in the image so many diameters of the body beyond one of its edges; less than zero is inside."""
     size = np.array([world.view.columns - 1, world.view.rows - 1], dtype=float)
-    place = rng.uniform(0.2, 0.8, 2) * size
+    place: Float = rng.uniform(0.2, 0.8, 2) * size
     axis = int(rng.integers(2))
-    beyond = (0.55 + rng.uniform(0.0, 1.0)) * _diameter_px(world) + 8.0
+    beyond = rng.uniform(*diameters) * _diameter_px(world) + more_px
     place[axis] = -beyond if rng.uniform() < 0.5 else size[axis] + beyond
-    moved = _moved_target(plan, place, predicted=rng.uniform() < 0.5)
-    return moved.but(hard=True)
+    return place
 
 
 def _some_body(rng: np.random.Generator, radius_km: float) -> tuple[Body, Sampling | None]:

@@ -6,7 +6,6 @@ records. Results therefore never depend on whether a run was interrupted.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import ClassVar, Self
 
 import numpy as np
@@ -157,15 +156,15 @@ class ImageRecord(PlainRecord):
     part: ClassVar[str]
     """Name of the step."""
     points_of: ClassVar[tuple[str, ...]] = ()
-    """Fields that hold lists of points."""
+    """Fields that hold lists of points, which :meth:`light` leaves out."""
 
     index: int
     file: str
 
     @property
-    @abstractmethod
     def problems(self) -> list[Problem]:
         """Everything that went wrong."""
+        return []
 
     @property
     def of(self) -> tuple[str, str]:
@@ -179,10 +178,24 @@ class ImageRecord(PlainRecord):
         -------
         record
         """
-        return self
+        fields = type(self).model_fields
+        return self.model_copy(
+            update={name: fields[name].get_default(call_default_factory=True) for name in self.points_of}
+        )
 
 
-class AttitudeRecord(ImageRecord):
+class _TriedRecord(ImageRecord):
+    """Base of what a step may fail to make."""
+
+    problem: Problem | None = None
+
+    @property
+    def problems(self) -> list[Problem]:
+        """The problem, if there is one."""
+        return [] if self.problem is None else [self.problem]
+
+
+class AttitudeRecord(_TriedRecord):
     """The image itself, and its attitude.
 
     Parameters
@@ -238,7 +251,6 @@ class AttitudeRecord(ImageRecord):
     body_image: bool = True
     transferred: bool = False
     status: Status
-    problem: Problem | None = None
     apriori_xyzw: UnitQuaternion | None = None
     attitude: Attitude | None = None
     attitude_shares: dict[str, float] = Field(default_factory=dict)
@@ -275,22 +287,8 @@ class AttitudeRecord(ImageRecord):
             return None
         return "stars" if self.star_image else "interpolated" if self.transferred else "a_priori"
 
-    @property
-    def problems(self) -> list[Problem]:
-        """The problem of the attitude, if there is one."""
-        return [] if self.problem is None else [self.problem]
 
-    def light(self) -> Self:
-        """Return the record without its lists of stars.
-
-        Returns
-        -------
-        AttitudeRecord
-        """
-        return self.model_copy(update={"stars": None, "detected_px": []})
-
-
-class CalibrationRecord(ImageRecord):
+class CalibrationRecord(_TriedRecord):
     """Sources and identified stars of an image, for calibration.
 
     Parameters
@@ -306,9 +304,11 @@ class CalibrationRecord(ImageRecord):
     """
 
     part: ClassVar[str] = "calibration"
+    points_of: ClassVar[tuple[str, ...]] = (
+        "points_px", "covariance_px2", "snr", "star_ids", "source_indices", "sigma_px",
+    )  # fmt: skip
 
     sha256: str = ""
-    problem: Problem | None = None
     et: float | None = None
     observer_position_km: Triple | None = None
     observer_velocity_km_s: Triple | None = None
@@ -323,23 +323,8 @@ class CalibrationRecord(ImageRecord):
     source_indices: list[int] = Field(default_factory=list)
     sigma_px: Vector = Field(default_factory=list)
 
-    @property
-    def problems(self) -> list[Problem]:
-        """The problem of the image, if there is one."""
-        return [] if self.problem is None else [self.problem]
 
-    def light(self) -> Self:
-        """Return the record without its lists of sources and stars.
-
-        Returns
-        -------
-        CalibrationRecord
-        """
-        lists = ("points_px", "covariance_px2", "snr", "star_ids", "source_indices", "sigma_px")
-        return self.model_copy(update={name: [] for name in lists})
-
-
-class ObservationRecord(ImageRecord):
+class ObservationRecord(_TriedRecord):
     """Result of one estimator for one target in one image; units and frames as in the tables.
 
     Covariances are (2, 2) and (3, 3), partials (2, 3); see :class:`~giantlike.io.run_tables.ObservationRow`.
@@ -374,7 +359,6 @@ class ObservationRecord(ImageRecord):
     target: str
     estimator: str
     status: Status
-    problem: Problem | None = None
     attitude: Attitude | None = None
     predicted_px: Pair | None = None
     predicted_camera_km: Triple | None = None
@@ -404,30 +388,9 @@ class ObservationRecord(ImageRecord):
     time_s: float = 0.0
 
     @property
-    def problems(self) -> list[Problem]:
-        """The problem of the observation, if there is one."""
-        return [] if self.problem is None else [self.problem]
-
-    @property
     def of(self) -> tuple[str, str]:
         """Target and estimator."""
         return self.target, self.estimator
-
-    def light(self) -> Self:
-        """Return the record without limb points, outline, residuals and landmarks.
-
-        Returns
-        -------
-        ObservationRecord
-        """
-        none: dict[str, object] = {
-            "limb_px": [],
-            "limb_rejected_px": [],
-            "outline_px": [],
-            "residuals": None,
-            "landmarks": None,
-        }
-        return self.model_copy(update=none)
 
 
 class TargetView(PlainRecord):
@@ -465,6 +428,7 @@ class TargetRecord(ImageRecord):
     """
 
     part: ClassVar[str] = "target"
+    points_of: ClassVar[tuple[str, ...]] = ("view",)
 
     target: str
     sighting: SightingRecord | None = None
@@ -472,23 +436,9 @@ class TargetRecord(ImageRecord):
     note: str | None = None
 
     @property
-    def problems(self) -> list[Problem]:
-        """Nothing: estimators say why there is no geometry, and a picture without outline is no failure."""
-        return []
-
-    @property
     def of(self) -> tuple[str, str]:
         """The target."""
         return self.target, ""
-
-    def light(self) -> Self:
-        """Return the record without the outline.
-
-        Returns
-        -------
-        TargetRecord
-        """
-        return self.model_copy(update={"view": None})
 
 
 class ObservationsRecord(PlainRecord):
