@@ -18,43 +18,53 @@ from giantlike.core.display import provide
 from giantlike.core.version import VERSION
 
 if TYPE_CHECKING:
-    from giantlike.calibration import CalibrationOptions
-    from giantlike.camera import Camera
-    from giantlike.core.causes import Cause
-    from giantlike.core.detector import Detector, GaussianPsf
-    from giantlike.core.errors import DataError, EstimationError, FrameMismatchError, InputError, OpNavError
-    from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix, Quality, Reason
-    from giantlike.ephemeris import (
-        ApparentGeometry,
-        DistantLight,
-        FixedEphemeris,
-        SpiceEphemeris,
-        TableEphemeris,
-    )
-    from giantlike.image import Image
-    from giantlike.processing import DetectionOptions
-    from giantlike.relative import (
-        Auto,
-        AutoOptions,
-        CrossCorrelation,
-        CrossCorrelationOptions,
-        EllipseFit,
-        EllipseFitOptions,
-        EllipsoidCRA,
-        EllipsoidCRAOptions,
-        LimbMatching,
-        LimbMatchingOptions,
-        Moment,
-        MomentOptions,
-        SigmoidLimb,
-        SigmoidLimbOptions,
-        SurfaceFeatures,
-        SurfaceFeaturesOptions,
-        Unresolved,
-        UnresolvedOptions,
-    )
-    from giantlike.scene import Scene, Target
-    from giantlike.stars import StarNavigation, StarOptions, TransferOptions, carry_attitude
+    from giantlike.calibration import CalibrationOptions as CalibrationOptions
+    from giantlike.camera import Camera as Camera
+    from giantlike.core.causes import Cause as Cause
+    from giantlike.core.detector import Detector as Detector
+    from giantlike.core.detector import GaussianPsf as GaussianPsf
+    from giantlike.core.errors import DataError as DataError
+    from giantlike.core.errors import EstimationError as EstimationError
+    from giantlike.core.errors import FrameMismatchError as FrameMismatchError
+    from giantlike.core.errors import InputError as InputError
+    from giantlike.core.errors import OpNavError as OpNavError
+    from giantlike.core.outcomes import AttitudeFix as AttitudeFix
+    from giantlike.core.outcomes import CenterFix as CenterFix
+    from giantlike.core.outcomes import Failure as Failure
+    from giantlike.core.outcomes import PositionFix as PositionFix
+    from giantlike.core.outcomes import Quality as Quality
+    from giantlike.core.outcomes import Reason as Reason
+    from giantlike.ephemeris import ApparentGeometry as ApparentGeometry
+    from giantlike.ephemeris import DistantLight as DistantLight
+    from giantlike.ephemeris import FixedEphemeris as FixedEphemeris
+    from giantlike.ephemeris import SpiceEphemeris as SpiceEphemeris
+    from giantlike.ephemeris import TableEphemeris as TableEphemeris
+    from giantlike.image import Image as Image
+    from giantlike.processing import DetectionOptions as DetectionOptions
+    from giantlike.relative import Auto as Auto
+    from giantlike.relative import AutoOptions as AutoOptions
+    from giantlike.relative import CrossCorrelation as CrossCorrelation
+    from giantlike.relative import CrossCorrelationOptions as CrossCorrelationOptions
+    from giantlike.relative import EllipseFit as EllipseFit
+    from giantlike.relative import EllipseFitOptions as EllipseFitOptions
+    from giantlike.relative import EllipsoidCRA as EllipsoidCRA
+    from giantlike.relative import EllipsoidCRAOptions as EllipsoidCRAOptions
+    from giantlike.relative import LimbMatching as LimbMatching
+    from giantlike.relative import LimbMatchingOptions as LimbMatchingOptions
+    from giantlike.relative import Moment as Moment
+    from giantlike.relative import MomentOptions as MomentOptions
+    from giantlike.relative import SigmoidLimb as SigmoidLimb
+    from giantlike.relative import SigmoidLimbOptions as SigmoidLimbOptions
+    from giantlike.relative import SurfaceFeatures as SurfaceFeatures
+    from giantlike.relative import SurfaceFeaturesOptions as SurfaceFeaturesOptions
+    from giantlike.relative import Unresolved as Unresolved
+    from giantlike.relative import UnresolvedOptions as UnresolvedOptions
+    from giantlike.scene import Scene as Scene
+    from giantlike.scene import Target as Target
+    from giantlike.stars import StarNavigation as StarNavigation
+    from giantlike.stars import StarOptions as StarOptions
+    from giantlike.stars import TransferOptions as TransferOptions
+    from giantlike.stars import carry_attitude as carry_attitude
 
 __version__ = VERSION
 
@@ -63,6 +73,10 @@ logging.getLogger("giantlike").addHandler(logging.NullHandler())  # silent unles
 provide("giantlike.plotting.notebook")
 provide("giantlike.campaign.report.notebook")
 
+_ESTIMATORS = (
+    "Auto", "CrossCorrelation", "EllipseFit", "EllipsoidCRA", "LimbMatching", "Moment", "SigmoidLimb",
+    "SurfaceFeatures", "Unresolved",
+)  # fmt: skip
 _HOMES = {
     "giantlike.camera": ("Camera",),
     "giantlike.core.causes": ("Cause",),
@@ -71,26 +85,7 @@ _HOMES = {
     "giantlike.core.outcomes": ("AttitudeFix", "CenterFix", "Failure", "PositionFix", "Quality", "Reason"),
     "giantlike.ephemeris": ("ApparentGeometry", "DistantLight", "FixedEphemeris", "SpiceEphemeris", "TableEphemeris"),
     "giantlike.image": ("Image",),
-    "giantlike.relative": (
-        "Auto",
-        "AutoOptions",
-        "CrossCorrelation",
-        "CrossCorrelationOptions",
-        "EllipseFit",
-        "EllipseFitOptions",
-        "EllipsoidCRA",
-        "EllipsoidCRAOptions",
-        "LimbMatching",
-        "LimbMatchingOptions",
-        "Moment",
-        "MomentOptions",
-        "SigmoidLimb",
-        "SigmoidLimbOptions",
-        "SurfaceFeatures",
-        "SurfaceFeaturesOptions",
-        "Unresolved",
-        "UnresolvedOptions",
-    ),
+    "giantlike.relative": tuple(name + part for name in _ESTIMATORS for part in ("", "Options")),
     "giantlike.processing": ("DetectionOptions",),
     "giantlike.calibration": ("CalibrationOptions",),
     "giantlike.scene": ("Scene", "Target"),
@@ -98,56 +93,8 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = [
-    "ApparentGeometry",
-    "AttitudeFix",
-    "Auto",
-    "AutoOptions",
-    "CalibrationOptions",
-    "Camera",
-    "Cause",
-    "CenterFix",
-    "CrossCorrelation",
-    "CrossCorrelationOptions",
-    "DataError",
-    "DetectionOptions",
-    "Detector",
-    "DistantLight",
-    "EllipseFit",
-    "EllipseFitOptions",
-    "EllipsoidCRA",
-    "EllipsoidCRAOptions",
-    "EstimationError",
-    "Failure",
-    "FixedEphemeris",
-    "FrameMismatchError",
-    "GaussianPsf",
-    "Image",
-    "InputError",
-    "LimbMatching",
-    "LimbMatchingOptions",
-    "Moment",
-    "MomentOptions",
-    "OpNavError",
-    "PositionFix",
-    "Quality",
-    "Reason",
-    "Scene",
-    "SigmoidLimb",
-    "SigmoidLimbOptions",
-    "SpiceEphemeris",
-    "StarNavigation",
-    "StarOptions",
-    "SurfaceFeatures",
-    "SurfaceFeaturesOptions",
-    "TableEphemeris",
-    "Target",
-    "TransferOptions",
-    "Unresolved",
-    "UnresolvedOptions",
-    "__version__",
-    "carry_attitude",
-]
+if not TYPE_CHECKING:  # type checkers take what is imported above for them
+    __all__ = sorted([*_HOME_OF, "__version__"])
 
 
 def __getattr__(name: str) -> Any:
