@@ -93,9 +93,6 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-if not TYPE_CHECKING:  # type checkers take what is imported above for them
-    __all__ = sorted([*_HOME_OF, "__version__"])
-
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
@@ -106,4 +103,8 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*_HOME_OF, "__version__"])
+
+
+if not TYPE_CHECKING:  # type checkers take what is imported above for them
+    __all__ = __dir__()
