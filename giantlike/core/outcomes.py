@@ -311,6 +311,31 @@ class CenterFix(Pictured, Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BodyTurn(Value):
+    """Turn of a body about the line of sight, found together with its place: what the roll of a camera follows from.
+
+    The place differs from that of the fix, which takes the orientation of the body as told.
+
+    Parameters
+    ----------
+    turn_rad : float, rad
+        Of the body as seen from the body as told, about the direction from the camera to it.
+    center_px : (2,) float64, px
+        Place of its center when it is turned.
+    covariance : (3, 3) float64
+        Of x and y in px and of the turn in rad, by what the image and the shape leave open. The orientation that was
+        told is not in it; the errors of the camera model are in the variance of the turn alone.
+    by_rotation : (3, 3) float64, px/rad and rad/rad
+        Derivative of x, y and the turn by a small rotation of the body about the camera axes, its place held.
+    """
+
+    turn_rad: float
+    center_px: Float
+    covariance: Float
+    by_rotation: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PositionFix(CenterFix):
     """A :class:`CenterFix` with the range: the full relative position of a body.
 
@@ -328,12 +353,15 @@ class PositionFix(CenterFix):
         Points in the image, for overlays: the limb points used, landmarks used, or the outline of a template.
     limb_rejected_px : (k, 2) float64, px
         Points of the lit limb that were not used: where they were measured, or predicted where that failed.
+    turn : BodyTurn or None
+        Turn of the body about the line of sight, of estimators that measure one.
     """
 
     position_camera_km: Float
     covariance_camera_km2: Float
     limb_px: Float
     limb_rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    turn: BodyTurn | None = None
 
     @property
     def measured_limb_px(self) -> Float:

@@ -205,6 +205,25 @@ class ObservableRow:
         "px, px, km per unit of each",
     )
 
+    turn_rad: float | None = column(
+        "Turn of the body about the line of sight, as seen from the body as told; null where none was measured.", "rad"
+    )
+    turn_pixel_px: float | None = column("Measured column of the body when it is turned.", "px", "distorted image")
+    turn_line_px: float | None = column("Measured row of the body when it is turned.", "px", "distorted image")
+    turn_covariance: Sequence[float] | None = column(
+        "Covariance of (turn_pixel, turn_line, turn) by image, shape and, of the turn, camera; neither the attitude "
+        "nor the pole and spin of the body are in it (3 x 3, by rows).",
+        "px, px, rad",
+        size=9,
+    )
+    partial_turn_rotation: Sequence[float] | None = column(
+        "Of (turn_pixel, turn_line, turn), by a small rotation of the body about the camera axes where it is (3 x 3, "
+        "by rows): what the turn makes of errors of attitude, pole and spin.",
+        "px/rad, px/rad, rad/rad",
+        _CAMERA,
+        size=9,
+    )
+
     states_origin: str | None = column("Origin of the states: its name in SPICE.")
     observer_position_icrf_km: Sequence[float] | None = column("Spacecraft at the epoch, used.", "km", _ICRF, size=3)
     observer_velocity_icrf_km_s: Sequence[float] | None = column(

@@ -28,6 +28,8 @@ _ONE_BY_ONE = (
     Cause.NOISE, Cause.BACKGROUND, Cause.PSF, Cause.EDGE, Cause.REFLECTANCE, Cause.ALBEDO, Cause.RELIEF, Cause.ALTITUDE,
 )  # fmt: skip
 """Causes of which only a covariance of each row is known."""
+_BODY_AXES = {"partial_pole": slice(0, 2), "partial_spin": slice(2, 3)}
+"""Axes of a body about which an error of its pole, and of its spin, rotates it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,15 +45,18 @@ class Pointing(Value):
         Bodies used.
     n_used : int
         Number of bodies and landmarks.
+    n_turns : int
+        Number of bodies whose turn about the line of sight was measured.
     chi2 : float
-        Squared residuals over their covariance; of 2 n_used degrees of freedom with an a priori attitude, of 3 less
-        without.
+        Squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude, of
+        3 less without.
     """
 
     camera_from_inertial: Rotation
     covariance_rad2: Float
     targets: tuple[str, ...]
     n_used: int
+    n_turns: int
     chi2: float
 
 
@@ -62,47 +67,52 @@ def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Point
     ----------
     camera : Camera
     rows : sequence of ObservableRow
-        Of one image, with one attitude. The preferred fix of each target is used or, where a target has landmarks,
-        they are: two bodies, or landmarks far from each other, give all three angles. The attitude of the rows with
-        its covariance is the a priori one; where it is that of stars, stars and bodies are thus taken together.
+        Of one image, with one attitude. Of each target its landmarks are used, else a fix with a turn about the line
+        of sight that nothing objects to, else the preferred fix: two bodies, landmarks far from each other, or one body
+        that is not round give all three angles. The attitude of the rows with its covariance is the a priori one; where
+        it is that of stars, stars and bodies are thus taken together.
 
     Returns
     -------
     Pointing or Failure
-        Reasons: ``NO_SIGNAL`` without a body, ``DEGENERATE_GEOMETRY`` where an angle is not determined: one body says
-        nothing of the roll about it, and the covariance of the a priori attitude is not known.
+        Reasons: ``NO_SIGNAL`` without a body, ``DEGENERATE_GEOMETRY`` where an angle is not determined: one round body
+        says nothing of the roll about it, and the covariance of the a priori attitude is not known.
 
     Notes
     -----
     With ``C`` the covariance of all measured places, in which errors of ephemeris, size, pole, spin and camera are
     common to the rows of a body, and ``e`` the small rotation about the camera axes that is looked for, the weighted
     squares of ``o - project(Exp(e) A d)`` and of ``e`` over its a priori covariance are least; ``d`` are the apparent
-    directions by the ephemeris.
+    directions by the ephemeris. A turn, and the place found with it, follow ``e`` by their derivatives by a rotation of
+    the body about the camera axes too, which is what an error of the attitude looks like.
     """
     used = _used(rows)
     if not used:
         return Failure(Reason.NO_SIGNAL, "no body with a preferred fix and a computed place")
-    model, before = camera.model, Rotation.from_quat(_numbers(used[0].camera_from_icrf_xyzw))
-    observed = np.array([[row.observed_pixel_px, row.observed_line_px] for row in used])
-    computed = np.array([[row.computed_pixel_px, row.computed_line_px] for row in used], dtype=np.float64)
+    model, before = camera.model, Rotation.from_quat(_numbers(used[0].row.camera_from_icrf_xyzw))
+    computed = np.array([[one.row.computed_pixel_px, one.row.computed_line_px] for one in used], dtype=np.float64)
     directions = rotate(before.inv(), model.unproject(computed))
+    measured = np.concatenate([one.measured for one in used])
+    by_rotation = np.concatenate([one.by_rotation for one in used])
+    in_image = np.concatenate([np.arange(one.measured.size) < 2 for one in used])
     weights = np.linalg.inv(_covariance(used, camera))
     prior: Float = np.zeros((3, 3))
-    if used[0].attitude_covariance_rad2 is not None:
-        prior = np.asarray(np.linalg.inv(_numbers(used[0].attitude_covariance_rad2).reshape(3, 3)))
+    if used[0].row.attitude_covariance_rad2 is not None:
+        prior = np.asarray(np.linalg.inv(_numbers(used[0].row.attitude_covariance_rad2).reshape(3, 3)))
     attitude = before
     for _ in range(_STEPS):
         seen = rotate(attitude, directions)
-        design = (-model.project_jacobian(seen) @ skew(seen)).reshape(-1, 3)
-        residuals = (observed - model.project(seen)).ravel()
+        turned = (attitude * before.inv()).as_rotvec()
+        design, residuals = by_rotation.copy(), measured - by_rotation @ turned
+        design[in_image] += (-model.project_jacobian(seen) @ skew(seen)).reshape(-1, 3)
+        residuals[in_image] -= model.project(seen).ravel()
         information = design.T @ weights @ design + prior
         if not np.linalg.cond(information) < _WORST_CONDITION:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY,
-                f"{len(used)} places do not give all three angles: see another body, use landmarks, or declare the "
-                "uncertainty of the a priori attitude (images.attitude_sigma_deg)",
+                f"{len(used)} places do not give all three angles: see another body, use landmarks or the limb of one "
+                "that is not round, or declare the uncertainty of the a priori attitude (images.attitude_sigma_deg)",
             )
-        turned = (attitude * before.inv()).as_rotvec()
         step = np.linalg.solve(information, design.T @ weights @ residuals - prior @ turned)
         attitude = Rotation.from_rotvec(step) * attitude
         if float(np.abs(step).max()) < _SETTLED_RAD:
@@ -112,31 +122,73 @@ def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Point
     return Pointing(
         camera_from_inertial=attitude,
         covariance_rad2=(covariance + covariance.T) / 2.0,
-        targets=tuple(dict.fromkeys(row.target or "" for row in used)),
+        targets=tuple(dict.fromkeys(one.row.target or "" for one in used)),
         n_used=len(used),
+        n_turns=int((~in_image).sum()),
         chi2=float(residuals @ weights @ residuals + turned @ prior @ turned),
     )
 
 
-def _used(rows: Sequence[ObservableRow]) -> list[ObservableRow]:
-    """Landmarks that are not suspect, and preferred fixes of the targets without any."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Measured(Value):
+    """Pixel and line of a row, and the turn of a body that has one: k numbers.
+
+    Their own covariance is (k, k); ``by_rotation`` (k, 3) are their derivatives by a small rotation of the body about
+    the camera axes, which only turned places are known to follow.
+    """
+
+    row: ObservableRow
+    measured: Float
+    own: Float
+    by_rotation: Float
+
+    @classmethod
+    def of(cls, row: ObservableRow) -> _Measured:
+        """Take them from a row; of a landmark, and of a body without a turn, pixel and line alone."""
+        if row.turn_rad is None:
+            place = _numbers([row.observed_pixel_px, row.observed_line_px])
+            return cls(row=row, measured=place, own=_own(row), by_rotation=np.zeros((2, 3)))
+        return cls(
+            row=row,
+            measured=_numbers([row.turn_pixel_px, row.turn_line_px, row.turn_rad]),
+            own=_numbers(row.turn_covariance).reshape(3, 3),
+            by_rotation=_numbers(row.partial_turn_rotation).reshape(3, 3),
+        )
+
+    def partial(self, name: str, size: int) -> Float:
+        """Derivatives (k, size) by what a column is named after; zero where there are none."""
+        if self.row.turn_rad is not None and name in _BODY_AXES:
+            turn = Rotation.from_quat(_numbers(self.row.camera_from_icrf_xyzw))
+            camera_from_body = turn * Rotation.from_quat(_numbers(self.row.icrf_from_body_xyzw))
+            return self.by_rotation @ camera_from_body.as_matrix()[:, _BODY_AXES[name]]
+        values, result = getattr(self.row, name, None), np.zeros((self.measured.size, size))
+        if values is not None:
+            result[:2] = _numbers(values).reshape(3, size)[:2]
+        return result
+
+
+def _used(rows: Sequence[ObservableRow]) -> list[_Measured]:
+    """Landmarks that are not suspect; of the targets without any, a fix with a turn, else the preferred one."""
     known = [row for row in rows if row.computed_pixel_px is not None and row.computed_line_px is not None]
     landmarks = [row for row in known if row.kind == "landmark" and row.status == "ok"]
     with_landmarks = {row.target for row in landmarks}
-    bodies = [row for row in known if row.kind == "body" and row.preferred and row.target not in with_landmarks]
-    return bodies + landmarks
+    bodies: dict[str | None, ObservableRow] = {}
+    for row in sorted(known, key=lambda row: (row.turn_rad is None, not row.preferred)):
+        good = row.preferred or (row.turn_rad is not None and row.status == "ok")
+        if row.kind == "body" and good and row.target not in with_landmarks:
+            bodies.setdefault(row.target, row)
+    return [_Measured.of(row) for row in [*bodies.values(), *landmarks]]
 
 
-def _covariance(rows: Sequence[ObservableRow], camera: Camera) -> Float:
-    """Covariance (2n, 2n) of the measured places less the computed ones, px^2, without the attitude."""
-    total: Float = np.asarray(block_diag(*(_own(row) for row in rows)), dtype=np.float64)
+def _covariance(used: Sequence[_Measured], camera: Camera) -> Float:
+    """Covariance (m, m) of all that was measured less what is computed, without the attitude."""
+    total: Float = np.asarray(block_diag(*(one.own for one in used)), dtype=np.float64)
     known = camera.uncertainty
     if known is not None and known.estimated:
-        by_camera = np.vstack([_rows_of(row.partial_camera_parameters, len(known.estimated)) for row in rows])
+        by_camera = np.vstack([one.partial("partial_camera_parameters", len(known.estimated)) for one in used])
         total = total + by_camera @ known.covariance @ by_camera.T
-    for target in dict.fromkeys(row.target for row in rows):
-        chosen = [row if row.target == target else None for row in rows]
-        sigmas = next(row for row in rows if row.target == target)
+    for target in dict.fromkeys(one.row.target for one in used):
+        sigmas = next(one.row for one in used if one.row.target == target)
         for name, size, sigma in (
             ("partial_target_position", 3, sigmas.sigma_ephemeris_km),
             ("partial_shape_scale", 1, sigmas.sigma_shape_scale),
@@ -144,7 +196,7 @@ def _covariance(rows: Sequence[ObservableRow], camera: Camera) -> Float:
             ("partial_spin", 1, sigmas.sigma_spin_rad),
         ):
             if sigma:
-                by_cause = np.vstack([_rows_of(getattr(row, name, None), size) for row in chosen])
+                by_cause = np.vstack([(one.row.target == target) * one.partial(name, size) for one in used])
                 total = total + sigma**2 * by_cause @ by_cause.T
     return total
 
@@ -155,11 +207,6 @@ def _own(row: ObservableRow) -> Float:
     return np.asarray(
         sum((_numbers(part).reshape(3, 3)[:2, :2] for part in parts if part is not None), np.zeros((2, 2)))
     )
-
-
-def _rows_of(partial: Sequence[float] | None, size: int) -> Float:
-    """Derivatives (2, size) of pixel and line; zero where there are none."""
-    return np.zeros((2, size)) if partial is None else _numbers(partial).reshape(3, size)[:2]
 
 
 def _numbers(values: object) -> Float:

@@ -17,7 +17,7 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import east_north, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.light import aberrate
 from giantlike.core.observer import ObserverState
-from giantlike.core.outcomes import AttitudeErrors, CenterFix, PositionFix
+from giantlike.core.outcomes import AttitudeErrors, BodyTurn, CenterFix, PositionFix
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER
@@ -227,6 +227,7 @@ def row_of_body(
         **sighting.cells(context.camera_from_inertial.inv()),
         **_measured(fix.center_px, model.project(sighting.predicted_camera_km)),
         **_range_cells(apparent_km, sighting.predicted_camera_km, ranged=ranged),
+        **_turn_cells(fix.turn if isinstance(fix, PositionFix) else None),
         **point.directions(),
         **point.errors(parts),
         **point.partials(partials),
@@ -498,6 +499,20 @@ def _range_cells(apparent_km: Float, predicted_km: Float, *, ranged: bool) -> di
         observed = float(np.linalg.norm(apparent_km))
         cells |= {"observed_apparent_range_km": observed, "o_minus_c_apparent_range_km": observed - computed}
     return cells
+
+
+def _turn_cells(turn: BodyTurn | None) -> dict[str, Any]:
+    """Cells of the turn of a body about the line of sight."""
+    if turn is None:
+        return {}
+    pixel_px, line_px = turn.center_px.tolist()
+    return {
+        "turn_rad": turn.turn_rad,
+        "turn_pixel_px": pixel_px,
+        "turn_line_px": line_px,
+        "turn_covariance": _flat(turn.covariance),
+        "partial_turn_rotation": _flat(turn.by_rotation),
+    }
 
 
 def _covariance_cells(covariance: Float) -> dict[str, Any]:

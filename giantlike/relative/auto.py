@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import require
-from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative.consensus import fused, verdict
 from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
@@ -218,7 +218,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         second = outcomes.get(found.checked_by)
         if fix.flags.suspect or not isinstance(second, CenterFix) or second.flags.suspect:
             return fix
-        return fused(fix, second, inputs.camera.model)
+        return _with_turn(fused(fix, second, inputs.camera.model), second)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
         diameter_px = 2.0 * inputs.radius_px
@@ -239,6 +239,13 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     def _estimator(self, name: str) -> Estimator:
         """Return an estimator with its options, which have its name."""
         return _CHOICES[name][0](getattr(self.options, name))
+
+
+def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:
+    """Fix with the turn that its second one measured, where it has none itself."""
+    if isinstance(fix, PositionFix) and isinstance(second, PositionFix) and fix.turn is None:
+        return replace(fix, turn=second.turn)
+    return fix
 
 
 def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:

@@ -140,7 +140,11 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         result = self._estimate(inputs)
         if not isinstance(result, Failure):
             result = with_budget(
-                result, image, camera, inputs.geometry, lambda moved: self._estimate(replace(inputs, geometry=moved))
+                result,
+                image,
+                camera,
+                inputs.geometry,
+                lambda moved: self._estimate(replace(inputs, geometry=moved, place_alone=True)),
             )
         if isinstance(result, Failure):
             return inputs.fail(result.reason, result.detail)
@@ -197,6 +201,8 @@ class EstimatorInputs(Value):
     flags : Quality
         What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
     provenance : mapping of str to str
+    place_alone : bool
+        True where only the place of the body is asked for, to see how it follows an error of what was told.
     """
 
     estimator: str
@@ -211,6 +217,7 @@ class EstimatorInputs(Value):
     masked: Mask
     flags: Quality
     provenance: Mapping[str, str]
+    place_alone: bool = False
 
     @property
     def target_name(self) -> str:

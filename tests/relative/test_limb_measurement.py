@@ -21,9 +21,9 @@ from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import Altitude, Figure, fit_horizon
 from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
 from giantlike.relative.limb.fix import IteratedSearch
-from giantlike.relative.limb.limb_matching import solve_limb
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions
+from giantlike.relative.limb.solution import solve_limb
 from giantlike.shapes import Ellipsoid
 from tests.tolerances import SETTLED
 

@@ -8,14 +8,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.record_values import Landmarks, Residuals, SightingRecord, StarMatches, Status
+from giantlike.campaign.store.record_values import (
+    Landmarks,
+    Residuals,
+    SightingRecord,
+    StarMatches,
+    Status,
+    TurnRecord,
+)
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.causes import Cause, summed
 from giantlike.core.errors import InputError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.observer import ObserverState
-from giantlike.core.outcomes import AttitudeErrors, AttitudeFix, CenterFix, PositionFix, Quality
+from giantlike.core.outcomes import AttitudeErrors, AttitudeFix, BodyTurn, CenterFix, PositionFix, Quality
 from giantlike.image import AttitudeSource, Image
 from giantlike.relative.budget import position_covariance
 from giantlike.relative.landmarks.surface_features import LandmarkFix
@@ -190,6 +197,17 @@ def _landmarks(fix: LandmarkFix) -> Landmarks:
     )
 
 
+def _turn(turn: BodyTurn | None) -> TurnRecord | None:
+    if turn is None:
+        return None
+    return TurnRecord(
+        turn_rad=turn.turn_rad,
+        center_px=turn.center_px.tolist(),
+        covariance=turn.covariance.tolist(),
+        by_rotation=turn.by_rotation.tolist(),
+    )
+
+
 def _points(fix: PositionFix) -> dict[str, list[list[float]]]:
     """Limb points of a fix that was made of them, else its outline; landmarks are kept apart."""
     if isinstance(fix, LandmarkFix):
@@ -281,6 +299,7 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
             range_km=fix.range_km,
             sigma_range_km=fix.sigma_range_km,
             limb_rejected_px=fix.limb_rejected_px.tolist(),
+            turn=_turn(fix.turn),
             **_points(fix),
         )
     attitude = record.attitude

@@ -12,13 +12,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.record_values import SightingRecord
+from giantlike.campaign.store.record_values import SightingRecord, TurnRecord
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.observer import ObserverState
-from giantlike.core.outcomes import CenterFix, PositionFix, Quality
+from giantlike.core.outcomes import BodyTurn, CenterFix, PositionFix, Quality
 from giantlike.core.version import VERSION
 from giantlike.io.observables_file import ObservableBlock, ObservableRow, write_observables
 from giantlike.observables import (
@@ -244,6 +244,18 @@ def _fix(record: ObservationRecord) -> CenterFix:
         position_camera_km=np.array(record.position_camera_km),
         covariance_camera_km2=np.array(record.covariance_camera_km2),
         limb_px=np.zeros((0, 2)),
+        turn=_turn(record.turn),
+    )
+
+
+def _turn(record: TurnRecord | None) -> BodyTurn | None:
+    if record is None:
+        return None
+    return BodyTurn(
+        turn_rad=record.turn_rad,
+        center_px=np.array(record.center_px),
+        covariance=np.array(record.covariance),
+        by_rotation=np.array(record.by_rotation),
     )
 
 

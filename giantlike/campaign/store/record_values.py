@@ -113,6 +113,21 @@ class Landmarks(PlainRecord):
     rejected_because: list[str] = Field(default_factory=list)
 
 
+class TurnRecord(PlainRecord):
+    """Turn of a body about the line of sight, and its place when it is turned.
+
+    Parameters
+    ----------
+    turn_rad, center_px, covariance, by_rotation
+        As in :class:`~giantlike.core.outcomes.BodyTurn`.
+    """
+
+    turn_rad: float
+    center_px: Pair
+    covariance: Covariance
+    by_rotation: Covariance
+
+
 class Residuals(PlainRecord):
     """Residuals of a fix where they are in the image, for pictures of them.
 

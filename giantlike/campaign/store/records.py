@@ -24,6 +24,7 @@ from giantlike.campaign.store.record_values import (
     StarMatches,
     Status,
     Triple,
+    TurnRecord,
     TwoByThree,
     TwoByTwo,
     UnitQuaternion,
@@ -343,6 +344,7 @@ class ObservationRecord(_TriedRecord):
         Covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
     partials : mapping of Cause to (k, m) list of float
         Derivatives of the place, as there.
+    turn : TurnRecord, optional
     landmarks : Landmarks, optional
     limb_px, limb_rejected_px : (n, 2) list of float, px
         Limb points used, and those of the lit limb that were not.
@@ -380,6 +382,7 @@ class ObservationRecord(_TriedRecord):
     provenance: dict[str, str] = Field(default_factory=dict)
     parts: dict[Cause, Rows] = Field(default_factory=dict)
     partials: dict[Cause, Rows] = Field(default_factory=dict)
+    turn: TurnRecord | None = None
     landmarks: Landmarks | None = None
     limb_px: list[Pair] = Field(default_factory=list)
     limb_rejected_px: list[Pair] = Field(default_factory=list)

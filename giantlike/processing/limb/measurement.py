@@ -129,6 +129,8 @@ class LimbMeasurement(Value):
         Relief by a height map; ``shift_px`` is without it.
     unmeasured_px : (k, 2) float64, px
         Predicted places of the points that ``rejected`` counts.
+    rotation_design : (n, 3) float64, px/rad, optional
+        Outward motion of the points with a small rotation of the body about the camera axes; None where not known.
     """
 
     predicted_px: Float
@@ -149,6 +151,7 @@ class LimbMeasurement(Value):
     n_elsewhere: int = 0
     terrain: TerrainShift | None = None
     unmeasured_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    rotation_design: Float | None = None
 
     @property
     def observed_px(self) -> Float:
@@ -210,6 +213,7 @@ class LimbMeasurement(Value):
             keep=self.keep[which],
             common_px={cause: shared_px[which] for cause, shared_px in self.common_px.items()},
             terrain=None if self.terrain is None else replace(self.terrain, shift_px=self.terrain.shift_px[which]),
+            rotation_design=None if self.rotation_design is None else self.rotation_design[which],
         )
 
     def smooth_covariances(self, gain: Float) -> dict[Cause, Float]:

@@ -397,7 +397,7 @@ class CellScan(Value):
         full_px = float(np.max(np.abs(kept.design[step.keep] @ step.position_km)))
         return full_px**2 < self.search.tolerance_px or full_px < kept.motion_sigma_px(step.position_km)
 
-    def finish(self, measured: CellMeasurement, step: LimbStep) -> LimbMeasurement:
+    def finish(self, measured: CellMeasurement, step: LimbStep) -> CellMeasurement:
         """Return the shifts with blur and law as the cells show them, and what their errors do to the shifts."""
         kept = replace(measured, keep=step.keep)
         estimate, covariance = kept.blur_and_law()

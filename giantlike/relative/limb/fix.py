@@ -13,7 +13,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.causes import Cause, summed
-from giantlike.core.outcomes import Failure, PositionFix, Quality, Reason
+from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.measurement import LimbMeasurement
@@ -225,14 +225,14 @@ class LimbScan(Protocol[Measured]):
         """Return True if another measurement is not needed, the limb moving by ``moved_px`` in the shortened step."""
         ...
 
-    def finish(self, measured: Measured, step: LimbStep) -> LimbMeasurement:
+    def finish(self, measured: Measured, step: LimbStep) -> Measured:
         """Return the measurement for the solution that comes after the last step, which is not taken."""
         ...
 
 
 def settle_limb(
     scan: LimbScan[Measured], start: LimbState, search: IteratedSearch, *, min_points: int, closest_km: float
-) -> LimbMeasurement | Failure:
+) -> Measured | Failure:
     """Measure a limb and move the body until the limb stands still.
 
     Parameters
@@ -338,6 +338,8 @@ class LimbSolution(Value):
         Those points in the image.
     provenance : mapping of str to str
         What else there is to say.
+    turn : BodyTurn or None
+        Where it was measured.
     """
 
     position_camera_km: Float
@@ -345,6 +347,7 @@ class LimbSolution(Value):
     residuals_px: Float
     limb_px: Float
     provenance: Mapping[str, str] = field(default_factory=dict)
+    turn: BodyTurn | None = None
 
     @property
     def covariance_camera_km2(self) -> Float:
@@ -441,6 +444,7 @@ def limb_fix(
         limb_px=solution.limb_px,
         limb_rejected_px=measured.rejected_px,
         residuals_at_px=solution.limb_px,
+        turn=solution.turn,
     )
 
 

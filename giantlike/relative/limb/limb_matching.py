@@ -6,18 +6,22 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import require_number
-from giantlike.core.causes import Cause, added
-from giantlike.core.outcomes import Failure, PositionFix, Reason
-from giantlike.processing.correlated_fit import solution_gain
+from giantlike.core.arrays import Float, require_number, unit
+from giantlike.core.causes import Cause
+from giantlike.core.frames import rotate
+from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Reason
 from giantlike.processing.limb.measurement import LimbMeasurement
-from giantlike.processing.outline_errors import averages, outline_errors
+from giantlike.processing.limb.view import LimbView
+from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
-from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix, limb_view
-from giantlike.relative.limb.line_scan import measure_by_lines
+from giantlike.relative.limb.fix import IteratedSearch, limb_fix, limb_view
+from giantlike.relative.limb.line_scan import LineMeasurement, measure_by_lines, measure_once
 from giantlike.relative.limb.profiles import LimbScanOptions
+from giantlike.relative.limb.solution import solve_limb
 from giantlike.relative.limb.terrain import with_terrain
+from giantlike.relative.limb.turn import limb_turn
 from giantlike.shapes import Ellipsoid
 
 
@@ -66,6 +70,9 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
     they are estimated with it and are in the covariance, as ``reflectance`` and ``psf`` of the fix's ``parts``. Of
     saturated disks the template is clipped where the detector was.
 
+    The ``turn`` of the fix is that of the body about the line of sight, found together with its place, which is then
+    another one; the fix itself takes the orientation of the body as told.
+
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside that of the body.
 
@@ -97,50 +104,40 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         body, (altitude_km, sigma_km) = inputs.geometry.body(), inputs.geometry.limb_altitude_km
         if altitude_km and isinstance(body.shape, Ellipsoid):
             body = replace(body, shape=replace(body.shape, radii_km=body.shape.radii_km + altitude_km))
-        measured = measure_by_lines(view, body, self.options, self.options.scan)
-        if isinstance(measured, Failure):
-            return measured
-        measured = with_terrain(measured, inputs, self.options.outlier_mad)
+        lines = measure_by_lines(view, body, self.options, self.options.scan)
+        if isinstance(lines, Failure):
+            return lines
+        measured = with_terrain(lines, inputs, self.options.outlier_mad)
         if sigma_km > 0.0:
             lift = {Cause.ALTITUDE: sigma_km * np.linalg.norm(measured.design, axis=1)[:, None]}
             measured = replace(measured, common_px={**measured.common_px, **lift})
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         if altitude_km:
             solution = replace(solution, provenance={"limb_altitude_km": f"{altitude_km:.6g}"})
+        if not (inputs.place_alone or measured.terrain or sigma_km):  # relief and haze are no part of the outline
+            solution = replace(solution, turn=self._turn(lines, view, body, inputs))
         allowed_px = self.options.allowed_rms_px(measured)
         return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px)
 
+    def _turn(self, measured: LineMeasurement, view: LimbView, body: Body, inputs: EstimatorInputs) -> BodyTurn | None:
+        options, scan = self.options, self.options.scan
+        share = _by_attitude(inputs, unit(measured.position_camera_km))
 
-def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: float = 1.5) -> LimbSolution:
-    """Take the last step of the iteration, with the covariance that the residuals show.
+        def again(position_camera_km: Float, turn_rad: Float) -> LimbMeasurement | Failure:
+            turned = replace(body, camera_from_body=Rotation.from_rotvec(turn_rad) * body.camera_from_body)
+            sun = rotate(Rotation.from_rotvec(share * turn_rad), view.sun_direction_camera)
+            lit = replace(view, sun_direction_camera=sun)
+            return measure_once(lit, turned.at(position_camera_km), options, scan, psf_px2=measured.psf_px2)
 
-    Parameters
-    ----------
-    measured : LimbMeasurement
-    radius_px : float, px
-        Apparent radius of the body.
-    min_length_px : float, px
-        Shortest correlation length along the limb that is considered.
+        return limb_turn(measured, again, inputs.camera, view.radius_px, search=options, min_length_px=scan.spacing_px)
 
-    Returns
-    -------
-    LimbSolution
-    """
-    keep, points = measured.keep, measured.predicted_px[measured.keep]
-    shift_px, design, sigma_px = measured.shift_px[keep], measured.design[keep], measured.sigma_px[keep]
-    errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=min_length_px)
-    means = averages(points, sigma_px)
-    sigma_px, points = np.sqrt(means**2 @ sigma_px**2), means @ points
-    by_points = errors.covariances(sigma_px, points)
-    gain = solution_gain(means @ design, by_points.for_weights)
-    step_km = gain @ (means @ shift_px)
-    own = {
-        Cause.NOISE: gain @ by_points.noise @ gain.T,
-        Cause.RELIEF: gain @ by_points.relief @ gain.T,
-    }
-    return LimbSolution(
-        position_camera_km=measured.position_camera_km + step_km,
-        covariances_km2=added(own, measured.smooth_covariances(measured.even_gain)),
-        residuals_px=shift_px - design @ step_km,
-        limb_px=measured.seen_px[keep],
-    )
+
+def _by_attitude(inputs: EstimatorInputs, sight: Float) -> float:
+    """Share of a turn about the line of sight (3,) that is likely the camera's, which turns the Sun too."""
+    known, covariance_rad2 = inputs.geometry.target.uncertainty, inputs.image.attitude_covariance_rad2
+    if covariance_rad2 is None:
+        return 1.0
+    axis = rotate(inputs.geometry.camera_from_body.inv(), sight)
+    of_body = float(axis**2 @ [known.pole_rad**2, known.pole_rad**2, known.spin_rad**2])
+    of_camera = float(sight @ covariance_rad2 @ sight)
+    return of_camera / (of_camera + of_body) if of_camera > 0.0 else 0.0

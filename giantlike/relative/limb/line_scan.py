@@ -34,6 +34,7 @@ from giantlike.processing.limb.view import LimbView, PredictedLimb
 from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
 from giantlike.relative.limb.clipped import EXTRAPOLATION_ERROR
 from giantlike.relative.limb.fix import (
+    LEAST_PSF_PX2,
     PATIENCE,
     EdgeModel,
     IteratedSearch,
@@ -198,7 +199,7 @@ def lay_lines(
 
 def measure_by_lines(
     view: LimbView, body: Body, search: IteratedSearch, options: LimbScanOptions, *, relief: SmoothError | None = None
-) -> LimbMeasurement | Failure:
+) -> LineMeasurement | Failure:
     """Find the limb of a body and measure it line by line until it stands still.
 
     Parameters
@@ -213,7 +214,7 @@ def measure_by_lines(
 
     Returns
     -------
-    LimbMeasurement or Failure
+    LineMeasurement or Failure
         ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
     """
     outline = Outline.traced(view, body)
@@ -243,6 +244,36 @@ def measure_by_lines(
     closest_km = body.shape.circumscribing_radius_km
     start = LimbState(position_camera_km=position, psf_px2=(view.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2)
     return settle_limb(scan, start, search, min_points=options.min_lines, closest_km=closest_km)
+
+
+def measure_once(
+    view: LimbView, body: Body, search: IteratedSearch, options: LimbScanOptions, *, psf_px2: float
+) -> LineMeasurement | Failure:
+    """Measure the limb of a body line by line where it is.
+
+    Parameters
+    ----------
+    view : LimbView
+    body : Body
+        Where and as it was found.
+    search : IteratedSearch
+    options : LimbScanOptions
+    psf_px2 : float, px^2
+        Variance of the point spread function as it was found.
+
+    Returns
+    -------
+    LineMeasurement or Failure
+        ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``.
+    """
+    outline = Outline.traced(view, body)
+    lines = lay_lines(
+        view, outline, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
+    )
+    if lines is None:
+        return _not_seen(view, outline.silhouette, body, options.margin_px)
+    scan = LineScan(view=view, body=body, lines=lines, search=search, options=options)
+    return scan.measured(body.position_camera_km, psf_px2=max(psf_px2, LEAST_PSF_PX2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -311,7 +342,7 @@ class LineScan(Value):
         by_noise = state.iteration >= PATIENCE and moved_px < unsure_px
         return next_motion_px(state.moved_px, moved_px) < tolerance_px or by_noise
 
-    def finish(self, measured: LineMeasurement, step: LimbStep) -> LimbMeasurement:
+    def finish(self, measured: LineMeasurement, step: LimbStep) -> LineMeasurement:
         """Return the measurement with the points that agree."""
         return replace(measured, keep=step.keep)
 
@@ -361,11 +392,11 @@ class LineScan(Value):
         if found.extrapolated_px > 0.0:
             sigma_px = EXTRAPOLATION_ERROR * found.extrapolated_px
             errors.append(SmoothError(cause=Cause.EDGE, sigma_px=sigma_px, length_px=view.radius_px))
-        jacobian = view.model.project_jacobian(limb.points_camera_km[good])
+        design = limb_design(limb.normals_px[good], view.model.project_jacobian(limb.points_camera_km[good]))
         return LineMeasurement(
             predicted_px=limb.points_px[good],
             normals_px=limb.normals_px[good],
-            design=limb_design(limb.normals_px[good], jacobian),
+            design=design,
             shift_px=match.shift_px[good],
             sigma_px=match.sigma_px[good],
             keep=np.ones(int(good.sum()), dtype=bool),
@@ -380,6 +411,7 @@ class LineScan(Value):
             relief=self.relief,
             psf_px2=width**2 + found.psf_px2,
             unmeasured_px=limb.points_px[~good],
+            rotation_design=np.cross(limb.points_camera_km[good] - body.position_camera_km, design),
         )
 
     def _limb(self, body: Body, *, first: bool) -> PredictedLimb | Failure:

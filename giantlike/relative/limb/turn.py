@@ -1,0 +1,140 @@
+"""Turn of a body about the line of sight by its limb, together with its place: what the roll of a camera follows from.
+
+The fix of a limb takes the orientation of the body as told, and leaves what a turn does to the outline among the
+residuals. Here the turn is one more parameter; the limb is measured again across the turned body until it stands still.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, unit
+from giantlike.core.causes import Cause, added, summed
+from giantlike.core.outcomes import BodyTurn, Failure
+from giantlike.core.values import Value
+from giantlike.processing.correlated_fit import robust_solution, solution_gain
+from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.relative.limb.fix import IteratedSearch, next_motion_px
+from giantlike.relative.limb.solution import weighted
+from giantlike.relative.place import place_jacobian
+
+_LEAST_LEVER = 1e-3
+"""Motion of an outline by a turn that a motion of its center does not explain, over the radius, root mean square, below
+which it is round: a turn of it would be known to some degrees at best, and the normals of a mesh are off by more."""
+_MOST_SIGMA_RAD = 0.3
+"""Standard deviation of a turn beyond which it is not measured: outlines are linear in the turn over less than that."""
+
+
+def limb_turn(
+    measured: LimbMeasurement,
+    again: Callable[[Float, Float], LimbMeasurement | Failure],
+    camera: Camera,
+    radius_px: float,
+    *,
+    search: IteratedSearch,
+    min_length_px: float,
+) -> BodyTurn | None:
+    """Find the turn of a body about the line of sight, and its place with it.
+
+    Parameters
+    ----------
+    measured : LimbMeasurement
+        The settled limb of the body as told.
+    again : callable
+        Measures the limb at a position (3,), km, of the body turned from what was told by a rotation vector (3,),
+        rad, both in camera axes.
+    camera : Camera
+        Its uncertainty counts: an image that is stretched looks like a turned outline.
+    radius_px : float, px
+        Apparent radius of the body.
+    search : IteratedSearch
+        Whose outliers are left out, and whose tolerance says when the limb stands still.
+    min_length_px : float, px
+        Shortest correlation length along the limb that is considered.
+
+    Returns
+    -------
+    BodyTurn or None
+        None where the outline is too round, or does not come to rest.
+    """
+    axis, turn_rad, before_px = unit(measured.position_camera_km), 0.0, math.inf
+    for _ in range(search.max_iterations):
+        step = _solved(measured, camera, radius_px, outlier_mad=search.outlier_mad, min_length_px=min_length_px)
+        if step is None:
+            return None
+        turn_rad += step.found.turn_rad
+        if next_motion_px(before_px, step.moved_px) < search.tolerance_px:
+            return replace(step.found, turn_rad=turn_rad)
+        before_px = step.moved_px
+        remeasured = again(step.position_camera_km, turn_rad * axis)
+        if isinstance(remeasured, Failure):
+            return None
+        measured = remeasured
+    return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Step(Value):
+    """What one measurement asks for: place (3,), km, turn, and the motion of the limb by the turn, px."""
+
+    position_camera_km: Float
+    found: BodyTurn
+    moved_px: float
+
+
+def _solved(
+    measured: LimbMeasurement, camera: Camera, radius_px: float, *, outlier_mad: float, min_length_px: float
+) -> _Step | None:
+    """Solve for place and turn; None where the outline is too round.
+
+    A limb point that slides along the surface as the body rotates slides along the limb too, so that to first order
+    only its own motion counts across the limb.
+    """
+    by_rotation = measured.rotation_design
+    if by_rotation is None:
+        return None
+    by_turn = by_rotation @ unit(measured.position_camera_km)
+    design = np.concatenate([measured.design, by_turn[:, None]], axis=1)
+    # Outliers are those of place and turn together: what a turn shifts most is no outlier.
+    keep = robust_solution(measured.shift_px, design, measured.sigma_px, outlier_mad=outlier_mad)[1]
+    measured, design, by_rotation = replace(measured, keep=keep), design[keep], by_rotation[keep]
+    lever_px = design[:, 3] - design[:, :3] @ (measured.even_gain @ design[:, 3])
+    lever_rms_px = float(np.sqrt(np.mean(lever_px**2)))
+    if lever_rms_px < _LEAST_LEVER * radius_px:
+        return None
+    solved = weighted(measured, design, radius_px, min_length_px=min_length_px)
+    gain = solved.gain @ solved.means
+    step = gain @ measured.shift_px[keep]
+    even_gain = solution_gain(design, np.zeros((0, 0)), weights=np.ones(len(design)))
+    covariance = summed(added(solved.own, measured.smooth_covariances(even_gain)), tuple(Cause))
+    covariance[3, 3] += _by_camera(measured, camera, gain[3])
+    if not covariance[3, 3] < _MOST_SIGMA_RAD**2:
+        return None
+    position_km = measured.position_camera_km + step[:3]
+    by_solution = np.zeros((3, 4))
+    by_solution[:2, :3], by_solution[2, 3] = place_jacobian(camera.model, position_km)[:2], 1.0
+    covariance = by_solution @ covariance @ by_solution.T
+    found = BodyTurn(
+        turn_rad=float(step[3]),
+        center_px=camera.model.project(position_km),
+        covariance=(covariance + covariance.T) / 2.0,
+        by_rotation=by_solution @ gain @ by_rotation,
+    )
+    return _Step(position_camera_km=position_km, found=found, moved_px=abs(float(step[3])) * lever_rms_px)
+
+
+def _by_camera(measured: LimbMeasurement, camera: Camera, gain: Float) -> float:
+    """Variance, by the camera model, of what a gain (m,) makes of the shifts of the points that are kept."""
+    known, model = camera.uncertainty, camera.model
+    if known is None or not known.estimated:
+        return 0.0
+    keep, names = measured.keep, model.parameter_names
+    chosen = [names.index(name) for name in known.estimated]
+    by_parameters = model.parameter_jacobian(model.unproject(measured.predicted_px[keep]))[:, :, chosen]
+    response = gain @ np.einsum("ni,nik->nk", measured.normals_px[keep], by_parameters)
+    return float(response @ known.covariance @ response)
