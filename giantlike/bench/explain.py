@@ -112,8 +112,8 @@ def _target(name: str, there: Sequence[ObservationRecord], known: TargetRecord |
         text += f", range {math.hypot(*predicted.predicted_camera_km):.6g} km"
         if known is not None and known.sighting is not None:
             text += f", phase angle {_phase_deg(predicted.predicted_camera_km, known):.1f} deg"
-    if known is not None and known.view is not None:
-        text += f", {2 * known.view.radius_px:.4g} px across"
+    if known is not None and known.view is not None and known.view.diameter_px is not None:
+        text += f", {known.view.diameter_px:.1f} px across (the sphere of its volume)"
     yield f"{text}."
     if known is not None and known.note:
         yield f"  Note: {known.note}."

@@ -15,6 +15,7 @@ from giantlike.campaign.render.run import RenderedImage, render_images
 from giantlike.cli.arguments import Json, Overwrite, Run, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say, show_result
 from giantlike.cli.progress import progress_bar
+from giantlike.core.arrays import require
 from giantlike.observables.exchange import Angles
 
 
@@ -22,8 +23,10 @@ def export(
     folder: Run,
     kind: Annotated[ExportFormat, typer.Option("--format", help="Format to write.")],
     output: Annotated[
-        Path | None, typer.Option(help="New file; for wcs a folder. Default: in the run folder.", metavar="FILE|DIR")
+        Path | None,
+        typer.Option(help="New file; for wcs, sumfile a folder. Default: in the run folder.", metavar="FILE|DIR"),
     ] = None,
+    overwrite: Overwrite = False,
     pointing: Annotated[PointingSource, typer.Option(help="What attitudes are from.")] = PointingSource.STARS,
     suspect: Annotated[bool, typer.Option("--suspect", help="Suspect attitudes as well.")] = False,
     stars_only: Annotated[
@@ -65,7 +68,10 @@ def export(
         angles=angles,
         sip_order=sip_order,
     )
-    exported = export_run(folder, output or folder / EXPORT_NAMES[kind], kind, options)
+    target = output or folder / EXPORT_NAMES[kind]
+    there = any(target.iterdir()) if target.is_dir() else target.exists()
+    require(overwrite or not there, f"{target} exists: give --output another name, or --overwrite")
+    exported = export_run(folder, target, kind, options)
     if json:
         print_json({"format": kind} | asdict(exported))
         return ExitCode.DONE

@@ -1,9 +1,10 @@
-"""Progress for people, on stderr: a bar on a terminal, elsewhere at most a line per so many images."""
+"""Progress for people, on stderr: a bar on a terminal, elsewhere, in notebooks too, a line per so many images."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -25,14 +26,14 @@ def progress_bar(*, lines: bool = False) -> Iterator[Callable[[str, int, int], N
     Parameters
     ----------
     lines : bool
-        Where stderr is no terminal, write a line per so many images; otherwise nothing is shown there.
+        Where stderr is no terminal, or that of a notebook, write a line per so many images; else nothing is shown.
 
     Yields
     ------
     callable
         Takes the name of the step, the number of images done, and of all.
     """
-    if not sys.stderr.isatty():
+    if not sys.stderr.isatty() or _in_a_notebook():
         yield _Lines() if lines else _nothing
         return
     from rich.console import Console
@@ -68,6 +69,14 @@ def with_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
             progress(stage, number, len(items))
             yield item
         progress(stage, len(items), len(items))
+
+
+def _in_a_notebook() -> bool:
+    """Return True for a command of a notebook (``!giantlike``): its terminal shows control characters as they are.
+
+    The kernel runs it in a pseudo-terminal, and shows itself by a variable of its launcher or by its backend of plots.
+    """
+    return "JPY_PARENT_PID" in os.environ or "inline" in os.environ.get("MPLBACKEND", "")
 
 
 class _Lines:

@@ -51,11 +51,15 @@ def _lines(found: RunStatus) -> Iterator[str]:
 def edit(
     folder: Run,
     action: Annotated[Action, typer.Argument(help="list, reject or restore.")],
-    file: Annotated[str | None, typer.Argument(metavar="IMAGE", help="Name of the image in the tables.")] = None,
+    file: Annotated[
+        str | None, typer.Argument(metavar="IMAGE", help="Name of the image in the tables; reject and restore need it.")
+    ] = None,
     star: Annotated[int | None, typer.Option(help="Number of a star of it, in the catalog.", metavar="ID")] = None,
     target: Annotated[str | None, typer.Option(help="Target of a fix of it.")] = None,
     estimator: Annotated[str | None, typer.Option(help="Estimator of that fix.")] = None,
-    why: Annotated[str | None, typer.Option(help="Reason, for those who come after.")] = None,
+    why: Annotated[
+        str | None, typer.Option(help="Reason, for those who come after; reject and restore need one.")
+    ] = None,
     who: Annotated[str | None, typer.Option(help="Default: the user.")] = None,
     json: Json = False,
 ) -> ExitCode:
@@ -68,7 +72,7 @@ def edit(
     if action is Action.LIST:
         edits = read_edits(folder).edits
         return show_result(list(map(_fields, edits)), map(_line, edits), json=json)
-    require(file is not None and why is not None, f"{action} needs an IMAGE and --why TEXT")
+    require(file is not None and bool((why or "").strip()), f"{action} needs an IMAGE and --why TEXT")
     require((target is None) == (estimator is None), "a fix has a --target and an --estimator")
     require(star is None or target is None, "give either --star or --target and --estimator")
     known = run.keys(AttitudeRecord)

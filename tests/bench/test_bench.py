@@ -21,7 +21,7 @@ from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, rotate
 from giantlike.core.outcomes import Quality, Reason
-from tests.campaign_files import CAMERA, RADII_KM, Truth
+from tests.campaign_files import APRIORI_OFFSET_KM, CAMERA, RADII_KM, Truth
 
 SHORT, LONG = "visit0_b_short.fits", "visit0_a_long.fits"
 WCS_PX = 0.01  # of the polynomials that stand for a pinhole camera
@@ -47,7 +47,7 @@ def test_layers_have_what_the_run_found(run: Path, made: tuple[Path, dict[str, T
     assert [layer.name for layer in layers_of(session.seen(LONG), ["rejected", "matches"])][-1:] == ["matches"]
 
 
-def test_an_image_is_explained_in_words(run: Path) -> None:
+def test_an_image_is_explained_in_words(run: Path, made: tuple[Path, dict[str, Truth]]) -> None:
     session = Session(run)
 
     star_words, body_words = explain(session.seen(LONG)), explain(session.seen(SHORT))
@@ -57,6 +57,11 @@ def test_an_image_is_explained_in_words(run: Path) -> None:
     assert "from the star images before and after it" in body_words
     assert re.search(r"Center at \([\d.]+, [\d.]+\) px, sigma", body_words)
     assert "Variance by cause: " in body_words
+    size = re.search(r"([\d.]+) px across \(the sphere of its volume\)", body_words)
+    assert size is not None
+    range_km = float(np.linalg.norm(made[1][SHORT].position_camera_km + APRIORI_OFFSET_KM))
+    diameter_px = 2.0 * np.arcsin(np.cbrt(np.prod(RADII_KM)) / range_km) * CAMERA.model.focal_length_px
+    assert float(size[1]) == pytest.approx(diameter_px, abs=0.2)  # the scale a few degrees off the axis
     assert "Smallest sigma of the fixes to trust" in body_words
 
 

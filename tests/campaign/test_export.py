@@ -379,6 +379,21 @@ def test_the_command_writes_files_and_says_which(run: Path, tmp_path: Path) -> N
     assert output.exists()
 
 
+@pytest.mark.parametrize("kind", ["csv", "wcs"])
+def test_what_is_there_is_replaced_only_if_that_is_asked_for(run: Path, tmp_path: Path, kind: str) -> None:
+    output = tmp_path / "out"
+    if kind == "wcs":
+        output.mkdir()
+    command = ["export", str(run), "--format", kind, "--output", str(output)]
+    assert CliRunner().invoke(app, command).exit_code == 0, "a folder that is empty is as good as none"
+    before = {path: path.read_bytes() for path in [output, *output.glob("*")] if path.is_file()}
+    refused = CliRunner().invoke(app, command)
+    assert refused.exit_code == 2
+    assert f"{output} exists: give --output another name, or --overwrite" in refused.stderr.replace("\n", "")
+    assert all(path.read_bytes() == content for path, content in before.items())
+    assert CliRunner().invoke(app, [*command, "--overwrite"]).exit_code == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [(["--format", "ck"], "--instrument"), (["--format", "csv", "--max-gap", "-1"], "max_gap_s")],

@@ -344,6 +344,11 @@ def test_status_tells_the_state_of_a_run_and_edit_keeps_who_when_and_why(copied:
     assert (state["state"], state["images"], state["steps"]["attitudes"]["done"]) == ("finished", 6, 6)
     with locked(run):
         assert f"run: running (process {os.getpid()} of " in giantlike("status", run).stdout
+    assert "reject and restore need one" in " ".join(giantlike("edit", "--help").stdout.split())
+    for nothing in ((), ("--why", " ")):
+        refused = giantlike("edit", run, "reject", "visit0_a_long.fits", *nothing)
+        assert refused.exit_code == 2
+        assert "reject needs an IMAGE and --why TEXT" in refused.stderr
     done = giantlike("edit", run, "reject", "visit0_a_long.fits", "--why", "smear", "--who", "ann")
     assert "ann: reject image visit0_a_long.fits: smear" in done.stdout
     assert "rejected (1), such as visit0_a_long.fits: by ann on 20" in giantlike("status", run).stdout

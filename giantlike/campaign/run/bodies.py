@@ -180,8 +180,10 @@ def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
     predicted_px = model.project(geometry.position_camera_km)
     if not np.isfinite(predicted_px).all():
         return None
-    radius_px = apparent_radius_px(
-        campaign.camera, predicted_px, geometry.target.shape.circumscribing_radius_km, geometry.range_km
+    shape = geometry.target.shape
+    radius_px, mean_radius_px = (
+        apparent_radius_px(campaign.camera, predicted_px, radius_km, geometry.range_km)
+        for radius_km in (shape.circumscribing_radius_km, shape.mean_radius_km)
     )
     outline, lit = np.zeros((0, 2)), np.zeros(0, dtype=bool)
     if radius_px >= _OUTLINE_MIN_RADIUS_PX:
@@ -192,6 +194,7 @@ def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
         target=geometry.target.name,
         predicted_px=predicted_px.tolist(),
         radius_px=radius_px,
+        diameter_px=2.0 * mean_radius_px,
         outline_px=outline.tolist(),
         outline_lit=lit.tolist(),
     )

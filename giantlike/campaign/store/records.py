@@ -405,6 +405,9 @@ class TargetView(PlainRecord):
     predicted_px : (2,) list of float, px
         Center.
     radius_px : float, px
+        Of the sphere around it.
+    diameter_px : float, px
+        Of the sphere of its volume, which the limits of estimators on limbs go by; None in older runs.
     outline_px : (n, 2) list of float, px
     outline_lit : (n,) list of bool
         True for points in sunlight.
@@ -413,6 +416,7 @@ class TargetView(PlainRecord):
     target: str
     predicted_px: Pair
     radius_px: float
+    diameter_px: float | None = None
     outline_px: list[Pair]
     outline_lit: list[bool]
 

@@ -121,8 +121,8 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         if diameter > options.max_diameter_px:
             return Failure(
                 Reason.NOT_UNRESOLVED,
-                f"the body is {diameter:.1f} px wide, max_diameter_px is {options.max_diameter_px:g}; "
-                "use an estimator for resolved bodies",
+                f"the sphere around the body is {diameter:.1f} px wide, max_diameter_px is "
+                f"{options.max_diameter_px:g}; use an estimator for resolved bodies",
             )
         renderer = TemplateRenderer(
             target=inputs.geometry.body(),
