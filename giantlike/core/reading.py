@@ -131,13 +131,23 @@ def toml_table(path: Path, what: str) -> dict[str, Any]:
     """
     try:
         with path.open("rb") as stream:
-            return tomllib.load(stream)
+            table = tomllib.load(stream)
+        _require_64_bits(table)
+        return table
     except OSError as error:
         raise DataError(path, f"cannot read the {what}: {error.strerror}") from error
     except RecursionError as error:
         raise DataError(path, "is not valid TOML: its brackets are nested too deeply") from error
     except ValueError as error:
         raise DataError(path, f"is not valid TOML: {error}") from error
+
+
+def _require_64_bits(value: object) -> None:
+    """Raise ``ValueError`` where a value of a TOML file is a whole number beyond those that TOML has."""
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _require_64_bits(inner)
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError(f"needed whole numbers of 64 bits, got one of {value.bit_length()}")
 
 
 def unzipped(content: bytes) -> bytes:

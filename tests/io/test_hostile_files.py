@@ -44,6 +44,7 @@ def test_damaged_files_of_every_kind_are_read_or_refused() -> None:
         ("heights npz", 292),
         ("heights tiled npz", 1744),
         ("shape npz", 1158),
+        ("camera", 3274),
         ("catalog", 1100),
         ("catalog tycho2", 2430),
     ],
