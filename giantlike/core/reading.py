@@ -177,10 +177,13 @@ def file_sha256(path: Path) -> str:
 
 
 def library_message(error: BaseException) -> str:
-    """One line of the text of an exception; of SPICE's, the short message and the first sentence of the long one."""
+    """One line of the text of an exception, of one without a text its class.
+
+    Of those of SPICE, the short message and the first sentence of the long one.
+    """
     short, long = str(getattr(error, "short", "")), " ".join(str(getattr(error, "long", "") or error).split())
     first = long.split(". ")[0].rstrip(".") if short else long[:_LONGEST_TEXT]
-    return f"{short}: {first}" if short else first
+    return f"{short}: {first}" if short else first or type(error).__name__
 
 
 def is_of_content(error: Exception) -> bool:
@@ -223,7 +226,7 @@ def problem_text(error: Exception, what: str) -> str:
         return "there is no such file"
     if isinstance(error, OSError) and error.strerror:
         return f"cannot be read as {what}: {error.strerror}"
-    text = library_message(error) or type(error).__name__
+    text = library_message(error)
     if isinstance(error, KeyError):
         text = f"{text} is missing"
     advice = "" if isinstance(error, ValueError) and _raised_here(error) else "; the file is damaged or of another kind"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import as_finite, as_image, require
 from giantlike.core.atomic import write_bytes_atomic
+from giantlike.core.child import in_child
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.reading import check, reads
@@ -239,14 +241,43 @@ def _open(data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[
     from astropy.io import fits
 
     with fits.open(io.BytesIO(data), memmap=False, lazy_load_hdus=False) as units:
-        unit = units[_choose(units, hdu)]
+        index = _choose(units, hdu)
+        unit = units[index]
         cards = _cards(unit.header)
         if unit is not units[0] and unit.header.get("INHERIT", True) is not False:
             inherited = _cards(units[0].header).items()
             cards |= {key: card for key, card in inherited if key not in cards and not _STRUCTURAL.fullmatch(key)}
-        pixels = np.array(unit.data)
+        pixels = _expanded(data, index) if isinstance(unit, fits.CompImageHDU) else np.array(unit.data)
     check(pixels.ndim >= 2 and pixels.dtype.kind in "iuf", "its image has no pixels")
     return cards, pixels.reshape(pixels.shape[-2:])
+
+
+def _expanded(data: bytes, index: int) -> NDArray[Any]:
+    """Pixels of a compressed image, expanded in a process of its own: the codes of a damaged one can end it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{index}.fits"
+        path.write_bytes(data)
+        return in_child(read_unit, [path], libraries=["astropy.io.fits"])["pixels"]
+
+
+def read_unit(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
+    """Read the pixels of one HDU.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        One file, named by the index of the HDU.
+
+    Returns
+    -------
+    dict of str to array
+        ``pixels``.
+    """
+    from astropy.io import fits
+
+    (path,) = paths
+    with fits.open(path, memmap=False) as units:
+        return {"pixels": np.array(units[int(path.stem)].data)}
 
 
 def _choose(units: Any, hdu: int | str | None) -> int:

@@ -39,8 +39,10 @@ def test_damaged_files_of_every_kind_are_read_or_refused() -> None:
 @pytest.mark.parametrize(
     ("kind", "number"),
     [
+        ("image compressed fits", 3692),
         ("heights pds3", 24),
         ("heights geotiff", 2267),
+        ("heights geotiff", 3790),
         ("heights npz", 292),
         ("heights tiled npz", 1744),
         ("shape npz", 1158),
