@@ -181,3 +181,9 @@ def require(condition: bool, message: str) -> None:
     """Raise :class:`InputError` with ``message`` unless ``condition``."""
     if not condition:
         raise InputError(message)
+
+
+def symmetric(matrix: Float) -> Float:
+    """Symmetric part of matrices (..., n, n): without the rounding of a product of several."""
+    result: Float = (matrix + np.swapaxes(matrix, -1, -2)) / 2.0
+    return result

@@ -77,6 +77,26 @@ def write_text_atomic(path: str | Path, text: str) -> None:
     write_bytes_atomic(path, text.encode("utf-8"))
 
 
+def append_text(path: Path, text: str) -> None:
+    """Append to a file in UTF-8; it is made where there is none.
+
+    Parameters
+    ----------
+    path : Path
+    text : str
+
+    Raises
+    ------
+    DataError
+        The file system refused the write.
+    """
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+
+
 def make_folder(path: Path) -> None:
     """Make a folder and those above it; it may exist.
 

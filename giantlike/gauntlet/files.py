@@ -9,8 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from giantlike.core.atomic import write_text_atomic
-from giantlike.core.errors import DataError
+from giantlike.core.atomic import append_text, write_text_atomic
 from giantlike.core.version import VERSION
 from giantlike.gauntlet.page import page_of
 from giantlike.gauntlet.run import Gauntlet, ImageResult, summary_of
@@ -58,11 +57,7 @@ def save_results(folder: Path, wanted: Gauntlet, results: Sequence[ImageResult],
     """
     path = folder / _PARTS
     if append:
-        try:
-            with path.open("a", encoding="utf-8") as stream:
-                stream.writelines(_line(wanted, result) for result in results)
-        except OSError as error:
-            raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+        append_text(path, "".join(_line(wanted, result) for result in results))
         return
     rows = [row for result in results for row in result.rows]
     report = summary_of(wanted, results)

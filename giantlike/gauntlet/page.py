@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from giantlike.campaign.report.templates import render_page
 from giantlike.core.version import VERSION
 from giantlike.gauntlet.kinds import KINDS
 from giantlike.gauntlet.rule import Verdict
@@ -65,18 +66,10 @@ def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:
     str
         HTML.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(
-            [jinja2.PackageLoader("giantlike.gauntlet", ""), jinja2.PackageLoader("giantlike.campaign.report", "")]
-        ),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-    )
     rows = [row for result in results for row in result.rows]
-    return environment.get_template("gauntlet.html.j2").render(
+    return render_page(
+        "gauntlet.html.j2",
+        "giantlike.gauntlet",
         version=VERSION,
         report=report,
         verdicts=[str(verdict) for verdict in _WORST_FIRST],

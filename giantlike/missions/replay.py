@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from giantlike.campaign.report.templates import render_page
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import InputError
@@ -273,22 +274,14 @@ def save_replay(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
 
 def _page_of(replay: Replay, summary: Mapping[str, Any]) -> str:
     """The page: sections in the order of the paper, then what was assumed."""
-    import jinja2
-
     from giantlike.plotting import svg_text
 
-    environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(
-            [jinja2.PackageLoader("giantlike.missions", ""), jinja2.PackageLoader("giantlike.campaign.report", "")]
-        ),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-    )
-    environment.filters["shown"] = lambda value: value if isinstance(value, str) else f"{value:.4g}"
-    return environment.get_template("replay.html.j2").render(
+    return render_page(
+        "replay.html.j2",
+        "giantlike.missions",
         version=VERSION,
         replay=replay,
         summary=summary,
+        shown=lambda value: value if isinstance(value, str) else f"{value:.4g}",
         svg=lambda figure, number: svg_text(figure.figure, f"{replay.name}-{number}"),
     )

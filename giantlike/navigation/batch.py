@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, require, symmetric
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.navigation.cislunar_filter import (
@@ -104,8 +104,8 @@ def estimate_batch(
             return BatchSolution(
                 first_mean=found,
                 last_mean=arc.last_mean + arc.last_by_first @ (prior - mean) + last_by_data @ solution,
-                covariance_first=_symmetric(covariance_first),
-                covariance_last=_symmetric(covariance_last),
+                covariance_first=symmetric(covariance_first),
+                covariance_last=symmetric(covariance_last),
                 residuals=arc.residuals.reshape(-1, 3),
                 squared_residual=float((arc.residuals - arc.design @ (prior - mean)) @ solution),
                 iterations=iteration,
@@ -158,8 +158,3 @@ def _arc(et: float, mean: Float, observations: Sequence[BodyObservation], model:
         last_noise=noise,
         last_with_data=earlier,
     )
-
-
-def _symmetric(matrix: Float) -> Float:
-    """Mean of a matrix and its transpose."""
-    return (matrix + matrix.T) / 2.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import optimize, stats
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Mask, symmetric
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.navigation.pass_fix import PassFix, TimetagJitter, WeakCombination, term_test, weak_combinations
@@ -246,14 +246,14 @@ def _result(
     freedom = max(normal.count - round(float(np.trace(told))), 1)
     chi2 = normal.squares
     scale2 = max(chi2 / freedom, 1.0) if options.scale_noise else 1.0
-    parts = {"noise": scale2 * _symmetric(told @ inverse), "a priori": _symmetric(inverse @ prior[own] @ inverse)}
+    parts = {"noise": scale2 * symmetric(told @ inverse), "a priori": symmetric(inverse @ prior[own] @ inverse)}
     for term, members in layout.groups.items():
         considered = [k for k in members if not layout.estimated[k]]
         if considered:
             moved = inverse @ normal.information[np.ix_(which, considered)]
             known = layout.covariance_apriori[np.ix_(considered, considered)]
-            parts[f"considered {term}"] = _symmetric(moved @ known @ moved.T)
-    covariance = _symmetric(np.sum(list(parts.values()), axis=0))
+            parts[f"considered {term}"] = symmetric(moved @ known @ moved.T)
+    covariance = symmetric(np.sum(list(parts.values()), axis=0))
     departure = state.departure[which]
     sigmas = np.where(layout.free, np.inf, np.sqrt(np.diagonal(layout.covariance_apriori)))[which]
     tests = []
@@ -262,7 +262,7 @@ def _result(
         if mine.size:
             still = prior[own].copy()
             still[mine, :] = still[:, mine] = 0.0
-            others = covariance - parts["a priori"] + _symmetric(inverse @ still @ inverse)
+            others = covariance - parts["a priori"] + symmetric(inverse @ still @ inverse)
             tests.append(
                 term_test(term, departure[mine], others[np.ix_(mine, mine)], freedom if options.scale_noise else None)
             )
@@ -288,11 +288,6 @@ def _result(
         n_rejected=sum(keep.size for keep in state.keeps) - normal.count,
         iterations=state.iterations,
     )
-
-
-def _symmetric(matrix: Float) -> Float:
-    result: Float = (matrix + matrix.T) / 2.0
-    return result
 
 
 def _tags(

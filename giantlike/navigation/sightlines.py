@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.catalogs import StarTable, et_of_julian_year
-from giantlike.core.arrays import Float, as_finite, require, require_number, unit
+from giantlike.core.arrays import Float, as_finite, require, require_number, symmetric, unit
 from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.frames import direction_from_radec, east_north, rotate
 from giantlike.core.light import aberrate
@@ -146,8 +146,8 @@ def sightline_of_pixel(
         image=image.name,
         et=et,
         direction_inertial=unit(rotate(turn.inv(), direction)),
-        covariance_rad2=_symmetric(turned @ spread @ turned.T),
-        covariance_attitude_rad2=_symmetric(attitude),
+        covariance_rad2=symmetric(turned @ spread @ turned.T),
+        covariance_attitude_rad2=symmetric(attitude),
     )
 
 
@@ -251,9 +251,3 @@ class StarEphemeris(Value):
         scipy Rotation
         """
         return Rotation.identity()
-
-
-def _symmetric(matrix: Float) -> Float:
-    """Symmetric part: rounding of a product of three matrices."""
-    result: Float = (matrix + matrix.T) / 2.0
-    return result

@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from giantlike.core.arrays import Float, as_finite, require, require_number
+from giantlike.core.arrays import Float, as_finite, require, require_number, symmetric
 from giantlike.core.causes import Cause
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Quality, Reason
@@ -413,8 +413,8 @@ def _judged(
     angular = {cause: part / (scale[:, None] * scale) for cause, part in lines.parts(ranges).items()}
     total = np.asarray(sum(angular.values()))
     gain = _gain(by_position, total)
-    parts = {cause: _symmetric(gain @ part @ gain.T) for cause, part in angular.items()}
-    covariance = _symmetric(np.asarray(sum(parts.values())))
+    parts = {cause: symmetric(gain @ part @ gain.T) for cause, part in angular.items()}
+    covariance = symmetric(np.asarray(sum(parts.values())))
     sigma, nearest = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])), float(np.min(ranges))
     if not sigma <= options.max_range_sigma * nearest:
         return Failure(
@@ -437,9 +437,3 @@ def _judged(
         steps=steps,
         flags=Quality.LARGE_RESIDUALS if rare else Quality.NONE,
     )
-
-
-def _symmetric(matrix: Float) -> Float:
-    """Symmetric part: rounding of a product of three matrices."""
-    result: Float = (matrix + matrix.T) / 2.0
-    return result

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_finite
+from giantlike.core.arrays import Float, as_finite, symmetric
 from giantlike.core.causes import Cause
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import AttitudeFix, PositionFix
@@ -40,7 +39,7 @@ class Interlock(Value):
         """
         back = self.second_from_first.inv()
         turn = back.as_matrix()
-        return Interlock(second_from_first=back, covariance_rad2=_symmetric(turn @ self.covariance_rad2 @ turn.T))
+        return Interlock(second_from_first=back, covariance_rad2=symmetric(turn @ self.covariance_rad2 @ turn.T))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,7 +92,7 @@ def carried_attitude(stars: AttitudeFix, interlock: Interlock) -> tuple[Rotation
     """
     turn = interlock.second_from_first.as_matrix()
     covariance = turn @ stars.covariance_rad2 @ turn.T + interlock.covariance_rad2
-    return interlock.second_from_first * stars.camera_from_inertial, _symmetric(covariance)
+    return interlock.second_from_first * stars.camera_from_inertial, symmetric(covariance)
 
 
 def pose_of_pair(body: PositionFix, camera_from_inertial: Rotation, attitude_covariance_rad2: ArrayLike) -> PairPose:
@@ -125,8 +124,8 @@ def pose_of_pair(body: PositionFix, camera_from_inertial: Rotation, attitude_cov
     inertial_from_camera = camera_from_inertial.inv().as_matrix()
     by_turn = skew(body.position_camera_km)
     parts = {
-        Cause.NOISE: _symmetric(inertial_from_camera @ body.covariance_camera_km2 @ inertial_from_camera.T),
-        Cause.ATTITUDE: _symmetric(inertial_from_camera @ by_turn @ attitude @ by_turn.T @ inertial_from_camera.T),
+        Cause.NOISE: symmetric(inertial_from_camera @ body.covariance_camera_km2 @ inertial_from_camera.T),
+        Cause.ATTITUDE: symmetric(inertial_from_camera @ by_turn @ attitude @ by_turn.T @ inertial_from_camera.T),
     }
     return PairPose(
         target=body.target,
@@ -138,9 +137,3 @@ def pose_of_pair(body: PositionFix, camera_from_inertial: Rotation, attitude_cov
         covariance_inertial_km2=parts[Cause.NOISE] + parts[Cause.ATTITUDE],
         parts=parts,
     )
-
-
-def _symmetric(matrix: Float) -> Float:
-    """Symmetric part: rounding of a product of three matrices."""
-    result: Float = (matrix + np.swapaxes(matrix, -1, -2)) / 2.0
-    return result

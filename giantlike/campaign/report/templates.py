@@ -45,13 +45,14 @@ class PageFigure:
         return cls(charts_svg(figure, name) if isinstance(figure, ChartSheet) else svg_text(figure, name), caption)
 
 
-def render_page(template: str, **content: Any) -> str:
+def render_page(template: str, package: str = "giantlike.campaign.report", **content: Any) -> str:
     """Fill a template; it may show numbers by ``| sig`` (three significant digits, a dash for None).
 
     Parameters
     ----------
     template : str
-        File in this folder.
+        File in the folder of the package; it may extend those of this folder.
+    package : str
     **content
         Values of the names in the template.
 
@@ -62,7 +63,7 @@ def render_page(template: str, **content: Any) -> str:
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("giantlike.campaign.report", ""),
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(one, "") for one in (package, "giantlike.campaign.report")]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

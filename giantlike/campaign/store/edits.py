@@ -17,6 +17,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
+from giantlike.core.atomic import append_text
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Reason
 
@@ -212,13 +213,8 @@ def add_edits(folder: Path, edits: Sequence[Edit]) -> None:
     DataError
         The file cannot be written.
     """
-    path = folder / EDITS_FILE
     lines = "".join(json.dumps(edit.model_dump(mode="json", exclude_none=True)) + "\n" for edit in edits)
-    try:
-        with path.open("a", encoding="utf-8") as stream:
-            stream.write(lines)
-    except OSError as error:
-        raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+    append_text(folder / EDITS_FILE, lines)
 
 
 _NO_FIX = ObservationRecord(index=0, file="", target="", estimator="", status="failed")

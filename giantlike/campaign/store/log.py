@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from giantlike.core.errors import DataError
+from giantlike.core.atomic import append_text
 
 LOGGER = logging.getLogger("giantlike.campaign")
 
@@ -80,12 +80,7 @@ class RunLog(logging.Handler):
         if getattr(record, "run_folder", None) != self._folder:
             return
         line = {"time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())} | vars(record)["line"]
-        path = self._folder / "log.jsonl"
-        try:
-            with path.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(line, default=str) + "\n")
-        except OSError as error:
-            raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+        append_text(self._folder / "log.jsonl", json.dumps(line, default=str) + "\n")
 
     def _pass_on(self, record: logging.LogRecord) -> bool:
         """Filter of the logger: return False for a record below the level of before, once it is written."""
