@@ -14,6 +14,7 @@ from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.image import Image
 
+_TEMPLATE = Path(__file__).parent / "pages" / "campaign.toml.template"
 _LOOKED_AT = 20
 """Images that are opened, evenly over the folder: enough to see two kinds of exposure and a mixture of sizes."""
 _LONG_S = 1.0
@@ -72,7 +73,7 @@ def write_campaign_file(images: Path, output: Path, camera: CameraChoice, *, ove
     sizes = Counter((image.columns, image.rows) for image in opened)
     (size, _), *others = sizes.most_common()
     pattern = Path(os.path.relpath(images, output.parent), f"*{suffix}").as_posix()
-    text = _TEMPLATE.format(
+    text = _TEMPLATE.read_text(encoding="utf-8").format(
         name=json.dumps(images.resolve().name),
         pattern=json.dumps(pattern),
         camera=_camera(camera, size, output.parent),
@@ -130,42 +131,3 @@ def _found(images: Sequence[Image]) -> str:
     }
     found = ", ".join(f"{name} in {count}" for name, count in counts.items())
     return f"{len(images)} images looked at; headers have {found}"
-
-
-_TEMPLATE = """\
-# Campaign file, made by giantlike init: complete it, then giantlike check, then giantlike run.
-# Every key is described in docs/campaign_file.md. Paths are relative to this file.
-# {found}.
-
-[campaign]
-name = {name}
-output = "run"              # the run folder; running again goes on with what it holds
-
-[images]
-files = [{pattern}]
-{sizes}# geometry = "geometry.csv"  # a priori attitude, position of bodies and of the spacecraft, per image
-# attitude_sigma_deg = 0.1   # one sigma of a priori attitudes
-
-[camera]
-{camera}
-
-# [spice]                    # what table and headers leave out
-# kernels = ["kernels/*.tls", "kernels/*.bsp", "kernels/*.tpc", "kernels/*.bc"]
-# spacecraft = "-64"
-# frame = "CAMERA_FRAME"     # a priori attitudes from a CK
-
-[stars]                      # delete this table if attitudes are not to be solved from stars
-lost_in_space = true         # without a priori attitudes, or where they do not lead to a solution
-# max_magnitude = 9.0
-{stars}
-
-# [calibration]              # estimate the camera from the stars of all images first
-# estimate = ["fx_px", "fy_px", "k1"]
-
-# [[targets]]                # one table per body
-# name = "BODY"
-# shape = "body.obj"         # or {{ radii_km = [1.0, 1.0, 1.0] }}
-# units = "km"               # of the file: km, m or auto
-# estimators = ["auto"]      # giantlike estimators lists them
-# options.auto = {{}}
-"""

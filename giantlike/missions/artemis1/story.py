@@ -12,33 +12,6 @@ from giantlike.missions.artemis1.simulate import fly
 from giantlike.missions.artemis1.terrain import made_up_moon
 from giantlike.missions.replay import Replay, ReplaySettings, Section
 
-ASSUMPTIONS = (
-    "No trajectory of the flight comes with the package: every pass is a straight track at the range of "
-    "Table 1, with the range "
-    "rate between passes a day apart (simulated).",
-    "Phase angles are assumed (55 to 110 deg), and the Sun lies along -x of the image, as the text has it for pass 3.",
-    "Detector: 2560 x 2048 pixels, 12 bits, gain, read noise and a blur of 0.8 px are assumed.",
-    "The Moon is made up: 2 km of relief (the 6562 ft of Holt et al. 2018) by Kaula's rule in waves of 6 to "
-    "144 deg, seen from "
-    "another side in every pass. Bring a height map of the real one to giantlike.terrain for its limbs.",
-    "Models before flight are those of Holt et al. 2018, of which the paper says that values were changed slightly.",
-    "Moment-based edges are Zernike moments in windows of 5 x 5 pixels; edges by partial areas, tried too, "
-    "come out 0.9 px too far on a "
-    "Moon of 50 px whose limb is bright.",
-    "The band of the camera is not told: the air is that of giantlike.atmosphere, molecules at 550 nm with a scale "
-    "height of 7 km, without aerosol and multiple scattering.",
-    "The time that fills a pixel of sunlit cloud (20 microseconds) is TUNED to the half pixel between "
-    "exposures of 1 and 50.",
-    "The automatic exposure goes in steps of 50 microseconds down to 1, an assumed rule that toggles as the "
-    "paper's does.",
-    "Attitude while images are taken (noise 1.2 arcsec, turn of 24 arcsec/s across the Sun, late tags of "
-    "0.1 s and some of 0.8 s) is "
-    "assumed; turn and jitter are TUNED to the scatter of 0.117 px in y of Table 2.",
-    "Error of the velocity of the trajectory: 0.2 m/s, assumed.",
-    "Distortion of the lens, stars in a frame, errors of star trackers (8 and 40 arcsec about the boresight) and their "
-    "shifts in flight are made up, of the size that Figs. 4 and 5 tell.",
-)
-
 
 def tell(settings: ReplaySettings) -> Replay:
     """Simulate, process and compare."""
@@ -62,7 +35,7 @@ def tell(settings: ReplaySettings) -> Replay:
             algorithms_section(setting, moon[3], settings),
             earth_section(setting, earth),
         ),
-        assumptions=ASSUMPTIONS,
+        assumptions=tuple(setting.data["assumptions"]),
     )
 
 

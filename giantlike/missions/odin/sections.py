@@ -27,27 +27,6 @@ from giantlike.missions.odin.wide import wide_study
 from giantlike.missions.replay import Replay, ReplayFigure, ReplaySettings, Section
 
 ORIENTATIONS = 3  # "the test unit was reoriented a couple of times"
-ASSUMPTIONS = (
-    "Figures of the paper were read by their captions and the text: their curves are not in the text that was at hand.",
-    "Site (Atlanta), date (17 February 2025, the Moon rising from 13 to 38 degrees) and pointing are not in the paper.",
-    "Air: 1,010 hPa, 15 C; refraction in the images by Snell's law through an exponential atmosphere, taken out by"
-    " ERFA's"
-    " constants; images move by 0.7 arcsec a frame.",
-    "Detectors: well 10,500 electrons, read noise 2.4; optics a Gaussian of 0.7 px; stars of the default catalog to"
-    " 7.5 mag.",
-    "The rig was turned three times in 36 pairs, at random with both cameras above 25 degrees; it is rigid here.",
-    "The Moon is a sphere with made-up maria and the lunar-Lambert law; it has no relief.",
-    "Target determination: geometric albedos 0.434 and 0.12; the Moon's observed phase curve and a Lambert Earth as"
-    " truth,"
-    " albedos scattered by 5 and 15 %, calibration by 5 %; spacecraft from 15,000 to 500,000 km from the Earth at"
-    " random.",
-    "Eq. 23 is used without its second mean irradiance, eq. 21 without the aperture that eq. 22 multiplies by again.",
-    "Set with the paper known: the mean quantum efficiency (0.397) is the one by which eq. 23 gives what eq. 22"
-    " gives for"
-    " sunlight; the exposures of the wide cameras (4 and 40 us) suit Earth and Moon;"
-    " the limits of 0.1 % and 50,000 km of the lens trade.",
-    "The 30 s are those of the Artemis I flight code that the software is built from: this paper states no time.",
-)
 
 
 def whole_replay(settings: ReplaySettings) -> Replay:
@@ -150,7 +129,7 @@ def whole_replay(settings: ReplaySettings) -> Replay:
                 comparisons=compared.of_moon(pairs, failed),
             ),
         ),
-        assumptions=ASSUMPTIONS,
+        assumptions=tuple(paper()["assumptions"]),
     )  # fmt: skip
 
 
