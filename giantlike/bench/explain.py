@@ -109,7 +109,7 @@ def _target(name: str, there: Sequence[ObservationRecord], known: TargetRecord |
         return
     text = f"{name}: predicted at ({predicted.predicted_px[0]:.2f}, {predicted.predicted_px[1]:.2f}) px"
     if predicted.predicted_camera_km is not None:
-        text += f", range {math.hypot(*predicted.predicted_camera_km):.6g} km"
+        text += f", range {_digits(math.hypot(*predicted.predicted_camera_km), 6)} km"
         if known is not None and known.sighting is not None:
             text += f", phase angle {_phase_deg(predicted.predicted_camera_km, known):.1f} deg"
     if known is not None and known.view is not None and known.view.diameter_px is not None:
@@ -152,11 +152,18 @@ def _place(one: ObservationRecord) -> Iterator[str]:
         text += f"; observed minus predicted ({off[0]:+.3f}, {off[1]:+.3f}) px"
     yield f"{text}."
     if one.range_km is not None and one.sigma_range_km is not None:
-        text = f"Range {one.range_km:.8g} km, sigma {one.sigma_range_km:.2g} km"
+        text = f"Range {_digits(one.range_km, 8)} km, sigma {_digits(one.sigma_range_km, 2)} km"
         if one.predicted_camera_km is not None:
             predicted = math.hypot(*one.predicted_camera_km)
-            text += f"; observed minus predicted {one.range_km - predicted:+.4g} km"
+            text += f"; observed minus predicted {_digits(one.range_km - predicted, 4, '+')} km"
         yield f"{text}."
+
+
+def _digits(value: float, digits: int, sign: str = "") -> str:
+    """A number rounded to so many digits, without an exponent where it is large: 73094089, 74000."""
+    if abs(value) < 10.0**digits:
+        return f"{value:{sign}.{digits}g}"
+    return f"{float(f'{value:.{digits}g}'):{sign}.0f}"
 
 
 def _causes(parts: Mapping[Cause, Any]) -> Iterator[str]:

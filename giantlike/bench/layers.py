@@ -19,6 +19,8 @@ from giantlike.plotting import CENTERS, MARKS, Layer, Shape
 _THREE_SIGMA = 3.0
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
 """Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
+_LONGEST_NUMBER = 9
+"""Digits of a catalog number beside a mark: those of Hipparcos, Tycho-2 and UCAC4."""
 TERMINATOR = "#ff7ad9"
 """Color of the line where the Sun stands at the horizon of the surface."""
 LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
@@ -111,7 +113,7 @@ def _catalog(seen: SeenImage) -> list[MarkLayer]:
             title="catalog stars",
             layer=layer,
             labels=[f"{_called(name, number)} ({magnitude:.1f})" for name, number, magnitude in known],
-            names=[f"{name or number} ({magnitude:.1f})" for name, number, magnitude in known],
+            names=[f"{name or _short(number)} ({magnitude:.1f})".lstrip() for name, number, magnitude in known],
             star_ids=ids,
         )
     ]
@@ -302,6 +304,11 @@ def _stars_of(seen: SeenImage) -> Mapping[str, Any]:
 def _names_of(stars: Mapping[str, Any]) -> list[str]:
     """Proper names of the stars of a solution; runs of before there were names have none."""
     return _list(stars.get("star_names", ())) or [""] * len(stars["star_ids"])
+
+
+def _short(number: int) -> str:
+    """Number of a star to write beside it; those of Gaia are so long that they would cover its neighbors."""
+    return str(number) if len(str(number)) <= _LONGEST_NUMBER else ""
 
 
 def _called(name: str, number: int) -> str:

@@ -14,6 +14,7 @@ from typer.testing import CliRunner, Result
 import giantlike as gl
 from giantlike.bench import LAYERS, Session, explain, layers_of
 from giantlike.bench.comparison import limb_residuals, match_of
+from giantlike.bench.explain import _digits
 from giantlike.bench.planes import backplanes_of, with_terminators
 from giantlike.bench.session import chosen_fix
 from giantlike.cli.app import app
@@ -63,6 +64,14 @@ def test_an_image_is_explained_in_words(run: Path, made: tuple[Path, dict[str, T
     diameter_px = 2.0 * np.arcsin(np.cbrt(np.prod(RADII_KM)) / range_km) * CAMERA.model.focal_length_px
     assert float(size[1]) == pytest.approx(diameter_px, abs=0.2)  # the scale a few degrees off the axis
     assert "Smallest sigma of the fixes to trust" in body_words
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"), [(7.4732812, 6, "7.47328"), (73094089.4, 8, "73094089"), (74123.0, 2, "74000")]
+)
+def test_numbers_are_told_with_the_digits_that_count_and_no_exponent(value: float, digits: int, text: str) -> None:
+    assert _digits(value, digits) == text
+    assert _digits(-value, digits, "+") == f"-{text}"
 
 
 def test_a_fix_and_a_failure_outside_of_a_run_are_explained_too() -> None:
