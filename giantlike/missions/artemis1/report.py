@@ -21,19 +21,12 @@ def near(
 ) -> Comparison:
     """Compare a number of the paper and ours: they agree within a tolerance whose reason is told."""
     paper, ours = values
-    return Comparison(
-        what=what,
-        paper=paper,
-        ours=float(ours),
-        kind=kind,
-        agrees=bool(abs(ours - paper) <= tolerance),
-        reason=f"agrees within {tolerance:.3g}: {reason}",
-        reference=reference,
-    )
+    agrees = abs(ours - paper) <= tolerance
+    return holds(what, values, agrees, kind, reference, f"agrees within {tolerance:.3g}: {reason}")
 
 
 def holds(
-    what: str, values: tuple[str, str | float], true: bool, kind: ComparisonKind, reference: str, reason: str
+    what: str, values: tuple[str | float, str | float], true: bool, kind: ComparisonKind, reference: str, reason: str
 ) -> Comparison:
     """Compare a statement of the paper with what we find: it agrees where the rule in ``reason`` is met."""
     paper, ours = values

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 from giantlike.camera import Camera
-from giantlike.camera_models import BrownModel, ScaramuzzaModel
+from giantlike.camera_models import BrownModel, CameraModel, ScaramuzzaModel
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.independent import PinholeView
 
@@ -56,14 +57,7 @@ def narrow_camera(name: str = "narrow") -> Camera:
         p1=lens["p1"],
         p2=lens["p2"],
     )
-    return Camera(
-        name=name,
-        columns=size["columns"],
-        rows=size["rows"],
-        model=model,
-        psf=GaussianPsf(sigma_px=PSF_SIGMA_PX),
-        detector=detector(NARROW_BITS),
-    )
+    return _camera(name, size, model, NARROW_BITS)
 
 
 def rough_narrow_camera(name: str = "narrow") -> Camera:
@@ -78,11 +72,8 @@ def rough_narrow_camera(name: str = "narrow") -> Camera:
     Camera
     """
     size = paper()["narrow"]
-    known = narrow_camera(name)
     rough = Camera.from_fov(size["fov_deg"], size["columns"], size["rows"], type_name="brown")
-    return Camera(
-        name=name, columns=size["columns"], rows=size["rows"], model=rough.model, psf=known.psf, detector=known.detector
-    )
+    return replace(narrow_camera(name), model=rough.model)
 
 
 def narrow_view() -> PinholeView:
@@ -119,13 +110,17 @@ def wide_camera(name: str = "wide") -> Camera:
         cx_px=(size["columns"] - 1) / 2.0,
         cy_px=(size["rows"] - 1) / 2.0,
     )
+    return _camera(name, size, model, WIDE_BITS)
+
+
+def _camera(name: str, size: dict[str, Any], model: CameraModel, bits: int) -> Camera:
     return Camera(
         name=name,
         columns=size["columns"],
         rows=size["rows"],
         model=model,
         psf=GaussianPsf(sigma_px=PSF_SIGMA_PX),
-        detector=detector(WIDE_BITS),
+        detector=detector(bits),
     )
 
 

@@ -32,15 +32,9 @@ def near(
     -------
     Comparison
     """
-    return Comparison(
-        what=what,
-        paper=float(paper),
-        ours=float(ours),
-        kind=kind,
-        agrees=bool(abs(ours - paper) <= within * abs(paper)),
-        reason=f"Agrees within {100.0 * within:g} %. {because}",
-        reference=reference,
-    )
+    because = f"Agrees within {100.0 * within:g} %. {because}"
+    holds = abs(ours - paper) <= within * abs(paper)
+    return stated(what, float(paper), float(ours), holds=holds, kind=kind, reference=reference, because=because)
 
 
 def bounded(what: str, paper: float, ours: float, *, kind: ComparisonKind, reference: str, because: str) -> Comparison:
@@ -58,25 +52,26 @@ def bounded(what: str, paper: float, ours: float, *, kind: ComparisonKind, refer
     -------
     Comparison
     """
-    return Comparison(
-        what=what,
-        paper=float(paper),
-        ours=float(ours),
-        kind=kind,
-        agrees=bool(abs(ours) <= abs(paper)),
-        reason=f"Agrees where ours is not larger. {because}",
-        reference=reference,
-    )
+    because, holds = f"Agrees where ours is not larger. {because}", abs(ours) <= abs(paper)
+    return stated(what, float(paper), float(ours), holds=holds, kind=kind, reference=reference, because=because)
 
 
 def stated(
-    what: str, paper: str, ours: str, *, holds: bool, kind: ComparisonKind, reference: str, because: str
+    what: str,
+    paper: str | float,
+    ours: str | float,
+    *,
+    holds: bool,
+    kind: ComparisonKind,
+    reference: str,
+    because: str,
 ) -> Comparison:
-    """A sentence of the paper, and whether ours bears it out.
+    """What the paper states, and whether ours bears it out.
 
     Parameters
     ----------
-    what, paper, ours : str
+    what : str
+    paper, ours : str or float
     holds : bool
         From a rule that ``because`` tells.
     kind : ComparisonKind
