@@ -232,7 +232,6 @@ class MoonPair(Value):
 
     sky: Sky
     elevation_rad: float
-    star_elevation_rad: float
     fix: PositionFix
     image: Image
     true_camera_km: Float
@@ -308,7 +307,6 @@ def moon_pair(sky: Sky, interlocks: tuple[Interlock, Interlock], rng: np.random.
     return MoonPair(
         sky=sky,
         elevation_rad=sky.elevation(sky.moon_km),
-        star_elevation_rad=sky.elevation(rotate(first.inv(), [0.0, 0.0, 1.0])),
         fix=fix,
         image=moon,
         true_camera_km=rotate(second, sky.moon_km),

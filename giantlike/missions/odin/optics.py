@@ -34,7 +34,6 @@ class Choice:
     least_fov_deg: float
     ifov_arcsec: float
     megapixels: float
-    moon_px: float
     range_sigma: float
     nearest_earth_km: float
 
@@ -56,7 +55,6 @@ def choices() -> tuple[Choice, ...]:
                     least_fov_deg=high,
                     ifov_arcsec=float(np.degrees(1.0 / focal_px) * 3600.0),
                     megapixels=columns * rows / 1e6,
-                    moon_px=float(2.0 * focal_px * MOON_RADIUS_KM / MOON_DISTANCE_KM),
                     range_sigma=range_sigma(focal_px, MOON_RADIUS_KM, MOON_DISTANCE_KM),
                     nearest_earth_km=float(EARTH_RADIUS_KM / np.sin(np.radians(high / 2.0))),
                 )

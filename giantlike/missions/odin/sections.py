@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from giantlike.core.arrays import Float
 from giantlike.core.errors import EstimationError
 from giantlike.core.outcomes import Failure
 from giantlike.missions.odin import compared, figures
@@ -13,6 +14,7 @@ from giantlike.missions.odin.ground import sky_at
 from giantlike.missions.odin.modes import fly
 from giantlike.missions.odin.narrow import (
     InterlockStudy,
+    LensStudy,
     MoonPair,
     calibrate_lens,
     interlock_study,
@@ -21,9 +23,9 @@ from giantlike.missions.odin.narrow import (
     moon_pair,
     scatter_by_air,
 )
-from giantlike.missions.odin.optics import choices, coverage
+from giantlike.missions.odin.optics import Choice, choices, coverage
 from giantlike.missions.odin.paper import paper
-from giantlike.missions.odin.wide import wide_study
+from giantlike.missions.odin.wide import WideStudy, wide_study
 from giantlike.missions.replay import Replay, ReplayFigure, ReplaySettings, Section
 
 ORIENTATIONS = 3  # "the test unit was reoriented a couple of times"
@@ -60,77 +62,85 @@ def whole_replay(settings: ReplaySettings) -> Replay:
     by_air = scatter_by_air(40 if small else 1000, ORIENTATIONS, streams[4])
     pairs, failed = moon_study(locked, settings, streams[5])
     flight = fly(streams[6], images=2 if small else 4)
-    narrow_figures = (
-        ReplayFigure(
-            reference="Table 3", title="Residuals of the calibration", figure=figures.lens_figure(lens),
-            caption="Stars of the calibration; what is left at the edges is refraction within the field.",
-        ),
-    )  # fmt: skip
     return Replay(
         name="odin",
         title="ODIN, optical navigation for small satellites (Thrasher et al.)",
         sections=(
-            Section(
-                title="Cameras", text="Fields, projection and sizes by the tables, and the trade of sensor and lens.",
-                figures=(
-                    _figure("Fig. 5", "Diameter of Earth and Moon", figures.sizes_figure(), "Middle to edge of the"
-                    " frame."),
-                    _figure("Fig. 9", "Sensors and lenses", figures.trade_figure(every), "Circled: the one chosen."),
-                ),
-                comparisons=of_optics(every, covered),
-            ),
-            Section(
-                title="Target determination",
-                text="Wide images of Earth, Moon and Sun are searched; a body is told by its brightness for size and"
-                " phase.",
-                figures=(
-                    _figure("Fig. 6", "Intensity over phase", figures.phase_figure(), "Per solar irradiance and R"
-                    " squared."),
-                    _figure("", "Bodies found", figures.search_figure(wide), "Dotted: half of the narrow field."),
-                ),
-                comparisons=compared.of_photometry(wide),
-            ),
+            _cameras(every, covered),
+            _targets(wide),
             Section(
                 title="Modes, trigger and time",
                 text="; ".join(f"{each.mode}: {each.detail}" for each in flight.telemetry),
                 comparisons=compared.of_modes(flight, pairs),
             ),
-            Section(
-                title="Calibration of a narrow camera", figures=narrow_figures, comparisons=compared.of_lens(lens),
-                text="Star images from the ground with nothing told but size and field of view.",
-            ),
-            Section(
-                title="Angle between the narrow cameras",
-                text="Pairs of star images; attitudes as the stars show them, and with refraction taken out of each"
-                " star.",
-                figures=(
-                    _figure("Fig. 16", "Angle over pairs", figures.interlock_figure(locked), "A rigid rig under the"
-                    " air."),
-                ),
-                comparisons=compared.of_interlock(locked, by_air),
-            ),
-            Section(
-                title="Attitude and position from a pair",
-                text="Stars in one camera, the Moon in the other; the interlock is the one calibrated above. With"
-                " refraction"
-                f" taken out, {100 * share_within(pairs):.0f} % of the residuals lie within three sigmas of the"
-                f" covariance.",
-                figures=(
-                    _figure("Fig. 17", "The Moon, expected and measured", figures.moon_figure(pairs), "Circles:"
-                    " outlines."),
-                    _figure("Fig. 18", "Expected to measured Moon", figures.offset_figure(pairs), "Gray: the paper's"
-                    " range."),
-                    _figure(
-                        "Fig. 19", "Position residuals", figures.camera_residuals_figure(pairs),
-                        "Z along the line of sight; gray: three sigmas of the covariance. Refraction taken out.",
-                    ),
-                    _figure("Fig. 20", "Range and bearing", figures.bearing_figure(pairs), "Dotted: one pixel."),
-                ),
-                comparisons=compared.of_moon(pairs, failed),
-            ),
+            _calibration(lens),
+            _interlock(locked, by_air),
+            _positions(pairs, failed),
         ),
         assumptions=tuple(paper()["assumptions"]),
-    )  # fmt: skip
+    )
+
+
+def _cameras(every: tuple[Choice, ...], covered: float) -> Section:
+    trade = figures.trade_figure(every)
+    return Section(
+        title="Cameras",
+        text="Fields, projection and sizes by the tables, and the trade of sensor and lens.",
+        figures=(
+            _figure("Fig. 5", "Diameter of Earth and Moon", figures.sizes_figure(), "Middle to edge of the frame."),
+            _figure("Fig. 9", "Sensors and lenses", trade, "Circled: the one chosen."),
+        ),
+        comparisons=of_optics(every, covered),
+    )
+
+
+def _targets(study: WideStudy) -> Section:
+    found = figures.search_figure(study)
+    return Section(
+        title="Target determination",
+        text="Wide images of Earth, Moon and Sun are searched; a body is told by its brightness for size and phase.",
+        figures=(
+            _figure("Fig. 6", "Intensity over phase", figures.phase_figure(), "Per solar irradiance and R squared."),
+            _figure("", "Bodies found", found, "Dotted: half of the narrow field."),
+        ),
+        comparisons=compared.of_photometry(study),
+    )
+
+
+def _calibration(study: LensStudy) -> Section:
+    caption = "Stars of the calibration; what is left at the edges is refraction within the field."
+    return Section(
+        title="Calibration of a narrow camera",
+        text="Star images from the ground with nothing told but size and field of view.",
+        figures=(_figure("Table 3", "Residuals of the calibration", figures.lens_figure(study), caption),),
+        comparisons=compared.of_lens(study),
+    )
+
+
+def _interlock(study: InterlockStudy, by_air: Float) -> Section:
+    drawn = figures.interlock_figure(study)
+    return Section(
+        title="Angle between the narrow cameras",
+        text="Pairs of star images; attitudes as the stars show them, and with refraction taken out of each star.",
+        figures=(_figure("Fig. 16", "Angle over pairs", drawn, "A rigid rig under the air."),),
+        comparisons=compared.of_interlock(study, by_air),
+    )
+
+
+def _positions(pairs: tuple[MoonPair, ...], failed: int) -> Section:
+    along = "Z along the line of sight; gray: three sigmas of the covariance. Refraction taken out."
+    return Section(
+        title="Attitude and position from a pair",
+        text="Stars in one camera, the Moon in the other; the interlock is the one calibrated above. With refraction "
+        f"taken out, {100 * share_within(pairs):.0f} % of the residuals lie within three sigmas of the covariance.",
+        figures=(
+            _figure("Fig. 17", "The Moon, expected and measured", figures.moon_figure(pairs), "Circles: outlines."),
+            _figure("Fig. 18", "Expected to measured Moon", figures.offset_figure(pairs), "Gray: the paper's range."),
+            _figure("Fig. 19", "Position residuals", figures.camera_residuals_figure(pairs), along),
+            _figure("Fig. 20", "Range and bearing", figures.bearing_figure(pairs), "Dotted: one pixel."),
+        ),
+        comparisons=compared.of_moon(pairs, failed),
+    )
 
 
 def share_within(pairs: tuple[MoonPair, ...]) -> float:

@@ -53,8 +53,6 @@ class Delivery(Value):
 
     angle_mean_deg: float
     angle_sigma_deg: float
-    error_mean_deg: float
-    error_sigma_deg: float
 
 
 def analyzed(plan: Plan, *, with_images: bool = True, as_believed: bool = False) -> tuple[History, Delivery, Dispersed]:
@@ -94,14 +92,10 @@ def analyzed(plan: Plan, *, with_images: bool = True, as_believed: bool = False)
         rows.append(_row(at))
     history = History(**dict(zip(_COLUMNS, map(np.array, zip(*rows, strict=True)), strict=True)))
     slope = angle_slope(at.state.mean)
-    parts = [(float(slope @ mean[:6]), float(np.sqrt(slope @ covariance[:6, :6] @ slope))) for mean, covariance in (
-        at.joint.truth(), at.joint.navigation_error()
-    )]  # fmt: skip
+    mean, covariance = at.joint.truth()
     delivery = Delivery(
-        angle_mean_deg=float(entry_angle_deg(at.state.mean[:6])) + parts[0][0],
-        angle_sigma_deg=parts[0][1],
-        error_mean_deg=parts[1][0],
-        error_sigma_deg=parts[1][1],
+        angle_mean_deg=float(entry_angle_deg(at.state.mean[:6])) + float(slope @ mean[:6]),
+        angle_sigma_deg=float(np.sqrt(slope @ covariance[:6, :6] @ slope)),
     )
     return history, delivery, at
 
@@ -155,13 +149,8 @@ def flown(plan: Plan, settings: ReplaySettings, runs: int) -> Flown:
         sigma = state.factors.sigmas()[:, :6].mean(axis=0)
         rows.append((leg.et, error.mean(axis=0), error.std(axis=0), away.mean(axis=0), away.std(axis=0), sigma))
     history = History(**dict(zip(_COLUMNS, map(np.array, zip(*rows, strict=True)), strict=True)))
-    angles, believed = (entry_angle_deg(each[:, :6]) for each in (truth, state.mean))
-    delivery = Delivery(
-        angle_mean_deg=float(angles.mean()),
-        angle_sigma_deg=float(angles.std()),
-        error_mean_deg=float((angles - believed).mean()),
-        error_sigma_deg=float((angles - believed).std()),
-    )
+    angles = entry_angle_deg(truth[:, :6])
+    delivery = Delivery(angle_mean_deg=float(angles.mean()), angle_sigma_deg=float(angles.std()))
     speeds = np.linalg.norm(truth[:, 3:6], axis=1)
     return Flown(history=history, delivery=delivery, angles_deg=angles, speeds_km_s=speeds)
 
