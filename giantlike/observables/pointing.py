@@ -67,10 +67,10 @@ def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Point
     ----------
     camera : Camera
     rows : sequence of ObservableRow
-        Of one image, with one attitude. Of each target its landmarks are used, else a fix with a turn about the line
-        of sight that nothing objects to, else the preferred fix: two bodies, landmarks far from each other, or one body
-        that is not round give all three angles. The attitude of the rows with its covariance is the a priori one; where
-        it is that of stars, stars and bodies are thus taken together.
+        Of one image, with one attitude. Of each target its landmarks are used, else the preferred fix or one with a
+        turn about the line of sight that nothing objects to, whichever give the smaller covariance: two bodies,
+        landmarks far from each other, or one body that is not round give all three angles. The attitude of the rows
+        with its covariance is the a priori one; where it is that of stars, stars and bodies are thus taken together.
 
     Returns
     -------
@@ -86,9 +86,16 @@ def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Point
     directions by the ephemeris. A turn, and the place found with it, follow ``e`` by their derivatives by a rotation of
     the body about the camera axes too, which is what an error of the attitude looks like.
     """
-    used = _used(rows)
-    if not used:
+    choices = [_used(rows, turned=turned) for turned in (False, True)]
+    found = [_pointing(camera, used) for used in choices if used]
+    if not found:
         return Failure(Reason.NO_SIGNAL, "no body with a preferred fix and a computed place")
+    attitudes = [one for one in found if isinstance(one, Pointing)]
+    return min(attitudes, key=lambda one: float(np.trace(one.covariance_rad2))) if attitudes else found[0]
+
+
+def _pointing(camera: Camera, used: Sequence[_Measured]) -> Pointing | Failure:
+    """Attitude by least squares."""
     model, before = camera.model, Rotation.from_quat(_numbers(used[0].row.camera_from_icrf_xyzw))
     computed = np.array([[one.row.computed_pixel_px, one.row.computed_line_px] for one in used], dtype=np.float64)
     directions = rotate(before.inv(), model.unproject(computed))
@@ -167,14 +174,14 @@ class _Measured(Value):
         return result
 
 
-def _used(rows: Sequence[ObservableRow]) -> list[_Measured]:
-    """Landmarks that are not suspect; of the targets without any, a fix with a turn, else the preferred one."""
+def _used(rows: Sequence[ObservableRow], *, turned: bool) -> list[_Measured]:
+    """Landmarks that are not suspect; of the targets without any, the preferred fix, or rather one with a turn."""
     known = [row for row in rows if row.computed_pixel_px is not None and row.computed_line_px is not None]
     landmarks = [row for row in known if row.kind == "landmark" and row.status == "ok"]
     with_landmarks = {row.target for row in landmarks}
     bodies: dict[str | None, ObservableRow] = {}
-    for row in sorted(known, key=lambda row: (row.turn_rad is None, not row.preferred)):
-        good = row.preferred or (row.turn_rad is not None and row.status == "ok")
+    for row in sorted(known, key=lambda row: (turned and row.turn_rad is None, not row.preferred)):
+        good = row.preferred or (turned and row.turn_rad is not None and row.status == "ok")
         if row.kind == "body" and good and row.target not in with_landmarks:
             bodies.setdefault(row.target, row)
     return [_Measured.of(row) for row in [*bodies.values(), *landmarks]]

@@ -46,6 +46,7 @@ OFF = {"off_px": (7.0, -8.0), "range_error": 0.015}
 JACOBIAN_PX = 1e-6  # of steps of 0.025 px: what central differences leave
 VESTA_PX = 6.0  # "a few pixels": the mesh is coarse, and the pose itself is a fit to it
 VESTA_RANGE = 0.005
+VESTA_SIGMAS = 3.0  # of the turn, of 0.1 to 0.2 deg: the pose is a fit to the same images
 NEAR_LIMB_PX = 1.0  # nine of ten points; a terminator lies tens of pixels away
 PHASES_DEG = (20.0, 40.0, 60.0, 80.0, 100.0, 120.0)
 
@@ -500,6 +501,8 @@ def test_vesta_is_found_from_the_limb_in_two_corners(data_dir: Path, name: str) 
     assert Quality.CUT_BY_FRAME in fix.flags
     assert Quality.SHORT_ARC in fix.flags
     assert np.sqrt(np.diag(fix.covariance_px2)).max() > 0.3  # two short arcs do not give a hundredth of a pixel
+    assert fix.turn is not None
+    assert abs(fix.turn.turn_rad) < VESTA_SIGMAS * np.sqrt(fix.turn.covariance[2, 2])
 
 
 @pytest.mark.real_data

@@ -343,7 +343,8 @@ def _trajectory(run: _Run, path: Path, options: ExternalOptions) -> tuple[list[D
             except SpiceyError as error:
                 raise InputError(
                     f"{path}: no apparent place of {options.body or target} seen from {options.spacecraft} at {file}: "
-                    f"{' '.join(str(error.short).split())}; give --kernels with leap seconds and planets, and --body"
+                    f"{' '.join(str(error.short).split())}; give the kernels between them, such as planets, by "
+                    "--kernel, and --body"
                 ) from error
             range_km = float(np.linalg.norm(position))
             seen.append(
