@@ -135,6 +135,25 @@ def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: I
     return replace(fix, **changes)  # type: ignore[arg-type]
 
 
+def with_center_error(fix: AnyFix, cause: Cause, covariance_px2: Float) -> AnyFix:
+    """Return a fix of a center with an error by one more cause.
+
+    Parameters
+    ----------
+    fix : CenterFix
+        With its parts, of the center alone.
+    cause : Cause
+        In the image; one that the fix has already grows.
+    covariance_px2 : (2, 2) float64, px^2
+
+    Returns
+    -------
+    CenterFix
+    """
+    parts = {**fix.parts, cause: fix.parts.get(cause, np.zeros((2, 2))) + covariance_px2}
+    return replace(fix, parts=parts, covariance_px2=fix.covariance_px2 + covariance_px2)
+
+
 def position_covariance(model: CameraModel, position_camera_km: Float, covariance: Float) -> Float:
     """Covariance of a position from that of the place of the body, such as a sum of the parts of a fix.
 

@@ -97,6 +97,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
     options_type: ClassVar[type[Any]]
     of_fixes: ClassVar[bool] = False
     """True for an estimator of fixes of others, which have been checked already."""
+    by_light: ClassVar[bool] = False
+    """True for an estimator of the center of all light, which moves with any error of the figure."""
 
     def __init__(self, options: Options | None = None) -> None:
         self._options: Options = options or self.options_type()
@@ -148,7 +150,9 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             )
         if isinstance(result, Failure):
             return inputs.fail(result.reason, result.detail)
-        return result if self.of_fixes else verified(result, inputs, getattr(self.options, "search_px", 0.0))
+        if self.of_fixes:
+            return result
+        return verified(result, inputs, getattr(self.options, "search_px", 0.0), by_light=self.by_light)
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:

@@ -68,6 +68,9 @@ within its rings is refused. Of 176 fixes of seed 2000 of the gauntlet that need
 with 1e-4, 43 with 1e-3; of 102 that must be, none. A blur is less sure: markings along a terminator at 90 degrees of
 phase came to 1e-8 to 1e-3, three of fourteen right fixes to less than 6e-6.
 """
+MOST_GROWTH = 3.0
+"""Sigma of a center of light with what its figure adds, over that without, beyond which the figure is another one: the
+threefold growth at which :data:`LEAST_CHANCE` refuses a fix. See docs/gauntlet.md for what it refuses."""
 LEAST_PREDICTION_CHANCE = 1e-4
 """Probability below which a fix contradicts the declared errors of its prediction: the rate of false alarms."""
 
@@ -123,6 +126,8 @@ class QualityChecks(Value):
         that its face looks turned by as much, and that a right prediction is off by as much.
     turn_share : float
         Share of the squared residuals of the body that this turn explains.
+    growth : float
+        Sigma of a center of light with the errors of the figure that a coarse render shows, over that without.
     """
 
     off_px: Float
@@ -150,6 +155,7 @@ class QualityChecks(Value):
     turn_chance: float = 1.0
     turn_share: float = 0.0
     prediction_chance: float = 1.0
+    growth: float = 1.0
 
     def __post_init__(self) -> None:
         require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
@@ -183,6 +189,7 @@ class QualityChecks(Value):
             (Quality.WRONG_FIGURE, self.figure_chance < LEAST_CHANCE or self.unevenness > UNEVENNESS),
             (Quality.WRONG_FIGURE, self.terrain_misfit > TERRAIN_MISFIT and self.terrain_log_odds > -LIGHT_LOG_ODDS),
             (Quality.WRONG_FIGURE, self.turn_chance < LEAST_CHANCE and self.turn_share > TURN_SHARE),
+            (Quality.WRONG_FIGURE, self.growth > MOST_GROWTH),
             (Quality.BLURRED, self.blur_chance < LEAST_CHANCE),
         )
         flags = Quality.NONE

@@ -38,6 +38,7 @@ KNOWN = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
 LAWS = ("mcewen", "lambert", "lommel_seeliger", "hapke", "minnaert")
 LEAST_NEES = 0.25  # per degree of freedom, over few draws: half of the 0.5 that many draws must have
 CRESCENTS = ((1.0, "mcewen"), (2.0, "hapke"), (4.0, "mcewen"), (4.0, "lambert"), (8.0, "lommel_seeliger"))
+RIGHT_SIGMAS = 4.0
 SAME_SIGMA = 0.2  # of a sigma: iterations that stop at a tenth of it, and go other ways by rounding
 OTHER_SIGMA = (
     0.5  # the same where the noise of a sky of 200 electrons is taken for read noise: shot noise twice too large
@@ -170,6 +171,19 @@ def test_markings_that_the_shape_lacks_are_in_the_covariance_of_the_moment() -> 
     within([each.nees(fix) for each, fix in fixes])
     # Two of eight are suspect: to a coarse render, strong markings look like another figure, or like blur.
     assert sum(fix.flags.suspect for _, fix in fixes) <= 2
+
+
+def test_the_figure_is_in_the_covariance_of_the_moment_where_the_light_shows_another() -> None:
+    right = shot(0)
+    pixels, half = right.image.pixels.copy(), round(float(right.center_px[1]))
+    pixels[half:] = np.roll(pixels[half:], 2, axis=1)
+    slipped = replace(right, image=replace(right.image, pixels=pixels))
+    told, other = right.fix(Moment()), slipped.fix(Moment())
+    assert not told.parts[Cause.RELIEF].any()
+    assert Quality.WRONG_FIGURE in other.flags
+    assert Quality.WRONG_FIGURE not in told.flags
+    assert np.max(slipped.nees(other)) < RIGHT_SIGMAS**2  # where half of the rows went is not known
+    assert np.trace(other.parts[Cause.RELIEF]) > np.trace(told.covariance_px2)
 
 
 def test_a_law_that_is_told_wrong_is_found_by_the_moment() -> None:

@@ -107,7 +107,8 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
     ``reflectance``, what the blocks leave open of the law, and of saturated bodies the error of their brightness;
     ``albedo``, markings and rings, by the residuals of the blocks; ``psf``, the error of the size, half of the effect
-    of the wings that the light beside the body shows and, as one sigma, that of a threshold half as high. For
+    of the wings that the light beside the body shows and, as one sigma, that of a threshold half as high; ``relief``,
+    what limb, terminator and strain of the light show of another figure, by the checks behind every fix. For
     ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from the rendered correction is an error of the
     reflectance.
 
@@ -125,6 +126,7 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     """
 
     name: ClassVar[str] = "moment"
+    by_light: ClassVar[bool] = True
     options_type = MomentOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:

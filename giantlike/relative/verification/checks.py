@@ -15,7 +15,7 @@ from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
-from giantlike.relative.budget import with_larger_errors
+from giantlike.relative.budget import with_center_error, with_larger_errors
 from giantlike.relative.quality import LEAST_CHANCE, QualityChecks
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
@@ -60,9 +60,10 @@ class _Numbers(TypedDict, total=False):
     turn_chance: float
     turn_share: float
     prediction_chance: float
+    growth: float
 
 
-def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float) -> AnyFix:
+def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float, *, by_light: bool = False) -> AnyFix:
     """Return a fix with the flags and numbers of its checks; unchanged where it has them already.
 
     Parameters
@@ -72,6 +73,9 @@ def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float) -> AnyFix:
     inputs : EstimatorInputs
     search_px : float, px
         Declared search: largest error of the prediction, in both coordinates.
+    by_light : bool
+        The fix is that of all light, which moves with whatever is wrong with the figure; estimators on limbs and
+        templates know errors of relief themselves.
 
     Returns
     -------
@@ -84,14 +88,18 @@ def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float) -> AnyFix:
     chance = _prediction_chance(fix, inputs)
     if chance is not None:
         numbers["prediction_chance"] = chance
+    known, fit = inputs.psf_sigma_px is not None, None if coarse is None else coarse.fit
+    if by_light and fit is not None:
+        numbers["growth"] = _growth(fix, fit.figure_px2)
     if not numbers:
         return fix
     checks = QualityChecks(off_px=np.zeros(2), search_px=math.inf, **numbers)
-    known = inputs.psf_sigma_px is not None
-    tension = 1.0 if coarse is None or coarse.fit is None else tension_of(fix, coarse.fit, psf_known=known)
+    tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=known)
     text = " ".join(f"{name}={number:.3g}" for name, number in (*numbers.items(), ("tension", tension)))
     fix = replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
-    return fix if tension == 1.0 else with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)
+    if tension > 1.0:
+        fix = with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)
+    return with_center_error(fix, Cause.RELIEF, fit.figure_px2) if by_light and fit is not None else fix
 
 
 def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
@@ -128,6 +136,12 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     blurred = psf_known and chance_of(fit.blur, fit.blur_covariance) > LEAST_CHANCE  # beyond, the fix is refused
     blur = _squared(fit.blur, fit.blur_covariance) / len(fit.blur) if blurred else 0.0
     return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (blur - 1.0))
+
+
+def _growth(fix: CenterFix, figure_px2: Float) -> float:
+    """Factor by which errors of the figure (2, 2) make the sigma of a center larger than those of its own."""
+    own_px2 = float(np.trace(_own(fix)[:2, :2]))
+    return math.sqrt(1.0 + float(np.trace(figure_px2)) / max(own_px2, 1e-300))
 
 
 def _own(fix: CenterFix) -> Float:
