@@ -15,6 +15,8 @@ from giantlike.plotting import OverlayPanel, overlay_figure, stretched
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+MOST_NAMES = 30
+"""Names of a layer that are written, those of the points that matter most: more cover each other."""
 _LONGEST_PX = 2048
 """Longer sides of images are reduced to this; a page is not wider."""
 
@@ -26,7 +28,7 @@ def picture_of(
     *,
     box: tuple[float, float, float, float] | None = None,
 ) -> Figure:
-    """Draw an image with layers.
+    """Draw an image with layers, and names beside stars and landmarks.
 
     Parameters
     ----------
@@ -48,6 +50,8 @@ def picture_of(
     DataError
         The image file is gone or damaged.
     """
+    from matplotlib import patheffects
+
     pixels = session.pixels(file).pixels
     rows, columns = pixels.shape
     left, top, right, bottom = box or (-0.5, -0.5, columns - 0.5, rows - 0.5)
@@ -62,4 +66,18 @@ def picture_of(
         limits_px=np.array([left, right, top, bottom]),
         layers=[each.layer for each in layers],
     )
-    return overlay_figure([panel])
+    figure = overlay_figure([panel])
+    rim = patheffects.withStroke(linewidth=1.2, foreground="black")
+    for each in layers:
+        inside = ((each.layer.points >= [left, top]) & (each.layer.points <= [right, bottom])).all(axis=1)
+        for place in np.flatnonzero(inside)[: MOST_NAMES if each.names else 0]:
+            figure.axes[0].annotate(
+                each.names[place],
+                each.layer.points[place],
+                xytext=(5.0, -2.0),
+                textcoords="offset points",
+                color=each.layer.color,
+                fontsize=5.0,
+                path_effects=[rim],
+            )
+    return figure

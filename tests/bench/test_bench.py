@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.wcs import WCS
+from matplotlib.text import Annotation
 from typer.testing import CliRunner, Result
 
 import giantlike as gl
 from giantlike.bench import LAYERS, Session, explain, layers_of
 from giantlike.bench.comparison import limb_residuals, match_of
 from giantlike.bench.explain import _digits
+from giantlike.bench.pictures import picture_of
 from giantlike.bench.planes import backplanes_of, with_terminators
 from giantlike.bench.session import chosen_fix
 from giantlike.cli.app import app
@@ -22,6 +24,7 @@ from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, rotate
 from giantlike.core.outcomes import Quality, Reason
+from tests.bench.conftest import RockRun
 from tests.campaign_files import APRIORI_OFFSET_KM, CAMERA, RADII_KM, Truth
 
 SHORT, LONG = "visit0_b_short.fits", "visit0_a_long.fits"
@@ -191,6 +194,18 @@ def test_show_draws_the_layers_asked_for(run: Path, tmp_path: Path) -> None:
     wrong = giantlike("show", LONG, "--run", run, "--output", tmp_path / "x.png", "--layers", "constellations")
     assert wrong.exit_code == 2
     assert ", ".join(LAYERS) in wrong.stderr
+
+
+def test_pictures_have_names_beside_landmarks_in_view(rock: RockRun) -> None:
+    session = Session(rock.run)
+    (layer,) = layers_of(session.seen(rock.file), ["landmarks"])
+    first = layer.layer.points[0]
+    for box in (None, (*first - 3.0, *first + 3.0)):
+        texts = picture_of(session, rock.file, [layer], box=box).axes[0].texts
+        names = list(layer.names) if box is None else [layer.names[0]]
+        assert [text.get_text() for text in texts] == names
+        places = [text.xy for text in texts if isinstance(text, Annotation)]
+        np.testing.assert_array_equal(places, layer.layer.points[: len(names)])
 
 
 def test_explain_has_json(run: Path) -> None:
