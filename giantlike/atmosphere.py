@@ -199,7 +199,8 @@ square centimeter; the scale height is about the mean below 30 km. Clouds and mu
 0.6 % a day (Lemmon et al. 2004, abstract); seasons go below and far beyond. Venus: a vertical depth of 0.01 at 80 to
 85 km with a scale height of 1 to 3 km (Lane and Opstbaum 1983, abstract), above the solid surface. Titan: main haze
 above 80 km as the Huygens probe found it, by numbers that could not be looked up, so that the sigma is wide; the
-detached haze at 500 km in the ultraviolet is not in it.
+detached haze in the ultraviolet is not in it, at 500 +- 8 km from 2005 to 2007 (Seignovert et al. 2017, abstract,
+doi:10.1016/j.icarus.2017.03.026).
 
 Of giant planets the radii are those of a pressure of 1 bar, and the limb is haze above the clouds, with sigmas that
 cover what lies between. Jupiter: clouds end near 0.2 bar, with haze of a vertical depth of 0.3 to 0.6 above (Kuehn and

@@ -87,7 +87,7 @@ _UNEVEN, _UNEVEN_RADIUS_PX = 1.0, 25.0
 Profiles are those of a limb that is alike along a cell. Where the terminator meets the limb it is not, and the shares
 of other laws bend to that one cell: a right law was off by 4 standard deviations, and a limb of 50 px by 0.04 px.
 Bodies of Lommel and Seeliger of 60,000 DN at 100 degrees of phase and 100 px have squared errors of 37, 21 and 11 per
-degree of freedom with 0, 0.5 and 1, and of 6.5 with 1 and the points of `horizon_arc` that such disks have now. Cells
+degree of freedom with 0, 0.5 and 1, and of 4.4 with 1 and the points of `horizon_arc` that such disks have now. Cells
 of a disk of 30 px are a quarter of its radius: with 1, two of eight crescents of it have too few left.
 """
 _CELL_RADII, _LEAST_CELL_PX = 0.25, 3.0
