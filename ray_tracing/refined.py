@@ -42,6 +42,11 @@ class RefinedTrace(Value):
 
     @property
     def cells(self) -> tuple[Cells, Cells]:
+        """Columns and rows of all cells."""
+        return self.trace.cells
+
+    @property
+    def part_cells(self) -> tuple[Cells, Cells]:
         """Columns and rows of the parts of all cells."""
         x, y = (
             Cells(self.factor * cells.first, self.factor * cells.count, self.factor * cells.per_px)
@@ -50,12 +55,21 @@ class RefinedTrace(Value):
         return x, y
 
     @property
+    def part_places(self) -> tuple[Indices, Indices]:
+        """Columns and rows (k,) of the parts that were traced, counted as in ``part_cells``."""
+        size = self.factor
+        across = np.arange(size).repeat(size)
+        columns = (size * self.columns[:, None] + across).ravel()
+        rows = (size * self.rows[:, None] + np.tile(np.arange(size), size)).ravel()
+        return columns, rows
+
+    @property
     def lit(self) -> int:
         """Number of rays that end on a point in sunlight."""
         return self.trace.lit + self.rays.lit
 
     def cell_brightness(self, law: Reflectance) -> Float:
-        """Shade the rays and leave them as they are.
+        """Shade the rays of whole cells and leave them as they are.
 
         Parameters
         ----------
@@ -64,13 +78,25 @@ class RefinedTrace(Value):
         Returns
         -------
         (columns, rows) float64
-            Brightness of the parts of all cells: alike in those that are not split.
+            Brightness of all cells; 0 in those that are split.
         """
-        size = self.factor
-        whole = self.trace.cell_brightness(law).repeat(size, axis=0).repeat(size, axis=1)
-        parts = whole.reshape(whole.shape[0] // size, size, whole.shape[1] // size, size)
-        parts[self.columns, :, self.rows, :] = self.rays.brightness(law).reshape(-1, size, size)
+        whole = self.trace.cell_brightness(law)
+        whole[self.columns, self.rows] = 0.0
         return whole
+
+    def part_brightness(self, law: Reflectance) -> Float:
+        """Shade the rays of parts.
+
+        Parameters
+        ----------
+        law : Reflectance
+
+        Returns
+        -------
+        (k,) float64
+            Brightness of the parts at ``part_places``.
+        """
+        return self.rays.brightness(law)
 
 
 def refined(trace: Trace, factor: int) -> RefinedTrace:

@@ -43,8 +43,11 @@ def split() -> RefinedTrace:
 def test_split_cells_bring_the_light_of_fine_rays(split: RefinedTrace, law: McEwen | Lambert) -> None:
     fine = traced(6).cell_brightness(law)
     coarse = traced(2).cell_brightness(law).repeat(3, axis=0).repeat(3, axis=1)
-    found = split.cell_brightness(law)
-    (x, y), (fine_x, fine_y) = split.cells, traced(6).cells
+    found = split.cell_brightness(law).repeat(3, axis=0).repeat(3, axis=1)
+    columns, rows = split.part_places
+    assert not found[columns, rows].any()
+    found[columns, rows] = split.part_brightness(law)
+    (x, y), (fine_x, fine_y) = split.part_cells, traced(6).cells
     assert (x.per_px, y.per_px) == (fine_x.per_px, fine_y.per_px)
     within = (
         slice(fine_x.first - x.first, fine_x.first - x.first + fine_x.count),
@@ -55,6 +58,6 @@ def test_split_cells_bring_the_light_of_fine_rays(split: RefinedTrace, law: McEw
 
 
 def test_even_cells_are_not_split(split: RefinedTrace) -> None:
-    x, y = split.cells
+    x, y = split.part_cells
     rays = split.rays.directions.shape[0] + x.count * y.count / 9
     assert 0 < rays < RAYS * x.count * y.count

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import ndtr
 
 from giantlike.core.arrays import Float
@@ -15,7 +16,8 @@ from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Reflectance, Trace
 from giantlike.ray_tracing.refined import RefinedTrace
-from giantlike.ray_tracing.sampling import spread_over
+from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.tracer import Indices
 from giantlike.relative.template.state import TemplateState
 
 _LEAST_BLUR_PX = 1e-3
@@ -23,6 +25,24 @@ _LEAST_BLUR_PX = 1e-3
 
 _REACH_SIGMA = 7.0
 """Of the point spread function, where shares end: 3e-12 of the light lies beyond, and derivatives do not show it."""
+
+_Sparse: TypeAlias = csr_matrix[np.float64] | csc_matrix[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShadedRays(Value):
+    """Light that the rays of a body bring under k laws.
+
+    Parameters
+    ----------
+    cells : (columns, k, rows) float64
+        Brightness of whole cells; 0 in those that are split.
+    parts : (n, k) float64
+        Brightness of the parts of the others; none of a trace that is not refined.
+    """
+
+    cells: Float
+    parts: Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +63,7 @@ class MovedBody(Value):
     trace: Trace | RefinedTrace
     state: TemplateState
 
-    def shaded(self, laws: tuple[Reflectance, ...]) -> Float:
+    def shaded(self, laws: tuple[Reflectance, ...]) -> ShadedRays:
         """Light that the rays bring.
 
         Parameters
@@ -52,19 +72,26 @@ class MovedBody(Value):
 
         Returns
         -------
-        (columns, laws, rows) float64
-            Brightness of the cells under each law.
+        ShadedRays
+            Under each law.
         """
-        return np.stack([self.trace.cell_brightness(law) for law in laws], axis=1)
+        trace, (x, y) = self.trace, self.trace.cells
+        cells = np.empty((x.count, len(laws), y.count))
+        for number, law in enumerate(laws):
+            cells[:, number] = trace.cell_brightness(law)
+        parts = np.empty((0, len(laws)))
+        if isinstance(trace, RefinedTrace):
+            parts = np.stack([trace.part_brightness(law) for law in laws], axis=-1)
+        return ShadedRays(cells=cells, parts=parts)
 
-    def lights(self, box: PixelBox, state: TemplateState, cells: Float) -> tuple[Float, Callable[[Float], Float]]:
+    def lights(self, box: PixelBox, state: TemplateState, rays: ShadedRays) -> tuple[Float, Callable[[Float], Float]]:
         """Light on the pixels of a box, and its derivatives.
 
         Parameters
         ----------
         box : PixelBox
         state : TemplateState
-        cells : (columns, k, rows) float64
+        rays : ShadedRays
             From :meth:`shaded`.
 
         Returns
@@ -75,79 +102,142 @@ class MovedBody(Value):
             Takes the weights (j,) of the first ``j`` and returns the derivatives (4, h, w) of their sum, by x and y of
             the center in px, the logarithm of the range and the variance of the point spread function in px^2.
         """
-        across = self._shares(0, box.x, box.width, state)
-        down = self._shares(1, box.y, box.height, state)
-        columns = spread_over(across.value, cells.reshape(len(cells), -1)).reshape(box.width, *cells.shape[1:])
-        lights = np.stack([spread_over(down.value, columns[:, law].T) for law in range(cells.shape[1])])
+        x, y = self.trace.cells
+        down = self._row(y, 1, state).on_pixels(box.y, box.height)
+        grids = [_Grid(self._row(x, 0, state).on_pixels(box.x, box.width), down, rays.cells, box.width)]
+        if len(rays.parts) and isinstance(self.trace, RefinedTrace):
+            x, y = self.trace.part_cells
+            down = self._row(y, 1, state).on_pixels(box.y, box.height)
+            across = self._row(x, 0, state).of_parts(*self.trace.part_places, y.count, box.x, box.width)
+            grids.append(_Grid(across, down, rays.parts, box.width))
+        lights = np.ascontiguousarray(np.moveaxis(sum(grid.lights for grid in grids), -1, 0))
+        return lights, lambda weights: np.asarray(sum(grid.derivatives(weights) for grid in grids))
 
-        def derivatives(weights: Float) -> Float:
-            whole, own = (weights @ each[:, : len(weights)] for each in (cells, columns))
-
-            def by(by_column: csr_matrix[np.float64]) -> Float:
-                return spread_over(down.value, spread_over(by_column, whole).T)
-
-            return np.stack(
-                [
-                    by(across.by_center),
-                    spread_over(down.by_center, own.T),
-                    by(across.by_log_range) + spread_over(down.by_log_range, own.T),
-                    by(across.by_variance) + spread_over(down.by_variance, own.T),
-                ]
-            )
-
-        return lights, derivatives
-
-    def _shares(self, axis: int, first_px: int, count_px: int, state: TemplateState) -> _Shares:
-        """Shares of the cells along an axis for a state, on so many pixels from the first."""
-        cells, before = self.trace.cells[axis], self.state
+    def _row(self, cells: Cells, axis: int, state: TemplateState) -> _Row:
+        """Cells along an axis, where they are at a state."""
+        before = self.state
         scale = math.exp(before.log_range - state.log_range)
-        away = scale * (cells.centers_px - before.center_px[axis])
-        lows = first_px - 0.5 + np.arange(count_px)
-        sigma_px = max(math.sqrt(state.psf_variance_px2), _LEAST_BLUR_PX)
-        return _shares(lows - state.center_px[axis], away, 0.5 * scale / cells.per_px, sigma_px)
+        return _Row(
+            center=float(state.center_px[axis]),
+            away=scale * (cells.centers_px - before.center_px[axis]),
+            half=0.5 * scale / cells.per_px,
+            sigma=max(math.sqrt(state.psf_variance_px2), _LEAST_BLUR_PX),
+        )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class _Shares:
-    """Shares (pixels, cells) of the light of cells along one axis, px, and their derivatives."""
+    """Shares of the light of cells along one axis, px, and their derivatives: sparse (m, n) matrices alike."""
 
-    value: csr_matrix[np.float64]
-    by_center: csr_matrix[np.float64]
-    by_log_range: csr_matrix[np.float64]
-    by_variance: csr_matrix[np.float64]
+    value: _Sparse
+    by_center: _Sparse
+    by_log_range: _Sparse
+    by_variance: _Sparse
 
 
-def _shares(lows: Float, away: Float, half: float, sigma: float) -> _Shares:
-    """Shares of pixels from ``lows`` (n,) to 1 px more of cells ``away`` (k,) from the center, 2 ``half`` wide, in px.
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Cells of one size, whose light is spread over pixels along x and then along y.
 
-    The second antiderivative of a Gaussian, ``r(t) = sigma^2 g(t) + t G(t)``, with the Gaussian g and its integral G,
-    at both sides of a cell; its derivative by the variance is ``g / 2``.
+    ``light`` is (columns, k, rows) of a whole grid, with ``across`` (w, columns), or (n, k) of some of its cells, with
+    ``across`` (rows * w, n); ``down`` is (h, rows).
     """
-    reach, count = _REACH_SIGMA * sigma + half, away.size
-    first = np.ceil((lows - reach - away[0]) / (2.0 * half)).astype(np.int64)
-    within = first[:, None] + np.arange(math.ceil((1.0 + 2.0 * reach) / (2.0 * half)) + 1)
-    inside = (within >= 0) & (within < count)
-    starts = np.concatenate([[0], np.cumsum(np.count_nonzero(inside, axis=1))])
-    numbers = within[inside]
-    place = away[numbers]
-    indices, ends = numbers.astype(np.int32), starts.astype(np.int32)  # as sparse matrices hold them, not made anew
-    distance = np.broadcast_to(lows[:, None], within.shape)[inside] - place + np.array([[0.0], [1.0]])
-    sides = np.stack([distance + half, distance - half])
-    bell = np.exp(-0.5 * (sides / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
-    integral = ndtr(sides / sigma)
-    ramp = sigma**2 * bell + sides * integral
 
-    def on_pixels(values: Float) -> Float:
-        return np.asarray(values[1] - values[0])
+    across: _Shares
+    down: _Shares
+    light: Float
+    width: int
 
-    def matrix(values: Float) -> csr_matrix[np.float64]:
-        return csr_matrix((values, indices, ends), shape=(lows.size, count))
+    @property
+    def lights(self) -> Float:
+        """Light (h, w, k) under each law."""
+        columns = self._along_x(self.across.value, self.light)
+        return np.asarray(self.down.value @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
 
-    by_center = -on_pixels(integral[0] - integral[1])
-    by_half = on_pixels(integral[0] + integral[1])
-    return _Shares(
-        value=matrix(on_pixels(ramp[0] - ramp[1])),
-        by_center=matrix(by_center),
-        by_log_range=matrix(-(place * by_center + half * by_half)),
-        by_variance=matrix(0.5 * on_pixels(bell[0] - bell[1])),
-    )
+    def derivatives(self, weights: Float) -> Float:
+        """Derivatives (4, h, w) of the sum with weights (j,) of the first ``j`` laws."""
+        mixed = np.tensordot(self.light[:, : len(weights)], weights, (1, 0))
+        mixed = mixed.reshape(len(mixed), 1, -1) if self.light.ndim == 3 else mixed[:, None]
+        across, down = self.across, self.down
+        columns, by_center, by_log_range, by_variance = (
+            self._along_x(matrix, mixed)[..., 0]
+            for matrix in (across.value, across.by_center, across.by_log_range, across.by_variance)
+        )
+        return np.stack(
+            [
+                down.value @ by_center,
+                down.by_center @ columns,
+                down.value @ by_log_range + down.by_log_range @ columns,
+                down.value @ by_variance + down.by_variance @ columns,
+            ]
+        )
+
+    def _along_x(self, matrix: _Sparse, light: Float) -> Float:
+        """Light (rows, w, k) of rows of cells on columns of pixels."""
+        spread = np.asarray(matrix @ light.reshape(len(light), -1))
+        if light.ndim == 2:
+            return spread.reshape(-1, self.width, light.shape[1])
+        return np.ascontiguousarray(spread.reshape(self.width, *light.shape[1:]).transpose(2, 0, 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Row:
+    """Cells ``away`` (k,) from a center, 2 ``half`` wide, px, whose light a Gaussian of width ``sigma`` blurs."""
+
+    center: float
+    away: Float
+    half: float
+    sigma: float
+
+    def on_pixels(self, first_px: int, count_px: int) -> _Shares:
+        """Shares (pixels, cells) on so many pixels from the first."""
+        lows = first_px - 0.5 + np.arange(count_px) - self.center
+        reach, count = _REACH_SIGMA * self.sigma + self.half, self.away.size
+        first = np.ceil((lows - reach - self.away[0]) / (2.0 * self.half)).astype(np.int64)
+        within = first[:, None] + np.arange(math.ceil((1.0 + 2.0 * reach) / (2.0 * self.half)) + 1)
+        inside = (within >= 0) & (within < count)
+        numbers = within[inside]
+        ends = np.concatenate([[0], np.cumsum(np.count_nonzero(inside, axis=1))])
+        indices, ends = numbers.astype(np.int32), ends.astype(np.int32)  # as sparse matrices hold them, not made anew
+        shares = self._shares(np.broadcast_to(lows[:, None], within.shape)[inside], self.away[numbers])
+        return _Shares(*(csr_matrix((values, indices, ends), shape=(count_px, count)) for values in shares))
+
+    def of_parts(self, columns: Indices, rows: Indices, row_count: int, first_px: int, count_px: int) -> _Shares:
+        """Shares (row_count * pixels, n) of the n cells at some ``columns`` of this row and ``rows`` of the image."""
+        reach = _REACH_SIGMA * self.sigma + self.half
+        first = np.floor(self.center + self.away - reach - (first_px - 0.5)).astype(np.int64)
+        pixels = first[:, None] + np.arange(math.ceil(2.0 * reach) + 1)
+        lows = first_px - 0.5 + pixels - self.center
+        inside = (pixels >= 0) & (pixels < count_px)
+        places = (np.clip(pixels, 0, count_px - 1)[columns] + count_px * rows[:, None]).astype(np.int32).ravel()
+        ends = np.arange(0, places.size + 1, pixels.shape[1], dtype=np.int32)
+        shape = row_count * count_px, columns.size
+        shares = self._shares(lows, np.broadcast_to(self.away[:, None], lows.shape))
+        return _Shares(
+            *(csc_matrix((np.where(inside, each, 0.0)[columns].ravel(), places, ends), shape=shape) for each in shares)
+        )
+
+    def _shares(self, lows: Float, away: Float) -> tuple[Float, Float, Float, Float]:
+        """Shares, as in :class:`_Shares`, on pixels from ``lows`` (...) to 1 px more of cells at ``away`` (...).
+
+        The second antiderivative of a Gaussian, ``r(t) = sigma^2 g(t) + t G(t)``, with the Gaussian g and its integral
+        G, at both sides of a cell; its derivative by the variance is ``g / 2``.
+        """
+        half, sigma = self.half, self.sigma
+        distance = np.stack([lows - away, lows - away + 1.0])
+        sides = np.stack([distance + half, distance - half])
+        bell = np.exp(-0.5 * (sides / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
+        integral = ndtr(sides / sigma)
+        ramp = sigma**2 * bell + sides * integral
+
+        def on_pixels(values: Float) -> Float:
+            return np.asarray(values[1] - values[0])
+
+        by_center = -on_pixels(integral[0] - integral[1])
+        by_half = on_pixels(integral[0] + integral[1])
+        return (
+            on_pixels(ramp[0] - ramp[1]),
+            by_center,
+            -(away * by_center + half * by_half),
+            0.5 * on_pixels(bell[0] - bell[1]),
+        )

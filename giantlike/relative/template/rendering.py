@@ -29,7 +29,7 @@ from giantlike.ray_tracing import (
 )
 from giantlike.ray_tracing.refined import refined
 from giantlike.relative.place import apparent_radius_px
-from giantlike.relative.template.moved_body import MovedBody
+from giantlike.relative.template.moved_body import MovedBody, ShadedRays
 from giantlike.relative.template.state import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState
 from giantlike.shapes import Ellipsoid
 
@@ -185,7 +185,7 @@ class TemplateRenderer(Value):
         small = self.radius_px < _SMALL_RADIUS_PX
         others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
         laws = (self.target.reflectance, *others)
-        kept: dict[bool, tuple[MovedBody, Float]] = {}
+        kept: dict[bool, tuple[MovedBody, ShadedRays]] = {}
         if traced is not None:
             kept[False] = traced, traced.shaded(laws)
 
@@ -197,8 +197,8 @@ class TemplateRenderer(Value):
                 if isinstance(made, Failure):
                     return made
                 kept[fine] = made
-            body, cells = kept[fine]
-            lights, derivatives = body.lights(box, state, cells)
+            body, rays = kept[fine]
+            lights, derivatives = body.lights(box, state, rays)
             return TemplateImages(
                 light=lights[0],
                 others=list(lights[1 : len(laws)]),
@@ -220,7 +220,7 @@ class TemplateRenderer(Value):
 
     def _traced(
         self, state: TemplateState, laws: tuple[Reflectance, ...], *, fine: bool
-    ) -> tuple[MovedBody, Float] | Failure:
+    ) -> tuple[MovedBody, ShadedRays] | Failure:
         """Trace the body at a state, and shade it under some laws."""
         radius_px = self.radius_px
         margin_px = FIT_BORDER_PX + (math.ceil(2.0 * radius_px) if radius_px < _SMALL_RADIUS_PX else 0)
