@@ -146,7 +146,7 @@ def bound(one: Draw, fix: LandmarkFix) -> tuple[float, float]:
         corner_px=(0, 0),
         noise_variance_dn2=CAMERA.detector.variance_dn2,
     )
-    for patch in renderer.patches(one.body, seen):
+    for patch in renderer.patches(one.body, seen)[0]:
         match = fit_patch(image, patch, np.zeros(2, np.int64), 1.0)
         if match is None:
             continue

@@ -13,9 +13,11 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, trace_body
+from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, Trace, trace_body
 from giantlike.relative.landmarks.visibility import SeenLandmarks
+from giantlike.relative.template.moved_body import MovedBody, ShadedRays
 from giantlike.relative.template.rendering import contrasting_laws
+from giantlike.relative.template.state import TemplateState
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog
 
 BORDER_PX = 3
@@ -27,6 +29,11 @@ _COVERED = 1.0 - 1e-9  # of a pixel: wholly covered, to rounding
 _ERODED = np.ones((5, 5), np.uint8)  # px: the point spread function carries in light from outside a map
 _OUTLINE_POINTS = 9  # along each side of a landmark; their hull is its outline
 _OUTLINE_BITS = 4  # fractional bits of outlines drawn: a sixteenth of a pixel
+_MOVED_PX = 2
+"""Motion, px, of the body up to which the rays of one pose serve for another: as much is traced around a box."""
+_TURNED_PX = 0.01
+"""Motion, px, of its surface because it is seen from elsewhere, up to which they do: half of the sigma of a body of
+300 px, and what it moves in one direction on one side of the body it moves back on the other."""
 
 
 @runtime_checkable
@@ -96,6 +103,50 @@ class _Images(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TracedGround(Value):
+    """Part of a shape, traced in one pose: what it looks like in poses nearby costs no more rays.
+
+    Parameters
+    ----------
+    body : Body
+        As traced.
+    plane : FocalPlane
+    box : PixelBox
+        Part of the image.
+    moved : MovedBody
+    rays : ShadedRays
+        Under the law of the body, and another one or none.
+    """
+
+    body: Body
+    plane: FocalPlane
+    box: PixelBox
+    moved: MovedBody
+    rays: ShadedRays
+
+    def serves(self, body: Body, box: PixelBox) -> bool:
+        """Return True if the rays show a box for another pose: the same surface is seen, and not from elsewhere."""
+        turned = float((body.camera_from_body * self.body.camera_from_body.inv()).magnitude())
+        first, second = self.body.position_camera_km, body.position_camera_km
+        ranges = float(np.linalg.norm(first)), float(np.linalg.norm(second))
+        turned += float(np.linalg.norm(second / ranges[1] - first / ranges[0]))
+        radius_px = self.body.shape.circumscribing_radius_km / ranges[0] * self.plane.model.focal_length_px
+        shift_px = np.abs(body.center_px(self.plane.model) - self.body.center_px(self.plane.model))
+        moved_px = float(shift_px.max()) + abs(math.log(ranges[1] / ranges[0])) * radius_px
+        ends = np.array([self.box.corner_px, (self.box.x + self.box.width, self.box.y + self.box.height)])
+        wanted = np.array([box.corner_px, (box.x + box.width, box.y + box.height)])
+        grown_px = float(np.max((wanted - ends) * [[-1.0], [1.0]]))
+        return turned * radius_px < _TURNED_PX and moved_px + grown_px < _MOVED_PX
+
+    def images(self, body: Body, box: PixelBox) -> _Images:
+        """Renders of a box for a pose that the rays serve for."""
+        inside = replace(box, x=box.x - self.box.x, y=box.y - self.box.y)
+        lights, _ = self.moved.lights(inside, _state(body, self.body, self.plane, self.box), self.rays)
+        other = lights[1] if len(lights) > 1 else None
+        return _Images(lights[0], other, np.ones(lights[0].shape, bool))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LandmarkRenderer(Value):
     """Renders landmarks of a target.
 
@@ -141,25 +192,32 @@ class LandmarkRenderer(Value):
         """Return one with one ray to a pixel and one law: enough to find landmarks."""
         return replace(self, rays_per_pixel_side=1, other_law=False)
 
-    def patches(self, body: Body, seen: SeenLandmarks) -> tuple[Patch, ...]:
+    def patches(
+        self, body: Body, seen: SeenLandmarks, traced: TracedGround | None = None
+    ) -> tuple[tuple[Patch, ...], TracedGround | None]:
         """Render the landmarks seen.
 
         Parameters
         ----------
         body : Body
         seen : SeenLandmarks
+        traced : TracedGround, optional
+            From a pose before, whose rays serve where that is near enough.
 
         Returns
         -------
-        tuple of Patch
+        patches : tuple of Patch
             In the order of ``seen``, without those of which too little can be rendered.
+        traced : TracedGround or None
+            Where all were rendered together.
         """
         landmarks = [self.catalog.landmarks[number] for number in seen.numbers]
         outlines = [self._outline(body, landmark) for landmark in landmarks]
         boxes = [self._box(outline, center) for outline, center in zip(outlines, seen.predicted_px, strict=True)]
         own_shape = self.catalog.shape_sha256 == body.shape.sha256
+        rendered: list[_Images | None]
         if own_shape:
-            rendered = self._together(body, boxes)
+            rendered, traced = self._together(body, boxes, traced)
         else:
             pairs = zip(landmarks, boxes, strict=True)
             rendered = [self._images(replace(body, shape=landmark.mesh), box) for landmark, box in pairs]
@@ -175,7 +233,7 @@ class LandmarkRenderer(Value):
                     number=int(number), box=box, light=images.light, other=images.other, mask=mask, whole=own_shape
                 )
                 patches.append(patch)
-        return tuple(patches)
+        return tuple(patches), traced
 
     def _outline(self, body: Body, landmark: Landmark) -> Float:
         """Pixels (k, 2) whose hull is the ground of a landmark."""
@@ -190,32 +248,49 @@ class LandmarkRenderer(Value):
         low, high = np.maximum(outline.min(axis=0), center_px - half), np.minimum(outline.max(axis=0), center_px + half)
         return PixelBox.spanning(low, high + 1.0, BORDER_PX)
 
-    def _together(self, body: Body, boxes: list[PixelBox]) -> list[_Images | None]:
+    def _together(
+        self, body: Body, boxes: list[PixelBox], traced: TracedGround | None
+    ) -> tuple[list[_Images | None], TracedGround | None]:
         """Images of the shape in boxes: out of one render of all, where they lie close together."""
         if not boxes:
-            return []
+            return [], traced
         corners = np.array([box.corner_px for box in boxes])
         sizes = np.array([(box.width, box.height) for box in boxes])
         whole = PixelBox.spanning(corners.min(axis=0), (corners + sizes).max(axis=0))
         if whole.width * whole.height > _TOGETHER * sizes.prod(axis=1).sum():
-            return [self._images(body, box) for box in boxes]
-        images = self._images(body, whole)
-        if images is None:
-            return [None] * len(boxes)
-        return [images.part(replace(box, x=box.x - whole.x, y=box.y - whole.y).slices) for box in boxes]
+            return [self._images(body, box) for box in boxes], None
+        if traced is None or not traced.serves(body, whole):
+            traced = self._ground(body, whole)
+        if traced is None:
+            return [None] * len(boxes), None
+        images = traced.images(body, whole)
+        return [images.part(replace(box, x=box.x - whole.x, y=box.y - whole.y).slices) for box in boxes], traced
 
-    def _images(self, body: Body, box: PixelBox) -> _Images | None:
-        """Renders of a body in a box; None where nothing of it is lit."""
+    def _ground(self, body: Body, box: PixelBox) -> TracedGround | None:
+        """The body traced in a box, and a little around it; None where nothing of it is lit."""
+        trace = self._trace(body, box, margin_px=_MOVED_PX)
+        if isinstance(trace, Failure) or not trace.lit:
+            return None
+        moved = MovedBody(trace=trace, state=_state(body, body, self.plane, box))
+        laws = (body.reflectance, *contrasting_laws(body.reflectance)[: int(self.other_law)])
+        return TracedGround(body, self.plane, box, moved, moved.shaded(laws))
+
+    def _trace(self, body: Body, box: PixelBox, *, margin_px: int = 0) -> Trace | Failure:
+        """The body traced in a box."""
         assert isinstance(self.plane.model, Windowing)
-        trace = trace_body(
+        return trace_body(
             body,
             self.plane.model.windowed(box.x, box.y),
             sun_direction_camera=self.sun_direction_camera,
             psf=self.plane.psf,
             columns=box.width,
             rows=box.height,
-            options=RenderOptions(rays_per_pixel_side=self.rays_per_pixel_side, min_rays_across=1),
+            options=RenderOptions(rays_per_pixel_side=self.rays_per_pixel_side, min_rays_across=1, margin_px=margin_px),
         )
+
+    def _images(self, body: Body, box: PixelBox) -> _Images | None:
+        """Renders of a body in a box; None where nothing of it is lit."""
+        trace = self._trace(body, box)
         template = trace if isinstance(trace, Failure) else trace.template()
         if isinstance(trace, Failure) or isinstance(template, Failure):
             return None
@@ -226,6 +301,16 @@ class LandmarkRenderer(Value):
             other=other.placed(box.width, box.height) if isinstance(other, Template) else None,
             covered=coverage > _COVERED,
         )
+
+
+def _state(body: Body, reference: Body, plane: FocalPlane, box: PixelBox) -> TemplateState:
+    """Geometry of a body in the pixels of a box, its range over that of a reference."""
+    own_km, reference_km = (float(np.linalg.norm(each.position_camera_km)) for each in (body, reference))
+    return TemplateState(
+        center_px=body.center_px(plane.model) - box.corner_px,
+        log_range=math.log(own_km / reference_km),
+        psf_variance_px2=plane.psf_sigma_px**2,
+    )
 
 
 def _filled(outline: Float, box: PixelBox) -> Mask:

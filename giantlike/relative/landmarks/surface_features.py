@@ -257,12 +257,14 @@ class _Search:
     def settled(self) -> LandmarkFix | Failure:
         """Match, solve, render anew, until the pose converges."""
         body, change_px = self.start, math.inf
-        seen = self._seen(body)
+        seen, traced = self._seen(body), None
         for iteration in range(self.options.max_iterations):
             if isinstance(seen, Failure):
                 return seen
-            renderer = self.renderer.roughly() if iteration == 0 else self.renderer
-            patches = renderer.patches(body, seen)
+            if iteration == 0:
+                patches, _ = self.renderer.roughly().patches(body, seen)
+            else:
+                patches, traced = self.renderer.patches(body, seen, traced)
             found = self._found(body, patches, first=iteration == 0)
             if isinstance(found, Failure):
                 return found
