@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, require
+from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
@@ -165,6 +165,7 @@ def trace_body(
     columns: int,
     rows: int,
     options: RenderOptions = DEFAULT_OPTIONS,
+    wanted: Mask | None = None,
 ) -> Trace | Failure:
     """Trace a body once, to shade it many times.
 
@@ -177,6 +178,8 @@ def trace_body(
     psf : GaussianPsf, optional
     columns, rows : int, px
     options : RenderOptions
+    wanted : (rows, columns) bool, optional
+        Pixels through which rays are sent, and none through others, in the margin neither; by default through all.
 
     Returns
     -------
@@ -187,17 +190,37 @@ def trace_body(
     Raises
     ------
     InputError
-        A size is not positive or the direction is not a unit vector.
+        A size is not positive, the direction is not a unit vector, or ``wanted`` has another shape than the frame.
     """
     plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
+    require(
+        wanted is None or wanted.shape == (rows, columns),
+        f"wanted must have the shape of the frame, {(rows, columns)}, got {None if wanted is None else wanted.shape}",
+    )
     view = view_of(body, model, sun_direction_camera, options)
     footprint = footprint_of(view.body, plane, options)
     if isinstance(footprint, Failure):
         return footprint
     grid = ray_grid(view, footprint)
 
+    cells = None if wanted is None else _cells_within(wanted, footprint)
+
     def traced(tile: Tile) -> TracedRays:
-        return trace_rays(view, grid.directions(tile), stratum=tile.start)
+        directions = grid.directions(tile)
+        if cells is None:
+            return trace_rays(view, directions, stratum=tile.start)
+        numbers = np.flatnonzero(cells[tile.left : tile.right, tile.start : tile.stop])
+        return trace_rays(view, directions.take(numbers, axis=0), stratum=tile.start).among(numbers, directions)
 
     tiles = tuple(in_order(traced, footprint.tiles, options.threads))
     return Trace(view=view, footprint=footprint, size_px=(columns, rows), tiles=tiles)
+
+
+def _cells_within(pixels: Mask, footprint: Footprint) -> Mask:
+    """Cells (columns, rows) of a footprint that lie in the pixels (rows, columns) marked."""
+    inside = []
+    for cells, count in zip(footprint.cells, pixels.shape[::-1], strict=True):
+        numbers = (cells.first + np.arange(cells.count)) // cells.per_px
+        inside.append((np.clip(numbers, 0, count - 1), (numbers >= 0) & (numbers < count)))
+    (columns, across), (rows, down) = inside
+    return np.asarray(pixels[np.ix_(rows, columns)].T & across[:, None] & down)

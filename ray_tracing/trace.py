@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -124,6 +124,23 @@ class TracedRays(Value):
         if len(self.light) == 1:
             return int(self.light[0].seen.size)
         return int(np.unique(np.concatenate([light.seen for light in self.light])).size)
+
+    def among(self, numbers: Indices, directions: Float) -> TracedRays:
+        """Return these rays as some of more.
+
+        Parameters
+        ----------
+        numbers : (n,) int64
+            Of these rays among them.
+        directions : (m, 4) float64, unitless, body axes
+            Of all of them.
+
+        Returns
+        -------
+        TracedRays
+            The others meet nothing.
+        """
+        return replace(self, sight=replace(self.sight, rays=numbers.take(self.sight.rays)), directions=directions)
 
     def brightness(self, law: Reflectance) -> Float:
         """Brightness (n,) of all rays under a reflectance law; 0 for those that meet nothing lit."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -16,6 +17,17 @@ from giantlike.core.values import Value
 
 _FITTED = 4  # parameters of a correlation peak: place (two), gain and level
 _LEAST_NOISE = 1e-12  # of the light: where image and template are equal, rounding may leave none
+_FEW_SHIFTS = 100  # up to which sums over the pixels of a template are faster one by one than by FFT
+_PARABOLOID = np.array(
+    [
+        [-1, 0, 1, -1, 0, 1, -1, 0, 1],
+        [-1, -1, -1, 0, 0, 0, 1, 1, 1],
+        [1, -2, 1, 1, -2, 1, 1, -2, 1],
+        [1, 0, -1, 0, 0, 0, -1, 0, 1],
+        [1, 1, 1, -2, -2, -2, 1, 1, 1],
+    ]
+) / np.array([[6.0], [6.0], [6.0], [4.0], [6.0]])
+"""Least-squares coefficients ``c1`` to ``c5`` of a paraboloid, see :func:`find_peak`, by 3 x 3 values row by row."""
 _CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums do not resolve less
 
 
@@ -236,17 +248,39 @@ def _whole(image: Float, template: Float) -> Float:
 
 
 def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, min_overlap: float) -> Float:
-    """Correlation over the pixels that are usable in both, every sum by FFT."""
-    from scipy import fft
-
+    """Correlation over the pixels that are usable in both."""
     rows, columns = image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1
     if not (image_ok.any() and template_ok.any()):
         return np.full((rows, columns), np.nan)
-    size = [fft.next_fast_len(n, real=True) for n in image.shape]
     flat = np.where(image_ok, image - image[image_ok].mean(), 0.0)
     pattern = np.where(template_ok, template - template[template_ok].mean(), 0.0)
     scales = float(np.abs(flat).max()) or 1.0, float(np.abs(pattern).max()) or 1.0
-    flat, pattern = flat / scales[0], pattern / scales[1]
+    summed = _summed_directly if rows * columns <= _FEW_SHIFTS else _summed_by_fft
+    count, sum_i, sum_t, square_i, square_t, product = summed(
+        flat / scales[0], image_ok, pattern / scales[1], template_ok
+    )
+    enough = count >= max(min_overlap * float(count.max()), 3.0)
+    n = np.where(enough, count, 1.0)
+    variance_i = square_i / n - (sum_i / n) ** 2
+    variance_t = square_t / n - (sum_t / n) ** 2
+    covariance = product / n - sum_i * sum_t / n**2
+    defined = enough & (variance_i > _CONTRAST_LIMIT**2) & (variance_t > _CONTRAST_LIMIT**2)
+    surface = np.full((rows, columns), np.nan)
+    surface[defined] = covariance[defined] / np.sqrt(variance_i[defined] * variance_t[defined])
+    return np.clip(surface, -1.0, 1.0)
+
+
+_Sums: TypeAlias = tuple[Float, Float, Float, Float, Float, Float]
+"""For each shift: pixels usable in image and template, and the sums over them of the image, of the template, of the
+squares of both, and of their product."""
+
+
+def _summed_by_fft(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mask) -> _Sums:
+    """Sums for all shifts of a template within an image, both zero where they are not usable."""
+    from scipy import fft
+
+    rows, columns = flat.shape[0] - pattern.shape[0] + 1, flat.shape[1] - pattern.shape[1] + 1
+    size = [fft.next_fast_len(n, real=True) for n in flat.shape]
     ones_i, flat_i, square_i = (fft.rfft2(a, size) for a in (image_ok.astype(np.float64), flat, flat**2))
     ones_t, pattern_t, square_t = (
         np.conj(fft.rfft2(a, size)) for a in (template_ok.astype(np.float64), pattern, pattern**2)
@@ -255,17 +289,30 @@ def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, mi
     def summed(spectrum: NDArray[np.complex128]) -> Float:
         return np.asarray(fft.irfft2(spectrum, size)[:rows, :columns])
 
-    count = np.rint(summed(ones_i * ones_t))
-    enough = count >= max(min_overlap * float(count.max()), 3.0)
-    n = np.where(enough, count, 1.0)
-    sum_i, sum_t = summed(flat_i * ones_t), summed(ones_i * pattern_t)
-    variance_i = summed(square_i * ones_t) / n - (sum_i / n) ** 2
-    variance_t = summed(ones_i * square_t) / n - (sum_t / n) ** 2
-    covariance = summed(flat_i * pattern_t) / n - sum_i * sum_t / n**2
-    defined = enough & (variance_i > _CONTRAST_LIMIT**2) & (variance_t > _CONTRAST_LIMIT**2)
-    surface = np.full((rows, columns), np.nan)
-    surface[defined] = covariance[defined] / np.sqrt(variance_i[defined] * variance_t[defined])
-    return np.clip(surface, -1.0, 1.0)
+    return (
+        np.rint(summed(ones_i * ones_t)),
+        summed(flat_i * ones_t),
+        summed(ones_i * pattern_t),
+        summed(square_i * ones_t),
+        summed(ones_i * square_t),
+        summed(flat_i * pattern_t),
+    )
+
+
+def _summed_directly(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mask) -> _Sums:
+    """Return :func:`_summed_by_fft`, shift by shift."""
+    shape = flat.shape[0] - pattern.shape[0] + 1, flat.shape[1] - pattern.shape[1] + 1
+    values = pattern[template_ok]
+    of_template = np.stack([np.ones(values.size), values, values**2])
+    shifted = np.lib.stride_tricks.sliding_window_view(flat, shape)[template_ok].reshape(values.size, -1)
+    usable = np.lib.stride_tricks.sliding_window_view(image_ok, shape)[template_ok].reshape(values.size, -1)
+    count, sum_t, square_t = of_template @ usable
+    sum_i, product = of_template[:2] @ shifted
+    square_i = np.einsum("nk,nk->k", shifted, shifted)
+    count, sum_i, sum_t, square_i, square_t, product = (
+        each.reshape(shape) for each in (count, sum_i, sum_t, square_i, square_t, product)
+    )
+    return count, sum_i, sum_t, square_i, square_t, product
 
 
 def _paraboloid(patch: Float) -> tuple[Float, float, Float]:
@@ -273,11 +320,7 @@ def _paraboloid(patch: Float) -> tuple[Float, float, Float]:
 
     Without a maximum near the middle the place is the middle and the curvature zero.
     """
-    y, x = np.mgrid[-1:2, -1:2]
-    c1, c2 = float((x * patch).sum()) / 6.0, float((y * patch).sum()) / 6.0
-    c4 = float((x * y * patch).sum()) / 4.0
-    c3 = float(((3 * x**2 - 2) * patch).sum()) / 6.0
-    c5 = float(((3 * y**2 - 2) * patch).sum()) / 6.0
+    c1, c2, c3, c4, c5 = (_PARABOLOID @ patch.ravel()).tolist()
     determinant = 4.0 * c3 * c5 - c4**2
     middle = float(patch[1, 1])
     if not (c3 < 0.0 and determinant > 0.0):

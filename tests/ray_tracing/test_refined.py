@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import PinholeModel
-from giantlike.core.arrays import unit
+from giantlike.core.arrays import Mask, unit
+from giantlike.core.errors import InputError
 from giantlike.ray_tracing import Body, Lambert, McEwen, RenderOptions, Trace, trace_body
 from giantlike.ray_tracing.refined import RefinedTrace, refined
 from giantlike.shapes import irregular_body
@@ -15,7 +16,7 @@ UNEVEN_LEFT = 0.3  # of the squared difference between coarse and fine rays
 RAYS = 0.5  # of those that are as fine everywhere
 
 
-def traced(rays: int) -> Trace:
+def traced(rays: int, wanted: Mask | None = None) -> Trace:
     shape = irregular_body(3, facets=5000)
     body = Body(
         shape=shape,
@@ -29,6 +30,7 @@ def traced(rays: int) -> Trace:
         columns=128,
         rows=128,
         options=RenderOptions(rays_per_pixel_side=rays, min_rays_across=1),
+        wanted=wanted,
     )
     assert isinstance(trace, Trace)
     return trace
@@ -61,3 +63,16 @@ def test_even_cells_are_not_split(split: RefinedTrace) -> None:
     x, y = split.part_cells
     rays = split.rays.directions.shape[0] + x.count * y.count / 9
     assert 0 < rays < RAYS * x.count * y.count
+
+
+def test_rays_through_some_pixels_bring_what_all_rays_do_and_the_others_nothing() -> None:
+    wanted = np.zeros((128, 128), bool)
+    wanted[40:70, 50:90] = True
+    whole, part = traced(2), traced(2, wanted)
+    (x, y), light = whole.cells, whole.cell_brightness(McEwen())
+    inside = wanted[np.ix_(*(np.floor(cells.centers_px + 0.5).astype(int) for cells in (y, x)))].T
+    assert light[~inside].max() > 0.0
+    np.testing.assert_array_equal(part.cell_brightness(McEwen()), np.where(inside, light, 0.0))
+    assert part.lit < whole.lit
+    with pytest.raises(InputError, match="wanted"):
+        traced(2, wanted[1:])

@@ -29,6 +29,7 @@ from giantlike.io.spice import load_kernels, orientation
 from giantlike.ray_tracing import FocalPlane, LommelSeeliger
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.relative import ESTIMATORS, Estimator, LandmarkFix, SurfaceFeatures, SurfaceFeaturesOptions
+from giantlike.relative.landmarks.rendering import LandmarkRenderer
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
 from giantlike.relative.landmarks.visibility import LandmarkViewer, VisibilityOptions
 from giantlike.scene import Scene, Target
@@ -38,6 +39,7 @@ from tests.limb_images import CAMERA, BodyImage, body_image
 from tests.tolerances import FLOAT64, RARE
 
 INDEPENDENT = 10  # few landmarks: covariances come from the scatter of about so many residuals
+RAYS = 0.02  # of the brightest pixel, rms: four rays a pixel through other places of facets
 NOISE_PX, NOISE_RANGE = 0.06, 6e-4  # four times what 20 landmarks usually state
 
 
@@ -198,6 +200,38 @@ def test_landmarks_in_use_are_seen_lit_and_not_oblique() -> None:
     chosen = viewer.seen(body, plane, sun_direction_camera=sun, options=few)
     assert chosen.numbers.size == 5
     assert set(chosen.numbers) <= set(seen.numbers)
+
+
+def test_landmarks_of_a_pose_nearby_look_as_if_traced_anew() -> None:
+    one = case(3, 85.0)
+    geometry = one.scene.geometry(one.image)
+    assert not isinstance(geometry, Failure)
+    body, catalog = geometry.body(), landmarks_of(rock())
+    plane = FocalPlane(model=CAMERA.model, columns=400, rows=400, psf=GaussianPsf(sigma_px=0.7))
+    sun = geometry.sun_direction_camera
+    renderer = LandmarkRenderer(
+        catalog, plane, sun_direction_camera=sun, max_size_px=64.0, rays_per_pixel_side=2, other_law=True
+    )
+    seen = LandmarkViewer(catalog, rock()).seen(body, plane, sun_direction_camera=sun, options=VisibilityOptions())
+    _, traced = renderer.patches(body, seen)
+    assert traced is not None
+    near = replace(body, position_camera_km=body.position_camera_km * np.array([1.0, 1.0, 1.0005]) + [4e-4, -2e-4, 0.0])
+    shift_px = near.center_px(CAMERA.model) - body.center_px(CAMERA.model)
+    assert 0.02 < np.abs(shift_px).max() < 0.3
+    seen = replace(seen, predicted_px=seen.predicted_px + shift_px)
+    moved, same = renderer.patches(near, seen, traced)
+    anew, other = renderer.patches(near, seen)
+    assert same is traced
+    assert other is not traced
+    for one_patch, another in zip(moved, anew, strict=True):
+        assert one_patch.box == another.box
+        assert another.other is not None
+        assert one_patch.other is not None
+        for found, expected in ((one_patch.light, another.light), (one_patch.other, another.other)):
+            difference = (found - expected)[another.mask]
+            assert np.sqrt(np.mean(difference**2)) < RAYS * np.max(expected[another.mask])
+    far = replace(body, position_camera_km=1.02 * body.position_camera_km)
+    assert renderer.patches(far, seen, traced)[1] is not traced
 
 
 def test_what_cannot_be_done_is_a_failure_with_its_reason() -> None:

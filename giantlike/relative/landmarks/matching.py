@@ -18,6 +18,7 @@ from giantlike.relative.landmarks.rendering import Patch
 
 _ROUNDS = 3  # linear fits of a fraction of a pixel: each leaves a small part of the last step
 _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12.0  # central, of fourth order, 1/px
+_DERIVATIVES = _DERIVATIVE, _DERIVATIVE.T  # along x and y
 _LEAST_OVERLAP = 0.6  # of the ground of a landmark that must be usable: see benchmarks/sensitivity.md
 _LEAST_PIXELS = 20  # usable: three times the parameters of the fit
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
@@ -160,32 +161,38 @@ def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], scor
     if used.sum() < max(_LEAST_OVERLAP * patch.mask.sum(), _LEAST_PIXELS):
         return None
     image = box.cut(pixels.values_dn)[used]
-    lights = _lights(patch, used)
-    columns_of = lights[:, used].T
-    model, noise = patch.light * (image.std() / max(float(patch.light[used].std()), 1e-12)), np.ones_like(image)
+    lights, slopes = _lights(patch, used)
+    gains = np.zeros(len(lights))
+    gains[0] = image.std() / max(float(lights[0].std()), 1e-12)
+    noise, design = np.ones_like(image), np.concatenate([np.zeros((2, image.size)), lights])
     offset, covariance = np.zeros(2), np.eye(2)
     for _ in range(_ROUNDS):
-        slopes = [cv2.filter2D(model, cv2.CV_64F, kernel) for kernel in (_DERIVATIVE, _DERIVATIVE.T)]
-        design = np.column_stack([-slopes[0][used], -slopes[1][used], columns_of])
-        scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-        weighted = design / scale / np.sqrt(noise)[:, None]
-        gram = weighted.T @ weighted
-        if not np.linalg.cond(gram) < _CONDITION_LIMIT:
+        design[:2] = -gains @ slopes
+        scale = np.maximum(np.sqrt(np.einsum("kn,kn->k", design, design)), 1e-300)
+        weighted = design / scale[:, None] / np.sqrt(noise)
+        widths, axes = np.linalg.eigh(weighted @ weighted.T)
+        if not float(widths[-1]) < _CONDITION_LIMIT * float(widths[0]):
             return None
-        inverse = np.linalg.inv(gram)
-        solution = inverse @ (weighted.T @ (image / np.sqrt(noise))) / scale
-        offset = solution[:2]
+        inverse = (axes / widths) @ axes.T
+        solution = inverse @ (weighted @ (image / np.sqrt(noise))) / scale
+        offset, gains = solution[:2], solution[2:]
         covariance = inverse[:2, :2] / np.outer(scale[:2], scale[:2])
-        model = np.tensordot(solution[2:], lights, axes=1)
-        noise = pixels.noise_variance_dn2(np.maximum(model[used], 0.0))
+        noise = pixels.noise_variance_dn2(np.maximum(gains @ lights, 0.0))
     if not float(np.abs(offset).max()) <= _MAX_SHIFT_PX:
         return None
     return LandmarkMatch(number=patch.number, offset_px=offset + shift_px, covariance_px2=covariance, score=score)
 
 
-def _lights(patch: Patch, used: Mask) -> Float:
-    """Images (k, h, w) of the model: the light, even and with slopes, a constant, and the light under the other law."""
-    rows, columns = np.mgrid[: patch.box.height, : patch.box.width].astype(np.float64)
-    across, down = (axis - axis[used].mean() for axis in (columns, rows))
+def _lights(patch: Patch, used: Mask) -> tuple[Float, Float]:
+    """Images (k, n) of the model on the pixels used, and their slopes along x and y (2, k, n).
+
+    They are the light, even and with slopes, a constant, and the light under the other law.
+    """
+    rows, columns = (np.arange(size, dtype=np.float64) for size in used.shape)
+    counts = np.count_nonzero(used, axis=0), np.count_nonzero(used, axis=1)
+    across, down = columns - counts[0] @ columns / counts[0].sum(), (rows - counts[1] @ rows / counts[1].sum())[:, None]
     lights = [patch.light, across * patch.light, down * patch.light, np.ones_like(patch.light)]
-    return np.stack(lights if patch.other is None else [*lights, patch.other])
+    if patch.other is not None:
+        lights.append(patch.other)
+    slopes = [[cv2.filter2D(light, cv2.CV_64F, kernel)[used] for light in lights] for kernel in _DERIVATIVES]
+    return np.stack([light[used] for light in lights]), np.array(slopes)

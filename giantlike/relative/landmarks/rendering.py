@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, require
+from giantlike.core.arrays import Float, Mask, frozen, require
 from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
@@ -29,8 +30,11 @@ _COVERED = 1.0 - 1e-9  # of a pixel: wholly covered, to rounding
 _ERODED = np.ones((5, 5), np.uint8)  # px: the point spread function carries in light from outside a map
 _OUTLINE_POINTS = 9  # along each side of a landmark; their hull is its outline
 _OUTLINE_BITS = 4  # fractional bits of outlines drawn: a sixteenth of a pixel
-_MOVED_PX = 2
-"""Motion, px, of the body up to which the rays of one pose serve for another: as much is traced around a box."""
+_MOVED_PX = 1
+"""Motion, px, of the body up to which the rays of one pose serve for another: as much more ground is traced."""
+_REACH_PX, _REACH_SIGMA = 3, 3.5
+"""Ground traced around the pixels matched, px and widths of the point spread function: for derivatives, and its light
+but for a ten-thousandth."""
 _TURNED_PX = 0.01
 """Motion, px, of its surface because it is seen from elsewhere, up to which they do: half of the sigma of a body of
 300 px, and what it moves in one direction on one side of the body it moves back on the other."""
@@ -124,8 +128,8 @@ class TracedGround(Value):
     moved: MovedBody
     rays: ShadedRays
 
-    def serves(self, body: Body, box: PixelBox) -> bool:
-        """Return True if the rays show a box for another pose: the same surface is seen, and not from elsewhere."""
+    def serves(self, body: Body) -> bool:
+        """Return True if the rays serve for another pose: the same surface is seen, and not from elsewhere."""
         turned = float((body.camera_from_body * self.body.camera_from_body.inv()).magnitude())
         first, second = self.body.position_camera_km, body.position_camera_km
         ranges = float(np.linalg.norm(first)), float(np.linalg.norm(second))
@@ -133,10 +137,7 @@ class TracedGround(Value):
         radius_px = self.body.shape.circumscribing_radius_km / ranges[0] * self.plane.model.focal_length_px
         shift_px = np.abs(body.center_px(self.plane.model) - self.body.center_px(self.plane.model))
         moved_px = float(shift_px.max()) + abs(math.log(ranges[1] / ranges[0])) * radius_px
-        ends = np.array([self.box.corner_px, (self.box.x + self.box.width, self.box.y + self.box.height)])
-        wanted = np.array([box.corner_px, (box.x + box.width, box.y + box.height)])
-        grown_px = float(np.max((wanted - ends) * [[-1.0], [1.0]]))
-        return turned * radius_px < _TURNED_PX and moved_px + grown_px < _MOVED_PX
+        return turned * radius_px < _TURNED_PX and moved_px < _MOVED_PX
 
     def images(self, body: Body, box: PixelBox) -> _Images:
         """Renders of a box for a pose that the rays serve for."""
@@ -162,6 +163,8 @@ class LandmarkRenderer(Value):
     rays_per_pixel_side : int
     other_law : bool
         True to render under another reflectance law as well.
+    surroundings : bool
+        True to render the ground around landmarks too, where it is that of the shape.
 
     Raises
     ------
@@ -180,6 +183,7 @@ class LandmarkRenderer(Value):
     max_size_px: float
     rays_per_pixel_side: int
     other_law: bool
+    surroundings: bool = False
 
     def __post_init__(self) -> None:
         model = self.plane.model
@@ -189,8 +193,8 @@ class LandmarkRenderer(Value):
         Value.__post_init__(self)
 
     def roughly(self) -> LandmarkRenderer:
-        """Return one with one ray to a pixel and one law: enough to find landmarks."""
-        return replace(self, rays_per_pixel_side=1, other_law=False)
+        """Return one with one ray to a pixel, one law and all of the ground around: enough to find landmarks."""
+        return replace(self, rays_per_pixel_side=1, other_law=False, surroundings=True)
 
     def patches(
         self, body: Body, seen: SeenLandmarks, traced: TracedGround | None = None
@@ -214,30 +218,36 @@ class LandmarkRenderer(Value):
         landmarks = [self.catalog.landmarks[number] for number in seen.numbers]
         outlines = [self._outline(body, landmark) for landmark in landmarks]
         boxes = [self._box(outline, center) for outline, center in zip(outlines, seen.predicted_px, strict=True)]
+        masks = [_filled(outline, box) for outline, box in zip(outlines, boxes, strict=True)]
         own_shape = self.catalog.shape_sha256 == body.shape.sha256
         rendered: list[_Images | None]
         if own_shape:
-            rendered, traced = self._together(body, boxes, traced)
+            grounds = [np.ones_like(mask) for mask in masks] if self.surroundings else masks
+            rendered, traced = self._together(body, boxes, grounds, traced)
         else:
             pairs = zip(landmarks, boxes, strict=True)
             rendered = [self._images(replace(body, shape=landmark.mesh), box) for landmark, box in pairs]
         patches = []
-        for number, outline, box, images in zip(seen.numbers, outlines, boxes, rendered, strict=True):
+        for number, mask, box, images in zip(seen.numbers, masks, boxes, rendered, strict=True):
             if images is None:
                 continue
-            mask = _filled(outline, box)
             if not own_shape:
                 mask &= cv2.erode(images.covered.astype(np.uint8), _ERODED) > 0
             if int(mask.sum()) >= _LEAST_PIXELS:
                 patch = Patch(
-                    number=int(number), box=box, light=images.light, other=images.other, mask=mask, whole=own_shape
+                    number=int(number),
+                    box=box,
+                    light=images.light,
+                    other=images.other,
+                    mask=mask,
+                    whole=own_shape and self.surroundings,
                 )
                 patches.append(patch)
         return tuple(patches), traced
 
     def _outline(self, body: Body, landmark: Landmark) -> Float:
         """Pixels (k, 2) whose hull is the ground of a landmark."""
-        ground = landmark.grid_body_km(_OUTLINE_POINTS)
+        ground = _outline_body_km(landmark)
         pixels = self.plane.model.project(body.to_camera(ground) + body.position_camera_km)
         finite = pixels[np.isfinite(pixels).all(axis=1)].astype(np.float32)
         return cv2.convexHull(finite)[:, 0].astype(np.float64)
@@ -249,9 +259,9 @@ class LandmarkRenderer(Value):
         return PixelBox.spanning(low, high + 1.0, BORDER_PX)
 
     def _together(
-        self, body: Body, boxes: list[PixelBox], traced: TracedGround | None
+        self, body: Body, boxes: list[PixelBox], grounds: list[Mask], traced: TracedGround | None
     ) -> tuple[list[_Images | None], TracedGround | None]:
-        """Images of the shape in boxes: out of one render of all, where they lie close together."""
+        """Images of the shape on some ground in boxes: out of one render of all, where they lie close together."""
         if not boxes:
             return [], traced
         corners = np.array([box.corner_px for box in boxes])
@@ -259,24 +269,32 @@ class LandmarkRenderer(Value):
         whole = PixelBox.spanning(corners.min(axis=0), (corners + sizes).max(axis=0))
         if whole.width * whole.height > _TOGETHER * sizes.prod(axis=1).sum():
             return [self._images(body, box) for box in boxes], None
-        if traced is None or not traced.serves(body, whole):
-            traced = self._ground(body, whole)
+        if traced is None or not traced.serves(body):
+            traced = self._ground(body, whole, boxes, grounds)
         if traced is None:
             return [None] * len(boxes), None
         images = traced.images(body, whole)
         return [images.part(replace(box, x=box.x - whole.x, y=box.y - whole.y).slices) for box in boxes], traced
 
-    def _ground(self, body: Body, box: PixelBox) -> TracedGround | None:
-        """The body traced in a box, and a little around it; None where nothing of it is lit."""
-        trace = self._trace(body, box, margin_px=_MOVED_PX)
+    def _ground(self, body: Body, whole: PixelBox, boxes: list[PixelBox], grounds: list[Mask]) -> TracedGround | None:
+        """The body traced on some ground in boxes, and a little around it; None where nothing of it is lit."""
+        reach = _REACH_PX + math.ceil(_REACH_SIGMA * self.plane.psf_sigma_px) + _MOVED_PX
+        box = PixelBox(
+            x=whole.x - reach, y=whole.y - reach, width=whole.width + 2 * reach, height=whole.height + 2 * reach
+        )
+        wanted = np.zeros((box.height, box.width), np.uint8)
+        for each, ground in zip(boxes, grounds, strict=True):
+            wanted[replace(each, x=each.x - box.x, y=each.y - box.y).slices] |= ground
+        around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        trace = self._trace(body, box, cv2.dilate(wanted, around) > 0)
         if isinstance(trace, Failure) or not trace.lit:
             return None
         moved = MovedBody(trace=trace, state=_state(body, body, self.plane, box))
         laws = (body.reflectance, *contrasting_laws(body.reflectance)[: int(self.other_law)])
         return TracedGround(body, self.plane, box, moved, moved.shaded(laws))
 
-    def _trace(self, body: Body, box: PixelBox, *, margin_px: int = 0) -> Trace | Failure:
-        """The body traced in a box."""
+    def _trace(self, body: Body, box: PixelBox, wanted: Mask | None = None) -> Trace | Failure:
+        """The body traced in a box, or in some of its pixels."""
         assert isinstance(self.plane.model, Windowing)
         return trace_body(
             body,
@@ -285,7 +303,8 @@ class LandmarkRenderer(Value):
             psf=self.plane.psf,
             columns=box.width,
             rows=box.height,
-            options=RenderOptions(rays_per_pixel_side=self.rays_per_pixel_side, min_rays_across=1, margin_px=margin_px),
+            options=RenderOptions(rays_per_pixel_side=self.rays_per_pixel_side, min_rays_across=1),
+            wanted=wanted,
         )
 
     def _images(self, body: Body, box: PixelBox) -> _Images | None:
@@ -311,6 +330,12 @@ def _state(body: Body, reference: Body, plane: FocalPlane, box: PixelBox) -> Tem
         log_range=math.log(own_km / reference_km),
         psf_variance_px2=plane.psf_sigma_px**2,
     )
+
+
+@lru_cache(maxsize=4096)
+def _outline_body_km(landmark: Landmark) -> Float:
+    """Points (k, 3) of a landmark whose hull is its outline, km, body axes."""
+    return frozen(landmark.grid_body_km(_OUTLINE_POINTS))
 
 
 def _filled(outline: Float, box: PixelBox) -> Mask:
