@@ -217,18 +217,23 @@ def model_errors(residuals: Float, variances: VarianceModel, start: Float, *, cl
     """
     thin = slice(None, None, max(residuals.size // _VARIANCE_SAMPLES, 1))
     sampled = VarianceModel(variances.noise[thin], variances.shapes[:, thin])
-    squares, result = residuals[thin] ** 2, start
+    noise, shapes, squares = sampled.noise, np.ascontiguousarray(sampled.shapes), residuals[thin] ** 2
+    result, inverse, scores = start, np.empty_like(squares), np.empty_like(squares)
     for _ in range(_VARIANCE_STEPS):
-        variance = sampled.total(result)
-        clipped = np.minimum(squares, clip_sigma**2 * variance)
-        expected = np.maximum(sampled.shapes @ (1.0 / variance), 1e-300)
-        result = result * (sampled.shapes @ (clipped / variance**2)) / expected
+        np.matmul(result, shapes, out=inverse)
+        inverse += noise
+        np.divide(1.0, inverse, out=inverse)
+        np.multiply(squares, inverse, out=scores)
+        np.minimum(scores, clip_sigma**2, out=scores)
+        scores *= inverse
+        result = result * (shapes @ scores) / np.maximum(shapes @ inverse, 1e-300)
     return result
 
 
 def _weighted(design: Float, values: Float, weights: Float, prior: Prior) -> Float | None:
     """Weighted least-squares parameters (k,) with a prior; None when they are not determined."""
-    information = (design * weights[:, None]).T @ design + np.diag(prior.information)
+    rows = design.T * np.sqrt(weights)
+    information = rows @ rows.T + np.diag(prior.information)  # of an array with itself: half of the products
     right = design.T @ (weights * values) + prior.information * prior.mean
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / scale / scale[:, None]
@@ -268,8 +273,8 @@ class LinearFit(Value):
     information: Float = field(init=False)
 
     def __post_init__(self) -> None:
-        design = self.columns.reshape(len(self.columns), -1).T
-        information = (design * self.weights.reshape(-1, 1)).T @ design + np.diag(self.prior.information)
+        rows = self.columns.reshape(len(self.columns), -1) * np.sqrt(self.weights.ravel())
+        information = rows @ rows.T + np.diag(self.prior.information)
         object.__setattr__(self, "information", information)
         Value.__post_init__(self)
 
@@ -280,8 +285,8 @@ class LinearFit(Value):
 
     def _noise_scatter(self, noise: Float) -> Float:
         """Covariance (k, k) of the scores from independent noise of given variance (h, w), and from the prior."""
-        design = self.columns.reshape(len(self.columns), -1).T
-        result: Float = (design * (self.weights**2 * noise).reshape(-1, 1)).T @ design + np.diag(self.prior.information)
+        rows = self.columns.reshape(len(self.columns), -1) * (self.weights * np.sqrt(noise)).ravel()
+        result: Float = rows @ rows.T + np.diag(self.prior.information)
         return result
 
     def noise_covariance(self, noise: Float) -> Float:
