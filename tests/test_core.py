@@ -10,10 +10,11 @@ from astropy.coordinates import SkyCoord
 from astropy.time import Time
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import as_finite, as_unit
+from giantlike.core.blocks import block_sums
 from giantlike.core.errors import DataError, EstimationError, FrameMismatchError, InputError
 from giantlike.core.frames import (
     FrameRotation,
@@ -158,3 +159,13 @@ def test_a_rotation_between_other_frames_than_needed_is_refused() -> None:
 
 def test_a_frame_without_a_name_fits_any_other() -> None:
     assert (named("CAMERA", "") * named("BUS", "J2000")).source == "J2000"
+
+
+@pytest.mark.parametrize("size", [1, 3, 11])
+def test_blocks_of_an_image_are_summed_and_what_fills_none_is_left_out(size: int) -> None:
+    image = np.arange(26.0 * 40.0).reshape(26, 40)
+    rows, columns = 26 // size, 40 // size
+    expected = [
+        [image[size * i : size * (i + 1), size * j : size * (j + 1)].sum() for j in range(columns)] for i in range(rows)
+    ]
+    assert_array_equal(block_sums(image, size), expected)

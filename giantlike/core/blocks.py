@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, Scalar
 
+_FEW = 8  # pixels along a block up to which columns are added one by one, several times as fast as sums over each block
+
 
 def block_sums(image: NDArray[Scalar], size: int) -> Float:
     """Sums over blocks of pixels.
@@ -23,7 +25,12 @@ def block_sums(image: NDArray[Scalar], size: int) -> Float:
     """
     rows, columns = (length // size for length in image.shape)
     strips = image[: rows * size, : columns * size].reshape(rows, size, columns * size).sum(axis=1, dtype=np.float64)
-    return np.asarray(strips.reshape(rows, columns, size).sum(axis=2))
+    if size > _FEW:
+        return np.asarray(strips.reshape(rows, columns, size).sum(axis=2))
+    sums: Float = strips[:, ::size].copy()
+    for column in range(1, size):
+        sums += strips[:, column::size]
+    return sums
 
 
 def whole_blocks(mask: Mask, size: int) -> Mask:

@@ -104,14 +104,15 @@ class MovedBody(Value):
         """
         x, y = self.trace.cells
         down = self._row(y, 1, state).on_pixels(box.y, box.height)
-        grids = [_Grid(self._row(x, 0, state).on_pixels(box.x, box.width), down, rays.cells, box.width)]
+        first = _Grid(self._row(x, 0, state).on_pixels(box.x, box.width), down, rays.cells, box.width)
+        rest: list[_Grid] = []
         if len(rays.parts) and isinstance(self.trace, RefinedTrace):
             x, y = self.trace.part_cells
             down = self._row(y, 1, state).on_pixels(box.y, box.height)
             across = self._row(x, 0, state).of_parts(*self.trace.part_places, y.count, box.x, box.width)
-            grids.append(_Grid(across, down, rays.parts, box.width))
-        lights = np.ascontiguousarray(np.moveaxis(sum(grid.lights for grid in grids), -1, 0))
-        return lights, lambda weights: np.asarray(sum(grid.derivatives(weights) for grid in grids))
+            rest.append(_Grid(across, down, rays.parts, box.width))
+        lights = np.ascontiguousarray(np.moveaxis(sum((grid.lights for grid in rest), first.lights), -1, 0))
+        return lights, lambda weights: sum((grid.derivatives(weights) for grid in rest), first.derivatives(weights))
 
     def _row(self, cells: Cells, axis: int, state: TemplateState) -> _Row:
         """Cells along an axis, where they are at a state."""
@@ -152,7 +153,7 @@ class _Grid:
     def lights(self) -> Float:
         """Light (h, w, k) under each law."""
         columns = self._along_x(self.across.value, self.light)
-        return np.asarray(self.down.value @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
+        return _product(self.down.value, columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
 
     def derivatives(self, weights: Float) -> Float:
         """Derivatives (4, h, w) of the sum with weights (j,) of the first ``j`` laws."""
@@ -165,19 +166,24 @@ class _Grid:
         )
         return np.stack(
             [
-                down.value @ by_center,
-                down.by_center @ columns,
-                down.value @ by_log_range + down.by_log_range @ columns,
-                down.value @ by_variance + down.by_variance @ columns,
+                _product(down.value, by_center),
+                _product(down.by_center, columns),
+                _product(down.value, by_log_range) + _product(down.by_log_range, columns),
+                _product(down.value, by_variance) + _product(down.by_variance, columns),
             ]
         )
 
     def _along_x(self, matrix: _Sparse, light: Float) -> Float:
         """Light (rows, w, k) of rows of cells on columns of pixels."""
-        spread = np.asarray(matrix @ light.reshape(len(light), -1))
+        spread = _product(matrix, light.reshape(len(light), -1))
         if light.ndim == 2:
             return spread.reshape(-1, self.width, light.shape[1])
         return np.ascontiguousarray(spread.reshape(self.width, *light.shape[1:]).transpose(2, 0, 1))
+
+
+def _product(matrix: _Sparse, values: Float) -> Float:
+    """Product (m, k) of a sparse (m, n) and a dense (n, k) array."""
+    return np.asarray(matrix @ values, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +197,7 @@ class _Row:
 
     def on_pixels(self, first_px: int, count_px: int) -> _Shares:
         """Shares (pixels, cells) on so many pixels from the first."""
-        lows = first_px - 0.5 + np.arange(count_px) - self.center
+        lows = first_px - 0.5 - self.center + np.arange(count_px, dtype=np.float64)
         reach, count = _REACH_SIGMA * self.sigma + self.half, self.away.size
         first = np.ceil((lows - reach - self.away[0]) / (2.0 * self.half)).astype(np.int64)
         within = first[:, None] + np.arange(math.ceil((1.0 + 2.0 * reach) / (2.0 * self.half)) + 1)
@@ -212,7 +218,7 @@ class _Row:
         places = (np.clip(pixels, 0, count_px - 1)[columns] + count_px * rows[:, None]).astype(np.int32).ravel()
         ends = np.arange(0, places.size + 1, pixels.shape[1], dtype=np.int32)
         shape = row_count * count_px, columns.size
-        shares = self._shares(lows, np.broadcast_to(self.away[:, None], lows.shape))
+        shares = self._shares(np.asarray(lows, np.float64), np.broadcast_to(self.away[:, None], lows.shape))
         return _Shares(
             *(csc_matrix((np.where(inside, each, 0.0)[columns].ravel(), places, ends), shape=shape) for each in shares)
         )
