@@ -23,6 +23,7 @@ MOST_AT_ONCE = 400_000_000
 """Bytes that an array which can only be read whole may take: larger maps are to be written in tiles."""
 RADIUS_SHARE = 0.3
 """Values beyond this share of the radius are radii, not heights: no body has relief of a third of its size."""
+_SMALLEST_STEP_RAD = 1e-12  # 2 micrometers on the Moon: a smaller one is no grid, and overflows
 _MOST_SAMPLES = 1 << 36
 """Samples of a map at most; the finest global one, of the Moon with 256 to the degree, has 4e9."""
 
@@ -72,8 +73,8 @@ class HeightGrid(Value):
         if not all(math.isfinite(number) for number in numbers):
             raise ValueError(f"needed finite numbers of the layout, got {numbers}")
         steps = self.latitude_step_rad, self.longitude_step_rad
-        if not all(math.isfinite(step) and 0.0 < abs(step) < 1.0 for step in steps):
-            raise ValueError(f"needed steps of the grid above 0 and below 57 deg, got {np.degrees(steps).tolist()} deg")
+        if not all(math.isfinite(step) and _SMALLEST_STEP_RAD < abs(step) < 1.0 for step in steps):
+            raise ValueError(f"needed steps of the grid between 6e-11 and 57 deg, got {np.degrees(steps).tolist()} deg")
         last = self.first_latitude_rad + (self.rows - 1) * self.latitude_step_rad
         limit = 0.5 * math.pi + abs(self.latitude_step_rad)
         if not (abs(self.first_latitude_rad) < limit and abs(last) < limit):
