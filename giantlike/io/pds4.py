@@ -145,8 +145,10 @@ def _is_image(structure: Any) -> bool:
     """True for an array of lines and samples, or of one band of them."""
     if not structure.is_array():
         return False
-    axes = structure.meta_data.get_axis_arrays()
-    *bands, lines, samples = [(str(axis["axis_name"]).lower(), int(axis["elements"])) for axis in axes] or [("", 0)] * 2
+    axes = [(str(axis["axis_name"]).lower(), axis["elements"]) for axis in structure.meta_data.get_axis_arrays()]
+    if damaged := [name for name, number in axes if not isinstance(number, int)]:
+        raise ValueError(f"its axis {damaged[0]!r} has no number of elements")
+    *bands, lines, samples = axes or [("", 0)] * 2
     return lines[0] == "line" and samples[0] == "sample" and all(number == 1 for _, number in bands)
 
 

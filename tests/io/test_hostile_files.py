@@ -40,6 +40,7 @@ def test_damaged_files_of_every_kind_are_read_or_refused() -> None:
     ("kind", "number", "seed"),
     [
         ("image compressed fits", 3692, 71),
+        ("image pds4", 1893, 72),
         ("heights pds3", 24, 71),
         ("heights geotiff", 2267, 71),
         ("heights geotiff", 3790, 71),
