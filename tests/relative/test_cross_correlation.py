@@ -116,23 +116,6 @@ def test_the_fit_finds_center_range_gain_and_offset_without_noise() -> None:
     assert fit.score > 0.9999
 
 
-def test_the_fit_is_not_pulled_by_light_that_changes_with_the_phase_angle() -> None:
-    """Brightness that falls by 1.7 per radian beyond the law, over a body of 2 degrees."""
-    by_px = np.array([8e-4, -6e-4])
-    rows, columns = np.indices(SHAPE)
-    phase = by_px[0] * (columns - 34.5) + by_px[1] * (rows - 31.5)
-    pixels = 2000.0 * blobs()(TRUE, True).light * (1.0 - 1.7 * phase)
-
-    def phased(state: TemplateState, fine: bool) -> TemplateImages:
-        return replace(blobs()(state, fine), phase_by_px=by_px)
-
-    pulled = np.hypot(*errors(fitted(pixels, TRUE))[:2])
-    fit = fit_template(boxed(pixels), phased, TRUE, options=TemplateFitOptions())
-    assert isinstance(fit, TemplateFit), fit
-    held = np.hypot(*errors(fit)[:2])
-    assert held < EXACT_PX < 5.0 * EXACT_PX < pulled
-
-
 def test_the_fit_is_not_pulled_by_another_reflectance_law() -> None:
     pixels = 2000.0 * blobs(law=1.7)(TRUE, True).light
     free = fitted(pixels, TRUE)

@@ -329,9 +329,9 @@ class _Solved:
             block_px=int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX)),
         )
         groups = {
-            Cause.REFLECTANCE: self.problem.of_laws,
+            Cause.REFLECTANCE: list(range(LAWS, LAWS + self.problem.n_laws)),
             Cause.BACKGROUND: list(range(OFFSET, LAWS)),
-            Cause.PSF: [BLUR, *self.problem.of_wings],
+            Cause.PSF: [BLUR, *range(LAWS + self.problem.n_laws, self.problem.n_parameters)],
         }
         parts = fit.noise_parts(noise, groups)
         known = sum(parts.values(), np.zeros_like(whole))

@@ -31,13 +31,6 @@ about between those that are mixed."""
 _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
 """A priori standard deviation of the shares of light in wings of the point spread function, and their widths over that
 of its core: two, as for horizons, so that those between are spanned."""
-_PHASE_SLOPE = 2.0
-"""A priori standard deviation, 1/rad, of the relative change of brightness with the phase angle beyond that of the law.
-
-Surfaces fade by 0.02 to 0.04 magnitudes a degree, 1 to 2 per radian, and laws tell as much of it as they are told. Over
-a disk of 1.4 degrees that is a slope of the light of some percent: by the part of McEwen's law that changes with the
-phase angle alone, 0.5 % over rocks of 120 px, templates were off by 0.007 px beside 0.003 stated.
-"""
 
 
 class Problem:
@@ -66,9 +59,6 @@ class Problem:
         self.n_laws = len(differences)
         if images.winged:
             differences += [_winged(images.light, state.psf_variance_px2, w) - images.light for w in _WING_WIDTHS]
-        self.phased = images.phase_by_px is not None
-        if images.phase_by_px is not None:
-            differences.append(_phased(images.light, images.phase_by_px))
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         seen = (images.light, *_background(images.light.shape), *differences)
         self.columns = np.empty((GAIN + len(seen), *images.light.shape))
@@ -89,8 +79,7 @@ class Problem:
         rendered = images.derivatives
         by_pixels = self.signal
         if rendered is not None:  # wings of the point spread function are wide enough for differences of pixels
-            end = len(basis) - self.phased
-            wings = slice(end - (len(_WING_WIDTHS) if images.winged else 0), end)
+            wings = slice(len(basis) - (len(_WING_WIDTHS) if images.winged else 0), None)
             by_pixels = np.tensordot(photometry[wings], basis[wings] + images.light, 1)
         slope_x, slope_y, curvature = _derivatives(by_pixels)
         radial = x * slope_x + y * slope_y + spread * curvature
@@ -107,16 +96,6 @@ class Problem:
     def mixing_sigma_dn(self) -> float:
         """A priori standard deviation of the parameter of another law."""
         return _MIXING_SIGMA * max(abs(self.gain_dn), 1e-12)
-
-    @property
-    def of_laws(self) -> list[int]:
-        """Numbers of the parameters of other laws."""
-        return [*range(LAWS, LAWS + self.n_laws), *([self.n_parameters - 1] if self.phased else [])]
-
-    @property
-    def of_wings(self) -> list[int]:
-        """Numbers of the parameters of the wings of the point spread function."""
-        return list(range(LAWS + self.n_laws, self.n_parameters - self.phased))
 
     @property
     def offered(self) -> Mask:
@@ -167,8 +146,6 @@ class Problem:
         means[:GAIN], sigmas[:GAIN] = mean, sigma
         sigmas[LAWS : LAWS + self.n_laws] = self.mixing_sigma_dn
         sigmas[LAWS + self.n_laws :] = _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA
-        if self.phased:
-            sigmas[-1] = _PHASE_SLOPE * self.mixing_sigma_dn / _MIXING_SIGMA
         return Prior(means, sigmas**-2)
 
     def solve(self, prior: Prior, clip_sigma: float, errors: Float | None) -> RobustFit | Failure:
@@ -212,13 +189,6 @@ def _chosen(images: Float, use: Mask) -> Float:
 def _difference(other: Float, light: Float) -> Float:
     """Light (h, w) under another law less that under the law of the target, at the same sum."""
     return np.asarray(other * (float(light.sum()) / max(float(other.sum()), 1e-300)) - light)
-
-
-def _phased(light: Float, phase_by_px: Float) -> Float:
-    """Light (h, w) that grows with the phase angle, by 1 per radian, without any in sum."""
-    y, x = (np.arange(size) - 0.5 * (size - 1) for size in light.shape)
-    phase = phase_by_px[0] * x + phase_by_px[1] * y[:, None]
-    return np.asarray(light * (phase - float(np.vdot(light, phase)) / max(float(light.sum()), 1e-300)))
 
 
 def _winged(light: Float, psf_variance_px2: float, width: float) -> Float:

@@ -204,19 +204,10 @@ class TemplateRenderer(Value):
                 others=list(lights[1 : len(laws)]),
                 winged=fine,
                 untried=lights[-1] if untried else None,
-                phase_by_px=self._phase_by_px(state) if untried else None,
                 derivatives=derivatives,
             )
 
         return images
-
-    def _phase_by_px(self, state: TemplateState) -> Float:
-        """Change (2,) of the phase angle, rad/px, along x and y, on average over a body at a state."""
-        reach_px = max(self.radius_px, 1.0)
-        places = state.center_px + reach_px * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        phase = np.arccos(np.clip(-self.plane.model.unproject(places) @ self.sun_direction_camera, -1.0, 1.0))
-        change: Float = (phase[::2] - phase[1::2]) / (2.0 * reach_px)
-        return change if np.isfinite(change).all() else np.zeros(2)
 
     def _traced(
         self, state: TemplateState, laws: tuple[Reflectance, ...], *, fine: bool

@@ -49,8 +49,6 @@ class TemplateImages(Value):
         Estimate the share of the light that lies in wings of the point spread function.
     untried : (h, w) float64, optional
         Brightness under a law that the fit does not mix in; what it would change enters the covariance.
-    phase_by_px : (2,) float64, rad/px, optional
-        Change of the phase angle along x and y: the share of light that grows with it is estimated.
     derivatives : callable, optional
         Takes weights (1 + k,) and returns the derivatives (4, h, w) of the sum of ``light`` and ``others`` with these,
         by x and y of the center in px, the logarithm of the range and the variance of the point spread function in
@@ -63,7 +61,6 @@ class TemplateImages(Value):
     others: Sequence[Float] = ()
     winged: bool = False
     untried: Float | None = None
-    phase_by_px: Float | None = None
     derivatives: Callable[[Float], Float] | None = None
 
 
