@@ -25,6 +25,7 @@ from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, Ren
 from giantlike.relative.estimator import gather
 from giantlike.relative.light.phase_correction import kaasalainen_tanga
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
+from giantlike.relative.template.cross_correlation import CrossCorrelation
 from giantlike.relative.template.rendering import TemplateRenderer
 from giantlike.relative.template.state import TemplateImages
 from giantlike.scene import Scene, Target
@@ -317,6 +318,17 @@ def test_a_rival_source_makes_the_fix_suspect() -> None:
     assert Quality.AMBIGUOUS in fix.flags
     assert fix.flags.suspect
     assert_allclose(fix.center_px, case.pixel, rtol=0, atol=0.1)
+
+
+@pytest.mark.parametrize("apart_px", [(12.0, 5.0), (12.5, 4.5)])
+def test_a_twin_of_a_point_makes_a_template_suspect_wherever_it_lies_between_the_pixels(
+    apart_px: tuple[float, float],
+) -> None:
+    case = Case(shape=ROCK, diameter_px=1.5, phase_deg=60.0)
+    twin = dataclasses.replace(case, pixel=tuple(np.add(case.pixel, apart_px)))
+    image = exposed(case.light() + 0.9 * twin.light(), 3000.0, np.random.default_rng(1))
+    fix = CrossCorrelation().estimate(image, CAMERA, case.scene()).unwrap()
+    assert Quality.AMBIGUOUS in fix.flags
 
 
 def test_what_cannot_be_measured_is_refused_with_its_reason() -> None:

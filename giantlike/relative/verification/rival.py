@@ -20,6 +20,10 @@ _LEAST_SIGMAS = 6.0
 """Light at another place, standard deviations of the noise, below which it may be noise: one of some 10^4 places."""
 _CORE = 4.0 * math.pi
 """Area of a point spread function, squares of its standard deviation: what its pixels tell of a smaller body."""
+_HALVES = ((0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
+_SAME = 0.99
+"""Squared correlation of a body with itself half a cell away from which on places between cells need no look: a twin of
+a point between four pixels is like it to 0.8, which made it 10^4 times less likely than the fix."""
 
 
 def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: float, albedo: float) -> float:
@@ -50,7 +54,7 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
     if room <= apart:
         return -math.inf
     light = cells.place(own.brightness, own)
-    share, gain = ShiftedMatches.of(cells, room).explained(light)
+    share, gain = (found.max(axis=0) for found in ShiftedMatches.of(cells, room).explained(_between(light)))
     noise = math.sqrt(float(np.median(cells.variance)) / max(light.size * float(light.var()), 1e-300))
     steps = np.arange(-room, room + 1)
     columns, rows = steps[None, :], steps[:, None]
@@ -65,3 +69,12 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
     parts = min(seen / (BLOCK * cells.radius) ** 2, seen + _CORE * cells.blur**2)
     left, left_there = (max(1.0 - float(share[where].max()), albedo**2) for where in (here, away))
     return 0.5 * parts * math.log(left / left_there)
+
+
+def _between(light: Float) -> Float:
+    """Light (k, m, m) of a body, with that half a cell away along rows, columns and both where it differs."""
+    from scipy.ndimage import shift
+
+    away = [shift(light, step, order=3) for step in _HALVES]
+    alike = min(float(np.corrcoef(light.ravel(), other.ravel())[0, 1]) for other in away) ** 2
+    return light[None] if alike > _SAME else np.stack([light, *away])
