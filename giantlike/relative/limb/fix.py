@@ -381,44 +381,11 @@ def limb_fix(
         leaves so much of the range open that right fixes lie beyond the search, or ``NO_LIMB`` where the outline was
         found beyond the search and most of it is unlike a limb there.
     """
-    position_km, covariance_km2 = solution.position_camera_km, solution.covariance_camera_km2
-    rms_px = float(np.sqrt(np.mean(solution.residuals_px**2)))
-    if rms_px > allowed_rms_px:
-        return Failure(
-            Reason.LARGE_RESIDUALS,
-            f"residuals of {measured.n_used} limb points are {rms_px:.2f} px rms, allowed {allowed_rms_px:.3g}: wrong "
-            "shape, orientation or Sun direction, or not this body",
-        )
-    model = inputs.camera.model
-    center_px, covariance_px2 = center_of_position(model, position_km, covariance_km2)
-    sigma_px = float(np.sqrt(np.linalg.eigvalsh(covariance_px2)[-1]))
-    range_km = float(np.linalg.norm(position_km))
-    sigma_range = float(np.sqrt(position_km @ covariance_km2 @ position_km)) / range_km**2
-    if not (sigma_range < _MAX_RANGE_SIGMA and sigma_px < inputs.radius_px):
-        return Failure(
-            Reason.DEGENERATE_GEOMETRY,
-            f"{measured.n_used} limb points on {measured.outline_share:.0%} of the outline do not fix the position: "
-            f"sigma {sigma_px:.1f} px across and {sigma_range:.1%} of range",
-        )
-    if measured.relief_px > 0.0 and _SURE * sigma_range > search.search_range > 0.0:
-        return Failure(
-            Reason.WRONG_SHAPE,
-            f"an ellipsoid for the shape leaves {sigma_range:.1%} of range open, and {_SURE:g} sigma must lie in the "
-            f"search of {search.search_range:.1%}: use limb_matching or raise search_range",
-        )
-    checks = QualityChecks(
-        off_px=center_px - inputs.predicted_px,
-        search_px=search.search_px,
-        range_ratio=inputs.geometry.range_km / range_km,
-        search_range=search.search_range,
-        n_used=measured.n_used,
-        n_offered=measured.n_offered,
-        residuals=rms_px / (search.large_rms_px + _RELIEF_LARGE_RMS * measured.relief_px),
-        outline_share=measured.outline_share,
-        cut_by_frame=measured.cut_by_frame,
-        terrain_log_odds=-math.inf if measured.terrain is None else measured.terrain.log_odds,
-        terrain_misfit=0.0 if measured.terrain is None else measured.terrain.misfit,
-    )
+    place = _Place.of(inputs, solution)
+    refused = _refused(place, inputs, measured, search, allowed_rms_px)
+    if refused is not None:
+        return refused
+    checks = _checks(place, inputs, measured, search)
     if checks.far_from_prediction and measured.n_used < LEAST_USED_SHARE * measured.n_offered:
         return Failure(
             Reason.NO_LIMB,
@@ -428,19 +395,20 @@ def limb_fix(
         )
     replaced = Quality.SHAPE_APPROXIMATED if measured.relief_px > 0.0 else Quality.NONE
     identity = inputs.identity
-    identity["provenance"] = {**inputs.provenance, **terrain_provenance(measured), **solution.provenance}
+    identity["provenance"] = {**inputs.provenance, **_terrain_provenance(measured), **solution.provenance}
+    model, position_km = inputs.camera.model, solution.position_camera_km
     return PositionFix(
         **identity,
-        center_px=center_px,
-        covariance_px2=covariance_px2,
+        center_px=place.center_px,
+        covariance_px2=place.covariance_px2,
         residuals=solution.residuals_px,
         n_used=measured.n_used,
         n_rejected=measured.n_offered + measured.n_elsewhere - measured.n_used,
-        score=rms_px,
+        score=place.rms_px,
         flags=inputs.flags_at(measured.area) | checks.flags | replaced,
         parts={cause: place_covariance(model, position_km, part) for cause, part in solution.covariances_km2.items()},
         position_camera_km=position_km,
-        covariance_camera_km2=covariance_km2,
+        covariance_camera_km2=solution.covariance_camera_km2,
         limb_px=solution.limb_px,
         limb_rejected_px=measured.rejected_px,
         residuals_at_px=solution.limb_px,
@@ -448,7 +416,78 @@ def limb_fix(
     )
 
 
-def terrain_provenance(measured: LimbMeasurement) -> dict[str, str]:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Place(Value):
+    """A solution as the image shows it: center (2,) and its covariance, range and its relative sigma, residuals."""
+
+    center_px: Float
+    covariance_px2: Float
+    range_km: float
+    sigma_range: float
+    rms_px: float
+
+    @classmethod
+    def of(cls, inputs: EstimatorInputs, solution: LimbSolution) -> _Place:
+        position_km, covariance_km2 = solution.position_camera_km, solution.covariance_camera_km2
+        center_px, covariance_px2 = center_of_position(inputs.camera.model, position_km, covariance_km2)
+        range_km = float(np.linalg.norm(position_km))
+        return cls(
+            center_px=center_px,
+            covariance_px2=covariance_px2,
+            range_km=range_km,
+            sigma_range=float(np.sqrt(position_km @ covariance_km2 @ position_km)) / range_km**2,
+            rms_px=float(np.sqrt(np.mean(solution.residuals_px**2))),
+        )
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of the center where it is largest, px."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance_px2)[-1]))
+
+
+def _refused(
+    place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, search: LimbSearch, allowed_rms_px: float
+) -> Failure | None:
+    """Failure of a solution with large residuals or too large a covariance; None of any other."""
+    if place.rms_px > allowed_rms_px:
+        return Failure(
+            Reason.LARGE_RESIDUALS,
+            f"residuals of {measured.n_used} limb points are {place.rms_px:.2f} px rms, allowed {allowed_rms_px:.3g}: "
+            "wrong shape, orientation or Sun direction, or not this body",
+        )
+    if not (place.sigma_range < _MAX_RANGE_SIGMA and place.sigma_px < inputs.radius_px):
+        return Failure(
+            Reason.DEGENERATE_GEOMETRY,
+            f"{measured.n_used} limb points on {measured.outline_share:.0%} of the outline do not fix the position: "
+            f"sigma {place.sigma_px:.1f} px across and {place.sigma_range:.1%} of range",
+        )
+    if measured.relief_px > 0.0 and _SURE * place.sigma_range > search.search_range > 0.0:
+        return Failure(
+            Reason.WRONG_SHAPE,
+            f"an ellipsoid for the shape leaves {place.sigma_range:.1%} of range open, and {_SURE:g} sigma must lie in "
+            f"the search of {search.search_range:.1%}: use limb_matching or raise search_range",
+        )
+    return None
+
+
+def _checks(place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, search: LimbSearch) -> QualityChecks:
+    """Numbers by which the flags of a solution are decided."""
+    return QualityChecks(
+        off_px=place.center_px - inputs.predicted_px,
+        search_px=search.search_px,
+        range_ratio=inputs.geometry.range_km / place.range_km,
+        search_range=search.search_range,
+        n_used=measured.n_used,
+        n_offered=measured.n_offered,
+        residuals=place.rms_px / (search.large_rms_px + _RELIEF_LARGE_RMS * measured.relief_px),
+        outline_share=measured.outline_share,
+        cut_by_frame=measured.cut_by_frame,
+        terrain_log_odds=-math.inf if measured.terrain is None else measured.terrain.log_odds,
+        terrain_misfit=0.0 if measured.terrain is None else measured.terrain.misfit,
+    )
+
+
+def _terrain_provenance(measured: LimbMeasurement) -> dict[str, str]:
     """What a fix says of the height map whose relief was taken off its limb; nothing where there was none."""
     terrain = measured.terrain
     if terrain is None:
