@@ -18,6 +18,7 @@ from giantlike.processing.detection.options import DetectionOptions
 _EXTENDED_AREA = 4.0  # area over that of a star of the same peak above the threshold; no study yet
 _EXTENDED_AREA_MARGIN_PX = 12  # added to it, px: small areas fluctuate with the noise
 _LEAST_SIDE = 0.05  # of the peak: a neighbor below it, which noise may bring below zero, has no logarithm to rely on
+_ROWS = 64  # of the image compared with its threshold at a time
 _AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))  # neighbors of a pixel, rows first
 
 
@@ -82,15 +83,10 @@ def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOpt
     -------
     Candidates
     """
-    limit = filtered.noise_dn * np.float32(options.threshold_sigma * filtered.response_noise)
-    above = cv2.compare(filtered.response, limit, cv2.CMP_GT)
-    n_components, labels = cv2.connectedComponents(above, connectivity=8, ltype=cv2.CV_32S)
-    found = cv2.findNonZero(above)
+    above = _above(filtered, options.threshold_sigma)
+    n_components, labels = cv2.connectedComponents(above.view(np.uint8), connectivity=8, ltype=cv2.CV_32S)
     columns = above.shape[1]
-    lit = np.zeros(0, dtype=np.intp)
-    if found is not None:
-        x, y = found.reshape(-1, 2).T.astype(np.intp)
-        lit = y * columns + x
+    lit = np.flatnonzero(above)
     component = labels.ravel()[lit]
     area = np.bincount(component, minlength=n_components)
     peaks = _local_maxima(filtered.response, lit)
@@ -126,6 +122,16 @@ def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOpt
         first=first,
     )
     return candidates.select(first | ~(extended | plateau))
+
+
+def _above(filtered: FilteredImage, threshold_sigma: float) -> Mask:
+    """Pixels (rows, columns) above the threshold: some rows at a time, whose limits stay in the cache."""
+    factor = np.float32(threshold_sigma * filtered.response_noise)
+    above = np.empty(filtered.response.shape, dtype=bool)
+    for first in range(0, len(above), _ROWS):
+        some = slice(first, first + _ROWS)
+        np.greater(filtered.response[some], filtered.noise_dn[some] * factor, out=above[some])
+    return above
 
 
 def _local_maxima(response: Image32, indices: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.values import Value
+from giantlike.core.values import Value, select_rows
+from giantlike.processing.detection.matched_filter import Image32
 from giantlike.processing.detection.patches import (
     MIN_PSF_SIGMA_PX,
     Patches,
@@ -38,6 +39,7 @@ from giantlike.processing.detection.patches import (
 )
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
+_STEPS_ALONE = 4  # before neighbors are subtracted: what has not converged goes on together with what has neighbors
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
 _CONVERGED_SIGMAS = 0.35  # last step over its error: the next is a fifth of it, 0.5 % of the variance
 _CONVERGED_FLUX = 0.02  # the same over the flux, where that is more: the covariance is that before it
@@ -46,6 +48,15 @@ _N_UNKNOWNS = 7
 _ROUNDING = 3e-6  # of the diagonal: above what single precision may take off an eigenvalue of fits to a few pixels
 _BLOCK = 512  # stars fitted together: derivatives by patches of 9 x 9 pixels are then 1.3 MB
 _PLANE = [3, 5, 6]  # level of the background and its slopes, of these unknowns
+_FACTORS = ((0, 1), (1, 0), (0, 0), (3, 3), (2, 0), (3, 4), (4, 3), (0, 2))
+"""Functions of row and column whose product is the derivative of a pixel by each unknown, the second term of ln sigma
+last. Functions: share of the light, its derivatives by place and by ln sigma, one, and the distance from the middle."""
+_TERMS = np.array([5 * row + column for row, column in _FACTORS])
+_PAIR = {pair: k for k, pair in enumerate((i, j) for i in range(5) for j in range(i, 5))}
+_PAIRS = np.array(
+    [15 * _PAIR[min(a, c), max(a, c)] + _PAIR[min(b, d), max(b, d)] for a, b in _FACTORS for c, d in _FACTORS]
+)
+"""Sums of products of all pairs of derivatives, among those of all pairs of functions of rows and of columns."""
 _NONLINEAR = [0, 1, 4]  # x, y, ln sigma: the model is linear in the others
 _LOG_WIDTH_LIMIT = math.log(4.0)  # largest change of ln sigma from that of the PSF: flags need no more than a factor 3
 _MAX_SHIFT_WIDTHS = 0.5  # a star may be so many PSF widths (and 1 px) off its peak: more is another source
@@ -120,44 +131,37 @@ def fit_stars(
     flux_dn, log_width = np.maximum(flux_dn, patches.noise_dn), np.full(len(flux_dn), math.log(psf))
     slopes = np.zeros((len(flux_dn), 2))
     places = patches.centers_px if points_px is None else points_px
-    start = np.column_stack([places, flux_dn, patches.border_level_dn(), log_width, slopes])
-    problem = _Problem(patches, psf, width_prior)
-    solution = problem.solve(start)
+    level_dn = patches.border_level_dn()
+    start = np.column_stack([places, flux_dn, level_dn, log_width, slopes])
+    problem = _Problem.of(patches, level_dn, psf, width_prior)
+    if isolated:
+        return _finished(patches, problem.solve(start, _MAX_STEPS))
+    solution = problem.solve(start, _STEPS_ALONE)
     pairs = neighbor_pairs(patches.centers_px.astype(np.float64), patches.reach_px)
     changed = np.ones(len(start), dtype=bool)
-    for done in range(0 if isolated else _NEIGHBOR_ROUNDS):
+    for done in range(_NEIGHBOR_ROUNDS):
         near = pairs[solution.good[pairs[:, 1]]]  # a fit that ran away must not be subtracted from its neighbors
-        blended = np.unique(near[changed[near[:, 1]], 0])
+        again = np.zeros(len(start), dtype=bool)
+        again[near[changed[near[:, 1]], 0]] = True
         if done:
-            blended = blended[solution.good[blended]]  # what did not converge without its neighbors never will
-        if not blended.size:
+            again &= solution.good  # what did not converge without its neighbors never will
+        restarted = again & ~solution.good
+        which = np.flatnonzero(again if done else again | solution.unsettled)
+        if not which.size:
             break
-        alone = _without_neighbors(patches, solution.parameters, near, blended)
-        before = solution.parameters[blended]
-        again = np.where(solution.good[blended, None], before, start[blended])
-        found = replace(problem, patches=alone).solve(again)
-        solution.replace(blended, found)
+        before = solution.parameters[which]
+        first = np.where(restarted[which, None], start[which], before)
+        found = problem.without(solution.parameters, near, which).solve(first, _MAX_STEPS)
+        solution.replace(which, found)
         changed[:] = False
-        changed[blended] = ~_is_last(found.parameters - before, before, found.covariance, found.reduced_chi2)
-    return problem.finish(solution)
+        changed[which] = ~_is_last(found.parameters - before, before, found.covariance, found.reduced_chi2)
+    return _finished(patches, solution)
 
 
 def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
     """Pairs (m, 2) of indices, in both orders, of points (n, 2) closer than ``reach_px``."""
     pairs = cKDTree(points_px).query_pairs(reach_px, output_type="ndarray").astype(np.int64).reshape(-1, 2)
     return np.concatenate([pairs, pairs[:, ::-1]])
-
-
-def _without_neighbors(
-    patches: Patches, parameters: Float, pairs: NDArray[np.int64], which: NDArray[np.int64]
-) -> Patches:
-    """Patches ``which`` (k,), ascending, minus the fitted stars that each of them is paired with."""
-    of, neighbor = pairs[np.isin(pairs[:, 0], which)].T
-    shares = patches.select(of).star_shares(parameters[neighbor, :2], np.exp(parameters[neighbor, 4]))
-    chosen = patches.select(which)
-    values = chosen.values_dn.copy()
-    np.subtract.at(values, np.searchsorted(which, of), parameters[neighbor, 2, None, None] * shares)
-    return replace(chosen, values_dn=values)
 
 
 def _is_last(step: Float, parameters: Float, covariance: Float, reduced_chi2: Float) -> Mask:
@@ -175,7 +179,8 @@ def _is_last(step: Float, parameters: Float, covariance: Float, reduced_chi2: Fl
 class _Solution:
     """Parameters (n, 7), their covariances (n, 7, 7), chi-squares (n,), pixels used (n,), converged near the peak (n,).
 
-    Covariance and chi-square are those before the last step, a tenth of a sigma at most.
+    Covariance and chi-square are those before the last step, a tenth of a sigma at most. ``unsettled`` (n,) are those
+    that want more steps.
     """
 
     parameters: Float
@@ -183,6 +188,7 @@ class _Solution:
     chi2: Float
     count: NDArray[np.int64]
     good: Mask
+    unsettled: Mask
 
     @property
     def reduced_chi2(self) -> Float:
@@ -196,18 +202,75 @@ class _Solution:
             getattr(self, field.name)[which] = getattr(other, field.name)
 
 
-@dataclass(frozen=True, slots=True)
-class _Problem:
-    """Least squares of all stars: parameters (n, 7) are x, y, flux, background, ln sigma, slopes along x and y."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem(Value):
+    """Least squares of all stars: parameters (n, 7) are x, y, flux, background, ln sigma, slopes along x and y.
 
-    patches: Patches
+    Pixels are in single precision, above a level of their own: this moves a solution by 1e-5 sigma.
+
+    Parameters
+    ----------
+    values_dn : (n, w, w) float32, DN
+        Above the level.
+    level_dn : (n,) float64, DN
+    valid : (n, w, w) float32
+        One for pixels that count, zero for others.
+    saturated : (n, w, w) bool
+        Lower bounds: they count only where the model is below them.
+    variance_dn2 : (n, 1, 1) float32, DN^2
+        Of the background of a pixel.
+    corner_px : (n, 2) int64, px
+    gain_e_per_dn, relative_noise, psf_sigma_px, width_prior : float
+    any_saturated : bool
+    """
+
+    values_dn: Image32
+    level_dn: Float
+    valid: Image32
+    saturated: Mask
+    variance_dn2: Image32
+    corner_px: NDArray[np.int64]
+    gain_e_per_dn: float
+    relative_noise: float
     psf_sigma_px: float
     width_prior: float
+    any_saturated: bool
+
+    @classmethod
+    def of(cls, patches: Patches, level_dn: Float, psf_sigma_px: float, width_prior: float) -> _Problem:
+        """Fit of ``patches``, whose backgrounds lie near ``level_dn`` (n,)."""
+        return cls(
+            values_dn=(patches.values_dn - level_dn[:, None, None]).astype(np.float32),
+            level_dn=level_dn,
+            valid=patches.valid.astype(np.float32),
+            saturated=patches.saturated,
+            variance_dn2=(patches.noise_dn[:, None, None] ** 2).astype(np.float32),
+            corner_px=patches.corner_px,
+            gain_e_per_dn=patches.gain_e_per_dn,
+            relative_noise=patches.relative_noise,
+            psf_sigma_px=psf_sigma_px,
+            width_prior=width_prior,
+            any_saturated=bool(patches.saturated.any()),
+        )
 
     def select(self, which: NDArray[np.integer] | slice) -> _Problem:
-        return replace(self, patches=self.patches.select(which))
+        return select_rows(self, which)
 
-    def solve(self, start: Float) -> _Solution:
+    def without(self, parameters: Float, pairs: NDArray[np.int64], which: NDArray[np.int64]) -> _Problem:
+        """Stars ``which`` (k,), ascending, minus the fitted stars that each of them is paired with."""
+        chosen = self.select(which)
+        of, neighbor = pairs[np.isin(pairs[:, 0], which)].T
+        if not of.size:
+            return chosen
+        size, corner = self.values_dn.shape[1], self.corner_px[of]
+        places, width = parameters[neighbor, :2], np.exp(parameters[neighbor, 4])
+        across, down = (pixel_shares(corner[:, k], size, places[:, k], width)[0].astype(np.float32) for k in (0, 1))
+        light = (parameters[neighbor, 2, None, None].astype(np.float32) * down[:, :, None]) * across[:, None, :]
+        values = chosen.values_dn.copy()
+        np.subtract.at(values, np.searchsorted(which, of), light)
+        return replace(chosen, values_dn=values)
+
+    def solve(self, start: Float, steps: int) -> _Solution:
         """Gauss-Newton from ``start`` (n, 7)."""
         n = len(start)
         solution = _Solution(
@@ -216,11 +279,12 @@ class _Problem:
             chi2=np.empty(n),
             count=np.empty(n, dtype=np.int64),
             good=np.ones(n, dtype=bool),
+            unsettled=np.zeros(n, dtype=bool),
         )
         active = np.arange(n)
         last, pace = np.zeros_like(start), np.ones(n)
         problem = self
-        for _ in range(_MAX_STEPS):
+        for _ in range(steps):
             if not active.size:
                 break
             now = solution.parameters[active]
@@ -233,16 +297,18 @@ class _Problem:
             solution.covariance[active], solution.chi2[active], solution.count[active] = covariance, chi2, count
             still = _is_last(step, now, covariance, chi2 / count.clip(1))
             if still.any():
-                active, problem = active[~still], problem.select(np.flatnonzero(~still))
+                more = np.flatnonzero(~still)
+                active, problem = active[more], problem.select(more)
         reach = 1.0 + _MAX_SHIFT_WIDTHS * self.psf_sigma_px
-        solution.good[:] = np.hypot(*(solution.parameters[:, :2] - self.patches.centers_px).T) <= reach
-        solution.good[active] = False
+        away = solution.parameters[:, :2] - (self.corner_px + self.values_dn.shape[1] // 2)
+        solution.good[:] = np.hypot(*away.T) <= reach
+        solution.good[active], solution.unsettled[active] = False, True
         return solution
 
     def stepped(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
         """Covariances (n, 7, 7), steps (n, 7), chi-squares (n,), pixels (n,): a block of stars at a time.
 
-        The derivatives of a block stay in the cache.
+        The pixels of a block stay in the cache.
         """
         parts = []
         for first in range(0, len(parameters), _BLOCK):
@@ -252,45 +318,73 @@ class _Problem:
             covariance = inverses(normal)
             step = block.limited(parameters[which], (covariance @ right[:, :, None])[:, :, 0])
             parts.append((covariance, step, chi2, count))
+        if len(parts) == 1:
+            return parts[0]
         covariances, steps, chi2s, counts = (np.concatenate(part) for part in zip(*parts, strict=True))
         return covariances, steps, chi2s, counts
 
     def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
         """Normal matrices (n, 7, 7), right sides (n, 7), chi-squares (n,) and numbers of pixels (n,)."""
-        patches, n, size = self.patches, len(parameters), self.patches.size_px
-        flux, log_width = parameters[:, 2], parameters[:, 4]
-        width = np.exp(log_width)
-        places, corners = parameters[:, :2].T.ravel(), patches.corner_px.T.ravel()
-        shares, by_place, by_width = pixel_shares(corners, size, places, np.concatenate([width, width]))
-        across = [part[:n, None, :] for part in (shares, by_place, by_width)]
-        down = [part[n:, :, None] for part in (shares, by_place, by_width)]
-        light = (flux[:, None, None] * down[0]) * across[0]
-        residual, weight = patches.residuals(light, parameters[:, _PLANE])
-        # Single precision moves the solution by 1e-5 sigma: the residuals themselves are rounded after the difference.
-        table = np.empty((n, _N_UNKNOWNS + 1, size, size), dtype=np.float32)
-        root = np.sqrt(weight.astype(np.float32)).reshape(n, size, size)
-        np.multiply(root, residual.astype(np.float32).reshape(root.shape), out=table[:, _N_UNKNOWNS])
-        px, dx, wx = (part.astype(np.float32) for part in across)
-        py, dy, wy = (part.astype(np.float32) for part in down)
-        np.multiply(root * px, py, out=table[:, 2])
-        for index, term in zip(_PLANE, patches.plane_terms().astype(np.float32), strict=True):
-            np.multiply(root, term, out=table[:, index])
-        root *= flux.astype(np.float32)[:, None, None]
-        np.multiply(root * py, dx, out=table[:, 0])
-        np.multiply(root * px, dy, out=table[:, 1])
-        np.multiply(root, py * wx + wy * px, out=table[:, 4])
-        flat = table.reshape(n, _N_UNKNOWNS + 1, -1)
-        products = (flat @ flat.swapaxes(1, 2)).astype(np.float64)
-        normal, right = products[:, :-1, :-1], products[:, :-1, -1]
+        n, flux = len(parameters), parameters[:, 2]
+        factors = self._factors(parameters)
+        residual, weight = self._residuals(parameters, factors[0, :, 0], factors[1, :, 0])
+        weighted = weight * residual
+        chi2 = np.einsum("nij,nij->n", weighted, residual).astype(np.float64)
+        # Every derivative is a product of a function of the row and one of the column, so that sums over pixels are
+        # products of matrices: for pairs of derivatives with products of two functions each.
+        pairs = _products(factors)
+        sums = (pairs[1] @ (weight @ pairs[0].swapaxes(1, 2))).reshape(n, -1)
+        gram = sums.take(_PAIRS, axis=1).astype(np.float64).reshape(n, _N_UNKNOWNS + 1, -1)
+        right = (factors[1] @ (weighted @ factors[0].swapaxes(1, 2))).reshape(n, -1).take(_TERMS, axis=1)
+        right = right.astype(np.float64)
+        gram[:, 4] += gram[:, 7]  # the derivative by ln sigma has two terms
+        gram[:, :, 4] += gram[:, :, 7]
+        right[:, 4] += right[:, 7]
+        gram[:, 2] /= flux[:, None]  # the factors hold the flux: so far the derivative was by its logarithm
+        gram[:, :, 2] /= flux[:, None]
+        right[:, 2] /= flux
+        normal, right = gram[:, :-1, :-1], right[:, :-1]
         normal[:, 4, 4] += self.width_prior**-2
-        right[:, 4] += (math.log(self.psf_sigma_px) - log_width) * self.width_prior**-2
+        right[:, 4] += (math.log(self.psf_sigma_px) - parameters[:, 4]) * self.width_prior**-2
         # A star without pixels has no information: keep the matrix regular, its covariance says so.
-        tiny, level = np.full(n, 1e-6), 1e-12 / patches.noise_dn**2
-        diagonal = [0, 1, 2, *_PLANE]
-        normal[:, diagonal, diagonal] += np.stack([tiny, tiny, (1e-6 / flux) ** 2, level, level, level], axis=-1)
-        every = np.arange(_N_UNKNOWNS)
-        normal[:, every, every] *= 1.0 + _ROUNDING
-        return normal, right, products[:, -1, -1], np.count_nonzero(weight, axis=1)
+        level = 1e-12 / self.variance_dn2[:, 0, 0].astype(np.float64)
+        diagonal = np.einsum("nii->ni", normal)
+        diagonal[:, :2] += 1e-6
+        diagonal[:, 2] += (1e-6 / flux) ** 2
+        diagonal[:, _PLANE] += level[:, None]
+        diagonal *= 1.0 + _ROUNDING
+        return normal, right, chi2, np.count_nonzero(weight, axis=(1, 2))
+
+    def _factors(self, parameters: Float) -> Image32:
+        """Functions (2, n, 5, w) of the column and of the row in the derivatives, those of the row times the flux."""
+        n, size = len(parameters), self.values_dn.shape[1]
+        width = np.exp(parameters[:, 4])
+        places, corners = parameters[:, :2].T.ravel(), self.corner_px.T.ravel()
+        factors = np.empty((2 * n, 5, size), dtype=np.float32)
+        shares = pixel_shares(corners, size, places, np.concatenate([width, width]))
+        factors[:, 0], factors[:, 1], factors[:, 2] = shares
+        factors[n:, :3] *= parameters[:, 2, None, None].astype(np.float32)
+        factors[:, 3] = 1.0
+        factors[:, 4] = np.arange(size) - size // 2
+        return factors.reshape(2, n, 5, size)
+
+    def _residuals(self, parameters: Float, across: Image32, down: Image32) -> tuple[Image32, Image32]:
+        """Residuals and inverse variances (n, w, w): shares (n, w) of columns times light (n, w) of rows."""
+        slope_x, slope_y = (parameters[:, k, None].astype(np.float32) for k in (5, 6))
+        base = (parameters[:, 3] - self.level_dn).astype(np.float32)
+        steps = np.arange(across.shape[1], dtype=np.float32) - across.shape[1] // 2
+        light = down[:, :, None] @ across[:, None, :]
+        residual = self.values_dn - light
+        residual -= (base[:, None] + slope_x * steps)[:, None, :]
+        residual -= (slope_y * steps)[:, :, None]
+        light *= np.float32(1.0 / self.gain_e_per_dn)
+        if self.relative_noise:
+            light += (np.float32(self.relative_noise * self.gain_e_per_dn) * light) ** 2
+        light += self.variance_dn2
+        weight = np.divide(self.valid, light, out=light)
+        if self.any_saturated:
+            weight[self.saturated & (residual <= 0.0)] = 0.0
+        return residual, weight
 
     def limited(self, parameters: Float, step: Float) -> Float:
         """Limit steps (n, 7) to the region in which the linearization is valid."""
@@ -305,19 +399,30 @@ class _Problem:
         result[:, 4] = np.maximum(wanted, math.log(0.6 * MIN_PSF_SIGMA_PX)) - parameters[:, 4]
         return result
 
-    def finish(self, solution: _Solution) -> StarFits:
-        """Covariances and quality of the solution."""
-        parameters, covariance = solution.parameters, solution.covariance
-        freedom = np.maximum(solution.count - _N_UNKNOWNS, 1)
-        inflation = chi2_inflation(solution.chi2, freedom)
-        inflation *= 1.0 + _SECOND_ORDER * covariance[:, 2, 2] / parameters[:, 2] ** 2
-        return StarFits(
-            points_px=parameters[:, :2],
-            covariance_px2=covariance[:, :2, :2] * inflation[:, None, None],
-            flux_dn=parameters[:, 2],
-            background_dn=self.patches.level_dn(parameters[:, _PLANE], parameters[:, :2]),
-            width_px=np.exp(parameters[:, 4]),
-            planes=parameters[:, _PLANE],
-            reduced_chi2=solution.chi2 / freedom,
-            converged=solution.good & (solution.count > _N_UNKNOWNS),
-        )
+
+def _finished(patches: Patches, solution: _Solution) -> StarFits:
+    """Covariances and quality of the solution."""
+    parameters, covariance = solution.parameters, solution.covariance
+    freedom = np.maximum(solution.count - _N_UNKNOWNS, 1)
+    inflation = chi2_inflation(solution.chi2, freedom)
+    inflation *= 1.0 + _SECOND_ORDER * covariance[:, 2, 2] / parameters[:, 2] ** 2
+    return StarFits(
+        points_px=parameters[:, :2],
+        covariance_px2=covariance[:, :2, :2] * inflation[:, None, None],
+        flux_dn=parameters[:, 2],
+        background_dn=patches.level_dn(parameters[:, _PLANE], parameters[:, :2]),
+        width_px=np.exp(parameters[:, 4]),
+        planes=parameters[:, _PLANE],
+        reduced_chi2=solution.chi2 / freedom,
+        converged=solution.good & (solution.count > _N_UNKNOWNS),
+    )
+
+
+def _products(factors: Image32) -> Image32:
+    """Products (2, n, 15, w) of pairs of functions (2, n, 5, w), in the order of ``_PAIR``."""
+    pairs = np.empty((*factors.shape[:2], 15, factors.shape[3]), dtype=np.float32)
+    first = 0
+    for k in range(5):
+        np.multiply(factors[:, :, k:], factors[:, :, k, None], out=pairs[:, :, first : first + 5 - k])
+        first += 5 - k
+    return pairs

@@ -173,13 +173,12 @@ def detect_in_parts(
             "the brightest sources have no common streak of one direction and length: do not require one",
         )
         return
-    noise = frame.noise_dn
-    if noise is None:
-        noise = noise_between(filtered, frame.bad, found.peaks_px, frame.noise_floor_dn)
-    noise_dn = float(np.median(noise[::8, ::8]))
-    found = found.select(slice(options.max_sources))
-    at_peaks = noise[found.peaks_px[:, 1], found.peaks_px[:, 0]].astype(np.float64)
-    found = replace(found, noise_dn=at_peaks)
+    if frame.noise_dn is None:
+        noise_dn, at_peaks = noise_between(filtered, frame.bad, found.peaks_px, frame.noise_floor_dn)
+    else:
+        noise_dn = float(np.median(frame.noise_dn[::8, ::8]))
+        at_peaks = frame.noise_dn[found.peaks_px[:, 1], found.peaks_px[:, 0]].astype(np.float64)
+    found = replace(found, noise_dn=at_peaks).select(slice(options.max_sources))
     measured: Detections | None = None
     for share in shares:
         if not len(found):
@@ -224,6 +223,7 @@ def _search_with(
         psf_sigma_px=psf_sigma_px,
         noise_floor_dn=frame.noise_floor_dn,
         half_streak_px=half_streak_px,
+        stored=frame.pixels,
     )
     if frame.noise_dn is not None:
         filtered = replace(filtered, noise_dn=np.maximum(frame.noise_dn, np.float32(frame.noise_floor_dn)))
