@@ -36,7 +36,7 @@ _MAGNITUDES = 2.0
 @dataclass(frozen=True, slots=True)
 class _Named:
     names: tuple[str, ...]
-    directions: Float
+    tree: cKDTree
     magnitude: Float
 
 
@@ -66,9 +66,10 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
     if not len(bright):
         return tuple(found)
     some = stars.select(bright)
-    apart, which = map(np.asarray, cKDTree(known.directions).query(apparent_directions(some, 0.0)))
-    alike = np.abs(some.magnitude - known.magnitude[which]) < _MAGNITUDES
-    near = np.flatnonzero(alike & (apart < _RADIUS_ARCSEC * RAD_PER_ARCSEC))
+    limit = _RADIUS_ARCSEC * RAD_PER_ARCSEC
+    apart, which = map(np.asarray, known.tree.query(apparent_directions(some, 0.0), distance_upper_bound=limit))
+    near = np.flatnonzero(apart < limit)
+    near = near[np.abs(some.magnitude[near] - known.magnitude[which[near]]) < _MAGNITUDES]
     nearest = near[np.argsort(apart[near])]
     _, first = np.unique(which[nearest], return_index=True)
     for place in nearest[first]:
@@ -84,4 +85,4 @@ def _named() -> _Named:
     ra, dec, magnitude = (
         np.array([float(row[name]) for row in rows]) for name in ("ra_deg", "dec_deg", "magnitude_hp")
     )
-    return _Named(tuple(row["name"] for row in rows), direction_from_radec(ra, dec), magnitude)
+    return _Named(tuple(row["name"] for row in rows), cKDTree(direction_from_radec(ra, dec)), magnitude)

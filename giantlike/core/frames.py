@@ -304,6 +304,18 @@ def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotat
     return Rotation.from_quat(q)
 
 
+def turned_about(vectors: Float, jacobian: Float) -> Float:
+    """Derivatives (n, k, 3) by a small rotation of what has the derivatives (n, k, 3) by vectors (n, 3).
+
+    That is ``-jacobian @ skew(vectors)``, the cross products of the vectors with the rows.
+    """
+    x, y, z = vectors.T[:, :, None]
+    a, b, c = np.moveaxis(jacobian, -1, 0)
+    result = np.empty(jacobian.shape)
+    result[..., 0], result[..., 1], result[..., 2] = y * c - z * b, z * a - x * c, x * b - y * a
+    return result
+
+
 def skew(vectors: Float) -> Float:
     """Cross-product matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == cross(a, b)``."""
     x, y, z = np.moveaxis(vectors, -1, 0)

@@ -109,14 +109,16 @@ def _floor_along(squares: Float, variances: Float, freedom: int | None) -> float
     """Floor of squared residuals along the principal axes (n, 2) of covariances with the eigenvalues (n, 2)."""
     from scipy.optimize import brentq  # slow to import
 
+    def typical(squares: Float) -> float:
+        return _median(np.sum(squares, axis=1)) / MEDIAN_CHI2 if freedom is None else float(squares.sum()) / freedom
+
     def excess(floor: float) -> float:
-        scaled = np.sum(squares / (variances + floor**2), axis=1)
-        return float(np.median(scaled) / MEDIAN_CHI2 if freedom is None else scaled.sum() / freedom) - 1.0
+        return typical(squares / (variances + floor**2)) - 1.0
 
     if excess(0.0) <= 0.0:
         return 0.0
-    top = math.sqrt(float(np.max(np.sum(squares, axis=1))) * len(squares))
-    return float(brentq(excess, 0.0, top, xtol=1e-9))
+    top = math.sqrt(typical(squares))  # which would explain the residuals alone
+    return float(brentq(excess, 0.0, top, xtol=1e-9)) if excess(top) < 0.0 else top
 
 
 def _principal(covariance: Float) -> tuple[Float, Float]:

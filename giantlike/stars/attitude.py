@@ -14,7 +14,7 @@ from scipy.special import gammainc
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.frames import rotate, skew
+from giantlike.core.frames import rotate, turned_about
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import error_floor, error_terms, hidden_floor, squared_residuals, whitened
 from giantlike.core.values import Value, select_rows
@@ -22,7 +22,9 @@ from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 from giantlike.stars.smooth_errors import MOST_WEIGHED, shared_covariance, shared_error_px, unmodeled_errors
 
 _MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
-_STEP_RAD = 1e-8  # last step: 2 milliarcsec; the next would be below 1e-12, for residuals turn with the attitude
+_STEP_RAD = 1e-6
+"""Last step: 0.2 arcsec. The next is that times the residuals, for these turn with the attitude: in standard deviations
+of the attitude below 1e-6 times the root of the number of stars."""
 _MAX_ROUNDS = 10  # of fit and rejection
 _NOISE_EXPLAINS = 0.977
 """Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal
@@ -208,7 +210,7 @@ class _State:
         They are by the small rotation, the log of the focal length, k1, and the m uncertain parameters of the model.
         """
         vectors = rotate(self.rotation, directions_inertial)
-        columns = [-self.model.project_jacobian(vectors) @ skew(vectors)]
+        columns = [turned_about(vectors, self.model.project_jacobian(vectors))]
         if scale:
             names = self.model.parameter_names
             by_parameter = self.model.parameter_jacobian(vectors)

@@ -37,7 +37,7 @@ def response_to_camera(solution: AttitudeSolution, field: StarField) -> Float:
         Of the small rotation that takes the attitude to the true one, in the order of the names of the parameters.
     """
     vectors = rotate(solution.camera_from_inertial, field.directions_inertial)
-    by_camera: Float = -np.einsum("ink,nkm->im", solution.by_pixels, solution.model.parameter_jacobian(vectors))
+    by_camera: Float = -np.tensordot(solution.by_pixels, solution.model.parameter_jacobian(vectors), axes=2)
     return by_camera
 
 

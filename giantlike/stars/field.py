@@ -40,20 +40,6 @@ class StarField(Value):
     def __len__(self) -> int:
         return len(self.stars)
 
-    def brightest(self, count: int) -> StarField:
-        """Brightest stars of the field.
-
-        Parameters
-        ----------
-        count : int
-
-        Returns
-        -------
-        StarField
-            At most ``count`` stars.
-        """
-        return self.select(np.arange(min(count, len(self))))
-
     def select(self, which: NDArray[np.integer]) -> StarField:
         """Stars of the given indices (k,), in that order.
 

@@ -131,7 +131,7 @@ def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, are
     steps = radius_px * np.linspace(4.0, 12.0, _SHIFTS)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     moved = (points_px[None] + steps[:, None]).reshape(-1, 2)
     moved = moved[:: -(-len(moved) // _SAMPLES)]
-    hits = np.isfinite(cKDTree(stars).query(moved, distance_upper_bound=radius_px)[0]).sum()
+    hits = np.isfinite(_nearest(stars, moved, 1, radius_px)[0]).sum()
     return float(min(1.0, max(uniform, hits / len(moved))))
 
 

@@ -25,7 +25,7 @@ from giantlike.image import Image
 from giantlike.processing.detection.detect import detect_in_parts
 from giantlike.processing.detection.detections import DetectionFlag, Detections, UnmeasuredSources
 from giantlike.processing.detection.options import DetectionOptions
-from giantlike.stars.apriori import identify_apriori
+from giantlike.stars.apriori import Identification, identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.consider import attitude_parts, response_to_camera
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, half_diagonal_rad
@@ -35,6 +35,8 @@ from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
 _LOG = logging.getLogger("giantlike.stars")
+_IDENTIFIED_FIRST = 200
+"""Brightest detections that an a priori attitude is tried with before all are: twice those that vote for a shift."""
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog star expected: fainter ones are noise
 _INFORMATION = 0.95
 """Share of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5 %."""
@@ -235,11 +237,19 @@ class StarNavigation:
         # the sky looked up is that of any attitude within the margin: as deep as for one of them
         several = (1.0 + margin / (half_diagonal_rad(camera) * camera.model.focal_length_px)) ** 2
         around = sky.field(camera, camera_from_inertial, margin_px=margin, count=math.ceil(several * depth))
-        wide = around.brightest(depth)
-        expected = camera.contains(camera.model.project(rotate(camera_from_inertial, wide.directions_inertial)))
+        wide = around.directions_inertial[:depth]
+        expected = camera.contains(camera.model.project(rotate(camera_from_inertial, wide)))
         offered = _DETECTIONS_PER_STAR * int(expected.sum()) + _SPARE_DETECTIONS
         points, covariance = points_px[:offered], covariance_px2[:offered]
-        found = identify_apriori(wide.directions_inertial, points, camera, camera_from_inertial, options=options)
+        found: Identification | Failure = Failure(Reason.TOO_FEW_MATCHES, "not tried")
+        for number in sorted(
+            {min(_IDENTIFIED_FIRST, len(points)), len(points)}
+        ):  # the brightest tell as well, and fast
+            found = identify_apriori(
+                wide[: depth_for(number)], points[:number], camera, camera_from_inertial, options=options
+            )
+            if isinstance(found, Identification):
+                break
         if isinstance(found, Failure):
             near: RefinedAttitude | Failure = found
         else:

@@ -28,6 +28,9 @@ from giantlike.stars.matching import (
 from giantlike.stars.options import StarOptions
 
 _MAX_ROUNDS = 8  # of matching and fitting
+_SETTLED = 0.05
+"""Largest move of a star by a fit, over the match radius, after which stars are not matched again: what would change
+lies at the edge of the radius, or as near to two detections, where the fit rejects it."""
 _STARS_FOR_FOCAL_LENGTH = 5  # 10 equations for 4 unknowns
 _STARS_FOR_RADIAL = 12  # 24 equations for 5 unknowns: k1 needs stars all over the field
 SMALLEST_GATE_PX = 0.5
@@ -116,6 +119,9 @@ def refine_attitude(
             return fitted
         solution, rotation = fitted, fitted.camera_from_inertial
         camera = dataclasses.replace(camera, model=solution.model)
+        moved = np.abs(solution.predicted_px - predicted[matches.star_indices]).max()
+        if radius == options.inlier_px and moved <= _SETTLED * radius:
+            break
         previous, radius = now, options.inlier_px
     return refinement.accepted(matches, solution, camera)
 
