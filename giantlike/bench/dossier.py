@@ -23,10 +23,11 @@ from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.provenance import file_sha256, inputs_of
 from giantlike.campaign.run.steps import digest
+from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import StatusCounts
-from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder, changes
+from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
 from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from giantlike.campaign.report.run_page import write_report
+from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import add_edits, read_edits
 from giantlike.campaign.store.observables import write_run_observables
 from giantlike.campaign.store.results import RunResult, load_result
-from giantlike.campaign.store.run_folder import CAMERA_FILE, RunFolder, changes
+from giantlike.campaign.store.run_folder import CAMERA_FILE, RunFolder
 from giantlike.campaign.store.tables import write_tables
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder

@@ -10,7 +10,7 @@ import typer
 from giantlike.campaign.run import WORKER_MODULES
 from giantlike.cli.arguments import Json, Resume, Workers
 from giantlike.cli.outcome import ExitCode
-from giantlike.core.processes import available_cpus, start_server
+from giantlike.core.processes import available_cpus, importing, keep_memory, start_server
 
 
 def run(
@@ -35,7 +35,9 @@ def run(
     """
     if dask is None and path.is_file() and (workers or available_cpus()) > 1:
         start_server(*WORKER_MODULES)  # it imports while this process does
-    from giantlike.cli.run_session import run_and_print
+    with importing():
+        from giantlike.cli.run_session import run_and_print
+    keep_memory()
 
     return run_and_print(
         path, workers=workers, verbose=verbose, watch_every_s=every if watch else None, dask=dask, json=json

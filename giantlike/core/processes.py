@@ -1,8 +1,9 @@
-"""Number of worker processes, and how they start."""
+"""Number of worker processes, how they start, and what they do with memory."""
 
 from __future__ import annotations
 
 import contextlib
+import gc
 import multiprocessing
 import os
 import sys
@@ -10,6 +11,13 @@ from collections.abc import Iterator
 from multiprocessing.context import BaseContext
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_OWN_PAGES_BYTES = 32 * 2**20
+"""Size from which an array gets pages of its own, given back when it is freed: the largest that glibc allows, four
+frames of 1,024 x 1,024 float64."""
+_KEPT_BYTES = 64 * 2**20
+"""Freed memory that a process keeps, where glibc by itself keeps twice its largest array: 256 MB are no faster."""
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Numbers of these settings in ``mallopt`` of glibc (malloc.h)."""
 
 
 def process_count(workers: int | None, jobs: int) -> int:
@@ -97,3 +105,38 @@ def worker_context(*modules: str) -> BaseContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(modules))
     return context
+
+
+@contextlib.contextmanager
+def importing() -> Iterator[None]:
+    """Context manager for the imports of a process of our own.
+
+    Cycles of references are not looked for meanwhile, nor afterwards among what was made: it stays to the end.
+
+    Yields
+    ------
+    None
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if enabled:
+            gc.enable()
+
+
+def keep_memory() -> None:
+    """Let a process of our own keep the memory of arrays that it frees, for the next image.
+
+    Otherwise each image asks the system again for what the last one gave back, and has it cleared page by page. With
+    another C library than glibc it does nothing.
+    """
+    if sys.platform == "linux":
+        import ctypes  # not needed by other commands
+
+        set_option = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries have none
+        if set_option is not None:
+            set_option(_MMAP_THRESHOLD, _OWN_PAGES_BYTES)
+            set_option(_TRIM_THRESHOLD, _KEPT_BYTES)

@@ -26,7 +26,7 @@ from giantlike.io.tables import arrow_schema, column, columns_of
 
 FORMAT, FORMAT_VERSION = "giantlike observables", "1"
 """Metadata of the file: what it is, and the version of its columns."""
-_GROUP = 4096
+ROWS_OF_A_GROUP = 4096
 """Rows of a group of the Parquet file: some megabytes, whatever the number of images."""
 _ICRF = "ICRF"
 _CAMERA = "camera"
@@ -337,16 +337,63 @@ def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
     return [ObservableRow(**row) for row in table.to_pylist()], metadata
 
 
+def write_observable_tables(path: Path, tables: Iterable[Any], metadata: Mapping[str, str]) -> int:
+    """Write observables that are tables already.
+
+    Parameters
+    ----------
+    path : Path
+        New Parquet file; an existing one is replaced.
+    tables : iterable of pyarrow.Table
+        Of :func:`observables_table`; each is written as it comes.
+    metadata : mapping of str to str
+        Of the file, beside format and version.
+
+    Returns
+    -------
+    int
+        Number of rows.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    with replacing(path) as part:
+        return _write_tables(part, tables, metadata)
+
+
+def observables_table(items: Sequence[ObservableRow | ObservableBlock]) -> Any:
+    """Rows and blocks as a table: a group of the Parquet file.
+
+    Parameters
+    ----------
+    items : sequence of ObservableRow or ObservableBlock
+
+    Returns
+    -------
+    pyarrow.Table
+    """
+    return _table(_schema(), items)
+
+
+def _schema(metadata: Mapping[str, str] | None = None) -> Any:
+    return arrow_schema(columns_of(ObservableRow), metadata)
+
+
 def _write_parquet(path: Path, rows: Iterator[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:
+    groups = iter(lambda: list(_group(rows)), [])
+    return _write_tables(path, map(observables_table, groups), metadata)
+
+
+def _write_tables(path: Path, tables: Iterable[Any], metadata: Mapping[str, str]) -> int:
     import pyarrow as pa
     from pyarrow import parquet
 
-    named = {"format": FORMAT, "format_version": FORMAT_VERSION, **metadata}
-    schema, count = arrow_schema(columns_of(ObservableRow), named), 0
+    schema, count = _schema({"format": FORMAT, "format_version": FORMAT_VERSION, **metadata}), 0
     repeated = [field.name for field in schema if pa.types.is_string(field.type)]  # numbers hardly ever are
     with parquet.ParquetWriter(path, schema, use_dictionary=repeated) as writer:
-        while group := list(_group(rows)):
-            table = _table(schema, group)
+        for table in tables:
             writer.write_table(table)
             count += table.num_rows
     return count
@@ -355,7 +402,7 @@ def _write_parquet(path: Path, rows: Iterator[ObservableRow | ObservableBlock], 
 def _group(rows: Iterator[ObservableRow | ObservableBlock]) -> Iterator[ObservableRow | ObservableBlock]:
     """Yield items until they have the rows of a group."""
     count = 0
-    while count < _GROUP and (item := next(rows, None)) is not None:
+    while count < ROWS_OF_A_GROUP and (item := next(rows, None)) is not None:
         count += item.count if isinstance(item, ObservableBlock) else 1
         yield item
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.pool import Jobs
 from giantlike.core.errors import InputError
 from giantlike.core.extras import require_extra
 
@@ -96,16 +97,14 @@ class DaskPool:
             client.unregister_worker_plugin(self._token)
             client.close()
 
-    def run(
-        self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]
-    ) -> Iterator[tuple[int, Answer | None]]:
+    def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
         """Yield the position of each job and its answer, in the order in which they are done.
 
         Parameters
         ----------
         function : callable
             Of a module, taking the workbench and a job; it must not raise.
-        jobs : sequence
+        jobs : Jobs
 
         Yields
         ------

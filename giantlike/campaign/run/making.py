@@ -30,6 +30,7 @@ from giantlike.campaign.run.worker import (
     process_image,
 )
 from giantlike.campaign.store.edits import EditList
+from giantlike.campaign.store.packing import PackedRecord
 from giantlike.campaign.store.records import (
     Attitude,
     AttitudeRecord,
@@ -158,10 +159,10 @@ class Run:
         for done, (position, answer) in enumerate(pool.run(find_first_stars, jobs)):
             self.progress("finding stars", len(self.campaign.images) - len(jobs) + done, len(self.campaign.images))
             entry = todo[position]
-            record = answer or failed_stars(entry, _DIED)
+            packed = answer or PackedRecord.of(failed_stars(entry, _DIED))
             self.identities.of(entry)
-            self.identities.read(entry, record.sha256)
-            self.folder.save(record, key_of(entry))
+            self.identities.read(entry, packed.light.sha256)
+            self.folder.save(packed, key_of(entry))
         known = self.folder.keys(CalibrationRecord)
         return [(entry.key, known.get((entry.key, "", ""), "")) for entry in self.campaign.images]
 
@@ -211,9 +212,8 @@ class Run:
                 name = _step_name(*one)
                 counts[name] = counts.get(name, StepCount()).plus(redone=one in todo, kept=one in known)
             if record is not None and not record.readable and entry.key not in unsolved and record.problem is not None:
-                self._save_bodies(
-                    plan, entry, None, failed_bodies(entry, todo, record.problem, epoch_utc=record.epoch_utc)
-                )
+                failed = failed_bodies(entry, todo, record.problem, epoch_utc=record.epoch_utc)
+                self._save_bodies(plan, entry, None, map(PackedRecord.of, failed))
             elif entry.key in unsolved:
                 job = self._job(entry, solve=True)
                 jobs.append(replace(job, attitude=attitude, bodies=todo, bodies_if_turned=tuple(known)))
@@ -244,26 +244,27 @@ class Run:
     def _save_answer(self, plan: _Plan, job: ImageJob, answer: ImageAnswer) -> None:
         entry, attitude = job.entry, job.attitude
         if answer.attitude is not None:
-            record = answer.attitude
+            record = answer.attitude.light
             self.identities.of(entry)
             self.identities.read(entry, record.sha256)
-            plan.solved[entry.key] = record.light()
-            self._save(record, self._attitude_key(plan, entry, record))
+            plan.solved[entry.key] = record
+            self._save(answer.attitude, self._attitude_key(plan, entry, record))
             attitude = attitude_to_use(self.campaign, record)
         self._save_bodies(plan, entry, attitude, answer.bodies)
-        made = {record.of for record in answer.bodies}
+        made = {packed.light.of for packed in answer.bodies}
         for one in job.bodies_if_turned:
             if one in made:
                 self.counts[_step_name(*one)] = self.counts[_step_name(*one)].plus(redone=1, kept=-1)
 
     def _save_bodies(
-        self, plan: _Plan, entry: ImageEntry, attitude: Attitude | None, records: Iterable[BodyRecord]
+        self, plan: _Plan, entry: ImageEntry, attitude: Attitude | None, records: Iterable[PackedRecord[BodyRecord]]
     ) -> None:
-        for record in records:
-            self._save(record, self._key(plan, entry, *record.of, attitude))
+        for packed in records:
+            self._save(packed, self._key(plan, entry, *packed.light.of, attitude))
 
-    def _save(self, record: ImageRecord, key: str, *, step: str | None = None) -> None:
-        self.folder.save(record, key, step=step)
+    def _save(self, packed: PackedRecord[Any], key: str, *, step: str | None = None) -> None:
+        record: ImageRecord = packed.light
+        self.folder.save(packed, key, step=step)
         event = {"attitude": "image", "observation": "observation"}.get(record.part)
         if event is not None:
             names = ("file", "status", "target", "estimator", "notes", "time_s")
@@ -283,7 +284,7 @@ class Run:
                 carried.append(record.file)
                 held = self.folder.load(AttitudeRecord, record.file, step=TRANSFER)
                 if held is None or held.replace(index=record.index, path=record.path) != record:
-                    self._save(record, "", step=TRANSFER)
+                    self._save(PackedRecord.of(record), "", step=TRANSFER)
                     redone += 1
         self._drop_transfers(carried)
         if carried:

@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for_end
@@ -22,13 +22,22 @@ from giantlike.campaign.run import WORKER_MODULES
 from giantlike.campaign.run.bench import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
-from giantlike.core.processes import one_thread_each, worker_context
+from giantlike.core.processes import keep_memory, one_thread_each, worker_context
 
 Job = TypeVar("Job")
+Job_co = TypeVar("Job_co", covariant=True)
 Answer = TypeVar("Answer")
 
 _QUEUED_PER_WORKER = 2
 """Jobs handed out per worker: one at work and one waiting, so that few are lost when a process dies."""
+
+
+class Jobs(Protocol[Job_co]):
+    """Jobs by their position: a sequence, or what makes each when it is asked for."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, position: int, /) -> Job_co: ...
 
 
 class Pool(Protocol):
@@ -42,16 +51,14 @@ class Pool(Protocol):
         """End it."""
         ...
 
-    def run(
-        self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]
-    ) -> Iterator[tuple[int, Answer | None]]:
+    def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
         """Yield the position of each job and its answer, in the order in which they are done.
 
         Parameters
         ----------
         function : callable
             Of a module, taking the workbench and a job; it must not raise.
-        jobs : sequence
+        jobs : Jobs
 
         Yields
         ------
@@ -108,16 +115,14 @@ class WorkerPool:
             self._limits.restore_original_limits()
             cv2.setNumThreads(self._cv2_threads)
 
-    def run(
-        self, function: Callable[[Workbench, Job], Answer], jobs: Sequence[Job]
-    ) -> Iterator[tuple[int, Answer | None]]:
-        """Yield the position of each job and its answer, in the order in which they are done.
+    def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
+        """Yield the position of each job and its answer; other processes begin at once.
 
         Parameters
         ----------
         function : callable
             Of a module, taking the workbench and a job; it must not raise.
-        jobs : sequence
+        jobs : Jobs
 
         Yields
         ------
@@ -131,26 +136,33 @@ class WorkerPool:
             Processes cannot be started at all.
         """
         if self._workers == 1:
-            for position, job in enumerate(jobs):
-                yield position, function(self._bench, job)
-            return
+            return ((position, function(self._bench, jobs[position])) for position in range(len(jobs)))
         waiting = deque(range(len(jobs)))
         running: dict[Future[Answer], int] = {}
-        while waiting or running:
-            try:
-                while waiting and len(running) < _QUEUED_PER_WORKER * self._workers:
-                    future = self._executor(self._workers).submit(_call, function, jobs[waiting[0]])
-                    running[future] = waiting.popleft()
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
-                    answer = future.result()
-                    yield running.pop(future), answer
-            except BrokenProcessPool:
-                self._drop(self._workers)
-                suspects = sorted(running.values())
-                running.clear()
-                for position in suspects:
-                    yield position, self._alone(function, jobs[position])
+
+        def hand_out() -> None:
+            while waiting and len(running) < _QUEUED_PER_WORKER * self._workers:
+                future = self._executor(self._workers).submit(_call, function, jobs[waiting[0]])
+                running[future] = waiting.popleft()
+
+        def answers() -> Iterator[tuple[int, Answer | None]]:
+            while waiting or running:
+                try:
+                    hand_out()
+                    done, _ = wait(running, return_when=FIRST_COMPLETED)
+                    for future in done:
+                        answer = future.result()
+                        yield running.pop(future), answer
+                except BrokenProcessPool:
+                    self._drop(self._workers)
+                    suspects = sorted(running.values())
+                    running.clear()
+                    for position in suspects:
+                        yield position, self._alone(function, jobs[position])
+
+        with contextlib.suppress(BrokenProcessPool):  # asked for again with the first answer
+            hand_out()
+        return answers()
 
     def _alone(self, function: Callable[[Workbench, Job], Answer], job: Job) -> Answer | None:
         try:
@@ -188,6 +200,7 @@ def _start_worker(campaign: Campaign) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches all processes: the others end without a traceback
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
+    keep_memory()
     _bench_of_this_process.append(Workbench.load(campaign, trusted=True))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
 from giantlike.campaign.file.config import Campaign
@@ -14,13 +14,20 @@ from giantlike.campaign.run.making import Announce, Progress, Run
 from giantlike.campaign.run.pool import Pool, WorkerPool
 from giantlike.campaign.run.provenance import environment_of, inputs_of
 from giantlike.campaign.run.steps import digest
+from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.lock import locked
 from giantlike.campaign.store.log import RunLog
-from giantlike.campaign.store.observables import OBSERVABLES_FILE, write_run_observables
+from giantlike.campaign.store.observables import (
+    OBSERVABLES_FILE,
+    ImageRecords,
+    ObservableGroups,
+    table_of,
+    write_run_observables,
+)
 from giantlike.campaign.store.records import RunSummary
-from giantlike.campaign.store.results import RunResult
-from giantlike.campaign.store.run_folder import REPORT_PAGE, RunFolder, changes
+from giantlike.campaign.store.results import RunResult, camera_of_run
+from giantlike.campaign.store.run_folder import REPORT_PAGE, RunFolder
 from giantlike.campaign.store.tables import TABLE_FILES, write_tables
 from giantlike.core.atomic import make_folder
 from giantlike.core.errors import DataError, InputError
@@ -111,20 +118,22 @@ def run_campaign(
                 with (pool or processes)(bench, len(campaign.images)) as workforce:
                     run, calibration = run.calibrate(workforce)
                     run.make_all(workforce, bodies=bodies)
-                result = RunResult(
-                    folder=folder.path,
-                    name=campaign.name,
-                    attitudes=tuple(run.edits.attitudes(folder.attitudes())),
-                    bodies=tuple(run.edits.bodies(folder.bodies())),
-                    hdu=campaign.hdu,
-                    bottom_up=campaign.bottom_up,
-                    max_overlays=campaign.max_overlays,
-                    warnings=run.bench.campaign.warnings,
-                    time_s=time.perf_counter() - start,
-                    calibration=calibration,
-                    steps=run.counts,
-                )
-                _finish(folder, result, as_before=_as_before(before, inputs, folder, run))
+                    result = RunResult(
+                        folder=folder.path,
+                        name=campaign.name,
+                        attitudes=tuple(run.edits.attitudes(folder.attitudes())),
+                        bodies=tuple(run.edits.bodies(folder.bodies())),
+                        hdu=campaign.hdu,
+                        bottom_up=campaign.bottom_up,
+                        max_overlays=campaign.max_overlays,
+                        warnings=run.bench.campaign.warnings,
+                        time_s=time.perf_counter() - start,
+                        calibration=calibration,
+                        steps=run.counts,
+                    )
+                    if not _as_before(before, inputs, folder, run):
+                        _write_results(folder, result, workforce)
+                _finish(folder, result)
     finally:
         bench.close()
     return result
@@ -170,9 +179,30 @@ def _edits_digest(folder: RunFolder) -> str:
     return digest(path) if path.is_file() else ""
 
 
-def _finish(folder: RunFolder, result: RunResult, *, as_before: bool) -> None:
-    if not as_before:
-        write_tables(folder.path, result.attitudes, result.observations)
+def _write_results(folder: RunFolder, result: RunResult, pool: Pool) -> None:
+    """Write tables, report and observables, whose groups workers make while this process draws the report."""
+    write_tables(folder.path, result.attitudes, result.observations)
+    groups = ObservableGroups(folder, result, camera_of_run(folder.path))
+    answers = pool.run(_observables_table, groups)
+    write_report(result)
+    write_run_observables(result, tables=_in_order(groups, answers))
+
+
+def _observables_table(_: Workbench, images: list[ImageRecords]) -> Any:
+    return table_of(images)
+
+
+def _in_order(groups: ObservableGroups, answers: Iterator[tuple[int, Any]]) -> Iterator[Any]:
+    """Tables of groups in their order; those of which a worker died are made here."""
+    held, number = dict[int, Any](), 0
+    for position, table in answers:
+        held[position] = table_of(groups[position]) if table is None else table
+        while number in held:
+            yield held.pop(number)
+            number += 1
+
+
+def _finish(folder: RunFolder, result: RunResult) -> None:
     run = RunSummary(
         name=result.name,
         hdu=result.hdu,
@@ -183,9 +213,6 @@ def _finish(folder: RunFolder, result: RunResult, *, as_before: bool) -> None:
     )
     images = {record.file: record.sha256 for record in result.attitudes}
     more = {"images_sha256": images, "run": run.model_dump(), "edits": _edits_digest(folder)}
-    if not as_before:
-        write_run_observables(result)
-        write_report(result)
     folder.write_provenance(folder.provenance() | more)
     folder.log("run_finished", failed_images=len(result.failed_images), time_s=run.time_s)
 

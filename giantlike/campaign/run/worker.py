@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from giantlike.calibration import identify_first
@@ -15,6 +16,7 @@ from giantlike.campaign.run.bodies import BodyRecord, Work, estimate_bodies, fai
 from giantlike.campaign.run.border import attempt, reading
 from giantlike.campaign.run.image_loading import PreparedImage, open_image
 from giantlike.campaign.run.observables import attitude_of, with_attitude, with_observer, with_stars
+from giantlike.campaign.store.packing import PackedRecord
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, CalibrationRecord, Problem
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure, Reason
@@ -60,13 +62,29 @@ class ImageAnswer:
 
     Parameters
     ----------
-    attitude : AttitudeRecord or None
+    attitude : PackedRecord of AttitudeRecord, or None
         None if it was not to be found.
-    bodies : list of ObservationRecord or TargetRecord
+    bodies : list of PackedRecord of ObservationRecord or TargetRecord
     """
 
-    attitude: AttitudeRecord | None
-    bodies: list[BodyRecord] = field(default_factory=list)
+    attitude: PackedRecord[AttitudeRecord] | None
+    bodies: list[PackedRecord[BodyRecord]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, attitude: AttitudeRecord | None, bodies: Iterable[BodyRecord]) -> ImageAnswer:
+        """Answer of records.
+
+        Parameters
+        ----------
+        attitude : AttitudeRecord or None
+        bodies : iterable of ObservationRecord or TargetRecord
+
+        Returns
+        -------
+        ImageAnswer
+        """
+        packed = None if attitude is None else PackedRecord.of(attitude)
+        return cls(attitude=packed, bodies=[PackedRecord.of(record) for record in bodies])
 
 
 def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
@@ -97,12 +115,10 @@ def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
     if problem is not None or isinstance(opened, Problem) or not work:
         epoch_utc = None if record is None else record.epoch_utc
         failed = [] if problem is None else failed_bodies(job.entry, work, problem, epoch_utc=epoch_utc)
-        return ImageAnswer(attitude=record, bodies=failed)
+        return ImageAnswer.of(record, failed)
     fitted, prepared = opened
     bodies = attempt(estimate_bodies, fitted, job.entry, prepared.image, attitude, work)
-    return ImageAnswer(
-        attitude=record, bodies=failed_bodies(job.entry, work, bodies) if isinstance(bodies, Problem) else bodies
-    )
+    return ImageAnswer.of(record, failed_bodies(job.entry, work, bodies) if isinstance(bodies, Problem) else bodies)
 
 
 def lost_image(campaign: Campaign, job: ImageJob, problem: Problem) -> ImageAnswer:
@@ -120,10 +136,10 @@ def lost_image(campaign: Campaign, job: ImageJob, problem: Problem) -> ImageAnsw
     """
     record = failed_image(campaign, job.entry, problem) if job.solve else None
     work = (*job.bodies, *job.bodies_if_turned)
-    return ImageAnswer(attitude=record, bodies=failed_bodies(job.entry, work, problem))
+    return ImageAnswer.of(record, failed_bodies(job.entry, work, problem))
 
 
-def find_first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord:
+def find_first_stars(bench: Workbench, job: ImageJob) -> PackedRecord[CalibrationRecord]:
     """Read a star image and identify its stars with a camera that is known roughly, for calibration.
 
     Parameters
@@ -133,10 +149,10 @@ def find_first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord:
 
     Returns
     -------
-    CalibrationRecord
+    PackedRecord of CalibrationRecord
     """
     record = attempt(_first_stars, bench, job)
-    return failed_stars(job.entry, record) if isinstance(record, Problem) else record
+    return PackedRecord.of(failed_stars(job.entry, record) if isinstance(record, Problem) else record)
 
 
 def failed_stars(entry: ImageEntry, problem: Problem) -> CalibrationRecord:

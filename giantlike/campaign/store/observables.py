@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
+from giantlike.campaign.store.packing import points_of
 from giantlike.campaign.store.record_values import SightingRecord, TurnRecord
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
+from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord, ObservationsRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run
-from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import BodyTurn, CenterFix, PositionFix, Quality
 from giantlike.core.version import VERSION
-from giantlike.io.observables_file import ObservableBlock, ObservableRow, write_observables
+from giantlike.io.observables_file import (
+    ROWS_OF_A_GROUP,
+    ObservableBlock,
+    ObservableRow,
+    observables_table,
+    write_observable_tables,
+    write_observables,
+)
 from giantlike.observables import (
     ImageContext,
     LandmarkSeen,
@@ -35,9 +44,11 @@ from giantlike.scene import Circumstances, TargetUncertainty
 
 OBSERVABLES_FILE = "observables.parquet"
 """Name of the observables file in the run folder."""
+_IMAGES_OF_A_GROUP = 256
+"""Most images of a group: with some hundred landmarks each, which are not counted, some 40 MB."""
 
 
-def write_run_observables(result: RunResult, path: Path | None = None) -> int:
+def write_run_observables(result: RunResult, path: Path | None = None, *, tables: Iterable[Any] | None = None) -> int:
     """Write the observables of a run.
 
     Parameters
@@ -45,6 +56,8 @@ def write_run_observables(result: RunResult, path: Path | None = None) -> int:
     result : RunResult
     path : Path, optional
         New file, ``.parquet`` or ``.jsonl``; by default :data:`OBSERVABLES_FILE` in the run folder.
+    tables : iterable of pyarrow.Table, optional
+        The observables, made by :func:`table_of`, for a Parquet file.
 
     Returns
     -------
@@ -58,13 +71,17 @@ def write_run_observables(result: RunResult, path: Path | None = None) -> int:
     DataError
         The run folder is damaged, or the file cannot be written.
     """
-    camera = camera_of_run(result.folder)
-    path = path or result.folder / OBSERVABLES_FILE
-    return write_observables(path, run_observables(result, camera), observables_metadata(result.name, camera))
+    camera, folder = camera_of_run(result.folder), RunFolder.open(result.folder)
+    path, metadata = path or result.folder / OBSERVABLES_FILE, observables_metadata(result.name, camera)
+    if path.suffix != ".parquet":
+        return write_observables(path, run_observables(result, camera), metadata)
+    with folder.reading():
+        made = map(table_of, ObservableGroups(folder, result, camera)) if tables is None else tables
+        return write_observable_tables(path, made, metadata)
 
 
 def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow | ObservableBlock]:
-    """Rows of all images of a run; lists of stars and landmarks are read one image at a time.
+    """Rows of all images of a run; lists of stars and landmarks are read some images at a time.
 
     Parameters
     ----------
@@ -78,14 +95,177 @@ def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow
         A block for the stars of an image.
     """
     folder = RunFolder.open(result.folder)
-    bodies = {record.file: record for record in result.bodies}
     with folder.reading():
+        for group in ObservableGroups(folder, result, camera):
+            for image in group:
+                yield from image.rows()
+
+
+def table_of(images: Iterable[ImageRecords]) -> Any:
+    """Table of the observables of some images.
+
+    Parameters
+    ----------
+    images : iterable of ImageRecords
+
+    Returns
+    -------
+    pyarrow.Table
+    """
+    return observables_table([row for image in images for row in image.rows()])
+
+
+class ObservableGroups:
+    """The images of a run in groups: each becomes a table, and a group of the rows of the file, made by any process.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        From which lists of points are read when a group is taken.
+    result : RunResult
+    camera : Camera
+        Of the run.
+    """
+
+    def __init__(self, folder: RunFolder, result: RunResult, camera: Camera) -> None:
+        self._folder = folder
+        self._camera, self._shared_camera = camera, f"{camera.name} {_digest(camera)}"
+        self._bodies = {record.file: record for record in result.bodies}
+        self._groups: list[list[AttitudeRecord]] = []
+        rows, last = 0, list[AttitudeRecord]()
         for attitude in result.attitudes:
-            if attitude.file in bodies:
-                yield from _body_rows(camera, attitude, bodies[attitude.file], folder)
-            stars = folder.points(attitude).get("stars")
-            if stars is not None and attitude.attitude is not None:
-                yield _star_rows(camera, attitude, stars)
+            last.append(attitude)
+            rows += (attitude.n_matched or 0) + len(self._fixes(attitude.file))
+            if rows >= ROWS_OF_A_GROUP or len(last) >= _IMAGES_OF_A_GROUP:
+                self._groups.append(last)
+                rows, last = 0, []
+        self._groups += [last] if last else []
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def __getitem__(self, number: int) -> list[ImageRecords]:
+        return [self._records(attitude) for attitude in self._groups[number]]
+
+    def __iter__(self) -> Iterator[list[ImageRecords]]:
+        return (self[number] for number in range(len(self)))
+
+    def _fixes(self, file: str) -> list[ObservationRecord]:
+        bodies = self._bodies.get(file)
+        return [] if bodies is None else [record for record in bodies.observations if _is_fix(record)]
+
+    def _records(self, attitude: AttitudeRecord) -> ImageRecords:
+        return ImageRecords(
+            results=self._folder.path / RESULTS_FILE,
+            camera=self._camera,
+            shared_camera=self._shared_camera,
+            attitude=attitude,
+            bodies=self._bodies.get(attitude.file),
+            stars=None if attitude.attitude is None else self._folder.packed_points(attitude),
+            fixes={record.of: self._folder.packed_points(record) for record in self._fixes(attitude.file)},
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageRecords:
+    """All that the observables of an image are made of.
+
+    Parameters
+    ----------
+    results : Path
+        File that the records are from, for errors.
+    camera : Camera
+    shared_camera : str
+        Key of camera and calibration.
+    attitude : AttitudeRecord
+    bodies : ObservationsRecord or None
+    stars : bytes or None
+        Points of the attitude, packed.
+    fixes : dict of (str, str) to bytes or None
+        Points of fixes by target and estimator, packed.
+    """
+
+    results: Path
+    camera: Camera
+    shared_camera: str
+    attitude: AttitudeRecord
+    bodies: ObservationsRecord | None
+    stars: bytes | None
+    fixes: dict[tuple[str, str], bytes | None]
+
+    def rows(self) -> Iterator[ObservableRow | ObservableBlock]:
+        """Yield the observables of the image.
+
+        Yields
+        ------
+        ObservableRow or ObservableBlock
+            A block for its stars.
+        """
+        if self.bodies is not None:
+            for sighting in {record.target: record for record in self.bodies.sightings}.values():
+                yield from self._body_rows(self.bodies, sighting)
+        stars = points_of(self.attitude, self.stars, self.results).get("stars")
+        if stars is not None:
+            yield self._star_rows(stars)
+
+    def _star_rows(self, stars: Mapping[str, Any]) -> ObservableBlock:
+        attitude, observer = self.attitude, None
+        if attitude.observer_position_km is not None and attitude.observer_velocity_km_s is not None:
+            observer = ObserverState(
+                position_km=np.array(attitude.observer_position_km),
+                velocity_km_s=np.array(attitude.observer_velocity_km_s),
+            )
+        seen = StarsSeen(
+            numbers=np.array(stars["star_ids"], dtype=np.int64),
+            magnitudes=np.array(stars["magnitudes"]),
+            observed_px=np.array(stars["observed_px"]).reshape(-1, 2),
+            predicted_px=np.array(stars["predicted_px"]).reshape(-1, 2),
+            sigma_px=np.array(stars["sigma_px"]),
+        )
+        return rows_of_stars(self._context(attitude.attitude), seen, observer, status=attitude.status)
+
+    def _body_rows(self, bodies: ObservationsRecord, known: SightingRecord) -> Iterator[ObservableRow]:
+        records = [record for record in bodies.observations if record.target == known.target and _is_fix(record)]
+        fixes = [_fix(record) for record in records]
+        choice = preferred(fixes)
+        for index, (record, fix) in enumerate(zip(records, fixes, strict=True)):
+            context, sighting = self._context(record.attitude), _sighting(known, record)
+            yield row_of_body(
+                context,
+                sighting,
+                fix,
+                is_preferred=index == choice.index,
+                reason=_reason(choice.index, index, choice.reason, fixes),
+            )
+            landmarks = points_of(record, self.fixes[record.of], self.results).get("landmarks")
+            if landmarks is None or not isinstance(fix, PositionFix):
+                continue
+            for k, name in enumerate(landmarks["names"]):
+                landmark = LandmarkSeen(
+                    name=name,
+                    body_km=np.array(landmarks["body_km"][k]),
+                    observed_px=np.array(landmarks["observed_px"][k]),
+                    covariance_px2=np.array(landmarks["covariance_px2"][k]),
+                )
+                yield row_of_landmark(context, sighting, fix, landmark)
+
+    def _context(self, used: Attitude | None) -> ImageContext:
+        """Context of rows of the image, with the attitude that its estimators used or, for stars, found."""
+        assert used is not None
+        image = self.attitude
+        return ImageContext(
+            file=image.file,
+            camera=self.camera,
+            shared_camera=self.shared_camera,
+            camera_from_inertial=used.rotation,
+            attitude_source=used.source,
+            attitude_covariance_rad2=_array(used.covariance_rad2),
+            attitude_errors=used.errors,
+            attitude_shares=image.attitude_shares,
+            epoch_utc=image.epoch_utc,
+            et=image.et,
+            exposure_s=image.exposure_s,
+        )
 
 
 def observables_metadata(name: str, camera: Camera) -> dict[str, str]:
@@ -121,75 +301,14 @@ def observables_metadata(name: str, camera: Camera) -> dict[str, str]:
     }
 
 
-def _star_rows(camera: Camera, attitude: AttitudeRecord, stars: Mapping[str, Any]) -> ObservableBlock:
-    observer = None
-    if attitude.observer_position_km is not None and attitude.observer_velocity_km_s is not None:
-        observer = ObserverState(
-            position_km=np.array(attitude.observer_position_km), velocity_km_s=np.array(attitude.observer_velocity_km_s)
-        )
-    seen = StarsSeen(
-        numbers=np.array(stars["star_ids"], dtype=np.int64),
-        magnitudes=np.array(stars["magnitudes"]),
-        observed_px=np.array(stars["observed_px"]).reshape(-1, 2),
-        predicted_px=np.array(stars["predicted_px"]).reshape(-1, 2),
-        sigma_px=np.array(stars["sigma_px"]),
-    )
-    return rows_of_stars(_context(camera, attitude, None), seen, observer, status=attitude.status)
-
-
-def _body_rows(
-    camera: Camera, attitude: AttitudeRecord, bodies: ObservationsRecord, folder: RunFolder
-) -> Iterator[ObservableRow]:
-    sightings = {record.target: record for record in bodies.sightings}
-    for target, known in sightings.items():
-        records = [r for r in bodies.observations if r.target == target and r.center_px and r.attitude]
-        fixes = [_fix(record) for record in records]
-        choice = preferred(fixes)
-        for index, (record, fix) in enumerate(zip(records, fixes, strict=True)):
-            context, sighting = _context(camera, attitude, record), _sighting(known, record)
-            yield row_of_body(
-                context,
-                sighting,
-                fix,
-                is_preferred=index == choice.index,
-                reason=_reason(choice.index, index, choice.reason, fixes),
-            )
-            landmarks = folder.points(record).get("landmarks")
-            if landmarks is None or not isinstance(fix, PositionFix):
-                continue
-            for k, name in enumerate(landmarks["names"]):
-                landmark = LandmarkSeen(
-                    name=name,
-                    body_km=np.array(landmarks["body_km"][k]),
-                    observed_px=np.array(landmarks["observed_px"][k]),
-                    covariance_px2=np.array(landmarks["covariance_px2"][k]),
-                )
-                yield row_of_landmark(context, sighting, fix, landmark)
+def _is_fix(record: ObservationRecord) -> bool:
+    return bool(record.center_px and record.attitude)
 
 
 def _reason(chosen: int | None, index: int, reason: str, fixes: list[CenterFix]) -> str:
     if chosen is None or chosen == index:
         return reason
     return f"{fixes[chosen].estimator} is preferred: {reason}"
-
-
-def _context(camera: Camera, image: AttitudeRecord, record: ObservationRecord | None) -> ImageContext:
-    """Context of the rows of an image, with the attitude that its estimators used or, for stars, found."""
-    used = image.attitude if record is None else record.attitude
-    assert used is not None
-    return ImageContext(
-        file=image.file,
-        camera=camera,
-        shared_camera=f"{camera.name} {_digest(camera)}",
-        camera_from_inertial=used.rotation,
-        attitude_source=used.source,
-        attitude_covariance_rad2=_array(used.covariance_rad2),
-        attitude_errors=used.errors,
-        attitude_shares=image.attitude_shares,
-        epoch_utc=image.epoch_utc,
-        et=image.et,
-        exposure_s=image.exposure_s,
-    )
 
 
 def _sighting(known: SightingRecord, record: ObservationRecord) -> Sighting:

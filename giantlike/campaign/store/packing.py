@@ -5,9 +5,17 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
+
+from giantlike.campaign.store.database import Row
+from giantlike.campaign.store.records import ImageRecord
+from giantlike.core.errors import DataError
+
+Record = TypeVar("Record", bound=ImageRecord)
 
 _FEWEST_NUMBERS = 16
 """Numbers from which a list is kept as an array: below, the description of the array is longer than the digits."""
@@ -15,6 +23,38 @@ _KEY = "$array"
 _LEVEL = 1
 """Of zlib: higher levels gain 1 % on positions of stars and take four times as long."""
 _DTYPES = {"b": np.dtype("bool"), "i": np.dtype("<i8"), "f": np.dtype("<f8")}
+
+
+@dataclass(frozen=True, slots=True)
+class PackedRecord(Generic[Record]):
+    """A record as workers hand it over: they pack it, and the process that writes the run folder need not unpack it.
+
+    Parameters
+    ----------
+    light : ImageRecord
+        Without its lists of points.
+    row : Row
+        As it is stored.
+    """
+
+    light: Record
+    row: Row
+
+    @classmethod
+    def of(cls, record: Record) -> PackedRecord[Record]:
+        """Pack a record.
+
+        Parameters
+        ----------
+        record : ImageRecord
+
+        Returns
+        -------
+        PackedRecord
+        """
+        light = record.light()
+        points = None if record.is_light else packed(record.model_dump())
+        return cls(light, Row(light.model_dump_json(), points))
 
 
 def packed(values: dict[str, Any]) -> bytes:
@@ -69,6 +109,52 @@ def unpacked(data: bytes, *, arrays: bool = False) -> Any:
         return _filled(json.loads(content[4 : 4 + length]), kept)
     except (zlib.error, struct.error, KeyError, IndexError) as error:
         raise ValueError(f"damaged: {error}") from error
+
+
+def points_of(record: ImageRecord, data: bytes | None, path: Path) -> dict[str, Any]:
+    """Lists of points that a record was kept with, long ones as arrays.
+
+    Parameters
+    ----------
+    record : ImageRecord
+    data : bytes or None
+        The packed record; None if it has no such lists.
+    path : Path
+        Of the results, for errors.
+
+    Returns
+    -------
+    dict
+        Fields that :meth:`~giantlike.campaign.store.records.ImageRecord.light` leaves out, those that hold others as
+        dict.
+
+    Raises
+    ------
+    DataError
+        The bytes are damaged.
+    """
+    if data is None:
+        return {}
+    try:
+        full = unpacked(data, arrays=True)
+        return {name: full[name] for name in record.points_of if name in full}
+    except (ValueError, KeyError, TypeError) as error:
+        raise damaged(path, ValueError(f"points of {record.file}: {error}")) from error
+
+
+def damaged(path: Path, error: ValueError) -> DataError:
+    """Error of results that hold a damaged record.
+
+    Parameters
+    ----------
+    path : Path
+    error : ValueError
+
+    Returns
+    -------
+    DataError
+    """
+    return DataError(path, f"holds a damaged record: {' '.join(str(error).split())[:200]}")
 
 
 def _stripped(value: Any, arrays: list[np.ndarray]) -> Any:

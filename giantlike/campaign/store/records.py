@@ -6,7 +6,9 @@ records. Results therefore never depend on whether a run was interrupted.
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from copy import copy
+from functools import cache
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field
@@ -179,10 +181,20 @@ class ImageRecord(PlainRecord):
         -------
         record
         """
-        fields = type(self).model_fields
-        return self.model_copy(
-            update={name: fields[name].get_default(call_default_factory=True) for name in self.points_of}
-        )
+        empty = _without_points(type(self))
+        return self.model_copy(update={name: copy(value) for name, value in empty.items()})
+
+    @property
+    def is_light(self) -> bool:
+        """True if it has no lists of points."""
+        return all(getattr(self, name) == value for name, value in _without_points(type(self)).items())
+
+
+@cache
+def _without_points(kind: type[ImageRecord]) -> dict[str, Any]:
+    """Values of the lists of points of a record that has none."""
+    fields = kind.model_fields
+    return {name: fields[name].get_default(call_default_factory=True) for name in kind.points_of}
 
 
 class _TriedRecord(ImageRecord):

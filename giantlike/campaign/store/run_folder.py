@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from giantlike.campaign.store.database import Database, KnownImage, Row, Unit
+from giantlike.campaign.store.database import Database, KnownImage, Unit
 from giantlike.campaign.store.log import log_event
-from giantlike.campaign.store.packing import packed, unpacked
+from giantlike.campaign.store.packing import PackedRecord, damaged, points_of, unpacked
 from giantlike.campaign.store.records import (
     AttitudeRecord,
     ImageRecord,
@@ -177,22 +177,21 @@ class RunFolder:
         with self._results.open_for_writing():
             yield
 
-    def save(self, record: ImageRecord, key: str, *, step: str | None = None) -> None:
+    def save(self, packed: PackedRecord[Any], key: str, *, step: str | None = None) -> None:
         """Keep a record.
 
         Parameters
         ----------
-        record : ImageRecord
+        packed : PackedRecord
         key : str
             Hash of everything that it depends on.
         step : str, optional
             Default: that of the kind of record.
         """
-        light = record.light()
+        record = packed.light
         if _TRIED_AGAIN & {problem.reason for problem in record.problems}:
             key = ""
-        points = None if light == record else packed(record.model_dump())
-        self._results.put(_unit(type(record), record.file, record.of, step), key, Row(light.model_dump_json(), points))
+        self._results.put(_unit(type(record), record.file, record.of, step), key, packed.row)
 
     def load(
         self,
@@ -236,7 +235,7 @@ class RunFolder:
                 return kind.model_validate_json(row.light)
             return kind.model_validate(unpacked(row.points))
         except ValueError as error:
-            raise self._damaged(error) from error
+            raise damaged(self._results.path, error) from error
 
     def keys(self, kind: type[ImageRecord], *, step: str | None = None) -> dict[tuple[str, str, str], str]:
         """Hashes of the records of a kind; empty for one that is to be made again whatever it depends on.
@@ -280,7 +279,7 @@ class RunFolder:
             try:
                 record = kind.model_validate_json(light)
             except ValidationError as error:
-                raise self._damaged(error) from error
+                raise damaged(self._results.path, error) from error
             today: dict[str, Any] = {"index": place}
             if path and isinstance(record, AttitudeRecord):
                 today["path"] = path
@@ -305,14 +304,22 @@ class RunFolder:
         DataError
             They are damaged.
         """
+        return points_of(record, self.packed_points(record), self._results.path)
+
+    def packed_points(self, record: ImageRecord) -> bytes | None:
+        """Lists of points that a record was kept with, for :func:`points_of`; None if there are none.
+
+        Parameters
+        ----------
+        record : ImageRecord
+            As it stands after edits and transfer.
+
+        Returns
+        -------
+        bytes or None
+        """
         row = None if record.problems else self._results.get(_unit(type(record), record.file, record.of, None))
-        if row is None or row.points is None:
-            return {}
-        try:
-            full = unpacked(row.points, arrays=True)
-            return {name: full[name] for name in record.points_of if name in full}
-        except (ValueError, KeyError, TypeError) as error:
-            raise self._damaged(ValueError(f"points of {record.file}: {error}")) from error
+        return None if row is None else row.points
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
@@ -445,35 +452,6 @@ class RunFolder:
         **values
         """
         log_event(self.path, event, **values)
-
-    def _damaged(self, error: ValueError) -> DataError:
-        return DataError(self._results.path, f"holds a damaged record: {' '.join(str(error).split())[:200]}")
-
-
-def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Names of the inputs that differ, dotted down to what changed within tables.
-
-    Parameters
-    ----------
-    before, now : mapping
-
-    Returns
-    -------
-    list of str
-
-    Examples
-    --------
-    >>> changes({"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": 1, "c": 5}})
-    ['a.c', 'd']
-    """
-    names: list[str] = []
-    for key in dict.fromkeys([*before, *now]):
-        old, new = before.get(key), now.get(key)
-        if isinstance(old, Mapping) and isinstance(new, Mapping):
-            names += [f"{key}.{name}" for name in changes(old, new)]
-        elif old != new:
-            names.append(key)
-    return names
 
 
 def stamp_of(path: Path) -> str:
