@@ -3,7 +3,8 @@
 Images are those of ``giantlike demo`` for as many visits as asked for, each a body between two star images: 85 visits
 are 255 images, 170 of stars and 85 of the body, which three estimators measure. ``--copies`` lists every image several
 times, under names of their own, for campaigns larger than is worth rendering. Each run is a process of its own,
-``giantlike run``, from start to end; CPU is that of all its processes.
+``giantlike run``, from start to end; CPU is that of all its processes, and apart that of the process that was started,
+of the server that workers are forked from, and of the workers. Modules are compiled before, as in an installed package.
 
 Usage: python benchmarks/campaign_speed.py FOLDER [--visits 85] [--copies 1 4] [--workers 1 2]
 
@@ -31,6 +32,7 @@ from giantlike.simulation.write import write_approach
 
 SAMPLE_S = 0.1  # between looks at memory and CPU of processes, of which that since the last look is lost
 DIAMETERS_PX, PHASES_DEG = (1.0, 300.0), (20.0, 110.0)
+MODULES = ("cli.run_session", "cli.report_command", "campaign.run.server", "campaign.report.cards")
 
 
 def visits(count: int) -> tuple[Visit, ...]:
@@ -104,8 +106,10 @@ def _cost(*arguments: str) -> dict[str, float]:
     )
     most_mb: dict[int, float] = {}
     cpu: dict[int, float] = {}
+    started: dict[int, list[int]] = {}
     while process.poll() is None:
-        for pid in _descendants(process.pid):
+        for pid, children in _descendants(process.pid).items():
+            started.setdefault(pid, []).extend(children)
             most_mb[pid] = max(most_mb.get(pid, 0.0), _memory_mb(pid))
             cpu[pid] = max(cpu.get(pid, 0.0), _own_cpu_s(pid))
         time.sleep(SAMPLE_S)
@@ -114,24 +118,38 @@ def _cost(*arguments: str) -> dict[str, float]:
     if process.returncode > 1:  # 1: some images have no fix
         raise RuntimeError(f"giantlike {' '.join(arguments)}: {errors.decode()[-2000:]}")
     parent_mb = most_mb.pop(process.pid, 0.0)
+    named = _by_role(process.pid, cpu, started)
     return {
         "cpu_s": sum(cpu.values()),
-        "parent_cpu_s": cpu[process.pid],
+        **named,
         "wall_s": wall,
         "parent_mb": parent_mb,
         "worker_mb": max(most_mb.values(), default=0.0),
     }
 
 
-def _descendants(pid: int) -> list[int]:
-    found = [pid]
+def _descendants(pid: int) -> dict[int, list[int]]:
+    """Processes below one, and itself, with the children of each."""
+    found, children = [pid], dict[int, list[int]]()
     for one in found:
+        children[one] = []
         for path in Path(f"/proc/{one}/task").glob("*/children"):
             try:
-                found += [int(child) for child in path.read_text().split()]
+                children[one] += [int(child) for child in path.read_text().split()]
             except OSError:  # it ended
                 continue
-    return found
+        found += children[one]
+    return children
+
+
+def _by_role(first: int, cpu: dict[int, float], children: dict[int, list[int]]) -> dict[str, float]:
+    """CPU of the first process, of those that it started (the server), and of those below (the workers), s."""
+    below = {pid for pid in children.get(first, ()) if pid in cpu}
+    return {
+        "parent_cpu_s": cpu[first],
+        "server_cpu_s": sum(cpu[pid] for pid in below),
+        "workers_cpu_s": sum(each for pid, each in cpu.items() if pid != first and pid not in below),
+    }
 
 
 def _memory_mb(pid: int) -> float:
@@ -160,6 +178,10 @@ def main() -> None:
     parser.add_argument("--workers", type=int, nargs="*", default=[1, 2])
     chosen = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(chosen.folder.absolute() / "compiled")
+    imports = "; ".join(f"import giantlike.{name}" for name in MODULES)
+    subprocess.run([sys.executable, "-c", imports], check=True)
     for count in chosen.visits:
         for copies in chosen.copies:
             campaign = enlarged(made(chosen.folder, count), copies)

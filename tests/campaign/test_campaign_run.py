@@ -36,6 +36,7 @@ from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.image_loading import open_image, scene_of
 from giantlike.campaign.run.pool import WorkerPool
 from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store import observables
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, grouped, load_result
 from giantlike.campaign.store.run_folder import RESULTS_FILE, TRANSFER, RunFolder
@@ -508,9 +509,14 @@ def test_an_output_folder_with_other_things_is_refused_and_an_empty_one_taken(co
 # --- processes -------------------------------------------------------------------------------------------------------
 
 
-def test_two_processes_give_the_tables_of_one(finished: Run, copied: Path) -> None:
+def test_two_processes_give_the_tables_of_one(finished: Run, copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(observables, "ROWS_OF_A_GROUP", 1)  # each image with stars is a group of its own
     result = run_campaign(Campaign.load(copied), workers=2)
-    assert without_times(result.folder) == without_times(finished.result.folder)
+    folders = [result.folder, finished.result.folder]
+    assert without_times(folders[0]) == without_times(folders[1])
+    files = [parquet.ParquetFile(folder / "observables.parquet") for folder in folders]
+    assert files[0].num_row_groups > files[1].num_row_groups
+    assert str(files[0].read().to_pylist()) == str(files[1].read().to_pylist())
 
 
 def die_of_the_third_image(bench: Workbench, entry: ImageEntry) -> str:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from giantlike.core.processes import one_thread_each, process_count
+from giantlike.core.processes import importing, one_thread_each, process_count
 
 _EARLY = """
 import os, sys
@@ -25,6 +27,20 @@ if __name__ == "__main__":
     assert state() == (False, None), state()
     with ProcessPoolExecutor(1, worker_context("colorsys")) as pool:
         print(*pool.submit(state).result())
+"""
+
+_FREED = """
+import resource, sys
+import numpy as np
+from giantlike.core.processes import keep_memory
+
+if sys.argv[1] == "keep":
+    keep_memory()
+for _ in range(3):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    arrays = [np.ones(2**17) for _ in range(30)]  # of 1 MB
+    del arrays
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
@@ -48,3 +64,23 @@ def test_variables_of_threads_that_are_set_are_left(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(("workers", "jobs", "expected"), [(4, 2, 2), (2, 9, 2), (3, 0, 1)])
 def test_no_more_processes_than_jobs(workers: int, jobs: int, expected: int) -> None:
     assert process_count(workers, jobs) == expected
+
+
+def test_what_is_imported_is_left_alone_by_the_collector_which_then_goes_on() -> None:
+    before = gc.get_freeze_count()
+    try:
+        with importing():
+            assert not gc.isenabled()
+        assert gc.isenabled()
+        assert gc.get_freeze_count() > before
+    finally:
+        gc.unfreeze()
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")
+def test_memory_that_arrays_freed_is_not_asked_for_again() -> None:
+    faults = [
+        int(subprocess.run([sys.executable, "-c", _FREED, how], capture_output=True, text=True, check=True).stdout)
+        for how in ("keep", "as it is")
+    ]
+    assert faults[0] < 0.1 * faults[1]
