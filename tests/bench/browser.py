@@ -13,7 +13,6 @@ from playwright.sync_api import Page, sync_playwright
 
 from giantlike.bench import Session
 from giantlike.bench.server import LOOPBACK, application
-from giantlike.campaign.store.packing import PackedRecord
 from giantlike.campaign.store.records import AttitudeRecord, ImageRecord, ObservationRecord, TargetRecord
 from giantlike.campaign.store.run_folder import RunFolder
 
@@ -76,7 +75,7 @@ def multiply(run: Path, count: int) -> None:
         folder.set_images([(file, paths[original]) for file, original in files])
         for number, (file, original) in enumerate(files):
             for record in whole[original]:
-                folder.save(PackedRecord.of(record.replace(file=file, index=number)), "key")
+                folder.save(record.replace(file=file, index=number), "key")
 
 
 def with_rejected_match(run: Path, file: str, place_px: list[float]) -> None:
@@ -86,4 +85,4 @@ def with_rejected_match(run: Path, file: str, place_px: list[float]) -> None:
     assert record is not None
     assert record.stars is not None
     with folder.writing():
-        folder.save(PackedRecord.of(record.replace(stars=record.stars.replace(rejected_px=[place_px]))), "key")
+        folder.save(record.replace(stars=record.stars.replace(rejected_px=[place_px])), "key")

@@ -177,21 +177,22 @@ class RunFolder:
         with self._results.open_for_writing():
             yield
 
-    def save(self, packed: PackedRecord[Any], key: str, *, step: str | None = None) -> None:
+    def save(self, record: ImageRecord | PackedRecord[Any], key: str, *, step: str | None = None) -> None:
         """Keep a record.
 
         Parameters
         ----------
-        packed : PackedRecord
+        record : ImageRecord or PackedRecord
         key : str
             Hash of everything that it depends on.
         step : str, optional
             Default: that of the kind of record.
         """
-        record = packed.light
-        if _TRIED_AGAIN & {problem.reason for problem in record.problems}:
+        packed = PackedRecord.of(record) if isinstance(record, ImageRecord) else record
+        light = packed.light
+        if _TRIED_AGAIN & {problem.reason for problem in light.problems}:
             key = ""
-        self._results.put(_unit(type(record), record.file, record.of, step), key, packed.row)
+        self._results.put(_unit(type(light), light.file, light.of, step), key, packed.row)
 
     def load(
         self,
