@@ -13,6 +13,7 @@ from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, sun_in_body
+from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
@@ -92,6 +93,19 @@ class Trace(Value):
             part[:] = traced.brightness(law).reshape(part.shape)
         return brightness
 
+    @property
+    def lit_cells(self) -> Mask:
+        """True for cells (columns, rows) whose ray ends on a point in sunlight."""
+        x, y = self.footprint.cells
+        lit = np.zeros((x.count, y.count), bool)
+        for tile, traced in zip(self.footprint.tiles, self.tiles, strict=True):
+            part = np.zeros(len(traced.directions), bool)
+            for light in traced.light:
+                part[traced.sight.rays.take(light.seen)] = True
+            within = lit[tile.left : tile.right, tile.start : tile.stop]
+            within[:] = part.reshape(within.shape)
+        return lit
+
     def with_reflectance(self, reflectance: Reflectance) -> Trace:
         """Return the same rays under another law; costs nothing until it is shaded.
 
@@ -166,6 +180,7 @@ def trace_body(
     rows: int,
     options: RenderOptions = DEFAULT_OPTIONS,
     wanted: Mask | None = None,
+    daylight: Daylight | None = None,
 ) -> Trace | Failure:
     """Trace a body once, to shade it many times.
 
@@ -180,6 +195,8 @@ def trace_body(
     options : RenderOptions
     wanted : (rows, columns) bool, optional
         Pixels through which rays are sent, and none through others, in the margin neither; by default through all.
+    daylight : Daylight, optional
+        Where no ray need be sent, or none to the Sun; by default all are.
 
     Returns
     -------
@@ -203,14 +220,21 @@ def trace_body(
         return footprint
     grid = ray_grid(view, footprint)
 
-    cells = None if wanted is None else _cells_within(wanted, footprint)
+    inside = None if wanted is None else _cells_within(wanted, footprint)
+    dark, lit = (None, None) if daylight is None else daylight.of(footprint.cells)
 
     def traced(tile: Tile) -> TracedRays:
-        directions = grid.directions(tile)
-        if cells is None:
-            return trace_rays(view, directions, stratum=tile.start)
-        numbers = np.flatnonzero(cells[tile.left : tile.right, tile.start : tile.stop])
-        return trace_rays(view, directions.take(numbers, axis=0), stratum=tile.start).among(numbers, directions)
+        directions, part = grid.directions(tile), (slice(tile.left, tile.right), slice(tile.start, tile.stop))
+        sent = np.ones((tile.right - tile.left, tile.rows), bool) if inside is None else inside[part].copy()
+        if dark is not None:
+            sent &= ~dark[part]
+        known = None if lit is None else lit[part].ravel()
+        if sent.all():
+            return trace_rays(view, directions, stratum=tile.start, lit=known)
+        numbers = np.flatnonzero(sent)
+        known = None if known is None else known.take(numbers)
+        rays = trace_rays(view, directions.take(numbers, axis=0), stratum=tile.start, lit=known)
+        return rays.among(numbers, directions)
 
     tiles = tuple(in_order(traced, footprint.tiles, options.threads))
     return Trace(view=view, footprint=footprint, size_px=(columns, rows), tiles=tiles)

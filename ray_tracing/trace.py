@@ -153,7 +153,7 @@ class TracedRays(Value):
         return brightness
 
 
-def trace_rays(view: View, directions: Float, *, stratum: int = 0) -> TracedRays:
+def trace_rays(view: View, directions: Float, *, stratum: int = 0, lit: Mask | None = None) -> TracedRays:
     """Send rays to the body and on to the Sun.
 
     Parameters
@@ -163,6 +163,8 @@ def trace_rays(view: View, directions: Float, *, stratum: int = 0) -> TracedRays
         Unit vectors and zeros.
     stratum : int
         Seed, with ``sun_seed``, of the random points of an extended Sun.
+    lit : (n,) bool, optional
+        Rays that end where nothing stands before the Sun; by default that is not known.
 
     Returns
     -------
@@ -178,31 +180,43 @@ def trace_rays(view: View, directions: Float, *, stratum: int = 0) -> TracedRays
     albedo = None
     if body.shape.albedo is not None:
         albedo = surface_albedo(body.shape, sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64))
-    light = sunlight(view, sight, directions, stratum=stratum)
+    light = sunlight(view, sight, directions, stratum=stratum, lit=lit)
     return TracedRays(sight=sight, directions=directions, light=light, albedo=albedo)
 
 
-def sunlight(view: View, sight: Sight, directions: Float, *, stratum: int) -> tuple[Sunlight, ...]:
-    """Send rays from the surface seen along ``directions`` (n, 4) to the points of the Sun."""
+def sunlight(
+    view: View, sight: Sight, directions: Float, *, stratum: int, lit: Mask | None = None
+) -> tuple[Sunlight, ...]:
+    """Send rays from the surface seen along ``directions`` (n, 4) to the points of the Sun, none if ``lit`` (n,)."""
     options = view.options
     suns = [view.sun_body]
     if options.sun_radius_rad > 0.0:
         random = np.random.default_rng([options.sun_seed, stratum])
         first, turn = random.uniform(size=(2, sight.rays.size))
         suns = disk_directions(view.sun_body, options.sun_radius_rad, options.sun_samples, first, turn)
-    return tuple(_sunlight(view, sight, directions, sun) for sun in suns)
+    return tuple(_sunlight(view, sight, directions, sun, lit) for sun in suns)
 
 
-def _sunlight(view: View, sight: Sight, directions: Float, sun: Float) -> Sunlight:
+def _sunlight(view: View, sight: Sight, directions: Float, sun: Float, lit: Mask | None) -> Sunlight:
     """Points of a sight that see a point of the Sun, towards (4,) or (k, 4)."""
     cos_incidence = dot(sight.normals, sun.astype(np.float32))
     seen = np.flatnonzero(cos_incidence > 0.0)
     toward = sun if sun.ndim == 1 else sun.take(seen, axis=0)
     if view.options.shadows and seen.size:
-        clear = np.flatnonzero(~_dark(view, sight, seen, toward))
+        clear = np.flatnonzero(_clear(view, sight, seen, toward, lit))
         seen, toward = seen.take(clear), toward if sun.ndim == 1 else toward.take(clear, axis=0)
     cos_phase = -dot(directions.take(sight.rays.take(seen), axis=0), toward)
     return Sunlight(seen, cos_incidence.take(seen), np.arccos(np.clip(cos_phase, -1.0, 1.0)))
+
+
+def _clear(view: View, sight: Sight, seen: Indices, toward: Float, lit: Mask | None) -> Mask:
+    """True where nothing stands between a point seen and a point of the Sun; known of points of rays ``lit`` (n,)."""
+    if lit is None:
+        return ~_dark(view, sight, seen, toward)
+    clear = lit.take(sight.rays.take(seen))
+    unsure = np.flatnonzero(~clear)
+    clear[unsure] = ~_dark(view, sight, seen.take(unsure), toward if toward.ndim == 1 else toward.take(unsure, axis=0))
+    return clear
 
 
 def _dark(view: View, sight: Sight, seen: Indices, toward: Float) -> Mask:

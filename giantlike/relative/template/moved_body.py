@@ -15,6 +15,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Reflectance, Trace
+from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import RefinedTrace
 from giantlike.ray_tracing.sampling import Cells
 from giantlike.ray_tracing.tracer import Indices
@@ -62,6 +63,29 @@ class MovedBody(Value):
 
     trace: Trace | RefinedTrace
     state: TemplateState
+
+    def daylight(self, state: TemplateState) -> Daylight | None:
+        """Tell a finer trace where the body is lit.
+
+        Parameters
+        ----------
+        state : TemplateState
+            Where it will be traced.
+
+        Returns
+        -------
+        Daylight or None
+            None of a refined trace.
+        """
+        if isinstance(self.trace, RefinedTrace):
+            return None
+        return Daylight(
+            cells=self.trace.cells,
+            lit=self.trace.lit_cells,
+            center_px=state.center_px,
+            traced_center_px=self.state.center_px,
+            scale=math.exp(self.state.log_range - state.log_range),
+        )
 
     def shaded(self, laws: tuple[Reflectance, ...]) -> ShadedRays:
         """Light that the rays bring.

@@ -27,6 +27,7 @@ from giantlike.ray_tracing import (
     render,
     trace_body,
 )
+from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import refined
 from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.template.moved_body import MovedBody, ShadedRays
@@ -45,6 +46,8 @@ _LIMB_PX, _TURNED_PX = 1.0, (0.006, 0.1)
 """Motion, px, of the limb up to which a body is not traced anew, and of its surface because it is seen from elsewhere,
 in the last renders and on the way: its light moves a third as far at most, which is a fifth of the noise of
 small bright bodies."""
+_TOLD_PX = 0.5
+"""The same up to which a rough trace tells where a body is lit: its cells are told by their neighbors, 1 px away."""
 _CUT_PX = 2.0
 """Motion, px, of a body that the frame cuts up to which it is not traced anew: as much is traced beyond the frame, the
 point spread function included."""
@@ -121,8 +124,8 @@ class TemplateRenderer(Value):
             options=options,
         )
 
-    def trace(self, state: TemplateState, options: RenderOptions) -> Trace | Failure:
-        """Trace a state."""
+    def trace(self, state: TemplateState, options: RenderOptions, daylight: Daylight | None = None) -> Trace | Failure:
+        """Trace a state, with fewer rays where a rough trace shows nothing but light, or none."""
         return trace_body(
             self.body(state),
             self.plane.model,
@@ -131,6 +134,7 @@ class TemplateRenderer(Value):
             columns=self.plane.columns,
             rows=self.plane.rows,
             options=options,
+            daylight=daylight,
         )
 
     def sampling(self, margin_px: int, *, spacing: float = 1.0, min_rays: int = 1) -> RenderOptions:
@@ -193,7 +197,8 @@ class TemplateRenderer(Value):
             fine = fine and not small
             untried = fine and other_law
             if fine not in kept or not self._near(kept[fine][0].state, state, fine=fine or small):
-                made = self._traced(state, (*laws, _UNTRIED_LAW) if untried else laws, fine=fine)
+                known = self._daylight(kept[False][0], state) if False in kept and not small else None
+                made = self._traced(state, (*laws, _UNTRIED_LAW) if untried else laws, fine=fine, daylight=known)
                 if isinstance(made, Failure):
                     return made
                 kept[fine] = made
@@ -210,14 +215,14 @@ class TemplateRenderer(Value):
         return images
 
     def _traced(
-        self, state: TemplateState, laws: tuple[Reflectance, ...], *, fine: bool
+        self, state: TemplateState, laws: tuple[Reflectance, ...], *, fine: bool, daylight: Daylight | None
     ) -> tuple[MovedBody, ShadedRays] | Failure:
         """Trace the body at a state, and shade it under some laws."""
         radius_px = self.radius_px
         margin_px = FIT_BORDER_PX + (math.ceil(2.0 * radius_px) if radius_px < _SMALL_RADIUS_PX else 0)
         rough = not fine and radius_px >= _COARSE_RADIUS_PX
         sampling = self.sampling(margin_px, spacing=ROUGH if rough else 1.0, min_rays=_FINE_RAYS if fine else 1)
-        trace = self.trace(state, sampling)
+        trace = self.trace(state, sampling, daylight)
         if isinstance(trace, Failure):
             return trace
         if not trace.lit:
@@ -226,6 +231,15 @@ class TemplateRenderer(Value):
         body = MovedBody(trace=refined(trace, parts) if fine else trace, state=state)
         return body, body.shaded(laws)
 
+    def _daylight(self, rough: MovedBody, state: TemplateState) -> Daylight | None:
+        """Light and dark parts of the body at a state; None where a rough trace saw it from elsewhere."""
+        return rough.daylight(state) if self._turned_px(rough.state, state) < _TOLD_PX else None
+
+    def _turned_px(self, first: TemplateState, second: TemplateState) -> float:
+        """Motion, px, of the surface between two states because it is seen from elsewhere."""
+        sights = self.plane.model.unproject(np.stack([first.center_px, second.center_px]))
+        return float(np.linalg.norm(sights[1] - sights[0])) * self.radius_px
+
     def _near(self, first: TemplateState, second: TemplateState, *, fine: bool) -> bool:
         """Return True if the rays of a state serve for another: the same surface is seen, and not from elsewhere."""
         size, radius_px = np.array([self.plane.columns, self.plane.rows]), self.radius_px
@@ -233,8 +247,7 @@ class TemplateRenderer(Value):
         ends = np.clip(first.center_px + radius_px * _AROUND, 0.0, size - 1.0) - first.center_px
         moved_px = float(np.abs(second.center_px - first.center_px + growth * ends).max())
         past_px = float(np.max(np.abs(first.center_px - 0.5 * (size - 1)) + radius_px - 0.5 * size))
-        sights = self.plane.model.unproject(np.stack([first.center_px, second.center_px]))
-        turned_px = float(np.linalg.norm(sights[1] - sights[0])) * radius_px
+        turned_px = self._turned_px(first, second)
         untraced = past_px > 0.0 and moved_px > _CUT_PX
         return not untraced and abs(growth) * radius_px < _LIMB_PX and turned_px < _TURNED_PX[not fine]
 

@@ -1,0 +1,68 @@
+"""Where a rough trace of a body shows light all around, or none: a finer trace needs fewer rays there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.values import Value
+from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.tracer import Indices
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Daylight(Value):
+    """Light and dark parts of a body, from the rays of a rough trace of it.
+
+    A ray that ends where all around is dark brings nothing, and one that ends where all around is lit need not be
+    followed to the Sun. Lit spots and shadows less than a rough cell wide are lost where they lie by themselves.
+
+    Parameters
+    ----------
+    cells : (Cells, Cells)
+        Columns and rows of the rough trace.
+    lit : (columns, rows) bool
+        Cells whose ray ends on a point in sunlight.
+    center_px, traced_center_px : (2,) float64, px
+        Of the body, now and where it was traced roughly.
+    scale : float
+        Size of the body now over that in the rough trace.
+    """
+
+    cells: tuple[Cells, Cells]
+    lit: Mask
+    center_px: Float
+    traced_center_px: Float
+    scale: float
+
+    def of(self, cells: tuple[Cells, Cells]) -> tuple[Mask, Mask]:
+        """Where a finer trace can do without rays.
+
+        Parameters
+        ----------
+        cells : (Cells, Cells)
+            Columns and rows of the finer trace.
+
+        Returns
+        -------
+        dark, lit : (columns, rows) bool
+            No ray of the rough trace around meets light, or all do; both False beyond the rough trace.
+        """
+        around, image = np.ones((3, 3), np.uint8), self.lit.astype(np.uint8)
+        columns, rows = (self._numbers(axis, one) for axis, one in enumerate(cells))
+        inside = (columns >= 0)[:, None] & (rows >= 0)
+        dark, lit = (
+            np.asarray(np.take(np.take(each, columns, axis=0), rows, axis=1) & inside)
+            for each in (cv2.dilate(image, around) == 0, cv2.erode(image, around) == 1)
+        )
+        return dark, lit
+
+    def _numbers(self, axis: int, fine: Cells) -> Indices:
+        """Numbers of the rough cells in which fine ones lie, -1 beyond them."""
+        rough = self.cells[axis]
+        places_px = self.traced_center_px[axis] + (fine.centers_px - self.center_px[axis]) / self.scale
+        numbers = np.floor((places_px + 0.5) * rough.per_px).astype(np.int64) - rough.first
+        return np.where((numbers >= 0) & (numbers < rough.count), numbers, -1)
