@@ -7,11 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import PinholeModel
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import Float, Mask, unit
 from giantlike.ray_tracing import Body, Lambert, RenderOptions, Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
+from giantlike.ray_tracing.embree import Float32
 from giantlike.ray_tracing.sampling import Cells
-from giantlike.ray_tracing.tracer import MeshTracer
+from giantlike.ray_tracing.tracer import MeshTracer, Sight
 from giantlike.shapes import irregular_body
 
 MODEL = PinholeModel(fx_px=1000.0, fy_px=1000.0, cx_px=63.5, cy_px=63.5)
@@ -57,12 +58,17 @@ def told(sun: str) -> Daylight:
 def test_told_rays_bring_the_light_of_all_and_are_fewer(sun: str, monkeypatch: pytest.MonkeyPatch) -> None:
     cast: list[tuple[int, int]] = []
     sight, dark = MeshTracer.sight, MeshTracer.dark
-    monkeypatch.setattr(
-        MeshTracer, "sight", lambda tracer, origin, rays: cast.append((len(rays), 0)) or sight(tracer, origin, rays)
-    )
-    monkeypatch.setattr(
-        MeshTracer, "dark", lambda tracer, points, *rest: cast.append((0, len(points))) or dark(tracer, points, *rest)
-    )
+
+    def seen(tracer: MeshTracer, origin_km: Float, directions: Float) -> Sight:
+        cast.append((len(directions), 0))
+        return sight(tracer, origin_km, directions)
+
+    def shaded(tracer: MeshTracer, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
+        cast.append((0, len(points_km)))
+        return dark(tracer, points_km, normals, to_sun)
+
+    monkeypatch.setattr(MeshTracer, "sight", seen)
+    monkeypatch.setattr(MeshTracer, "dark", shaded)
     daylight = told(sun)
     counts, lights = [], []
     for known in (None, daylight):
