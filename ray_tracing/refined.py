@@ -102,6 +102,8 @@ class RefinedTrace(Value):
 def refined(trace: Trace, factor: int) -> RefinedTrace:
     """Split the cells of a trace where its light is uneven, and trace the parts.
 
+    Parts of a cell that is lit, as all around it are, are taken to be lit.
+
     Parameters
     ----------
     trace : Trace
@@ -122,7 +124,8 @@ def refined(trace: Trace, factor: int) -> RefinedTrace:
     directions[..., :3] = unit(
         middle[:, None, None] + steps[:, None, None] * by_x[:, None, None] + steps[None, :, None] * by_y[:, None, None]
     )
-    rays = trace_rays(trace.view, directions.reshape(-1, 4))
+    lit = cv2.erode(trace.lit_cells.astype(np.uint8), np.ones((3, 3), np.uint8))[columns, rows] == 1
+    rays = trace_rays(trace.view, directions.reshape(-1, 4), lit=lit.repeat(factor**2))
     return RefinedTrace(trace=trace, factor=factor, columns=columns, rows=rows, rays=rays)
 
 

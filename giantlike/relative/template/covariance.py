@@ -22,8 +22,8 @@ _REWEIGHTINGS = 3
 """Rounds of a first fit in which errors, weights and clipped values are updated; later fits start from their result."""
 _FIRST_ERROR = 0.03
 """Model errors that the iteration starts from: pixels at edges, and as a share of the light. Only a start value."""
-_VARIANCE_SAMPLES = 8_000
-"""Values that sizes of errors are taken from, at most: their relative error is then some sqrt(2 / 8000) = 1.6 %."""
+_VARIANCE_SAMPLES = 4_000
+"""Values that sizes of errors are taken from, about: their relative error is then some sqrt(2 / 4000) = 2.2 %."""
 _VARIANCE_STEPS = 25
 """Multiplicative updates of the sizes in each round; they settle over the rounds and iterations of the fit."""
 _SIGNIFICANT = 2.0

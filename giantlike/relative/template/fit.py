@@ -38,6 +38,8 @@ _RETREAT = 0.3  # of a step that made the misfit larger: so much of it is tried 
 _DAMPED_AFTER = 5  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
 _FLICKER_PX = 0.6
 """Last step, px, up to which a fit at the end of its renders counts as converged; the step enters the covariance."""
+_ROUGH_PIXELS = 8_000
+"""Pixels, about, that a step from a rough render is solved for: noise moves it by a hundredth of a pixel."""
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
@@ -210,14 +212,17 @@ def fit_template(
             trial = last.stepped()
             continue
         prior = _prior(trial, start, problem, options)
-        solution = problem.solve(prior, options.clip_sigma, None if last is None else last.solution.errors)
+        last_render = iteration == options.max_iterations
+        most_pixels = math.inf if fine or last_render else _ROUGH_PIXELS
+        errors = None if last is None else last.solution.errors
+        solution = problem.solve(prior, options.clip_sigma, errors, most_pixels=most_pixels)
         if isinstance(solution, Failure):
             return solution
         solved = _Solved(problem, trial, prior, solution)
         moved_px = solved.length_px
         _LOG.debug("template moved by %.3g px in render %d", moved_px, iteration)
         settled = fine and moved_px < options.tolerance_px
-        if settled or (iteration == options.max_iterations and moved_px < _FLICKER_PX):
+        if settled or (last_render and moved_px < _FLICKER_PX):
             flicker = solution.parameters[: RANGE + 1] * (0.0 if settled else 1.0)
             return solved.result(flicker, iteration, options)
         if iteration > _DAMPED_AFTER or (last is not None and solved.returns(last)):

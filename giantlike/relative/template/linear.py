@@ -148,15 +148,21 @@ class Problem:
         sigmas[LAWS + self.n_laws :] = _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA
         return Prior(means, sigmas**-2)
 
-    def solve(self, prior: Prior, clip_sigma: float, errors: Float | None) -> RobustFit | Failure:
-        """Weighted least squares with the model-error variances that the residuals ask for."""
-        use = self.offered
-        signal = self.signal[use]
-        shapes = np.stack([np.ones(signal.size), self._slope2[use], signal**2])
-        variances = VarianceModel(self.pixels.noise_variance_dn2(signal), shapes)
-        censored = np.zeros(signal.size, bool) if self.pixels.censored is None else self.pixels.censored[use]
-        measured = Measured(self.pixels.values_dn[use], censored, variances)
-        fit = robust_fit(_chosen(self.columns, use).T, measured, prior, clip_sigma=clip_sigma, start=errors)
+    def solve(
+        self, prior: Prior, clip_sigma: float, errors: Float | None, *, most_pixels: float = math.inf
+    ) -> RobustFit | Failure:
+        """Weighted least squares with the model-error variances that the residuals ask for.
+
+        Above twice ``most_pixels`` it takes every second, third, ... pixel that is offered.
+        """
+        use, pixels = self.offered, self.pixels
+        thin = slice(None, None, max(int(np.count_nonzero(use) / most_pixels), 1))
+        signal = self.signal[use][thin]
+        shapes = np.stack([np.ones(signal.size), self._slope2[use][thin], signal**2])
+        variances = VarianceModel(pixels.noise_variance_dn2(signal), shapes)
+        censored = np.zeros(signal.size, bool) if pixels.censored is None else pixels.censored[use][thin]
+        measured = Measured(pixels.values_dn[use][thin], censored, variances)
+        fit = robust_fit(_chosen(self.columns, use)[:, thin].T, measured, prior, clip_sigma=clip_sigma, start=errors)
         if fit is None:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"

@@ -24,8 +24,8 @@ from giantlike.relative.template.state import TemplateState
 _LEAST_BLUR_PX = 1e-3
 """Least standard deviation of the point spread function, px: an infinitely sharp one has no derivative by its width."""
 
-_REACH_SIGMA = 7.0
-"""Of the point spread function, where shares end: 3e-12 of the light lies beyond, and derivatives do not show it."""
+_REACH_SIGMA = 5.5
+"""Of the point spread function, where shares end: 4e-8 of the light lies beyond, and derivatives do not show it."""
 
 _Sparse: TypeAlias = csr_matrix[np.float64] | csc_matrix[np.float64]
 
