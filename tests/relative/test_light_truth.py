@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from giantlike import independent
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, unit
 from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
@@ -150,6 +150,21 @@ def test_the_moment_holds_its_covariance_under_laws_that_it_does_not_know() -> N
     within(values)
     errors = [np.linalg.norm(fix.center_px - each.center_px) for each, fix in zip(shots, fixes, strict=True)]
     assert np.median(errors) < 0.2  # px; 0.4 where the law is taken as given
+
+
+def test_a_wrong_prediction_of_the_range_does_not_move_the_moment() -> None:
+    one = shot(3, phase_deg=60.0)
+    target = one.scene.targets[0]
+    assert isinstance(target.ephemeris, ApparentGeometry)
+    true_km = np.linalg.norm(light(3, "mcewen", 60.0, 60.0, False, 0.0)[1].position_camera_km)
+    places = []
+    for wrong in (-0.015, 0.015):
+        sight = unit(target.ephemeris.position_inertial_km)
+        told = replace(target, ephemeris=replace(target.ephemeris, position_inertial_km=(1 + wrong) * true_km * sight))
+        places.append(replace(one, scene=Scene(targets=(told,))).fix(Moment()).center_px)
+    assert (
+        np.linalg.norm(places[1] - places[0]) < 0.3
+    )  # px; 0.44 where the brightness is that of a disk of the predicted size
 
 
 def test_a_slope_of_the_sky_does_not_move_the_moment() -> None:

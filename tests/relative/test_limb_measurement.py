@@ -131,6 +131,19 @@ def test_a_smooth_error_moves_a_solution_by_what_it_is() -> None:
     assert_allclose(covariance, np.diag([0.0, 0.0, 0.09]), rtol=0, atol=SETTLED)
 
 
+def test_an_error_along_the_sun_is_the_same_on_both_sides_of_it_and_moves_no_circle_across() -> None:
+    angles = np.radians([-60.0, -20.0, 20.0, 60.0])
+    normals = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    error = SmoothError(cause=Cause.EDGE, sigma_px=0.2, length_px=30.0, along=(1.0, 0.0))
+    covariance = error.covariance_px2(40.0 * normals)
+    assert_allclose(covariance, covariance[::-1], rtol=0, atol=SETTLED)
+    assert covariance[0, 1] < covariance[0, 3]
+    gain = np.linalg.pinv(np.column_stack([normals, np.ones(4)]))
+    moved = smooth_parts((error,), 40.0 * normals, gain)[Cause.EDGE]
+    assert moved[0, 0] > 1e-3
+    assert_allclose(moved[1], 0.0, rtol=0, atol=SETTLED)
+
+
 def test_some_points_of_a_measurement_can_be_solved_alone() -> None:
     """A fit of some points failed where the points share errors: those were still as many as before."""
     view, truth = seen()

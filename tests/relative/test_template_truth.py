@@ -33,7 +33,7 @@ PLANE_PX = 0.06  # four sigma of the noise of the sky; the plane pulls ten times
 
 
 LIMB_PX, FRAME_PX = 1000.0, 320
-WINGED_PX = 0.04  # three times the error and its sigma; 0.15 px were stated where wings were residuals
+WINGED_PX = 0.02  # twice the sigma; 0.15 px were stated where wings were residuals, 0.03 where they counted as a blur
 CRESCENT_PX = 0.025  # 0.02 to 0.05 with two rays along a pixel, whose errors all of a thin crescent shares
 
 

@@ -182,6 +182,19 @@ def test_a_fix_a_little_beside_the_body_is_less_certain_and_one_that_agrees_stay
     np.testing.assert_allclose(found.covariance_camera_km2, expected, rtol=0.0, atol=1e-6 * expected[2, 2])
 
 
+def test_a_smear_makes_a_fix_less_certain_and_wings_of_the_optics_do_not() -> None:
+    body, view = EllipsoidBody(RADII_KM), PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
+    grown = []
+    for psf in (Psf(0.7, wing_share=0.06, wing_sigma_px=4.0), Psf(0.7, motion_px=(3.5, 0.0))):  # 1 px^2 each
+        blurred = render_body(body, view, Pose(POSITION_KM, TURN, sun_at(60.0)), law="mcewen", psf=psf)
+        inputs = inputs_of(blurred, 60.0)
+        found = verified(fix_at(inputs), inputs, SEARCH_PX)
+        assert Quality.BLURRED not in found.flags
+        grown.append(found.covariance_px2[0, 0] / fix_at(inputs).covariance_px2[0, 0])
+    assert grown[0] == 1.0
+    assert grown[1] > 1.5
+
+
 def test_rows_that_are_shifted_and_a_roll_are_another_figure_unless_declared() -> None:
     rows = light(60.0).copy()
     rows[80:] = np.roll(rows[80:], 4, axis=1)

@@ -40,11 +40,15 @@ class SmoothError:
         Standard deviation across the limb.
     length_px : float, px
         Correlation length.
+    along : (2,) tuple of float, optional
+        Unit vector in the image. Distances count along it only: the error is the same where light falls alike, on
+        both sides of the direction of the Sun.
     """
 
     cause: Cause
     sigma_px: float
     length_px: float
+    along: tuple[float, float] | None = None
 
     def covariance_px2(self, points_px: Float) -> Float:
         """Covariance of the error between points of a limb.
@@ -58,7 +62,8 @@ class SmoothError:
         (n, n) float64, px^2
             Across the limb.
         """
-        apart = np.linalg.norm(points_px[:, None] - points_px[None], axis=-1)
+        places = points_px if self.along is None else points_px @ np.array(self.along)[:, None]
+        apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
         result: Float = self.sigma_px**2 * np.exp(-apart / self.length_px)
         return result
 

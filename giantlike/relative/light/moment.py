@@ -39,8 +39,12 @@ _INCONSISTENT_SIGMAS = 4.0  # between predicted and measured size: once in 16,00
 _EDGE_PX, _SETTLED_EDGE_PX = 1.0, 0.25
 """Error of the edge of the lit area by the point spread function, px, over 3.5 for a disk; and where the image shows
 none, because several thresholds give the same size."""
+_COUNT_PX = 0.5
+"""Error of each pixel along the edge of the lit area, px: 0.3 as it is counted or not, and noise where light fades."""
 _EDGE_LEVELS = (1.0, 2.0, 4.0, 8.0)
 """Levels at which sizes are compared, over the least; their range is half of the error of the least, at least."""
+_RANGE_OF_NOISE = 2.06
+"""Expected range of as many normal numbers, over their standard deviation."""
 _HEIGHT = 0.1
 """Height, over the radius, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of
 waves of half of it, which are 1 / 4 pi as high."""
@@ -158,15 +162,18 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     law = fit_law(light, laws, radius_px=inputs.radius_px)
     template = law.template
     center_px, noise_px2, background_px2 = light.centroid(threshold_dn)
-    rendered = light.offset_px(template, threshold_dn)
+    size = _measured_size(light, laws, law, options.range_sigma, max(TRACE, share))
+    brighter = size.scale**-2.0  # all of the light comes from a smaller or larger disk than that of the template
+    rendered = light.offset_px(template, threshold_dn, brighter=brighter)
     low_dn = _LOWER_THRESHOLD * threshold_dn
-    by_threshold = light.center_px(low_dn) - center_px + light.offset_px(template, low_dn) - rendered
+    below = light.center_px(low_dn) + light.offset_px(template, low_dn, brighter=brighter)
+    by_threshold = below - center_px - rendered
     kind, model = Correction(options.correction), inputs.camera.model
     offset = phase_correction_px(kind, rendered, inputs.geometry, model, radius_px=inputs.radius_px)
-    size = _measured_size(light, laws, law, options.range_sigma, max(TRACE, share))
     by_law = law.sigma * law.slope_px if kind is Correction.RENDERED else offset - rendered
-    by_gain = light.offset_px(template, threshold_dn, brighter=1.0 + _gain_error(light, template, size)) - rendered
-    by_fill = _FILL_UNKNOWN * (rendered - light.offset_px(template, threshold_dn, filled=False))
+    unsure = brighter * (1.0 + _gain_error(light, template, size))
+    by_gain = light.offset_px(template, threshold_dn, brighter=unsure) - rendered
+    by_fill = _FILL_UNKNOWN * (rendered - light.offset_px(template, threshold_dn, brighter=brighter, filled=False))
     parts = {
         Cause.NOISE: noise_px2 + _SAMPLING_PX**2 * np.eye(2),
         Cause.BACKGROUND: background_px2,
@@ -223,7 +230,7 @@ def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma:
     ratio = max(measured, 1.0) / own
     by_law = max(abs(math.log(area(laws.at(law.weight + step)) / own)) for step in (-law.sigma, law.sigma))
     edge = _edge_error(light, law.template, level) * 0.5 / math.sqrt(own)
-    variance = (0.5 * by_law) ** 2 + 0.25 / own + edge**2 + (_HEIGHT * law.markings) ** 2
+    variance = (0.5 * by_law) ** 2 + _counted(own) ** 2 + edge**2 + (_HEIGHT * law.markings) ** 2
     log_size = 0.5 * math.log(ratio)
     excess = abs(log_size) / (_INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance))
     if excess > 1.0:  # halo, or another body
@@ -232,6 +239,11 @@ def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma:
     # Birge's ratio: predicted and measured size that are unlikely together are each less certain than they say.
     sigma = math.sqrt(weight * variance) * max(1.0, _INCONSISTENT_SIGMAS * excess)
     return _Size(scale=math.exp(weight * log_size), sigma=sigma, area_ratio=ratio, excess=excess)
+
+
+def _counted(area_px: float) -> float:
+    """Relative error of the size of a lit area that is counted in pixels."""
+    return 0.5 * _COUNT_PX * math.sqrt(2.0 * math.sqrt(math.pi * area_px)) / area_px
 
 
 def _gain_error(light: BodyLight, template: Template, size: _Size) -> float:
@@ -252,7 +264,8 @@ def _edge_error(light: BodyLight, template: Template, level: float) -> float:
     sizes = [0.5 * math.log(seen / own) for seen, own in areas if seen > 0 and own > 0]
     if len(sizes) < len(_EDGE_LEVELS):
         return _EDGE_PX
-    shown_px = 2.0 * (max(sizes) - min(sizes)) * 2.0 * math.sqrt(areas[0][1])
+    differ = max(max(sizes) - min(sizes) - _RANGE_OF_NOISE * _counted(areas[0][1]), 0.0)
+    shown_px = 2.0 * differ * 2.0 * math.sqrt(areas[0][1])
     return min(math.hypot(_SETTLED_EDGE_PX, shown_px), _EDGE_PX)
 
 

@@ -42,6 +42,8 @@ _BELIEVED = 0.5
 _TURN_MISFIT = 0.2
 """Residuals, as in ``QualityChecks.misfit``, from which on it is asked whether the face is turned: smaller ones leave
 no turn of more than a degree, and are those of most right fixes, which should not pay for four more renders."""
+_SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
+"""What of a blur (xx, xy, yy) is more along one direction than across it."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
 
@@ -134,8 +136,8 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
     room = min(float(np.trace(fit.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
     blurred = psf_known and chance_of(fit.blur, fit.blur_covariance) > LEAST_CHANCE  # beyond, the fix is refused
-    blur = _squared(fit.blur, fit.blur_covariance) / len(fit.blur) if blurred else 0.0
-    return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (blur - 1.0))
+    smear = _squared(_SMEAR @ fit.blur, _SMEAR @ fit.blur_covariance @ _SMEAR.T) / len(_SMEAR) if blurred else 0.0
+    return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (smear - 1.0))
 
 
 def _growth(fix: CenterFix, figure_px2: Float) -> float:
