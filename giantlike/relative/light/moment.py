@@ -264,7 +264,7 @@ def _edge_error(light: BodyLight, template: Template, level: float) -> float:
     sizes = [0.5 * math.log(seen / own) for seen, own in areas if seen > 0 and own > 0]
     if len(sizes) < len(_EDGE_LEVELS):
         return _EDGE_PX
-    differ = max(max(sizes) - min(sizes) - _RANGE_OF_NOISE * _counted(areas[0][1]), 0.0)
+    differ = max(max(sizes) - min(sizes) - _RANGE_OF_NOISE * _counted(float(areas[0][1])), 0.0)
     shown_px = 2.0 * differ * 2.0 * math.sqrt(areas[0][1])
     return min(math.hypot(_SETTLED_EDGE_PX, shown_px), _EDGE_PX)
 
