@@ -15,7 +15,7 @@ from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
-from giantlike.relative.budget import with_center_error, with_larger_errors
+from giantlike.relative.budget import with_error, with_larger_errors
 from giantlike.relative.quality import LEAST_CHANCE, QualityChecks
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
@@ -101,7 +101,9 @@ def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float, *, by_light
     fix = replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
     if tension > 1.0:
         fix = with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)
-    return with_center_error(fix, Cause.RELIEF, fit.figure_px2) if by_light and fit is not None else fix
+    if not by_light or fit is None:
+        return fix
+    return with_error(fix, inputs.camera.model, Cause.RELIEF, fit.figure_px2)
 
 
 def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
