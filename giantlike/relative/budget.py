@@ -28,12 +28,13 @@ from giantlike.scene import TargetGeometry
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
-RENDERING_PX = 0.005
+RENDERING_PX = 0.004
 """Standard deviation of the place of a body by errors of what is rendered for it, px along each axis, and of its limb.
 
-Of 1,009 fixes of undisturbed images of the gauntlet (seeds 3000 and 6000, five estimators, 20-600 px) their errors are
-most likely with this value. Squared errors of the surest quarter were 1.4 to 2.2 times the covariance without it, by
-estimator, and are 0.85 to 1.3 of it with it. Renders alone are right to 0.006 px (``template.rendering``).
+Of 1,009 fixes of undisturbed images of the gauntlet (seeds 3000 and 6000, five estimators, 20-600 px) errors are most
+likely with 0.005: squared errors of the surest quarter were 1.3 to 2.2 times the covariance without it, by estimator.
+With 0.004 they are 1.1 to 1.3 of it, and those of exact rocks of 120 px 0.57 (with 0.005 0.47). Renders alone are right
+to 0.006 px (``template.rendering``).
 """
 _OUTLINE_POINTS = 72
 """Points of an outline over which a distortion is averaged, every 5 deg: distortions are smooth polynomials."""
