@@ -106,6 +106,38 @@ class Trace(Value):
             within[:] = part.reshape(within.shape)
         return lit
 
+    def one_to_a_pixel(self) -> Trace:
+        """Return the trace with the ray in the middle of each pixel alone; the others meet nothing.
+
+        Returns
+        -------
+        Trace
+        """
+        (x, y), step = self.footprint.cells, self.footprint.cells[0].per_px
+        (left, _), (top, _) = x.middles, y.middles
+
+        def kept(tile: Tile, traced: TracedRays) -> TracedRays:
+            columns, rows = np.divmod(traced.sight.rays, tile.rows)
+            middle = ((columns + (tile.left - left)) % step == 0) & ((rows + (tile.start - top)) % step == 0)
+            return traced.only(middle)
+
+        return replace(self, tiles=tuple(map(kept, self.footprint.tiles, self.tiles)))
+
+    def at_middles(self) -> tuple[Float, tuple[int, int]]:
+        """Shade the rays in the middles of pixels, and spread their light over no others.
+
+        Returns
+        -------
+        brightness : (height, width) float64
+            Of the pixels whose middles lie in the footprint; 0 where nothing is lit.
+        corner_px : (int, int), px
+            Column and row of the first of them.
+        """
+        (x, y), step = self.footprint.cells, self.footprint.cells[0].per_px
+        (left, column), (top, row) = x.middles, y.middles
+        brightness = self.cell_brightness(self.body.reflectance)[left::step, top::step].T
+        return brightness, (column, row)
+
     def with_reflectance(self, reflectance: Reflectance) -> Trace:
         """Return the same rays under another law; costs nothing until it is shaded.
 

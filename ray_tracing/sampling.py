@@ -49,6 +49,12 @@ class Cells:
         """Coordinates (count,) of the centers, px."""
         return (np.arange(self.count) + self.first + 0.5) / self.per_px - 0.5
 
+    @property
+    def middles(self) -> tuple[int, int]:
+        """Number, from the first, of the first cell in the middle of a pixel, and that pixel."""
+        number = (self.per_px // 2 - self.first) % self.per_px
+        return number, (self.first + number) // self.per_px
+
     def spread(self, first_px: int, count_px: int, sigma_px: float) -> csr_matrix[np.float64]:
         """Share of the light of each cell that falls on each pixel.
 

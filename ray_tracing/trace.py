@@ -142,6 +142,18 @@ class TracedRays(Value):
         """
         return replace(self, sight=replace(self.sight, rays=numbers.take(self.sight.rays)), directions=directions)
 
+    def only(self, keep: Mask) -> TracedRays:
+        """Return these rays with the hits for which ``keep`` (k,) is True; the others meet nothing."""
+        numbers = np.cumsum(keep) - 1
+
+        def kept(light: Sunlight) -> Sunlight:
+            which = np.flatnonzero(keep.take(light.seen))
+            seen = numbers.take(light.seen.take(which))
+            return Sunlight(seen, light.cos_incidence.take(which), light.phase_rad.take(which))
+
+        albedo = None if self.albedo is None else self.albedo[keep]
+        return replace(self, sight=self.sight.only(keep), light=tuple(map(kept, self.light)), albedo=albedo)
+
     def brightness(self, law: Reflectance) -> Float:
         """Brightness (n,) of all rays under a reflectance law; 0 for those that meet nothing lit."""
         brightness = np.zeros(len(self.directions))

@@ -370,7 +370,7 @@ def gather(
         geometry=geometry,
         camera=camera,
         predicted_px=predicted_px,
-        pixels_dn=image.pixels.astype(np.float64) - camera.detector.bias_dn,
+        pixels_dn=np.subtract(image.pixels, camera.detector.bias_dn, dtype=np.float64),
         usable=~(masked | saturated),
         saturated=saturated & ~masked,
         masked=masked,

@@ -217,7 +217,7 @@ class _ContrastSearch:
         self, image: NDArray[np.float32], good: Mask, arms: Float, steps: Float, weights: Float, *, floor_dn: float
     ) -> None:
         self._values, self._good = np.pad(image, 1).ravel(), np.pad(good, 1).ravel()  # a border that counts nothing
-        self._size = np.array(image.shape[::-1]) + 2
+        self._size, self._whole = np.array(image.shape[::-1]) + 2, bool(good.all())
         self._arms, self._steps, self._weights = arms, steps, weights.astype(np.float32)
         self._floor = np.float32(floor_dn)
 
@@ -243,21 +243,30 @@ class _ContrastSearch:
         Outlines that lie mostly outside the image count as if half inside.
         """
         inner, outer = self._index(middle - self._steps, shifts), self._index(middle + self._steps, shifts)
-        valid = self._good[inner] & self._good[outer]
-        light, dark = self._values[inner], self._values[outer]
+        light, dark = (self._values.take(which, mode="clip") for which in (inner, outer))
         difference = light - dark
         if not steepest:
-            difference /= np.abs(light) + np.abs(dark) + self._floor
-        weights = valid * self._weights
+            np.abs(light, out=light)
+            light += np.abs(dark, out=dark)
+            light += self._floor
+            difference /= light
+        if self._whole and not any(self._reaches_border(middle + side, shifts) for side in (-self._steps, self._steps)):
+            return np.asarray(difference @ self._weights / max(float(self._weights.sum()), 0.5))
+        weights = (self._good.take(inner) & self._good.take(outer)) * self._weights
         weight = weights.sum(axis=1)
         weight = np.maximum(weight, 0.5 * max(float(weight.max()), 1.0))
         return np.asarray(np.einsum("kn,kn->k", difference, weights) / weight)
 
-    def _index(self, points: Float, shifts: Float) -> NDArray[np.int32]:
+    def _reaches_border(self, points: Float, shifts: Float) -> bool:
+        """True if points (n, 2) moved along both axes may lie outside the image."""
+        low, high = points.min(axis=0) + shifts[0], points.max(axis=0) + shifts[-1]
+        return not bool(np.all((low > 0.0) & (high < self._size - 3)))
+
+    def _index(self, points: Float, shifts: Float) -> NDArray[np.intp]:
         """Flat index (k k, n) of pixels nearest to points (n, 2) moved along both axes, or as near as the border."""
         columns, rows = (
-            np.clip(np.rint(points[:, axis] + shifts[:, None]) + 1.0, 0, self._size[axis] - 1).astype(np.int32)
+            np.clip(np.rint(points[:, axis] + shifts[:, None]) + 1.0, 0, self._size[axis] - 1).astype(np.intp)
             for axis in range(2)
         )
-        index = rows[:, None] * np.int32(self._size[0]) + columns
+        index: NDArray[np.intp] = rows[:, None] * self._size[0] + columns
         return index.reshape(-1, len(points))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -55,24 +55,19 @@ class Figure(Value):
 
     radii_km: Float
     camera_from_axes: Rotation
+    to_sphere: Float = field(init=False, repr=False)
+    """The matrix B (3, 3), 1/km, that takes camera vectors to where the body is the unit sphere."""
+    shape_matrix: Float = field(init=False, repr=False)
+    """The matrix A (3, 3), 1/km^2, camera axes: points of the surface about its center have ``x.A.x == 1``."""
 
     def __post_init__(self) -> None:
         radii = as_finite(self.radii_km, (3,), "radii_km")
         require(bool(np.all(radii > 0)), f"radii_km must be > 0, got {radii.tolist()}")
         object.__setattr__(self, "radii_km", radii)
+        to_sphere = self.camera_from_axes.as_matrix().T / radii[:, None]
+        object.__setattr__(self, "to_sphere", to_sphere)
+        object.__setattr__(self, "shape_matrix", to_sphere.T @ to_sphere)
         Value.__post_init__(self)
-
-    @property
-    def to_sphere(self) -> Float:
-        """The matrix B (3, 3), 1/km, that takes camera vectors to where the body is the unit sphere."""
-        result: Float = self.camera_from_axes.as_matrix().T / self.radii_km[:, None]
-        return result
-
-    @property
-    def shape_matrix(self) -> Float:
-        """The matrix A (3, 3), 1/km^2, camera axes: points of the surface about its center have ``x.A.x == 1``."""
-        result: Float = self.to_sphere.T @ self.to_sphere
-        return result
 
     def cone(self, position_camera_km: Float) -> tuple[Float, Float]:
         """Cone of the rays that graze the ellipsoid.

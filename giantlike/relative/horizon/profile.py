@@ -300,24 +300,37 @@ class ProfileTable(Value):
         next_knot = np.minimum(knot + 1, last)
         apart = np.maximum(self.knots_px[next_knot] - self.knots_px[knot], np.finfo(np.float64).tiny)
         share = np.clip((along_px - self.knots_px[knot]) / apart, 0.0, 1.0)[:, None]
-        # One row for each place of the table: rows are taken in a fraction of the time of an index along each axis.
+        # One row for each place of the table and the next: rows are taken in a fraction of the time of an index along
+        # each axis.
         rows = self.values.reshape(-1, width)
-        here, beside = (which * count + index for which in (knot, next_knot))
-        near, far = (
-            (1.0 - share) * rows.take(here + step, axis=0) + share * rows.take(beside + step, axis=0) for step in (0, 1)
-        )
+        pairs = np.concatenate([rows[:-1], rows[1:]], axis=1)
+        both, beside = (pairs.take(which * count + index, axis=0) for which in (knot, next_knot))
+        beside -= both
+        beside *= share
+        both += beside
+        near, far = both[:, :width], both[:, width:]
         half = (width - self.powers) // 2
         values, slopes, curves = slice(half), slice(half, 2 * half), slice(2 * half, None)
-        value = self._cubic(near, far, values, slopes, t)
-        slope = self._cubic(near, far, slice(half, half + self.powers), curves, t)
-        return value, slope, (1.0 - t) * near[:, curves] + t * far[:, curves]
+        shares = self._cubic_shares(t)
+        value = _combined(near, far, values, slopes, shares)
+        slope = _combined(near, far, slice(half, half + self.powers), curves, shares)
+        bend = near[:, curves] + t * (far[:, curves] - near[:, curves])
+        return value, slope, bend
 
-    def _cubic(self, near: Float, far: Float, values: slice, slopes: slice, t: Float) -> Float:
-        """Cubic between two rows of the table, from columns of values and of slopes, at t of the way."""
+    def _cubic_shares(self, t: Float) -> tuple[Float, Float, Float, Float]:
+        """Shares (n, 1) of values and slopes here and at the next row in the cubic between, at t of the way."""
         s, step = 1.0 - t, self.step_px
-        result: Float = s * s * ((1.0 + 2.0 * t) * near[:, values] + (step * t) * near[:, slopes])
-        result += t * t * ((3.0 - 2.0 * t) * far[:, values] - (step * s) * far[:, slopes])
-        return result
+        return s * s * (1.0 + 2.0 * t), step * s * s * t, t * t * (3.0 - 2.0 * t), -step * t * t * s
+
+
+def _combined(
+    near: Float, far: Float, values: slice, slopes: slice, shares: tuple[Float, Float, Float, Float]
+) -> Float:
+    """Cubic (n, k) between two rows of a table, from columns of values and of slopes."""
+    result: Float = shares[0] * near[:, values]
+    for share, part in zip(shares[1:], (near[:, slopes], far[:, values], far[:, slopes]), strict=True):
+        result += share * part
+    return result
 
 
 def profile_table(

@@ -43,8 +43,9 @@ _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
 _PSF_PX2 = 0.3
 """Standard deviation, px^2, of the variance of a point spread function that a camera knows: one of 0.7 px to 30 %."""
-_ITERATIONS = 3
-"""The gain that sets the weights of the cells is known to a percent after three."""
+_ITERATIONS, _SETTLED = 3, 0.01
+"""The gain that sets the weights of the cells is known to a percent after three; where it is before, and no cell is
+left out any more, these are the last."""
 _UNLIKELY = 4.0
 """Standard deviations beyond which a cell is not explained, by noise and errors of the model together."""
 _ISOLATED = 3
@@ -181,9 +182,12 @@ def fit_cells(
         solution = np.linalg.solve(normal, projected)
         if not solution[0] > 0.0:
             return _nothing_alike()
-        gain = float(solution[0])
+        change, gain = abs(float(solution[0]) / gain - 1.0), float(solution[0])
         used, normalized = fresh, (values - (solution @ flat).reshape(values.shape)) * np.sqrt(weights)
-        fresh = fresh & ~_isolated(normalized, fresh)
+        isolated = _isolated(normalized, fresh)
+        if change < _SETTLED and not isolated.any():
+            break
+        fresh = fresh & ~isolated
     fresh, lit = used, lit & used
     if not lit.any():
         return None

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, unit
+from giantlike.core.blocks import block_sums
 from giantlike.core.frames import rotate
 from giantlike.ray_tracing import Template, Trace
 from giantlike.relative.verification.cells import BLOCK, Cells
@@ -23,6 +24,9 @@ _CLEAR = 0.2
 no shadows could make these the better ones."""
 _EXACT = 1e-9
 """Share of the variance that rounding leaves of an exact model."""
+_HALVED_RADIUS, _HALVED_BLUR = 8.0, 0.5
+"""Least radius and largest standard deviation of the point spread function, cells, with which blocks of 2 x 2 cells are
+looked at first, one ray to a cell: at half of that radius and blurred by more, a body is no longer what rays say."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,22 +71,47 @@ def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: 
     Residuals of a body are errors of its law and of its markings: alike over a quarter of a radius, independent beyond.
     With n such parts the likelihood goes with the unexplained variance to the power of -n / 2. At small phase angles
     all sides match alike, and the odds are even. Shadows that the body casts on itself under another Sun are traced
-    where they may matter: not for most images.
+    where they may matter: not for most images. Where blocks of 2 x 2 cells say clearly which side it is, with one ray
+    to a cell, nothing finer is asked.
     """
     parts = independent_parts(cells, own)
     if parts == 0.0:
         return None
     sight = unit(trace.body.position_camera_km)
-    room = math.ceil(cells.radius)
-    matches = ShiftedMatches.of(cells, room)
     turned = [rotate(Rotation.from_rotvec(angle * sight), sun_direction_camera) for angle in _OTHER_SIDES_RAD]
+    if cells.radius >= _HALVED_RADIUS and cells.blur <= _HALVED_BLUR:
+        rough = _left_of_halved(cells, trace, turned)
+        if rough[0] < _CLEAR * rough[1]:
+            return _compared(*rough, parts)
+    matches = ShiftedMatches.of(cells, math.ceil(cells.radius))
     left = _least(matches, cells.place(own.brightness, own))
     for one in (_without_shadows(trace), trace):
         left_by_other = _least(matches, np.stack([cells.light(one.with_sun(sun)) for sun in turned]))
         if left < _CLEAR * left_by_other:
             break
+    return _compared(left, left_by_other, parts)
+
+
+def _compared(left: float, left_by_other: float, parts: float) -> LightSide:
     odds = 0.5 * parts * math.log(left / left_by_other)
     return LightSide(unexplained=left, unexplained_by_other=left_by_other, log_odds=odds)
+
+
+def _left_of_halved(cells: Cells, trace: Trace, turned: list[Float]) -> tuple[float, float]:
+    """Shares of the variance of blocks of 2 x 2 cells that the Sun leaves, and other Suns without cast shadows."""
+    room = min(math.ceil(0.5 * cells.radius), cells.room // 2)
+    side = (cells.inner.width // 2 + 2 * room) * 2
+    first = cells.room - 2 * room
+    within = slice(first, first + side)
+    good = cells.good[within, within]
+    counts = block_sums(good, 2)
+    values = block_sums(np.where(good, cells.values[within, within], 0.0), 2) / np.maximum(counts, 1.0)
+    matches = ShiftedMatches.about(values, counts > 0.0, room)
+    few = trace.one_to_a_pixel()
+    plain = _without_shadows(few)
+    lit = [few, *(plain.with_sun(sun) for sun in turned)]
+    light = np.stack([block_sums(cells.inner.cut(*one.at_middles()), 2) for one in lit])
+    return _least(matches, light[0]), _least(matches, light[1:])
 
 
 def independent_parts(cells: Cells, template: Template) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.relative.verification.cells import Cells
 
@@ -55,17 +55,35 @@ class ShiftedMatches(Value):
         -------
         ShiftedMatches
         """
-        from scipy.fft import next_fast_len, rfft2
-
         first = cells.room - room
         within = slice(first, cells.box.width - first)
-        good = cells.good[within, within].astype(np.float64)
-        values = np.where(good > 0.0, cells.values[within, within], 0.0)
-        values = values - values.sum() / max(good.sum(), 1.0) * good
-        length = next_fast_len(len(good), real=True)
+        return cls.about(cells.values[within, within], cells.good[within, within], room)
+
+    @classmethod
+    def about(cls, pixels: Float, good: Mask, room: int) -> ShiftedMatches:
+        """Transform an image of any pixels.
+
+        Parameters
+        ----------
+        pixels : (n, n) float64, DN
+        good : (n, n) bool
+            Those that count.
+        room : int
+            Pixels by which templates of n - 2 room pixels are shifted at most.
+
+        Returns
+        -------
+        ShiftedMatches
+        """
+        from scipy.fft import next_fast_len, rfft2
+
+        counted = good.astype(np.float64)
+        values = np.where(good, pixels, 0.0)
+        values = values - values.sum() / max(counted.sum(), 1.0) * counted
+        length = next_fast_len(len(counted), real=True)
         size, shifts = (length, length), 2 * room + 1
-        spectra = rfft2(np.stack([good, values, values**2]), size)
-        window = np.ones((len(good) - 2 * room,) * 2)
+        spectra = rfft2(np.stack([counted, values, values**2]), size)
+        window = np.ones((len(counted) - 2 * room,) * 2)
         number, total, squares = _products(spectra, window, size, shifts)
         number = np.maximum(np.rint(number), 1.0)
         variance = squares - total**2 / number
