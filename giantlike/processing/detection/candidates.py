@@ -136,14 +136,17 @@ def _above(filtered: FilteredImage, threshold_sigma: float) -> Mask:
 
 def _local_maxima(response: Image32, indices: NDArray[np.intp]) -> NDArray[np.intp]:
     """Those of some pixels above their eight neighbors; of equal ones only the first in reading order."""
-    rows, columns = response.shape
+    columns = response.shape[1]
     flat = response.ravel()
+    x, height = indices % columns, flat[indices]
     for dy, dx in _AROUND:
-        y, x = np.divmod(indices, columns)
-        inside = (y + dy >= 0) & (y + dy < rows) & (x + dx >= 0) & (x + dx < columns)
-        other = flat[np.where(inside, indices + dy * columns + dx, 0)]
-        higher = flat[indices] > other if (dy, dx) < (0, 0) else flat[indices] >= other
-        indices = indices[~inside | higher]
+        other = indices + (dy * columns + dx)
+        inside = (other >= 0) & (other < flat.size)
+        if dx:
+            inside &= x != (columns - 1 if dx > 0 else 0)
+        beside = flat[np.where(inside, other, 0)]
+        kept = np.flatnonzero(~inside | (height > beside if (dy, dx) < (0, 0) else height >= beside))
+        indices, x, height = indices[kept], x[kept], height[kept]
     return indices
 
 

@@ -160,7 +160,8 @@ def fit_stars(
 
 def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
     """Pairs (m, 2) of indices, in both orders, of points (n, 2) closer than ``reach_px``."""
-    pairs = cKDTree(points_px).query_pairs(reach_px, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+    tree = cKDTree(points_px, balanced_tree=False, compact_nodes=False)  # for one use: faster to build
+    pairs = tree.query_pairs(reach_px, output_type="ndarray").astype(np.int64).reshape(-1, 2)
     return np.concatenate([pairs, pairs[:, ::-1]])
 
 
@@ -281,24 +282,24 @@ class _Problem(Value):
             good=np.ones(n, dtype=bool),
             unsettled=np.zeros(n, dtype=bool),
         )
-        active = np.arange(n)
+        active, problem, now = np.arange(n), self, start
         last, pace = np.zeros_like(start), np.ones(n)
-        problem = self
-        for _ in range(steps):
-            if not active.size:
-                break
-            now = solution.parameters[active]
+        for done in range(1, steps + 1):
             covariance, step, chi2, count = problem.stepped(now)
             # A step back is a step too far: undersampled stars overshoot for ever at full length.
-            back = np.sum((step * last[active])[:, _NONLINEAR], axis=1) < 0.0
-            pace[active] = np.where(back, 0.5 * pace[active], np.minimum(1.0, 1.5 * pace[active]))
-            last[active] = step
-            solution.parameters[active] = now + pace[active, None] * step
-            solution.covariance[active], solution.chi2[active], solution.count[active] = covariance, chi2, count
-            still = _is_last(step, now, covariance, chi2 / count.clip(1))
-            if still.any():
-                more = np.flatnonzero(~still)
-                active, problem = active[more], problem.select(more)
+            back = np.einsum("nk,nk->n", step[:, _NONLINEAR], last[:, _NONLINEAR]) < 0.0
+            pace = np.where(back, 0.5 * pace, np.minimum(1.0, 1.5 * pace))
+            after = now + pace[:, None] * step
+            still = _is_last(step, now, covariance, chi2 / np.maximum(count, 1))
+            ended, more = np.flatnonzero(still | (done == steps)), np.flatnonzero(~still)
+            which = active[ended]
+            solution.parameters[which], solution.covariance[which] = after[ended], covariance[ended]
+            solution.chi2[which], solution.count[which] = chi2[ended], count[ended]
+            active, last, pace, now = active[more], step[more], pace[more], after[more]
+            if done == steps or not more.size:
+                break
+            if ended.size:
+                problem = problem.select(more)
         reach = 1.0 + _MAX_SHIFT_WIDTHS * self.psf_sigma_px
         away = solution.parameters[:, :2] - (self.corner_px + self.values_dn.shape[1] // 2)
         solution.good[:] = np.hypot(*away.T) <= reach
@@ -388,15 +389,16 @@ class _Problem(Value):
 
     def limited(self, parameters: Float, step: Float) -> Float:
         """Limit steps (n, 7) to the region in which the linearization is valid."""
-        reach = 0.7 * np.exp(parameters[:, 4]) + 0.2
+        flux, log_width = parameters[:, 2], parameters[:, 4]
+        reach = 0.7 * np.exp(log_width) + 0.2
         length = np.hypot(step[:, 0], step[:, 1])
         result = step.copy()
         result[:, :2] *= np.minimum(1.0, reach / np.maximum(length, 1e-300))[:, None]
-        flux = parameters[:, 2]
-        result[:, 2] = np.clip(step[:, 2], -0.7 * flux, 4.0 * flux)
-        limits = math.log(self.psf_sigma_px) + np.array([-_LOG_WIDTH_LIMIT, _LOG_WIDTH_LIMIT])
-        wanted = np.clip(parameters[:, 4] + np.clip(step[:, 4], -0.4, 0.4), *limits)
-        result[:, 4] = np.maximum(wanted, math.log(0.6 * MIN_PSF_SIGMA_PX)) - parameters[:, 4]
+        result[:, 2] = np.minimum(np.maximum(step[:, 2], -0.7 * flux), 4.0 * flux)
+        usual = math.log(self.psf_sigma_px)
+        least = max(usual - _LOG_WIDTH_LIMIT, math.log(0.6 * MIN_PSF_SIGMA_PX))
+        wanted = log_width + np.minimum(np.maximum(step[:, 4], -0.4), 0.4)
+        result[:, 4] = np.minimum(np.maximum(wanted, least), usual + _LOG_WIDTH_LIMIT) - log_width
         return result
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.processing.detection.matched_filter import recorded_width_px
+from giantlike.processing.detection.matched_filter import Image32, recorded_width_px
 from giantlike.processing.detection.patches import Patches
 
 CORE_WIDTHS = 2.0
@@ -35,6 +35,7 @@ _MODEL_ERROR = 0.08  # relative error of the star model in a pixel: no optics ar
 _PIXEL_COST = 4.0  # of a free pixel, in chi-square: the expected square of the highest of eight noise values
 _MOST_PIXELS = 12  # in which the light of a particle may be
 _REFUSED_SIGMAS = 4.0  # excess of chi-square over its degrees of freedom, in its standard deviations
+_LEAST = np.float32(1e-30)  # instead of a sum that is zero
 _STAR_UNKNOWNS = 4  # x, y, flux, background
 _LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # share of the power unexplained by a star, for lines and for other shapes
 _LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4  # limit of the second moment across a line, see above; px^2
@@ -87,10 +88,10 @@ def find_few_pixels(
     """
     n, gain = len(points_px), patches.gain_e_per_dn
     used = (core_of(patches, points_px, psf_sigma_px) & patches.valid & ~patches.saturated).reshape(n, -1)
-    share = patches.star_shares(points_px, widths_px).reshape(n, -1)
-    light = patches.values_dn.reshape(n, -1) - background_dn[:, None]
-    floor = patches.noise_dn[:, None] ** 2
-    star = _star_light(light, np.where(used, share, 0.0), share, floor, gain)
+    share = patches.star_shares(points_px, widths_px).reshape(n, -1).astype(np.float32)
+    light = (patches.values_dn.reshape(n, -1) - background_dn[:, None]).astype(np.float32)
+    floor = patches.noise_dn[:, None].astype(np.float32) ** 2
+    star = _star_light(light, share * used, share, floor, gain)
     variance = floor + star / gain + (_MODEL_ERROR * star) ** 2
     left = np.sum(np.where(used, (light - star) ** 2 / variance, 0.0), axis=1)
     freedom = np.maximum(used.sum(axis=1) - _STAR_UNKNOWNS, 1)
@@ -98,7 +99,8 @@ def find_few_pixels(
     not_star, n_pixels = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
     if not refused.size:
         return FewPixels(not_star=not_star, n_pixels=n_pixels)
-    few, n_pixels[refused], lit = _brightest_pixels(light[refused], used[refused], floor[refused], gain)
+    above, square = light[refused].astype(np.float64), floor[refused].astype(np.float64)
+    few, n_pixels[refused], lit = _brightest_pixels(above, used[refused], square, gain)
     some = patches.select(refused)
     x, y, xx, yy, xy = some.moments(points_px[refused], lit.reshape(some.values_dn.shape))
     xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
@@ -123,11 +125,11 @@ def _brightest_pixels(
     return single.sum(axis=1) - explained.max(axis=1), n_pixels.astype(np.int64), lit
 
 
-def _star_light(light: Float, used_share: Float, share: Float, floor: Float, gain_e_per_dn: float) -> Float:
+def _star_light(light: Image32, used_share: Image32, share: Image32, floor: Image32, gain_e_per_dn: float) -> Image32:
     """Light (n, pixels) of the star that fits best, never negative: its flux is the only unknown."""
-    flux = np.zeros((len(light), 1))
+    flux = np.zeros((len(light), 1), dtype=np.float32)
     for _ in range(2):  # the weights depend on the flux
         weight = used_share / (floor + flux * share / gain_e_per_dn)
         seen, expected = (np.einsum("ij,ij->i", weight, part)[:, None] for part in (light, share))
-        flux = np.maximum(seen / np.maximum(expected, 1e-300), 0.0)
+        flux = np.maximum(seen / np.maximum(expected, _LEAST), 0.0)
     return flux * share

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf
 
@@ -137,7 +138,7 @@ class Patches(Value):
     def moments(self, points_px: Float, light_dn: Float) -> Float:
         """Moments (5, n) of light (n, w, w) about points (n, 2) over its sum: x, y in px, and xx, yy, xy in px^2."""
         across, down = (np.stack([np.ones_like(d), d, d**2], axis=1) for d in self.offsets_px(points_px))
-        return _moments(light_dn, across, down)
+        return _moments(down @ light_dn @ across.swapaxes(1, 2))
 
     def elongation(self, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
         """Largest second moment (n,) in a Gaussian window as wide as a star, in units of the window's.
@@ -161,10 +162,15 @@ class Patches(Value):
             np.stack([np.ones_like(d), d, d**2], axis=1) * np.exp(-0.5 * (d / window_px) ** 2)[:, None]
             for d in (dx, dy)
         )
-        light = self.values_dn - background_dn[:, None, None]
-        star = self.star_shares(points_px, np.full(len(points_px), max(psf_sigma_px, MIN_PSF_SIGMA_PX)))
-        seen, expected = (_moments(np.where(self.valid, image, 0.0), across, down) for image in (light, star))
-        _, _, xx, yy, xy = seen - expected
+        light = np.where(self.valid, self.values_dn - background_dn[:, None, None], 0.0)
+        width = np.full(len(points_px), max(psf_sigma_px, MIN_PSF_SIGMA_PX))
+        one, two = (pixel_shares(self.corner_px[:, k], self.size_px, points_px[:, k], width)[0] for k in (0, 1))
+        star = (down @ two[:, :, None]) @ (across @ one[:, :, None]).swapaxes(1, 2)
+        part = np.flatnonzero(~self.valid.all(axis=(1, 2)))
+        if part.size:
+            shares = two[part, :, None] * one[part, None, :] * self.valid[part]
+            star[part] = down[part] @ shares @ across[part].swapaxes(1, 2)
+        _, _, xx, yy, xy = _moments(down @ light @ across.swapaxes(1, 2)) - _moments(star)
         longest: Float = ((xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)) / window_px**2 + 0.5
         return longest
 
@@ -182,9 +188,8 @@ class Patches(Value):
         return np.where(np.isfinite(level), level, 0.0)
 
 
-def _moments(light_dn: Float, across: Float, down: Float) -> Float:
-    """Moments (5, n) of light (n, w, w) by powers 0, 1, 2 of its columns and of its rows (n, 3, w)."""
-    sums = down @ light_dn @ across.swapaxes(1, 2)
+def _moments(sums: Float) -> Float:
+    """Moments (5, n) of sums (n, 3, 3) of light times powers 0, 1, 2 of its rows and of its columns."""
     moments = np.stack([sums[:, 0, 1], sums[:, 1, 0], sums[:, 0, 2], sums[:, 2, 0], sums[:, 1, 1]])
     result: Float = moments / np.maximum(sums[:, 0, 0], 1e-300)
     return result
@@ -222,23 +227,41 @@ def cut_patches(
     -------
     Patches
     """
-    offsets = np.arange(-half_px, half_px + 1)
-    columns = points_px[:, 0, None] + offsets
-    rows = points_px[:, 1, None] + offsets
-    height, breadth = pixels.shape
-    inside = ((rows >= 0) & (rows < height))[:, :, None] & ((columns >= 0) & (columns < breadth))[:, None, :]
-    index = (np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, breadth - 1)[:, None, :])
-    valid = inside if bad is None else inside & ~bad[index]
-    values = np.where(valid, pixels[index].astype(np.float64), 0.0)
+    corner = np.asarray(points_px - half_px, dtype=np.int64)
+    values, valid = _squares(pixels, bad, corner, 2 * half_px + 1)
     return Patches(
         values_dn=values,
         valid=valid,
         saturated=valid & (values >= detector.saturation_dn),
-        corner_px=np.asarray(points_px - half_px, dtype=np.int64),
+        corner_px=corner,
         noise_dn=np.broadcast_to(np.asarray(noise_dn, dtype=np.float64), len(points_px)),
         gain_e_per_dn=detector.gain_e_per_dn,
         relative_noise=detector.relative_noise,
     )
+
+
+def _squares(
+    pixels: NDArray[np.generic], bad: Mask | None, corner_px: NDArray[np.int64], size_px: int
+) -> tuple[Float, Mask]:
+    """Pixels (n, w, w) of squares from these corners (x, y), (n, 2), and those that are good and in the image."""
+    values = np.empty((len(corner_px), size_px, size_px))
+    valid = np.ones(values.shape, dtype=bool)
+    height, breadth = pixels.shape
+    whole = ((corner_px >= 0) & (corner_px <= np.array([breadth, height]) - size_px)).all(axis=1)
+    if whole.any():
+        x, y = corner_px[whole].T
+        values[whole] = sliding_window_view(pixels, (size_px, size_px))[y, x]
+        if bad is not None:
+            valid[whole] = ~sliding_window_view(bad, (size_px, size_px))[y, x]
+    cut = np.flatnonzero(~whole)
+    if cut.size:
+        columns, rows = (corner_px[cut, k, None] + np.arange(size_px) for k in (0, 1))
+        inside = ((rows >= 0) & (rows < height))[:, :, None] & ((columns >= 0) & (columns < breadth))[:, None, :]
+        index = (np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, breadth - 1)[:, None, :])
+        values[cut], valid[cut] = pixels[index], inside if bad is None else inside & ~bad[index]
+    if not valid.all():
+        values[~valid] = 0.0
+    return values, valid
 
 
 def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Float) -> tuple[Float, Float, Float]:
