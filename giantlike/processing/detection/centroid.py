@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -36,6 +37,7 @@ from giantlike.processing.detection.patches import (
     chi2_inflation,
     inverses,
     pixel_shares,
+    shares_by_pixel,
 )
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
@@ -51,8 +53,8 @@ _PLANE = [3, 5, 6]  # level of the background and its slopes, of these unknowns
 _FACTORS = ((0, 1), (1, 0), (0, 0), (3, 3), (2, 0), (3, 4), (4, 3), (0, 2))
 """Functions of row and column whose product is the derivative of a pixel by each unknown, the second term of ln sigma
 last. Functions: share of the light, its derivatives by place and by ln sigma, one, and the distance from the middle."""
-_TERMS = np.array([5 * row + column for row, column in _FACTORS])
 _PAIR = {pair: k for k, pair in enumerate((i, j) for i in range(5) for j in range(i, 5))}
+_TERMS = np.array([15 * _PAIR[min(a, 3), max(a, 3)] + _PAIR[min(b, 3), max(b, 3)] for a, b in _FACTORS])
 _PAIRS = np.array(
     [15 * _PAIR[min(a, c), max(a, c)] + _PAIR[min(b, d), max(b, d)] for a, b in _FACTORS for c, d in _FACTORS]
 )
@@ -327,17 +329,15 @@ class _Problem(Value):
     def linearize(self, parameters: Float) -> tuple[Float, Float, Float, NDArray[np.int64]]:
         """Normal matrices (n, 7, 7), right sides (n, 7), chi-squares (n,) and numbers of pixels (n,)."""
         n, flux = len(parameters), parameters[:, 2]
-        factors = self._factors(parameters)
-        residual, weight = self._residuals(parameters, factors[0, :, 0], factors[1, :, 0])
+        columns, rows = self._products(parameters)
+        residual, weight = self._residuals(parameters, columns[:, :, _PAIR[0, 3]], rows[:, _PAIR[0, 3]])
         weighted = weight * residual
         chi2 = np.einsum("nij,nij->n", weighted, residual).astype(np.float64)
         # Every derivative is a product of a function of the row and one of the column, so that sums over pixels are
         # products of matrices: for pairs of derivatives with products of two functions each.
-        pairs = _products(factors)
-        sums = (pairs[1] @ (weight @ pairs[0].swapaxes(1, 2))).reshape(n, -1)
+        sums, single = ((rows @ (part @ columns)).reshape(n, -1) for part in (weight, weighted))
         gram = sums.take(_PAIRS, axis=1).astype(np.float64).reshape(n, _N_UNKNOWNS + 1, -1)
-        right = (factors[1] @ (weighted @ factors[0].swapaxes(1, 2))).reshape(n, -1).take(_TERMS, axis=1)
-        right = right.astype(np.float64)
+        right = single.take(_TERMS, axis=1).astype(np.float64)
         gram[:, 4] += gram[:, 7]  # the derivative by ln sigma has two terms
         gram[:, :, 4] += gram[:, :, 7]
         right[:, 4] += right[:, 7]
@@ -356,18 +356,26 @@ class _Problem(Value):
         diagonal *= 1.0 + _ROUNDING
         return normal, right, chi2, np.count_nonzero(weight, axis=(1, 2))
 
-    def _factors(self, parameters: Float) -> Image32:
-        """Functions (2, n, 5, w) of the column and of the row in the derivatives, those of the row times the flux."""
+    def _products(self, parameters: Float) -> tuple[Image32, Image32]:
+        """Products (n, w, 15) and (n, 15, w) of pairs of functions of the column and of the row, those times the flux.
+
+        They are made for one pixel and pair after the other, of all stars, and turned around.
+        """
         n, size = len(parameters), self.values_dn.shape[1]
         width = np.exp(parameters[:, 4])
-        places, corners = parameters[:, :2].T.ravel(), self.corner_px.T.ravel()
-        factors = np.empty((2 * n, 5, size), dtype=np.float32)
-        shares = pixel_shares(corners, size, places, np.concatenate([width, width]))
-        factors[:, 0], factors[:, 1], factors[:, 2] = shares
-        factors[n:, :3] *= parameters[:, 2, None, None].astype(np.float32)
+        shares = shares_by_pixel((self.corner_px - parameters[:, :2]).T, size, width)
+        factors = np.empty((2, 5, size, n), dtype=np.float32)
+        for k, part in enumerate(shares):
+            factors[0, k], factors[1, k] = part[:, 0], part[:, 1] * parameters[:, 2]
         factors[:, 3] = 1.0
-        factors[:, 4] = np.arange(size) - size // 2
-        return factors.reshape(2, n, 5, size)
+        factors[:, 4] = np.arange(size)[:, None] - size // 2
+        columns, rows = np.empty((size, 15, n), dtype=np.float32), np.empty((15, size, n), dtype=np.float32)
+        for k in range(5):
+            pairs = slice(_PAIR[k, k], _PAIR[k, 4] + 1)
+            np.multiply(factors[1, k:], factors[1, k], out=rows[pairs])
+            np.multiply(factors[0, k:], factors[0, k], out=columns.swapaxes(0, 1)[pairs])
+        turned = [np.asarray(cv2.transpose(part.reshape(-1, n)), dtype=np.float32) for part in (columns, rows)]
+        return turned[0].reshape(n, size, 15), turned[1].reshape(n, 15, size)
 
     def _residuals(self, parameters: Float, across: Image32, down: Image32) -> tuple[Image32, Image32]:
         """Residuals and inverse variances (n, w, w): shares (n, w) of columns times light (n, w) of rows."""
@@ -418,13 +426,3 @@ def _finished(patches: Patches, solution: _Solution) -> StarFits:
         reduced_chi2=solution.chi2 / freedom,
         converged=solution.good & (solution.count > _N_UNKNOWNS),
     )
-
-
-def _products(factors: Image32) -> Image32:
-    """Products (2, n, 15, w) of pairs of functions (2, n, 5, w), in the order of ``_PAIR``."""
-    pairs = np.empty((*factors.shape[:2], 15, factors.shape[3]), dtype=np.float32)
-    first = 0
-    for k in range(5):
-        np.multiply(factors[:, :, k:], factors[:, :, k, None], out=pairs[:, :, first : first + 5 - k])
-        first += 5 - k
-    return pairs

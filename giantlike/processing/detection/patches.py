@@ -281,15 +281,28 @@ def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Fl
     by_log_width : (n, size) float64
         By the natural logarithm of the width.
     """
-    scale = 1.0 / (math.sqrt(2.0) * width[:, None])
-    u = ((first - center)[:, None] + (np.arange(size + 1) - 0.5)) * scale
+    share, by_center, by_log_width = shares_by_pixel(first - center, size, width)
+    return share.T, by_center.T, by_log_width.T
+
+
+def shares_by_pixel(offset: Float, size: int, width: Float) -> tuple[Float, Float, Float]:
+    """Shares and derivatives (size, ...) of :func:`pixel_shares`: one operation on all sources, pixel after pixel.
+
+    Parameters
+    ----------
+    offset : (...) float64, px
+        First pixel minus center.
+    size : int, px
+    width : (...) float64, px
+    """
+    scale = 1.0 / (math.sqrt(2.0) * width)
+    steps = np.arange(size + 1).reshape(-1, *[1] * offset.ndim) - 0.5
+    u = (offset + steps) * scale
     bell = np.exp(-u * u)
     bell *= 1.0 / math.sqrt(math.pi)
     below = erf(u)
     u *= bell
-    share = 0.5 * (below[:, 1:] - below[:, :-1])
-    by_center = (bell[:, :-1] - bell[:, 1:]) * scale
-    return share, by_center, u[:, :-1] - u[:, 1:]
+    return 0.5 * (below[1:] - below[:-1]), (bell[:-1] - bell[1:]) * scale, u[:-1] - u[1:]
 
 
 def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[Float, Float]:
