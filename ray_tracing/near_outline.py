@@ -33,6 +33,7 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # golden ratio: fills an interval evenly
 _DEPTHS, _ASIDES = np.array([0.005, 0.015, 0.025, 0.035]), np.array([-0.015, 0.0, 0.015])
 """Where the brightness is averaged, inward and along the outline, as fractions of the radius of the body."""
 _PSF_REACH_SIGMA = 3.5  # beyond and half a pixel lies a ten-thousandth of the light
+_PASSES_PER_ADDITION = 7  # pixels of passes over whole images that cost as much as adding the light of a pixel to one
 _OPTIONS = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
 
 
@@ -262,6 +263,9 @@ def _spread(images: NDArray[np.float32], pixels: NDArray[np.int64], light: Float
     share = Cells(0, per_side, per_side).spread(-reach, width, sigma_px).toarray().astype(np.float32)
     by_rays = np.moveaxis(light, 0, -1).astype(np.float32).reshape(len(pixels), per_side, per_side, count)
     corner = pixels[:, 1] * columns + pixels[:, 0] - reach
+    if _PASSES_PER_ADDITION * len(pixels) * width**2 < rows * columns * count * per_side:
+        _scatter(images, by_rays, share, corner - reach * columns)
+        return
     for number in range(per_side):
         sideways = np.zeros((rows, columns, count), np.float32)
         flat = sideways.reshape(-1, count)
@@ -271,3 +275,20 @@ def _spread(images: NDArray[np.float32], pixels: NDArray[np.int64], light: Float
         down = np.ascontiguousarray(share[::-1, number])
         spread = cv2.sepFilter2D(sideways, -1, np.ones(1, np.float32), down, borderType=cv2.BORDER_REPLICATE)
         images += spread.reshape(images.shape)
+
+
+def _scatter(
+    images: NDArray[np.float32], by_rays: NDArray[np.float32], share: NDArray[np.float32], corner: NDArray[np.int64]
+) -> None:
+    """Add the light of rays (n, rows, columns, laws) to images, spread down and across as ``share`` (width, rays) says.
+
+    ``corner`` (n,) is where the light of each pixel begins.
+    """
+    _, columns, count = images.shape
+    width, per_side = share.shape
+    down = np.matmul(share, by_rays.reshape(len(by_rays), per_side, -1)).reshape(-1, width, per_side, count)
+    both = np.moveaxis(np.matmul(share, down), 0, 2)  # (width, width, n, laws)
+    flat = images.reshape(-1, count)
+    for row in range(width):
+        for column in range(width):
+            flat[corner + (row * columns + column)] += both[row, column]

@@ -63,8 +63,8 @@ class SmoothError:
             Across the limb.
         """
         places = points_px if self.along is None else points_px @ np.array(self.along)[:, None]
-        apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
-        result: Float = self.sigma_px**2 * np.exp(-apart / self.length_px)
+        square = sum((place[:, None] - place) ** 2 for place in places.T)  # half the time of norms of rows of two
+        result: Float = self.sigma_px**2 * np.exp(np.sqrt(square) / -self.length_px)
         return result
 
 

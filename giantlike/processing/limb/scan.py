@@ -74,6 +74,11 @@ class Scans(Value):
     values_dn: Float
     usable: Mask
 
+    def some(self, lines: slice) -> Scans:
+        """Return some of the lines."""
+        part = self.points_px[lines], self.normals_px[lines]
+        return Scans(*part, self.offsets_px, self.values_dn[lines], self.usable[lines])
+
     @property
     def step_px(self) -> float:
         """Distance between neighboring places, px."""

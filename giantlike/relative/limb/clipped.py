@@ -105,13 +105,7 @@ def clipped_profiles(
     def sampled(image: Float) -> Float:
         return values_on_lines(image, scans.points_px, scans.normals_px, scans.offsets_px)
 
-    few = Scans(
-        scans.points_px[::_EACH_LINE],
-        scans.normals_px[::_EACH_LINE],
-        scans.offsets_px,
-        scans.values_dn[::_EACH_LINE],
-        scans.usable[::_EACH_LINE],
-    )
+    few = scans.some(slice(None, None, _EACH_LINE))
 
     def clip(image: Float) -> tuple[Float, Float]:
         return clipped_mean(image, level_dn, np.sqrt(variance(image)))

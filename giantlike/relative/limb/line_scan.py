@@ -44,7 +44,13 @@ from giantlike.relative.limb.fix import (
     next_motion_px,
     settle_limb,
 )
-from giantlike.relative.limb.profiles import LimbScanOptions, expected_profiles, match_lines, step_shortfall
+from giantlike.relative.limb.profiles import (
+    ExpectedProfiles,
+    LimbScanOptions,
+    expected_profiles,
+    match_lines,
+    step_shortfall,
+)
 
 _OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)  # of an outline all around: a degree is 2 px at a radius of 100
 _COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
@@ -55,6 +61,11 @@ _FIRST_SEARCH_PX = 3.0
 """Distance that lines are searched farther in the first measurement, px: room for the error of the coarse search."""
 _FIRST_LINES = 100
 """Lines of the first measurement, which only needs to be good to the width of a profile."""
+_FIRST_MATCHES = 3
+"""Most matches of the first measurement: as its lines stand beside the places that they are compared with, relief of
+the outline moves the body by a tenth of that. Of nine rocks of 300 px errors fell from 0.0054 to 0.0042 px by it."""
+_FIRST_TOLERANCE_PX = 0.1
+"""Motion of the limb below which it needs no other match."""
 _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
 """Share of the relief by which a limb may still move, and reliefs by which lines are searched farther."""
 _STEP_SHADOW_PX = 0.1
@@ -366,20 +377,72 @@ class LineScan(Value):
             ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``.
         """
         view, options, body = self.view, self.options, self.body.at(position_camera_km)
-        search_px = options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
         limb = self._limb(body, first=psf_px2 is None)
         if isinstance(limb, Failure):
             return limb
-        offsets = line_offsets(options.window_px + search_px, options.step_px)
-        usable = view.with_clipped if options.edges is EdgeModel.TEMPLATE else view.usable
-        scans = scan_lines(view.pixels_dn, usable, limb.points_px, limb.normals_px, offsets)
+        scans = self._scans(limb, self._offsets(extra_px))
         width = _psf_sigma(view, scans, options) if psf_px2 is None else math.sqrt(psf_px2)
         if isinstance(width, Failure):
             return width
         profiles = expected_profiles(view, body, scans, width**2, options, first=psf_px2 is None)
         if isinstance(profiles, Failure):
             return profiles
+        found = self._matched(position_camera_km, limb, scans, profiles, width)
+        if isinstance(found, Failure) or psf_px2 is not None:
+            return found
+        return self._rematched(found, limb, profiles, width, offsets_px=scans.offsets_px)
+
+    def _rematched(
+        self,
+        found: LineMeasurement,
+        limb: PredictedLimb,
+        profiles: ExpectedProfiles,
+        width: float,
+        *,
+        offsets_px: Float,
+    ) -> LineMeasurement:
+        """Match profiles again where the body was found by them, until it stands still: they move as it does.
+
+        The first match stands where another moves the body on by more than half as far: it does not lead there.
+        """
+        model, outlier_mad, first = self.view.model, self.search.outlier_mad, found
+        step_km = agreeing_step(found, outlier_mad).position_km
+        before_px = float(np.max(np.abs(found.design @ step_km)))
+        for _ in range(_FIRST_MATCHES - 1):
+            points_km = limb.points_camera_km + step_km
+            moved_px = model.project(points_km) - model.project(limb.points_camera_km)
+            moved = replace(limb, points_px=limb.points_px + moved_px, points_camera_km=points_km)
+            again = self._matched(found.position_camera_km, moved, self._scans(moved, offsets_px), profiles, width)
+            if isinstance(again, Failure):
+                return first
+            found = replace(again, shift_px=again.shift_px + again.design @ step_km)
+            next_km = agreeing_step(found, outlier_mad).position_km
+            further_px, step_km = float(np.max(np.abs(found.design @ (next_km - step_km)))), next_km
+            if further_px < _FIRST_TOLERANCE_PX:
+                return found
+            if further_px > 0.5 * before_px:
+                return first
+            before_px = further_px
+        return found
+
+    def _offsets(self, extra_px: float = 0.0) -> Float:
+        """Places (m,) along lines, px, from the limb; ``extra_px`` farther than ``options`` say."""
+        search_px = self.options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
+        return line_offsets(self.options.window_px + search_px, self.options.step_px)
+
+    def _scans(self, limb: PredictedLimb, offsets_px: Float) -> Scans:
+        """The image along the lines across a limb."""
+        view = self.view
+        usable = view.with_clipped if self.options.edges is EdgeModel.TEMPLATE else view.usable
+        return scan_lines(view.pixels_dn, usable, limb.points_px, limb.normals_px, offsets_px)
+
+    def _matched(
+        self, position_camera_km: Float, limb: PredictedLimb, scans: Scans, profiles: ExpectedProfiles, width: float
+    ) -> LineMeasurement | Failure:
+        """Match lines with their profiles, which were made with a point spread function of some ``width``, px."""
+        view, options, offsets = self.view, self.options, scans.offsets_px
         loose = self.relief_px > 0.0 or options.edges is EdgeModel.STEP
+        search_px = offsets[-1] - options.window_px
         found = match_lines(view, scans, profiles, window_px=options.window_px, search_px=search_px, loose=loose)
         match, good, rejected = found.match, found.good, found.rejected
         area = pixels_near(limb.points_px, limb.normals_px, offsets, view.usable.shape)
@@ -402,7 +465,7 @@ class LineScan(Value):
             keep=np.ones(int(good.sum()), dtype=bool),
             common_px={cause: shared[good] for cause, shared in found.common_px.items()},
             smooth_errors=tuple(errors),
-            position_camera_km=body.position_camera_km,
+            position_camera_km=position_camera_km,
             spacing_px=self.lines.spacing_px,
             perimeter_px=self.lines.perimeter_px,
             cut_by_frame=self.lines.cut_by_frame,
@@ -411,7 +474,7 @@ class LineScan(Value):
             relief=self.relief,
             psf_px2=width**2 + found.psf_px2,
             unmeasured_px=limb.points_px[~good],
-            rotation_design=np.cross(limb.points_camera_km[good] - body.position_camera_km, design),
+            rotation_design=np.cross(limb.points_camera_km[good] - position_camera_km, design),
         )
 
     def _limb(self, body: Body, *, first: bool) -> PredictedLimb | Failure:
