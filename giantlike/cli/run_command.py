@@ -33,11 +33,13 @@ def run(
     Writes the run folder that the campaign names: tables, report.html, provenance.json, log.jsonl. On a folder that
     holds results, what nothing has changed for is kept; what is redone is said first.
     """
-    if dask is None and path.is_file() and (workers or available_cpus()) > 1:
+    alone = (workers or available_cpus()) == 1
+    if dask is None and path.is_file() and not alone:
         start_server(*WORKER_MODULES)  # it imports while this process does
     with importing():
         from giantlike.cli.run_session import run_and_print
-    keep_memory()
+    if alone:
+        keep_memory()
 
     return run_and_print(
         path, workers=workers, verbose=verbose, watch_every_s=every if watch else None, dask=dask, json=json
