@@ -198,9 +198,11 @@ square centimeter; the scale height is about the mean below 30 km. Clouds and mu
 000 measured 25 km, which is 1 sigma above. Mars: dust with a scale height of 11.56 km and a depth of 0.9 that fell by
 0.6 % a day (Lemmon et al. 2004, abstract); seasons go below and far beyond. Venus: a vertical depth of 0.01 at 80 to
 85 km with a scale height of 1 to 3 km (Lane and Opstbaum 1983, abstract), above the solid surface. Titan: main haze
-above 80 km as the Huygens probe found it, by numbers that could not be looked up, so that the sigma is wide; the
+above 80 km as the Huygens probe found it at 10 degrees south (Tomasko et al. 2008), by the numbers that the code SRTC++
+(``atmosphere::DISR08``) states from there: a depth of 1.012e7 over the wavelength in nm to the power of 2.339, 3.9 at
+550 nm, and a scale height of 65 km. The sigma is wide because other latitudes and seasons were not seen by it; the
 detached haze in the ultraviolet is not in it, at 500 +- 8 km from 2005 to 2007 (Seignovert et al. 2017, abstract,
-doi:10.1016/j.icarus.2017.03.026).
+doi:10.1016/j.icarus.2017.03.026), gone from 2012 to 2015 (Seignovert et al. 2021, abstract, arXiv:2102.05384).
 
 Of giant planets the radii are those of a pressure of 1 bar, and the limb is haze above the clouds, with sigmas that
 cover what lies between. Jupiter: clouds end near 0.2 bar, with haze of a vertical depth of 0.3 to 0.6 above (Kuehn and
