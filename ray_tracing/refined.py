@@ -15,7 +15,7 @@ from giantlike.ray_tracing.sampling import Cells
 from giantlike.ray_tracing.trace import TracedRays, trace_rays
 from giantlike.ray_tracing.tracer import Indices
 
-_UNEVEN = 0.1
+UNEVEN = 0.1
 """Range of the light of neighboring cells over that of the brightest, from which a cell is refined."""
 
 
@@ -99,7 +99,7 @@ class RefinedTrace(Value):
         return self.rays.brightness(law)
 
 
-def refined(trace: Trace, factor: int) -> RefinedTrace:
+def refined(trace: Trace, factor: int, *, uneven: float = UNEVEN) -> RefinedTrace:
     """Split the cells of a trace where its light is uneven, and trace the parts.
 
     Parts of a cell that is lit, as all around it are, are taken to be lit.
@@ -109,12 +109,14 @@ def refined(trace: Trace, factor: int) -> RefinedTrace:
     trace : Trace
     factor : int
         Parts along the side of a cell.
+    uneven : float
+        Range of the light of neighboring cells over that of the brightest, from which a cell is split.
 
     Returns
     -------
     RefinedTrace
     """
-    columns, rows = np.nonzero(_uneven(trace.cell_brightness(trace.body.reflectance)))
+    columns, rows = np.nonzero(_uneven(trace.cell_brightness(trace.body.reflectance), uneven))
     (x, y), model = trace.cells, trace.footprint.plane.model
     centers = np.stack([x.centers_px[columns], y.centers_px[rows]], axis=-1)
     axes = [model.unproject(centers), *np.moveaxis(model.unproject_jacobian(centers), -1, 0)]
@@ -129,7 +131,7 @@ def refined(trace: Trace, factor: int) -> RefinedTrace:
     return RefinedTrace(trace=trace, factor=factor, columns=columns, rows=rows, rays=rays)
 
 
-def _uneven(light: Float) -> Mask:
+def _uneven(light: Float, limit: float) -> Mask:
     """Return True for cells that differ from those around, or that have such neighbors."""
     around, image = np.ones((3, 3), np.uint8), light.astype(np.float32)
-    return np.asarray(cv2.dilate(image, around) - cv2.erode(image, around) > _UNEVEN * float(image.max()))
+    return np.asarray(cv2.dilate(image, around) - cv2.erode(image, around) > limit * float(image.max()))

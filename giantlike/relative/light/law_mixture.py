@@ -35,8 +35,8 @@ _FITTED = 4
 _MOST_FITTED = 0.75
 """Part of the variance of markings that these take, at most, so that what is left says something of them."""
 _ROUNDS, _SETTLED, _STEP = 5, 0.02, 0.1
-"""Rounds of the fit, which is nearly linear; change, over its standard deviation, that ends them; and step of its
-numerical derivative, a tenth of the way between laws."""
+"""Rounds of the fit, which is nearly linear, with new images and within each with new errors; change, over its standard
+deviation, that ends them; and step of its numerical derivative, a tenth of the way between laws."""
 _MOST = 1.0
 """Largest weight: from one of the laws to the other."""
 
@@ -49,13 +49,18 @@ class LawMixture(Value):
     ----------
     own : Template
         Under the law that is assumed.
-    flat, dark : (h, w) float64
-        Brightness of the same pixels under the laws of Lommel and Seeliger, and of Lambert.
+    change : (h, w) float64
+        Brightness of the same pixels under the law of Lambert less that under the law of Lommel and Seeliger, each over
+        its sum.
     """
 
     own: Template
-    flat: Float
-    dark: Float
+    change: Float
+
+    @classmethod
+    def of(cls, own: Template, *, flat: Float, dark: Float) -> LawMixture:
+        """Return the mixture of brightness (h, w) under a flat law and under one dark towards the terminator."""
+        return cls(own=own, change=dark / float(dark.sum()) - flat / float(flat.sum()))
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> LawMixture:
         """Return the same in coordinates that start at a pixel (2,)."""
@@ -73,8 +78,7 @@ class LawMixture(Value):
         -------
         Template
         """
-        change = self.dark / float(self.dark.sum()) - self.flat / float(self.flat.sum())
-        brightness = self.own.brightness + weight * float(self.own.brightness.sum()) * change
+        brightness = self.own.brightness + weight * float(self.own.brightness.sum()) * self.change
         return replace(self.own, brightness=np.maximum(brightness, 0.0))
 
 
@@ -145,6 +149,38 @@ class _Blocks(Value):
         return np.bincount(self.number, light.variance_dn2(signal)).astype(np.float64)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Weighing(Value):
+    """Linear problem of the weight: light (blocks,) of the image, its photon variance, and what a weight changes."""
+
+    blocks: _Blocks
+    light_dn: Float
+    photon_dn2: Float
+    by_weight_dn: Float
+
+    def solved(self, expected_dn: Float, at: float, *, first: bool) -> tuple[float, float]:
+        """Weight and its variance, from the light (blocks,) expected at a weight.
+
+        The first time without the prior: what a wrong law leaves over looks like markings, with which the law counts
+        little.
+        """
+        weight, variance, photon = at, _WEIGHT_SIGMA**2, self.photon_dn2
+        for number in range(_ROUNDS):
+            expected = expected_dn + (weight - at) * self.by_weight_dn
+            left, level = self.light_dn - expected, np.maximum(expected, np.sqrt(photon))
+            # The range, and with it the brightness, is not exact.
+            left, slope = (each - float(each.sum()) / float(level.sum()) * level for each in (left, self.by_weight_dn))
+            marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
+            errors = photon + marked * self.blocks.clustering(left / level) * level**2
+            prior = 0.0 if first and number == 0 else 1.0 / _WEIGHT_SIGMA**2
+            information = max(float(np.sum(slope**2 / errors)) + prior, 1e-12)
+            change = (float(np.sum(slope * left / errors)) - weight * prior) / information
+            before, weight, variance = weight, float(np.clip(weight + change, -_MOST, _MOST)), 1.0 / information
+            if number > 0 and abs(weight - before) < _SETTLED * math.sqrt(variance):
+                break
+        return weight, variance
+
+
 def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     """Fit the weight of a mixture of laws to the brightness of blocks of the body.
 
@@ -166,26 +202,23 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     """
     center = light.center_px(light.threshold_dn)
     blocks = _blocks_of(light, laws.own, center, radius_px)
-    weight, variance = 0.0, _WEIGHT_SIGMA**2
-    photon = blocks.photon(light)
-    first, other = (_placed(light, laws.at(each), center) for each in (0.0, _STEP))
-    by_weight = blocks.sums(other - first) / _STEP
-    for number in range(_ROUNDS):
-        expected = first if weight == 0.0 else _placed(light, laws.at(weight), center)
-        left, level = blocks.sums(light.signal_dn - expected), np.maximum(blocks.sums(expected), np.sqrt(photon))
-        # The range, and with it the brightness, is not exact.
-        left, slope = (each - float(each.sum()) / float(level.sum()) * level for each in (left, by_weight))
-        marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
-        errors = photon + marked * blocks.clustering(left / level) * level**2
-        # First without the prior: what a wrong law leaves over looks like markings, with which the law counts little.
-        prior = 0.0 if number == 0 else 1.0 / _WEIGHT_SIGMA**2
-        information = max(float(np.sum(slope**2 / errors)) + prior, 1e-12)
-        change = (float(np.sum(slope * left / errors)) - weight * prior) / information
-        before, weight, variance = weight, float(np.clip(weight + change, -_MOST, _MOST)), 1.0 / information
-        if number > 0 and abs(weight - before) < _SETTLED * math.sqrt(variance):
+    template = laws.own
+    expected, other = (_placed(light, each, center) for each in (template, laws.at(_STEP)))
+    problem = _Weighing(
+        blocks=blocks,
+        light_dn=blocks.sums(light.signal_dn),
+        photon_dn2=blocks.photon(light),
+        by_weight_dn=blocks.sums(other - expected) / _STEP,
+    )
+    weight, variance = problem.solved(blocks.sums(expected), 0.0, first=True)
+    placed_at = 0.0
+    for _ in range(_ROUNDS):
+        if abs(weight - placed_at) < _SETTLED * math.sqrt(variance):
             break
-    template = laws.at(weight)
-    expected = _placed(light, template, center)
+        placed_at, template = weight, laws.at(weight)
+        expected = _placed(light, template, center)
+        weight, variance = problem.solved(blocks.sums(expected), placed_at, first=False)
+    weight = placed_at
     moved = light.offset_px(laws.at(weight + _STEP), light.threshold_dn) - light.offset_px(template, light.threshold_dn)
     residuals = light.signal_dn - expected
     unexplained_px2, markings = _unexplained(light, expected, center, blocks)
@@ -242,9 +275,20 @@ def _placed(light: BodyLight, template: Template, center_px: Float) -> Float:
     kept = kept if kept.any() else expected
     own = np.array([kept.sum(axis=0) @ np.arange(kept.shape[1]), kept.sum(axis=1) @ np.arange(kept.shape[0])])
     shift = center_px - own / float(kept.sum())
+    whole = np.floor(shift)
+    along, down = (_taps(float(each)) for each in shift - whole)
+    filtered = cv2.sepFilter2D(expected, cv2.CV_64F, along, down, borderType=cv2.BORDER_CONSTANT)
+    moved = filtered.astype(np.float64, copy=False)
     rows, columns = light.region.shape
-    onto = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
-    return np.asarray(cv2.warpAffine(expected, onto, (columns, rows), flags=cv2.INTER_CUBIC), dtype=np.float64)
+    return PixelBox(x=0, y=0, width=columns, height=rows).cut(moved, (int(whole[0]), int(whole[1])))
+
+
+def _taps(share: float) -> Float:
+    """Weights (7,) of the pixels around one in an image moved by a ``share`` of a pixel: a polynomial through six."""
+    nodes = np.arange(-3, 3)
+    others = np.tile(nodes, (6, 1))[~np.eye(6, dtype=bool)].reshape(6, 5)
+    weights = ((-share - others) / (nodes[:, None] - others)).prod(axis=1)
+    return np.append(weights, 0.0)
 
 
 def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks: _Blocks) -> tuple[Float, float]:

@@ -15,14 +15,13 @@ from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.processing.limb.segmentation import ExpectedBlob
 from giantlike.ray_tracing import (
-    FocalPlane,
     Lambert,
     LommelSeeliger,
     RenderOptions,
     Template,
     disk_photocenter,
-    trace_body,
 )
+from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.light.law_mixture import LawFit, LawMixture, fit_law
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
@@ -59,6 +58,9 @@ _LEAST_LIT = 0.05  # of the disk, as of ``unresolved``
 _RAYS_ACROSS, _RAYS_SIZE_PX = (96, 300), 40.0
 """Rays across a full disk, and its size up to which the least number will do: what they leave of its light grows with
 the size and falls with the power 3/2 of their number. A crescent gets as many. See ``_SAMPLING_PX``."""
+_MOST_RAYS = 24  # along the side of a pixel: bounds the cost of small bodies
+_BLOCKS_ACROSS = 150
+"""Blocks of pixels across a disk, of which each gets one ray where light is even; those of small ones are of 2 px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,8 +137,8 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
         """Find the body of gathered inputs."""
-        geometry, search_px = inputs.geometry, self.options.search_px
-        laws = _laws(geometry, inputs.focal_plane(), diameter_px=2.0 * inputs.radius_px, margin_px=math.ceil(search_px))
+        search_px = self.options.search_px
+        laws = _laws(inputs, math.ceil(search_px))
         if isinstance(laws, Failure):
             return laws
         prediction = Prediction(
@@ -269,30 +271,28 @@ def _edge_error(light: BodyLight, template: Template, level: float) -> float:
     return min(math.hypot(_SETTLED_EDGE_PX, shown_px), _EDGE_PX)
 
 
-def _laws(geometry: TargetGeometry, plane: FocalPlane, *, diameter_px: float, margin_px: int) -> LawMixture | Failure:
+def _laws(inputs: EstimatorInputs, margin_px: int) -> LawMixture | Failure:
     """The body at its predicted place under its own law, a flat one and that of Lambert."""
+    geometry, camera, diameter_px = inputs.geometry, inputs.camera, 2.0 * inputs.radius_px
     lit = max(0.5 * (1.0 + math.cos(geometry.phase_angle_rad)), _LEAST_LIT)
     rays_across = _RAYS_ACROSS[0] * max(diameter_px / _RAYS_SIZE_PX, 1.0) ** (2.0 / 3.0) / math.sqrt(lit)
-    trace = trace_body(
+    size = max(round(diameter_px / _BLOCKS_ACROSS), 2)
+    templates = block_templates(
         geometry.body(),
-        plane.model,
+        BlockedPlane(
+            plane=inputs.focal_plane(), model=camera.binned(size, detector=camera.detector).model, size_px=size
+        ),
+        (geometry.target.reflectance, LommelSeeliger(), Lambert()),
         sun_direction_camera=geometry.sun_direction_camera,
-        psf=plane.psf,
-        columns=plane.columns,
-        rows=plane.rows,
         options=RenderOptions(
-            rays_per_pixel_side=1, min_rays_across=math.ceil(min(rays_across, _RAYS_ACROSS[1])), margin_px=margin_px
+            rays_per_pixel_side=min(max(round(min(rays_across, _RAYS_ACROSS[1]) / diameter_px), 1), _MOST_RAYS),
+            margin_px=margin_px,
         ),
     )
-    if isinstance(trace, Failure):
-        return trace
-    found = []
-    for law in (geometry.target.reflectance, LommelSeeliger(), Lambert()):
-        template = trace.with_reflectance(law).template()
-        if isinstance(template, Failure):
-            return template
-        found.append(template)
-    return LawMixture(own=found[0], flat=found[1].brightness, dark=found[2].brightness)
+    if isinstance(templates, Failure):
+        return templates
+    own, flat, dark = templates
+    return LawMixture.of(own, flat=flat.brightness, dark=dark.brightness)
 
 
 def _other_targets(inputs: EstimatorInputs) -> list[ExpectedBlob]:

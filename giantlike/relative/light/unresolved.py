@@ -257,6 +257,7 @@ def _fitted(
         options=TemplateFitOptions(
             log_range_sigma=options.range_sigma,
             blur_sigma_px2=UNKNOWN_BLUR_SIGMA_PX2 if inputs.psf_sigma_px is None else KNOWN_BLUR_SIGMA_PX2,
+            fine_at_once=True,
         ),
     )
 

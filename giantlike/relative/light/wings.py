@@ -79,7 +79,7 @@ def with_wings(laws: LawMixture, share: float, psf_sigma_px: float) -> LawMixtur
         return (1.0 - share) * brightness + share * _blurred(brightness, _WIDTHS * psf_sigma_px)
 
     own = replace(laws.own, brightness=spread(laws.own.brightness))
-    return LawMixture(own=own, flat=spread(laws.flat), dark=spread(laws.dark))
+    return LawMixture(own=own, change=spread(laws.change))
 
 
 def _blurred(image: Float, sigma_px: float) -> Float:

@@ -67,6 +67,9 @@ class TemplateFitOptions:
         Standard deviation of the errors of the shape along its radii, as a fraction of the radius.
     relief_length_px : float, px
         Their correlation length: at a distance d they have the correlation ``exp(-d^2 / (2 relief_length_px^2))``.
+    fine_at_once : bool
+        Render finely from the first: for bodies so small that rough renders save nothing, which then take one render
+        where the start is within ``tolerance_px``.
 
     Raises
     ------
@@ -81,6 +84,7 @@ class TemplateFitOptions:
     blur_sigma_px2: float = 0.15
     relief_sigma: float = 0.0
     relief_length_px: float = 10.0
+    fine_at_once: bool = False
 
     def __post_init__(self) -> None:
         require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
@@ -200,7 +204,7 @@ def fit_template(
     that of a field of such relief with the given standard deviation and correlation length. The effect of relief on the
     shading is left to the residuals.
     """
-    trial, fine = start, False
+    trial, fine = start, options.fine_at_once
     last: _Solved | None = None
     for iteration in range(1, options.max_iterations + 1):
         images = synthesize(trial, fine)
