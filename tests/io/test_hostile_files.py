@@ -45,6 +45,7 @@ def test_damaged_files_of_every_kind_are_read_or_refused() -> None:
         ("heights geotiff", 2267, 71),
         ("heights geotiff", 3790, 71),
         ("heights geotiff", 746, 73),
+        ("heights tiled geotiff", 8454, 91),
         ("heights npz", 292, 71),
         ("heights tiled npz", 1744, 71),
         ("shape npz", 1158, 71),

@@ -62,9 +62,7 @@ def _grid_of(path: Path, page: Any, radii_km: Float | None, unit_km: float | Non
         major = _number(tags, "GeogSemiMajorAxisGeoKey", 0.0)
         check(major > 0.0, "it tells no radius of the body: give reference_radii_km")
         radii_km = np.array([major, major, _number(tags, "GeogSemiMinorAxisGeoKey", major)]) / 1000.0
-    scale, tie = tags.get("ModelPixelScale"), tags.get("ModelTiepoint")
-    if scale is None or tie is None or len(scale) < 2 or len(tie) < 6:
-        raise ValueError("it has no ModelPixelScale and ModelTiepoint, so that nothing tells where the map lies")
+    scale, tie = _numbers(tags, "ModelPixelScale", 2), _numbers(tags, "ModelTiepoint", 6)
     degrees = np.array([scale[0], scale[1], tie[3], tie[4]], dtype=np.float64)
     if _number(tags, "GTModelTypeGeoKey", 0.0) == 1:
         transform = _number(tags, "ProjCoordTransGeoKey", 17.0)
@@ -97,7 +95,18 @@ def _grid_of(path: Path, page: Any, radii_km: Float | None, unit_km: float | Non
 
 
 def _number(tags: Mapping[str, Any], name: str, default: float) -> float:
-    value = tags.get(name, default)
+    return _checked_number(name, tags.get(name, default))
+
+
+def _numbers(tags: Mapping[str, Any], name: str, least: int) -> tuple[float, ...]:
+    """Numbers of a tag that tells where the map lies."""
+    values = tags.get(name, ())
+    if not isinstance(values, tuple | list) or len(values) < least:
+        raise ValueError(f"nothing tells where the map lies: {name} is {values!r}, where {least} numbers are needed")
+    return tuple(_checked_number(name, value) for value in values)
+
+
+def _checked_number(name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} is {value!r}, where a number is needed")
     return float(value)
