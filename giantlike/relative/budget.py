@@ -36,6 +36,8 @@ likely with 0.005: squared errors of the surest quarter were 1.3 to 2.2 times th
 With 0.004 they are 1.1 to 1.3 of it, and those of exact rocks of 120 px 0.57 (with 0.005 0.47). Renders alone are right
 to 0.006 px (``template.rendering``).
 """
+_MEASURED_PX = 20.0
+"""Diameter, px, from which on that was measured. Smaller bodies get as many rays, and the error shrinks with them."""
 _OUTLINE_POINTS = 72
 """Points of an outline over which a distortion is averaged, every 5 deg: distortions are smooth polynomials."""
 _LEAST_RADIUS_PX = 1.0
@@ -161,7 +163,9 @@ def with_rendering_error(fix: AnyFix, model: CameraModel, radius_px: float) -> A
     -------
     CenterFix or PositionFix
     """
-    sigma = np.array([RENDERING_PX, RENDERING_PX, RENDERING_PX / radius_px])
+    shrunk = min(2.0 * radius_px / _MEASURED_PX, 1.0)
+    range_sigma = RENDERING_PX / max(radius_px, _MEASURED_PX / 2.0)
+    sigma = np.array([RENDERING_PX * shrunk, RENDERING_PX * shrunk, range_sigma])
     size = 3 if isinstance(fix, PositionFix) else 2
     return with_error(fix, model, Cause.NOISE, np.diag(sigma[:size] ** 2))
 

@@ -15,11 +15,12 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector, GaussianPsf
-from giantlike.core.outcomes import Failure, PositionFix, Quality
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.gauntlet.bodies import rock
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
+from giantlike.relative import Moment
 from giantlike.relative.estimator import EstimatorInputs, gather
 from giantlike.relative.place import place_covariance
 from giantlike.relative.quality import LEAST_CHANCE
@@ -193,6 +194,23 @@ def test_a_smear_makes_a_fix_less_certain_and_wings_of_the_optics_do_not() -> No
         grown.append(found.covariance_px2[0, 0] / fix_at(inputs).covariance_px2[0, 0])
     assert grown[0] == 1.0
     assert grown[1] > 1.5
+
+
+def test_a_limb_that_a_told_range_leaves_elsewhere_is_no_blur() -> None:
+    focal_px, size, middle = 20000.0, 440, 219.5  # a radius of 150 px
+    view = PinholeView(focal_px, (middle, middle), size, size)
+    pose = Pose(np.array([0.0, 0.0, 1200.0]), TURN, sun_at(45.0))
+    signal = render_body(EllipsoidBody(RADII_KM), view, pose, law="mcewen", psf=Psf(0.7))
+    model = PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle, cy_px=middle)
+    camera = replace(CAMERA, columns=size, rows=size, model=model)
+    told = ApparentGeometry(
+        position_inertial_km=np.array([0.0, 0.0, 1188.6]), inertial_from_body=TURN, sun_direction_inertial=sun_at(45.0)
+    )
+    scene = Scene(targets=(Target(name="BODY", shape=Ellipsoid(radii_km=RADII_KM), ephemeris=told),))
+    image = Image(pixels=record(signal, np.random.default_rng(1)).pixels, camera_from_inertial=Rotation.identity())
+    fix = Moment().estimate(image, camera, scene)
+    assert isinstance(fix, CenterFix)
+    assert Quality.BLURRED not in fix.flags
 
 
 def test_rows_that_are_shifted_and_a_roll_are_another_figure_unless_declared() -> None:
