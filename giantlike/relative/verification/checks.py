@@ -38,8 +38,9 @@ _LINEAR = 0.01
 """Motion over the radius, and change of the range, up to which derivatives of the coarse render tell the residuals: a
 fifth of a cell."""
 _SHARP_PX = 0.4
-"""Motion of a limb, px, up to which its square, which looks like a blur, is within half of the standard deviation that
-the optics that are told leave to a blur (0.3 px^2). A range 1 % off moves the limb of a body of 300 px by 1.5 px."""
+"""The same of a limb, px, where the range is not of the fix but told: up to there the square of a motion, which looks
+like a blur, is within half of the standard deviation that known optics leave to one (0.3 px^2). A range 1 % off moves
+the limb of a body of 300 px by 1.5 px."""
 _BELIEVED = 0.5
 """Motion over the radius, and change of the range, beyond which the coarse fit has not found the body."""
 _TURN_MISFIT = 0.2
@@ -276,7 +277,8 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     moved, cells = coarse.fit.moved, coarse.cells
     radius_px = cells.size * cells.radius
     step = max(float(np.hypot(*moved[:2])) / radius_px, abs(float(moved[2])))
-    if step < min(_LINEAR, _SHARP_PX / radius_px) or step > _BELIEVED:
+    linear = _LINEAR if isinstance(fix, PositionFix) else min(_LINEAR, _SHARP_PX / radius_px)
+    if step < linear or step > _BELIEVED:
         return coarse
     position_km = range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2])
     again = _at(replace(body, position_camera_km=position_km), inputs, search_px)
