@@ -20,7 +20,7 @@ class Cause(StrEnum):
     """Cause of an error of a fix; the values are those of JSON and tables."""
 
     NOISE = "noise"
-    """Noise of the pixels, and errors of what is rendered for a fix; in a fix without parts, everything."""
+    """Noise of the pixels; in a fix without parts, everything."""
     BACKGROUND = "background"
     """Light that is not of the body: level and slope of the background, stray light."""
     REFLECTANCE = "reflectance"

@@ -28,16 +28,6 @@ from giantlike.scene import TargetGeometry
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
-RENDERING_PX = 0.004
-"""Standard deviation of the place of a body by errors of what is rendered for it, px along each axis, and of its limb.
-
-Chosen on 1,009 fixes of undisturbed images of the gauntlet (seeds 3000 and 6000, 20-600 px) by the estimators of then:
-squared errors of the surest quarter were 1.3 to 2.2 times the covariance without it and 1.1 to 1.3 with it. An unseen
-seed (8000, 476 fixes) by the estimators of now does not bear it out: 0.9 to 1.2 without it, 0.5 to 0.9 with it
-(``docs/gauntlet.md``). Sigmas below 0.01 px are too large by it.
-"""
-_MEASURED_PX = 20.0
-"""Diameter, px, from which on that was measured. Smaller bodies get as many rays: their error is taken to shrink."""
 _OUTLINE_POINTS = 72
 """Points of an outline over which a distortion is averaged, every 5 deg: distortions are smooth polynomials."""
 _LEAST_RADIUS_PX = 1.0
@@ -143,31 +133,6 @@ def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: I
         added_km2 = position_covariance(model, fix.position_camera_km, added)
         changes["covariance_camera_km2"] = fix.covariance_camera_km2 + added_km2
     return replace(fix, **changes)  # type: ignore[arg-type]
-
-
-def with_rendering_error(fix: AnyFix, model: CameraModel, radius_px: float) -> AnyFix:
-    """Return a fix with the error of the rendered body, profile or outline that the image was compared with.
-
-    It is the same whatever the noise, so that neither noise nor residuals show it; it differs from image to image, and
-    counts as noise.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-        With its parts.
-    model : CameraModel
-    radius_px : float, px
-        Apparent radius of the body.
-
-    Returns
-    -------
-    CenterFix or PositionFix
-    """
-    shrunk = min(2.0 * radius_px / _MEASURED_PX, 1.0)
-    range_sigma = RENDERING_PX / max(radius_px, _MEASURED_PX / 2.0)
-    sigma = np.array([RENDERING_PX * shrunk, RENDERING_PX * shrunk, range_sigma])
-    size = 3 if isinstance(fix, PositionFix) else 2
-    return with_error(fix, model, Cause.NOISE, np.diag(sigma[:size] ** 2))
 
 
 def with_error(fix: AnyFix, model: CameraModel, cause: Cause, covariance: Float) -> AnyFix:

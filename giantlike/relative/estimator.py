@@ -22,7 +22,7 @@ from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.processing.detection.dead_lines import dead_lines
 from giantlike.ray_tracing import FocalPlane
-from giantlike.relative.budget import with_budget, with_rendering_error
+from giantlike.relative.budget import with_budget
 from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene, TargetGeometry
@@ -99,8 +99,6 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
     """True for an estimator of fixes of others, which have been checked already."""
     by_light: ClassVar[bool] = False
     """True for an estimator of the center of all light, which moves with any error of the figure."""
-    by_landmarks: ClassVar[bool] = False
-    """True for an estimator of landmarks: each is rendered on its own, and residuals show the errors of renders."""
 
     def __init__(self, options: Options | None = None) -> None:
         self._options: Options = options or self.options_type()
@@ -154,8 +152,6 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             return inputs.fail(result.reason, result.detail)
         if self.of_fixes:
             return result
-        if not self.by_landmarks:
-            result = with_rendering_error(result, camera.model, inputs.radius_px)
         return verified(result, inputs, getattr(self.options, "search_px", 0.0), by_light=self.by_light)
 
     @abstractmethod

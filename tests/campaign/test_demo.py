@@ -29,8 +29,7 @@ from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.ephemeris import Ephemeris
 from giantlike.io.observables_file import read_observables
 from giantlike.io.tables import columns_of
-from giantlike.relative.budget import RENDERING_PX
-from giantlike.simulation import ApproachOptions, Visit, demo_camera, plan_approach
+from giantlike.simulation import ApproachOptions, Visit, plan_approach
 from giantlike.simulation.compare import (
     AttitudeError,
     Comparison,
@@ -316,13 +315,7 @@ def test_the_lost_visit_is_solved_without_an_a_priori_attitude(demo_report: Demo
 
 
 def test_geometric_observables_are_where_the_bodies_were_within_their_covariance(demo_report: DemoReport) -> None:
-    """Of the preferred fixes, against the true orbits at the epoch: no light time, no aberration, no camera.
-
-    Images of the demonstration come from the ray tracer of the templates, so that the error of rendering, which
-    covariances hold, is not in them.
-    """
-    focal_px = demo_camera().model.focal_length_px
-    diameters_px = {row.file: row.diameter_px for row in demo_report.comparison.truth}
+    """Of the preferred fixes, against the true orbits at the epoch: no light time, no aberration, no camera."""
     rows, _ = read_observables(demo_report.output / "run" / "observables.parquet")
     truth = dict[str, Float]()
     for frame in plan_approach().frames:
@@ -341,9 +334,7 @@ def test_geometric_observables_are_where_the_bodies_were_within_their_covariance
         if row.geometric_position_icrf_km is None or row.covariance_position_icrf_km2 is None:
             continue
         error = np.array(row.geometric_position_icrf_km) - true_km
-        across, along = RENDERING_PX / focal_px, RENDERING_PX / (0.5 * diameters_px[row.file])
-        rendering = across**2 * np.eye(3) + (along**2 - across**2) * np.outer(direction, direction)
-        covariance = np.array(row.covariance_position_icrf_km2).reshape(3, 3) - true_km @ true_km * rendering
+        covariance = np.array(row.covariance_position_icrf_km2).reshape(3, 3)
         squared += float(error @ np.linalg.solve(covariance, error))
         count += 3
     low, high = (float(chi2.ppf(tail, count)) for tail in (1e-3, 0.999))

@@ -201,7 +201,6 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
 
     name: ClassVar[str] = "surface_features"
     options_type = SurfaceFeaturesOptions
-    by_landmarks: ClassVar[bool] = True
 
     def _estimate(self, inputs: EstimatorInputs) -> LandmarkFix | Failure:
         """Find the body of gathered inputs."""
