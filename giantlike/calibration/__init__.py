@@ -31,4 +31,4 @@ __all__ = [
     "observations_of_fix",
 ]
 
-__getattr__ = renamed(__name__, {"AlignmentFix": "AlignmentResult", "CalibrationFix": "CalibrationResult"}, until="0.3")
+__getattr__ = renamed(__name__, {"AlignmentFix": "AlignmentResult", "CalibrationFix": "CalibrationResult"}, until="0.4")

@@ -123,7 +123,7 @@ class StarCalibration(Value):
     @property
     def fix(self) -> CalibrationResult:
         """Old name of :attr:`result`."""
-        warnings.warn("StarCalibration.fix is now StarCalibration.result; it goes in 0.3", DeprecationWarning, 2)
+        warnings.warn("StarCalibration.fix is now StarCalibration.result; it goes in 0.4", DeprecationWarning, 2)
         return self.result
 
     def unwrap(self) -> StarCalibration:

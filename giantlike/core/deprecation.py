@@ -33,7 +33,7 @@ def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[s
     --------
     In ``giantlike/calibration/__init__.py``::
 
-        __getattr__ = renamed(__name__, {"CalibrationFix": "CalibrationResult"}, until="0.3")
+        __getattr__ = renamed(__name__, {"CalibrationFix": "CalibrationResult"}, until="0.4")
     """
 
     def __getattr__(name: str) -> Any:
