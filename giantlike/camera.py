@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -417,10 +417,7 @@ class Camera(Pictured):
         The angle to a corner, or to the rim of the image circle where a lens leaves the corners dark; NaN when the
         lens images nothing.
         """
-        edge = frame_grid(self.columns, self.rows, nodes=_EDGE_NODES)
-        cosines = self.model.unproject(edge) @ self.model.unproject(self.center_px)
-        seen = cosines[np.isfinite(cosines)]
-        return float(np.arccos(np.clip(seen.min(), -1.0, 1.0))) if seen.size else math.nan
+        return _half_diagonal_rad(self.model, self.columns, self.rows)
 
     def at_temperature(self, temperature_c: float) -> Camera:
         """Return the camera at a temperature: its model scaled by the temperature terms.
@@ -542,6 +539,14 @@ class Camera(Pictured):
         with np.errstate(invalid="ignore"):
             result: Mask = np.all((points >= low) & (points <= high), axis=-1)
         return result
+
+
+@lru_cache(maxsize=16)
+def _half_diagonal_rad(model: CameraModel, columns: int, rows: int) -> float:
+    center_px = np.array([(columns - 1) / 2, (rows - 1) / 2])
+    cosines = model.unproject(frame_grid(columns, rows, nodes=_EDGE_NODES)) @ model.unproject(center_px)
+    seen = cosines[np.isfinite(cosines)]
+    return float(np.arccos(np.clip(seen.min(), -1.0, 1.0))) if seen.size else math.nan
 
 
 def _require_size(name: str, columns: int, rows: int) -> None:

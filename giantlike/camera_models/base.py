@@ -25,6 +25,10 @@ class CameraModel(Protocol):
     type_name: ClassVar[str]
     """Name in camera files."""
 
+    def __hash__(self) -> int:
+        """Hash of the value: what follows from a model alone is kept by it."""
+        ...
+
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the entries of :attr:`parameters`, as in camera files."""

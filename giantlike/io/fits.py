@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -247,9 +248,36 @@ def _open(data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[
         if unit is not units[0] and unit.header.get("INHERIT", True) is not False:
             inherited = _cards(units[0].header).items()
             cards |= {key: card for key, card in inherited if key not in cards and not _STRUCTURAL.fullmatch(key)}
-        pixels = _expanded(data, index) if isinstance(unit, fits.CompImageHDU) else np.array(unit.data)
+        if isinstance(unit, fits.CompImageHDU):
+            pixels = _expanded(data, index)
+        else:
+            counts = _counts(data, unit)
+            pixels = np.array(unit.data) if counts is None else counts
     check(pixels.ndim >= 2 and pixels.dtype.kind in "iuf", "its image has no pixels")
     return cards, pixels.reshape(pixels.shape[-2:])
+
+
+def _counts(data: bytes, unit: Any) -> NDArray[Any] | None:
+    """Pixels of 16 or 32 bits without a scale, as detectors count; None of all others.
+
+    astropy takes five times as long for them. Where half of their range is added, they are without a sign
+    (FITS standard 4.0, section 4.4.2.5).
+    """
+    from astropy.io import fits
+
+    header, width = unit.header, unit.header["BITPIX"]
+    plain = type(unit) in (fits.PrimaryHDU, fits.ImageHDU)
+    whole = plain and width in (16, 32) and header.get("BSCALE", 1) == 1 and "BLANK" not in header
+    zero = header.get("BZERO", 0)
+    if not whole or isinstance(zero, bool) or zero not in (0, 2 ** (width - 1)):
+        return None
+    start, shape = unit.fileinfo()["datLoc"], unit.shape
+    stored = np.frombuffer(data, f">i{width // 8}", math.prod(shape), start).reshape(shape)
+    if zero == 0:
+        return stored
+    pixels = stored.astype(f"=i{width // 8}").view(f"=u{width // 8}")
+    pixels ^= pixels.dtype.type(zero)
+    return pixels
 
 
 def _expanded(data: bytes, index: int) -> NDArray[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,9 +28,15 @@ def apparent_radius_px(camera: Camera | FocalPlane, center_px: ArrayLike, radius
     -------
     float
     """
-    inside = np.clip(center_px, -0.5, [camera.columns - 0.5, camera.rows - 0.5])
+    x, y = np.clip(center_px, -0.5, [camera.columns - 0.5, camera.rows - 0.5]).tolist()
     angle = math.asin(min(radius_km / range_km, 1.0))
-    return angle / float(ifov_rad(camera.model, inside))
+    return angle / _ifov_rad(camera.model, x, y)
+
+
+@lru_cache(maxsize=16)
+def _ifov_rad(model: CameraModel, x_px: float, y_px: float) -> float:
+    """Angle that one pixel subtends: kept, because estimators ask a dozen times for the size of one body."""
+    return float(ifov_rad(model, [x_px, y_px]))
 
 
 def position_of_center(model: CameraModel, center_px: Float, range_km: float, covariance: Float) -> tuple[Float, Float]:

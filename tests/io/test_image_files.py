@@ -78,6 +78,28 @@ def test_scaled_integers_are_read_as_physical_values(tmp_path: Path) -> None:
     assert_array_equal(read_image_file(tmp_path / "a.fits").pixels, pixels_of("i2") * np.float32(0.5) + 100)
 
 
+@pytest.mark.parametrize(
+    ("stored", "zero"),
+    [("i2", 0), ("i2", 32768), ("i4", 2**31), ("i2", 100), ("u1", -128), ("i8", 2**63)],
+)
+@pytest.mark.parametrize("extension", [False, True])
+def test_integers_of_all_values_are_read_with_the_zero_of_their_header(
+    tmp_path: Path, stored: str, zero: int, extension: bool
+) -> None:
+    limits, rng = np.iinfo(stored), np.random.default_rng(5)
+    values = rng.integers(limits.min, limits.max, SHAPE, dtype=stored, endpoint=True)
+    values[0, :3] = limits.min, limits.max, 0
+    unit = fits.ImageHDU(values) if extension else fits.PrimaryHDU(values)
+    header = unit.header
+    header["BSCALE"], header["BZERO"] = 1, zero
+    content = values.astype(np.dtype(stored).newbyteorder(">")).tobytes()
+    content = header.tostring().encode() + content.ljust(-(-len(content) // 2880) * 2880, b"\0")
+    if extension:
+        content = fits.PrimaryHDU(np.zeros(0)).header.tostring().encode() + content
+    (tmp_path / "a.fits").write_bytes(content)
+    assert_array_equal(read_image_file(tmp_path / "a.fits").pixels.astype(object), values.astype(object) + zero)
+
+
 def test_nan_infinite_and_blank_pixels_are_masked_and_zero(tmp_path: Path) -> None:
     pixels = pixels_of("f4")
     pixels[1, 2], pixels[3, 4], pixels[5, 6] = np.nan, np.inf, -np.inf

@@ -6,6 +6,7 @@ import json
 import struct
 import zlib
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -106,7 +107,11 @@ def unpacked(data: bytes, *, arrays: bool = False) -> Any:
             array = np.frombuffer(content, dtype, count, at).reshape(shape)
             kept.append(array if arrays else array.tolist())
             at += count * dtype.itemsize
-        return _filled(json.loads(content[4 : 4 + length]), kept)
+
+        def filled(value: dict[str, Any]) -> Any:
+            return kept[value[_KEY]] if value.keys() == {_KEY} else value
+
+        return json.loads(content[4 : 4 + length], object_hook=filled)
     except (zlib.error, struct.error, KeyError, IndexError) as error:
         raise ValueError(f"damaged: {error}") from error
 
@@ -160,12 +165,14 @@ def damaged(path: Path, error: ValueError) -> DataError:
 def _stripped(value: Any, arrays: list[np.ndarray]) -> Any:
     """Value with its long lists of numbers moved to ``arrays``."""
     if isinstance(value, dict):
-        return {key: _stripped(inner, arrays) for key, inner in value.items()}
+        return {
+            key: _stripped(inner, arrays) if isinstance(inner, dict | list) else inner for key, inner in value.items()
+        }
     if not isinstance(value, list):
         return value
     array = _array(value)
     if array is None:
-        return [_stripped(inner, arrays) for inner in value]
+        return [_stripped(inner, arrays) if isinstance(inner, dict | list) else inner for inner in value]
     arrays.append(array)
     return {_KEY: len(arrays) - 1}
 
@@ -176,16 +183,8 @@ def _array(value: list[Any]) -> np.ndarray | None:
     rows = value if isinstance(first, list) else [value]
     if not rows[0] or len(rows) * len(rows[0]) < _FEWEST_NUMBERS or {len(row) for row in rows} != {len(rows[0])}:
         return None
-    types = {type(number) for row in rows for number in row}
+    types = set(map(type, chain.from_iterable(rows)))
     if len(types) != 1 or next(iter(types)) not in (float, int, bool):
         return None
     array = np.array(value)
     return array.astype(_DTYPES[array.dtype.kind]) if array.dtype.kind in _DTYPES else None
-
-
-def _filled(value: Any, arrays: list[Any]) -> Any:
-    if isinstance(value, dict):
-        if value.keys() == {_KEY}:
-            return arrays[value[_KEY]]
-        return {key: _filled(inner, arrays) for key, inner in value.items()}
-    return [_filled(inner, arrays) for inner in value] if isinstance(value, list) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass, replace
 
@@ -20,7 +19,6 @@ MIN_PSF_SIGMA_PX = 0.25
 fit of its width has no gradient."""
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 """Second moment of a square pixel of unit side, px^2: what integration over pixels adds to that of a source."""
-_MANY = 100  # matrices of which all inverses are found together faster than one after the other
 CHI2_SIGMAS = 4.0
 """Excess of a reduced chi-square over 1, in units of ``sqrt(2 / dof)``, from which on it scales a covariance:
 noise alone exceeds them once in 30,000 sources."""
@@ -281,28 +279,13 @@ def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Fl
     by_log_width : (n, size) float64
         By the natural logarithm of the width.
     """
-    share, by_center, by_log_width = shares_by_pixel(first - center, size, width)
-    return share.T, by_center.T, by_log_width.T
-
-
-def shares_by_pixel(offset: Float, size: int, width: Float) -> tuple[Float, Float, Float]:
-    """Shares and derivatives (size, ...) of :func:`pixel_shares`: one operation on all sources, pixel after pixel.
-
-    Parameters
-    ----------
-    offset : (...) float64, px
-        First pixel minus center.
-    size : int, px
-    width : (...) float64, px
-    """
     scale = 1.0 / (math.sqrt(2.0) * width)
-    steps = np.arange(size + 1).reshape(-1, *[1] * offset.ndim) - 0.5
-    u = (offset + steps) * scale
+    u = (first - center + np.arange(size + 1)[:, None] - 0.5) * scale  # one operation on all sources, pixel by pixel
     bell = np.exp(-u * u)
     bell *= 1.0 / math.sqrt(math.pi)
     below = erf(u)
     u *= bell
-    return 0.5 * (below[1:] - below[:-1]), (bell[:-1] - bell[1:]) * scale, u[:-1] - u[1:]
+    return (0.5 * (below[1:] - below[:-1])).T, ((bell[:-1] - bell[1:]) * scale).T, (u[:-1] - u[1:]).T
 
 
 def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[Float, Float]:
@@ -322,39 +305,6 @@ def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[F
     """
     weighted = jacobian * weight[:, None, :]
     return weighted @ jacobian.swapaxes(1, 2), (weighted @ residual[:, :, None])[:, :, 0]
-
-
-def inverses(normal: Float) -> Float:
-    """Inverses (n, p, p) of normal matrices: with unknowns scaled to unit information, and symmetric to the last digit.
-
-    Parameters
-    ----------
-    normal : (n, p, p) float64
-        Positive definite.
-
-    Returns
-    -------
-    (n, p, p) float64
-        Not finite for a matrix that is singular.
-    """
-    units = 1.0 / np.sqrt(np.einsum("nii->ni", normal))
-    both = units[:, :, None] * units[:, None, :]
-    if len(normal) < _MANY:
-        with contextlib.suppress(np.linalg.LinAlgError):
-            few = np.linalg.inv(normal * both) * both
-            return np.asarray((few + few.swapaxes(1, 2)) / 2.0)
-    swept = np.moveaxis(normal * both, 0, -1).copy()  # one operation on all matrices at a time
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for k in range(len(swept)):  # Gauss-Jordan: positive definite matrices need no pivots
-            row = swept[k] / swept[k, k]
-            column = swept[:, k].copy()
-            swept -= column[:, None] * row
-            swept[:, k] = -column / column[k]
-            swept[k] = row
-            swept[k, k] = 1.0 / column[k]
-        inverse = np.moveaxis(swept, -1, 0) * both
-        symmetric: Float = (inverse + inverse.swapaxes(1, 2)) / 2.0
-    return symmetric
 
 
 def chi2_inflation(chi2: Float, freedom: NDArray[np.integer]) -> Float:
