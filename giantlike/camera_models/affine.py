@@ -184,7 +184,11 @@ class AffineModel(ABC):
         -------
         (..., 3, 2) float64, 1/px
         """
-        return inverse_on_the_sphere(self.project_jacobian(self.unproject(points_px)))
+
+        def block(points: Float) -> Float:
+            return inverse_on_the_sphere(self.project_jacobian(self.unproject(points)))
+
+        return blockwise(block, as_floats(points_px, (2,), "points_px"), (3, 2))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
         """Derivative of the pixels of ``at_temperature(temperature_c).project`` with respect to :attr:`parameters`.
@@ -349,10 +353,12 @@ def inverse_on_the_sphere(project_jacobian: Float) -> Float:
     The length of a vector does not change its pixel, so the derivative by the pixel, which keeps the length, is the
     pseudo-inverse.
     """
-    transposed = np.swapaxes(project_jacobian, -1, -2)
-    gram = project_jacobian @ transposed
-    a, b, d = gram[..., 0, 0], gram[..., 0, 1], gram[..., 1, 1]
-    adjugate = np.stack([np.stack([d, -b], -1), np.stack([-b, a], -1)], -2)
+    xs, ys = (np.moveaxis(project_jacobian[..., row, :], -1, 0) for row in range(2))  # by component: small products
+    a, b, d = (np.sum(one * other, axis=0) for one, other in ((xs, xs), (xs, ys), (ys, ys)))  # are slow
+    result = np.empty((*project_jacobian.shape[:-2], 3, 2))
     with np.errstate(invalid="ignore", divide="ignore"):
-        result: Float = transposed @ adjugate / (a * d - b * b)[..., None, None]
+        scale = 1.0 / (a * d - b * b)
+        for axis, (x, y) in enumerate(zip(xs, ys, strict=True)):
+            result[..., axis, 0] = scale * (d * x - b * y)
+            result[..., axis, 1] = scale * (a * y - b * x)
     return result
