@@ -269,11 +269,15 @@ def _spread(images: NDArray[np.float32], pixels: NDArray[np.int64], light: Float
     for number in range(per_side):
         sideways = np.zeros((rows, columns, count), np.float32)
         flat = sideways.reshape(-1, count)
-        along = np.ascontiguousarray(np.moveaxis(by_rays[:, number], 1, 0)).reshape(per_side, -1)
-        for across, moved in enumerate((share @ along).reshape(width, len(pixels), count)):
-            flat[corner + across] += moved
         down = np.ascontiguousarray(share[::-1, number])
-        spread = cv2.sepFilter2D(sideways, -1, np.ones(1, np.float32), down, borderType=cv2.BORDER_REPLICATE)
+        across = np.ones(1, np.float32)
+        if per_side == 1:  # all light is spread alike
+            flat[corner + reach], across = by_rays[:, 0, 0], down
+        else:
+            along = np.ascontiguousarray(np.moveaxis(by_rays[:, number], 1, 0)).reshape(per_side, -1)
+            for place, moved in enumerate((share @ along).reshape(width, len(pixels), count)):
+                flat[corner + place] += moved
+        spread = cv2.sepFilter2D(sideways, -1, across, down, borderType=cv2.BORDER_REPLICATE)
         images += spread.reshape(images.shape)
 
 

@@ -35,11 +35,13 @@ def moved(values: Float, steps: Float, part: slice = _WHOLE) -> Float:
         (t + 1) * t * (t - 1) / 6,
     )
     count = values.shape[1]
-    lines, index = np.arange(len(values))[:, None], np.arange(count)[part] + near[:, None]
+    samples = values.reshape(-1, *values.shape[2:])  # of all lines: rows are taken in half of the time of two indices
+    first, index = count * np.arange(len(values))[:, None], np.arange(count)[part] + near[:, None]
     result = np.zeros((*index.shape, *values.shape[2:]))
     for k, weight in enumerate(weights, start=-1):
-        taken = values[lines, np.clip(index + k, 0, count - 1)]
-        result += weight.reshape(-1, *[1] * (values.ndim - 1)) * taken
+        taken = samples.take(first + np.clip(index + k, 0, count - 1), axis=0)
+        taken *= weight.reshape(-1, *[1] * (values.ndim - 1))
+        result += taken
     return result
 
 
@@ -55,7 +57,9 @@ def solved(columns: Float, data: Float, weights: Float) -> Float:
     -------
     (n, k) float64
     """
-    result: Float = np.einsum("nkw,nw->nk", solution_operators(columns, weights), data)
+    normal, scale = scaled_normal(columns, weights)
+    pulled = ((data * weights)[:, None] @ columns)[:, 0, :, None]
+    result: Float = (np.linalg.inv(normal) @ (pulled / scale) / scale)[..., 0]
     return result
 
 
@@ -77,9 +81,8 @@ def solution_operators(columns: Float, weights: Float, stiffness: Float | None =
     if stiffness is not None:
         with np.errstate(over="ignore"):  # a parameter that nothing depends on
             normal[:, -1, -1] += np.minimum(stiffness / scale[:, -1, 0] ** 2, _HELD)
-    weighted = np.swapaxes(columns * weights[..., None], 1, 2)
-    result: Float = (np.linalg.inv(normal) / scale) @ (weighted / scale)
-    return result
+    inverse = np.linalg.inv(normal) / (scale * np.swapaxes(scale, 1, 2))
+    return np.swapaxes((columns * weights[..., None]) @ inverse, 1, 2)
 
 
 def scaled_normal(columns: Float, weights: Float) -> tuple[Float, Float]:

@@ -323,7 +323,8 @@ def match_profiles(
         solution = solved(columns, data, weights)
         shift = np.where(fixed, shift, np.clip(shift + _quotient(solution), -step, step))
         columns = _design(moved(expected, shift / step), offsets, part, step)
-    operator = solution_operators(columns, weights, _stiffness(columns, weights, solved(columns, data, weights)))
+    free = solved(columns, data, weights)
+    operator = solution_operators(columns, weights, _stiffness(columns, weights, free))
     solution = np.asarray(np.einsum("nkw,nw->nk", operator, data), dtype=np.float64)
     others = np.zeros((*expected.shape, 0)) if shared is None else shared
     changes = moved(others, shift / step, part) * solution[:, :1, None]
@@ -337,7 +338,7 @@ def match_profiles(
         complete=np.all(scans.usable[:, near], axis=1),
         shift_px=(lag - most) * step + shift,
         sigma_px=_noise_px(operator, solution, offsets, variance),
-        without_slope_px=_without_slope_px(columns, data, weights),
+        without_slope_px=_quotient(solved(columns[..., :3], data, weights)) - _quotient(free),
         gain_dn=solution[:, 0],
         correlation=best,
         unexplained=np.where(np.isfinite(unexplained), unexplained, np.inf),
@@ -443,11 +444,6 @@ def _noise_px(operator: Float, solution: Float, offsets: Float, variance: Float)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = sigma / np.abs(solution[:, 0])
     return np.where(np.isfinite(sigma), sigma, np.inf)
-
-
-def _without_slope_px(columns: Float, data: Float, weights: Float) -> Float:
-    """Further shift (n,), px, of a fit by columns (n, w, 4) whose slope is held at nothing over one with free slope."""
-    return _quotient(solved(columns[..., :3], data, weights)) - _quotient(solved(columns, data, weights))
 
 
 def _about_shared(
