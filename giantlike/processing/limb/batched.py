@@ -35,7 +35,7 @@ def moved(values: Float, steps: Float, part: slice = _WHOLE) -> Float:
         (t + 1) * t * (t - 1) / 6,
     )
     count = values.shape[1]
-    samples = values.reshape(-1, *values.shape[2:])  # of all lines: rows are taken in half of the time of two indices
+    samples = values.reshape(len(values) * count, *values.shape[2:])  # one index takes half of the time of two
     first, index = count * np.arange(len(values))[:, None], np.arange(count)[part] + near[:, None]
     result = np.zeros((*index.shape, *values.shape[2:]))
     for k, weight in enumerate(weights, start=-1):

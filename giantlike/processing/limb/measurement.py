@@ -428,10 +428,11 @@ def pixels_near(points_px: Float, normals_px: Float, offsets_px: Float, shape: t
     (rows, columns) bool
     """
     area = np.zeros(shape, dtype=bool)
-    places = points_px[:, None] + offsets_px[:, None] * normals_px[:, None]
-    index = np.rint(places).astype(np.intp).reshape(-1, 2)
-    inside = np.all((index >= 0) & (index < [shape[1], shape[0]]), axis=1)
-    area[index[inside, 1], index[inside, 0]] = True
+    columns, rows = (
+        np.rint(points_px[:, axis, None] + offsets_px * normals_px[:, axis, None]).astype(np.intp) for axis in range(2)
+    )
+    inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
+    area[rows[inside], columns[inside]] = True
     return area
 
 

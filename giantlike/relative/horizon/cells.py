@@ -158,17 +158,19 @@ def limb_pixels(
     across = np.arange(-window_px, window_px + _ACROSS_STEP_PX, _ACROSS_STEP_PX)
     pieces = max(round(arc.spacing_px / _ALONG_STEP_PX), 1)
     along = ((np.arange(pieces) + 0.5) / pieces - 0.5) * arc.spacing_px
-    places = (
-        arc.points_px[:, None, None]
-        + (displaced_px[:, None, None] + across[:, None])[..., None] * arc.normals_px[:, None, None]
-        + along[:, None] * arc.tangents_px[:, None, None]
+    heights, tangents = (displaced_px[:, None] + across)[..., None], arc.tangents_px
+    columns, rows = (
+        np.rint(
+            arc.points_px[:, axis, None, None]
+            + heights * arc.normals_px[:, axis, None, None]
+            + along * tangents[:, axis, None, None]
+        ).astype(np.int64)
+        for axis in range(2)
     )
-    pixels = np.rint(places).astype(np.int64).reshape(-1, 2)
-    nodes = np.repeat(np.arange(len(arc.points_px)), across.size * pieces)
-    inside = np.all((pixels >= 0) & (pixels < [usable.shape[1], usable.shape[0]]), axis=1)
-    pixels, nodes = pixels[inside], nodes[inside]
-    first = _firsts(pixels)
-    pixels, nodes = pixels[first], nodes[first]
+    inside = np.flatnonzero((columns >= 0) & (columns < usable.shape[1]) & (rows >= 0) & (rows < usable.shape[0]))
+    columns, rows = columns.ravel()[inside], rows.ravel()[inside]
+    first = _firsts(columns, rows)
+    pixels, nodes = np.stack([columns[first], rows[first]], axis=-1), inside[first] // (across.size * pieces)
     outward, feet_px = arc.seen_from(pixels, nodes)
     apart = outward - displaced_px[nodes]
     near = (np.abs(apart) <= window_px) & usable[pixels[:, 1], pixels[:, 0]]
@@ -338,12 +340,12 @@ def _in_cells(
     )
 
 
-def _firsts(pixels: Indices) -> Indices:
-    """One occurrence of each of the pixels (n, 2)."""
-    if len(pixels) == 0:
+def _firsts(columns: Indices, rows: Indices) -> Indices:
+    """One occurrence of each of n pixels."""
+    if len(columns) == 0:
         return np.zeros(0, dtype=np.int64)
-    corner = pixels - pixels.min(axis=0)
-    keys = corner[:, 1] * (corner[:, 0].max() + 1) + corner[:, 0]
+    left, top = columns.min(), rows.min()
+    keys = (rows - top) * (columns.max() - left + 1) + (columns - left)
     where = np.zeros(int(keys.max()) + 1, dtype=np.int64)
     where[keys] = np.arange(keys.size)
     return np.flatnonzero(where[keys] == np.arange(keys.size))

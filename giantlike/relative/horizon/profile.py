@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
@@ -227,7 +228,7 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
     pixels = model.project(points)
     imaged = np.isfinite(pixels).all(axis=1)
     rays = PixelRays.through(pixels[imaged], model)
-    _, design, normals = ray_residuals(rays, figure, position_camera_km)
+    _, design, normals = ray_residuals(rays, figure, position_camera_km, steps=1)  # they are on the horizon
     _, conic = figure.cone(position_camera_km)
     across, along_it = (
         (rays.by_pixel @ way[..., None])[..., 0]
@@ -406,7 +407,7 @@ def _knots(arc: HorizonArc, sun: Float, law: Reflectance | None) -> Mask:
     light = _surface(arc, _KNOT_DEPTHS_PX, sun).brightness(law)
     bend = np.zeros(len(light))
     bend[1:-1] = np.abs(light[2:] - 2.0 * light[1:-1] + light[:-2]).max(axis=1) / max(float(light.max()), 1e-300)
-    around = np.max([np.roll(bend, step) for step in range(-_KNOT_REACH, _KNOT_REACH + 1)], axis=0)
+    around = maximum_filter1d(bend, 2 * _KNOT_REACH + 1, mode="wrap")
     number = np.cumsum(np.clip(np.sqrt(around / (8.0 * _KNOT_ERROR)), 1.0 / _KNOT_REACH, 1.0)).astype(np.int64)
     apart = np.diff(arc.along_px) > 1.5 * arc.spacing_px
     ends: Mask = np.append(apart, True) | np.insert(apart, 0, True)
