@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
+from giantlike.relative.horizon.blur import LEAST_RADIUS, DepthBlur
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
@@ -45,10 +45,6 @@ _KNOT_DEPTHS_PX = np.array([0.3, 1.0, 2.0, 3.5, 6.0])  # inside the horizon, whe
 _DEPTHS, _WING_DEPTHS = 36, 18
 """Depths that the integral over a blur takes, and those over wings, whose light is smooth and of which little counts:
 with 18 for these, centers of seven disks of 300 px were where they are with 36 to 0.014 sigma."""
-_REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
-_PIXEL_FOURTH_CUMULANT = -1.0 / 120.0
-"""Fourth cumulant of a uniform density of width 1, px^4."""
-_LEAST_RADIUS = 0.3  # of lines of equal depth over that of the horizon
 _TABLE_STEP = 0.35  # of the width of the blur
 _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])  # inside the horizon, where limb counts as lit or dark
 
@@ -138,7 +134,7 @@ class HorizonArc(Value):
         x, y = pixels[:, 0] - points[:, 0], pixels[:, 1] - points[:, 1]
         high, aside = x * normals[:, 0] + y * normals[:, 1], y * normals[:, 0] - x * normals[:, 1]
         bend = self.curvature[nodes]
-        aside /= np.maximum(1.0 + bend * high, _LEAST_RADIUS)
+        aside /= np.maximum(1.0 + bend * high, LEAST_RADIUS)
         drop = 0.5 * bend * aside**2  # of the horizon below its tangent
         feet = np.stack(
             [
@@ -386,8 +382,8 @@ def profile_table(
     offsets = np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)
     knots = select_rows(arc, _knots(arc, sun_direction_camera, law))
     blurs = [
-        _Blur.of(width_px, offsets, _DEPTHS),
-        *(_Blur.of(wing_px, offsets, _WING_DEPTHS) for wing_px in wings_px),
+        DepthBlur.of(width_px, offsets, _DEPTHS),
+        *(DepthBlur.of(wing_px, offsets, _WING_DEPTHS) for wing_px in wings_px),
     ]
     surface = _surface(knots, np.concatenate([blur.depths_px for blur in blurs]), sun_direction_camera)
     own = surface.to_depth(_DEPTHS)
@@ -397,7 +393,7 @@ def profile_table(
         np.stack([*(first * own.emission**power for power in range(powers)), *(own.brightness(law) for law in others)]),
         *(wing[None] for wing in wings),
     ]
-    parts = [blur.applied(basis, knots) for blur, basis in zip(blurs, bases, strict=True)]
+    parts = [blur.applied(basis, knots.curvature, knots.normals_px) for blur, basis in zip(blurs, bases, strict=True)]
     values = [*(part[:, :, 0] for part in parts), *(part[:, :, 1] for part in parts), parts[0][:powers, :, 2]]
     return ProfileTable(
         knots_px=knots.along_px,
@@ -449,39 +445,6 @@ def blur_width_px(psf_variance_px2: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Blur(Value):
-    """A blur of some width, as a sum over depths (q,) for each of m distances from a horizon."""
-
-    width_px: float
-    depths_px: Float
-    kernels: Float  # (q, 7, m): a Gaussian and its first six derivatives, times weights
-
-    @classmethod
-    def of(cls, width_px: float, offsets_px: Float, count: int) -> _Blur:
-        """The blur at distances (m,), the first of which is the innermost, as a sum over so many depths."""
-        deepest = float(-offsets_px[0]) + _REACH_WIDTHS * width_px
-        places, shares = _depth_rule(count)
-        roots = 0.5 * math.sqrt(deepest) * (places + 1.0)
-        depths, weights = roots**2, math.sqrt(deepest) * shares * roots
-        kernels = _kernels(offsets_px[None] + depths[:, None], width_px) * weights[:, None]
-        return cls(width_px=width_px, depths_px=depths, kernels=np.ascontiguousarray(np.swapaxes(kernels, 0, 1)))
-
-    def applied(self, basis: Float, arc: HorizonArc) -> Float:
-        """Blurred brightness, slopes and curves (b, k, 3, m) of brightness (b, k, q) inside points of a horizon."""
-        bend = arc.curvature[:, None]
-        bends = bend / np.maximum(1.0 - bend * self.depths_px, _LEAST_RADIUS)  # of the lines of equal depth
-        spread = 0.5 * self.width_px**2 * bends
-        pixel = (_PIXEL_FOURTH_CUMULANT / 24.0 * np.sum(arc.normals_px**4, axis=1))[:, None]
-        parts = ((1.0 + spread * bends, 0), (spread, 1), (pixel, 4))
-        blurred = sum((basis * part) @ self._orders(first) for part, first in parts)
-        return np.asarray(blurred).reshape(*basis.shape[:2], 3, -1)
-
-    def _orders(self, first: int) -> Float:
-        """Three successive derivatives (q, 3 m)."""
-        return self.kernels[:, first : first + 3].reshape(len(self.depths_px), -1)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Surface(Value):
     """Surface at some depths inside points of a horizon: where rays meet it, both cosines and the phase, (k, q)."""
 
@@ -523,22 +486,3 @@ def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> _Surface:
         emission=np.clip(-np.einsum("kqi,kqi->kq", normals, rays), 0.0, 1.0),
         phase_rad=np.arccos(np.clip(-(rays @ sun), -1.0, 1.0)),
     )
-
-
-@cache
-def _depth_rule(count: int) -> tuple[Float, Float]:
-    """Places (count,) from -1 to 1 and weights of Gauss and Legendre."""
-    places, weights = np.polynomial.legendre.leggauss(count)
-    return places, weights
-
-
-def _kernels(distances: Float, width: float) -> Float:
-    """A Gaussian and its first six derivatives (7, ...)."""
-    z = distances / width
-    bell = np.exp(-0.5 * z**2) / (width * math.sqrt(2.0 * np.pi))
-    before, here = np.zeros_like(z), np.ones_like(z)  # Hermite polynomials
-    kernels = [bell]
-    for order in range(1, 7):
-        before, here = here, z * here - (order - 1) * before
-        kernels.append((-1.0 / width) ** order * here * bell)
-    return np.stack(kernels)
