@@ -21,12 +21,16 @@ from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.processing.detection.dead_lines import dead_lines
+from giantlike.processing.detection.hot_lines import hot_lines
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import with_budget
 from giantlike.relative.place import apparent_radius_px
+from giantlike.relative.response import Response
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene, TargetGeometry
 
+RESPONSE = "response"
+"""Key of the provenance of fixes that were made of values bent into proportion to light."""
 _PLATEAU_PIXELS = 20
 """Pixels of exactly the largest value from which on they may be a plateau: hot pixels are fewer, a saturated star has
 more."""
@@ -152,7 +156,9 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             return inputs.fail(result.reason, result.detail)
         if self.of_fixes:
             return result
-        return verified(result, inputs, getattr(self.options, "search_px", 0.0), by_light=self.by_light)
+        bent = result.provenance.get(RESPONSE)
+        seen = inputs if bent is None else inputs.linearized(Response.from_text(bent))
+        return verified(result, seen, getattr(self.options, "search_px", 0.0), by_light=self.by_light)
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:
@@ -201,7 +207,7 @@ class EstimatorInputs(Value):
         At or above the saturation level of the detector, the largest value that the pixel type holds, or the value at
         which the image itself shows that it was clipped.
     masked : (rows, columns) bool
-        Bad pixels of the image, and lines without signal that it shows.
+        Bad pixels of the image, and lines without signal, or with charge that is no light, that it shows.
     flags : Quality
         What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
     provenance : mapping of str to str
@@ -280,6 +286,21 @@ class EstimatorInputs(Value):
         known = self.psf_sigma_px if psf_sigma_px is None else psf_sigma_px
         psf = GaussianPsf(sigma_px=UNKNOWN_PSF_SIGMA_PX if known is None else known)
         return FocalPlane(model=self.camera.model, columns=self.camera.columns, rows=self.camera.rows, psf=psf)
+
+    def linearized(self, response: Response) -> EstimatorInputs:
+        """Return the inputs with values in proportion to light.
+
+        Parameters
+        ----------
+        response : Response
+
+        Returns
+        -------
+        EstimatorInputs
+            With the response in their provenance, by which the checks of a fix know of it.
+        """
+        provenance = {**self.provenance, RESPONSE: str(response)}
+        return replace(self, pixels_dn=response.light_dn(self.pixels_dn), provenance=provenance)
 
     def fail(self, reason: Reason, detail: str) -> Failure:
         """Return a failure whose text starts with the image, the target and the estimator.
@@ -378,10 +399,12 @@ def gather(
 
 
 def _bad_pixels(image: Image, detector: Detector) -> Mask:
-    """The mask of an image, with the dead rows and columns that it shows."""
+    """The mask of an image, with the dead and the hot rows and columns that it shows."""
     noise_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
     dead = dead_lines(image.pixels, bias_dn=detector.bias_dn, noise_dn=noise_dn)
-    return image.mask if dead is None else image.mask | dead
+    hot = hot_lines(image.pixels, noise_dn=noise_dn)
+    mask = image.mask if dead is None else image.mask | dead
+    return mask if hot is None else mask | hot
 
 
 def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:

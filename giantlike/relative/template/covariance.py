@@ -332,6 +332,28 @@ class LinearFit(Value):
                 rest = rest - parts[cause]
         return parts | {Cause.NOISE: rest}
 
+    def asked(self, residuals: Float, column: Float) -> tuple[float, float]:
+        """Return the parameter that a column left out of the model would get, and its standard deviation.
+
+        Parameters
+        ----------
+        residuals : (h, w) float64
+        column : (h, w) float64
+
+        Returns
+        -------
+        float, float
+        """
+        score, information, _ = self._with(residuals, column)
+        return score / max(information, 1e-300), max(information, 1e-300) ** -0.5
+
+    def _with(self, residuals: Float, column: Float) -> tuple[float, float, Float]:
+        """Score and information of a column beside those of the model, and the steps (k,) that it makes them take."""
+        weighted = (self.weights * column).ravel()
+        shared = self.columns.reshape(len(self.columns), -1) @ weighted
+        moves = np.asarray(np.linalg.solve(self.information, shared), dtype=np.float64)
+        return float(weighted @ residuals.ravel()), float(column.ravel() @ weighted - shared @ moves), moves
+
     def omission_covariance(self, residuals: Float, column: Float, sigma: float) -> Float:
         """Covariance of the parameters from a column that was left out of the model.
 
@@ -352,11 +374,8 @@ class LinearFit(Value):
         change by ``d``. Noise alone makes ``t^2`` one on average; the rest, ``d d^T (1 - 1 / t^2)``, is an error of the
         model. (This is Hausman's comparison of two estimates, for one column.)
         """
-        weighted = (self.weights * column).ravel()
-        shared = self.columns.reshape(len(self.columns), -1) @ weighted
-        moves = np.linalg.solve(self.information, shared)
-        information = float(column.ravel() @ weighted - shared @ moves) + sigma**-2
-        score = float(weighted @ residuals.ravel())
+        score, information, moves = self._with(residuals, column)
+        information += sigma**-2
         squares = score**2 / information
         return np.asarray(np.outer(moves, moves) * (score / information) ** 2 * max(1.0 - 1.0 / max(squares, 1.0), 0.0))
 

@@ -17,6 +17,7 @@ from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.quality import SHORT_ARC_SHARE, QualityChecks
+from giantlike.relative.response import Response
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
@@ -58,6 +59,15 @@ _LEAST_LIMB_PX = 60.0
 """Length of lit limb in the frame below which an ellipsoid without markings is not placed, as ``auto`` needs it: flat
 fields, laws and templates are right to some parts in a thousand, with which squared errors by the fall of light alone
 were 6 per degree of freedom (484 px, six draws of noise)."""
+_BENT_SIGMAS, _LEAST_BEND, _MOST_BEND = 10.0, 0.25, 0.98
+"""Bend of the response that residuals ask for, over its standard deviation and in itself, from which on it is tried,
+and the largest one. Of the gauntlet tables of square roots ask for 0.34 and more, images with nothing but another law
+for 0.03 at most, markings for 0.3."""
+_BENDINGS, _SETTLED_BEND = 6, 0.02
+"""Matches with a response, at most, and the change of its bend below which it is found: what remains is estimated."""
+_STRAIGHTENED = 0.1
+"""Structure of the residuals with a response over that without, at most. By a table of square roots it is 0.02 at most;
+of markings, eclipses, wrong poles and other shapes, where a bend takes on what is wrong, 0.3 at least."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 
 
@@ -165,6 +175,17 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | PositionFix | Failure:
         """Find the body of gathered inputs: :func:`match_template` and the flags of its result."""
+        blocks, match = self._matched(inputs)
+        if isinstance(match, Failure):
+            return match
+        if match.fit.bend_sigmas > _BENT_SIGMAS and match.fit.response.bend > _LEAST_BEND:
+            inputs, blocks, match = self._straightened(inputs, blocks, match)
+        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
+
+    def _matched(
+        self, inputs: EstimatorInputs, response: Response | None = None
+    ) -> tuple[Blocks, TemplateMatch | Failure]:
+        """Match the template to the image of some inputs, averaged over blocks."""
         blocks = blocks_of(inputs)
         renderer = TemplateRenderer(
             target=inputs.geometry.body(),
@@ -178,10 +199,28 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             psf_known=inputs.psf_sigma_px is not None,
             options=replace(self.options, search_px=math.ceil(self.options.search_px / blocks.size)),
             block_px=blocks.size,
+            response=response,
         )
-        if isinstance(match, Failure):
-            return match
-        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
+        return blocks, match
+
+    def _straightened(
+        self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
+    ) -> tuple[EstimatorInputs, Blocks, TemplateMatch]:
+        """Match again with values bent into proportion to light; what was there where that explains little more."""
+        response, structure = match.fit.response, match.fit.structure
+        for _ in range(_BENDINGS):
+            response = replace(response, bend=min(max(response.bend, 0.0), _MOST_BEND))
+            straight = inputs.linearized(response)
+            again_blocks, again = self._matched(straight, response)
+            if isinstance(again, Failure):
+                break
+            found = again.fit.response
+            if abs(found.bend - response.bend) < _SETTLED_BEND:
+                if found.bend > _LEAST_BEND and again.fit.structure < _STRAIGHTENED * structure:
+                    return straight, again_blocks, again
+                break
+            response = found
+        return inputs, blocks, match
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -207,6 +246,7 @@ def match_template(
     psf_known: bool,
     options: CrossCorrelationOptions,
     block_px: int = 1,
+    response: Response | None = None,
 ) -> TemplateMatch | Failure:
     """Find a body in an image by correlation with its template, and fit the template to the pixels.
 
@@ -222,6 +262,8 @@ def match_template(
     options : CrossCorrelationOptions
     block_px : int, px
         Pixels of the camera along the side of those of the image.
+    response : Response, optional
+        By which the pixels were made proportional to light; its bend is estimated along with the rest.
 
     Returns
     -------
@@ -252,7 +294,7 @@ def match_template(
         low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))
         pixels = image.cut(box)
-    fit_options = _fit_options(options, radius_px, psf_known=psf_known, block_px=block_px)
+    fit_options = replace(_fit_options(options, radius_px, psf_known=psf_known, block_px=block_px), response=response)
     fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
         if isinstance(fit, Failure) and fit.reason is Reason.NOT_CONVERGED:

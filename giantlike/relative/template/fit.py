@@ -21,6 +21,7 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
+from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
 from giantlike.relative.template.state import Synthesis, TemplateState
@@ -70,6 +71,8 @@ class TemplateFitOptions:
     fine_at_once : bool
         Render finely from the first: for bodies so small that rough renders save nothing, which then take one render
         where the start is within ``tolerance_px``.
+    response : Response, optional
+        By which the pixels were made proportional to light; its bend is estimated along with the rest.
 
     Raises
     ------
@@ -85,6 +88,7 @@ class TemplateFitOptions:
     relief_sigma: float = 0.0
     relief_length_px: float = 10.0
     fine_at_once: bool = False
+    response: Response | None = None
 
     def __post_init__(self) -> None:
         require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
@@ -124,6 +128,11 @@ class TemplateFit(Value):
     iterations : int
     corner_px : (int, int), px
         Column and row of the first element of the box.
+    response : Response
+        What the residuals ask for: the one of the options with its bend as it was estimated, or, without one, a rough
+        one that starts from values proportional to light.
+    bend_sigmas : float
+        Its bend over its standard deviation by the weights of the pixels.
     """
 
     state: TemplateState
@@ -138,6 +147,8 @@ class TemplateFit(Value):
     n_rejected: int
     chi: float
     iterations: int
+    response: Response
+    bend_sigmas: float
     corner_px: tuple[int, int] = (0, 0)
 
     def used_at_px(self, block_px: int = 1) -> Float:
@@ -156,6 +167,13 @@ class TemplateFit(Value):
         rows, columns = np.nonzero(self.used)
         places = np.column_stack([columns, rows]) + np.array(self.corner_px)
         return np.asarray(block_px * places + 0.5 * (block_px - 1), dtype=np.float64)
+
+    @property
+    def structure(self) -> float:
+        """Mean product of residuals of neighboring pixels over the mean square of the light: noise comes to zero."""
+        left = np.where(self.used, self.residuals_dn, 0.0)
+        products = 0.5 * float(np.vdot(left[1:], left[:-1]) + np.vdot(left[:, 1:], left[:, :-1]))
+        return products / float(np.sum(self.signal_dn[self.used] ** 2))
 
     @property
     def covariance(self) -> Float:
@@ -210,7 +228,8 @@ def fit_template(
         images = synthesize(trial, fine)
         if isinstance(images, Failure):
             return images
-        problem = Problem(pixels, images, trial, None if last is None else last.solution.parameters[GAIN:])
+        photometry = None if last is None else last.solution.parameters[GAIN : last.problem.n_light]
+        problem = Problem(pixels, images, trial, photometry, options.response)
         if last is not None and last.motion_px > _ROUGH_STEP_PX and last.problem.misfit_dn2() < problem.misfit_dn2():
             last = last.shortened(_RETREAT)
             trial = last.stepped()
@@ -309,6 +328,7 @@ class _Solved:
         fit = LinearFit(columns, weights, self.prior)
         parts = self._parts(fit, residuals, (noise, error), options)
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
+        response, bend_sigmas = self._response(fit, residuals, model, options.response)
         return TemplateFit(
             state=state,
             parts=parts,
@@ -322,8 +342,24 @@ class _Solved:
             n_rejected=int(np.count_nonzero(~solution.kept)),
             chi=float(np.sqrt(np.mean(residuals[used] ** 2 / noise[used]))),
             iterations=iterations,
+            response=response,
+            bend_sigmas=bend_sigmas,
             corner_px=problem.pixels.corner_px,
         )
+
+    def _response(
+        self, fit: LinearFit, residuals: Float, model: Float, known: Response | None
+    ) -> tuple[Response, float]:
+        """Response as it was estimated, or as the residuals ask for one, and its bend over its standard deviation."""
+        if known is None:
+            dark_dn = float(self.solution.parameters[OFFSET])
+            known = Response(bend=0.0, dark_dn=dark_dn, bright_dn=max(float(model.max()), dark_dn + 1e-12))
+            bend, sigma = fit.asked(residuals, -known.changes_dn(model)[0])
+        else:
+            place = self.problem.n_light
+            bend = known.bend + float(self.solution.parameters[place])
+            sigma = math.sqrt(float(np.linalg.inv(fit.information)[place, place]))
+        return replace(known, bend=bend), bend / sigma
 
     def _parts(
         self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
@@ -338,9 +374,12 @@ class _Solved:
             block_px=int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX)),
         )
         groups = {
-            Cause.REFLECTANCE: list(range(LAWS, LAWS + self.problem.n_laws)),
+            Cause.REFLECTANCE: [
+                *range(LAWS, LAWS + self.problem.n_laws),
+                *range(self.problem.n_light, self.problem.n_parameters),
+            ],
             Cause.BACKGROUND: list(range(OFFSET, LAWS)),
-            Cause.PSF: [BLUR, *range(LAWS + self.problem.n_laws, self.problem.n_parameters)],
+            Cause.PSF: [BLUR, *range(LAWS + self.problem.n_laws, self.problem.n_light)],
         }
         parts = fit.noise_parts(noise, groups)
         known = sum(parts.values(), np.zeros_like(whole))

@@ -11,13 +11,14 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
+from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import Measured, Prior, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
 
 X, Y, RANGE, BLUR, GAIN, OFFSET, RAMP_X, RAMP_Y = range(8)
 """Parameters: center in px, logarithm of the range, variance of the point spread function in px^2, then photometry: the
-light, a constant background and its slopes over half the box. After them come the other reflectance laws, and last the
-wings of the point spread function where they are estimated."""
+light, a constant background and its slopes over half the box. After them come the other reflectance laws, then the
+wings of the point spread function where they are estimated, and last the changes of the response where that is."""
 LAWS = RAMP_Y + 1
 
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
@@ -31,6 +32,8 @@ about between those that are mixed."""
 _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
 """A priori standard deviation of the shares of light in wings of the point spread function, and their widths over that
 of its core: two, as for horizons, so that those between are spanned."""
+_CUBE_SIGMA = 0.2
+"""A priori standard deviation of the share of a cube in the response: of powers of 0.45, 0.6 it is 0.11, -0.13."""
 
 
 class Problem:
@@ -48,10 +51,17 @@ class Problem:
     photometry : (k,) float64, optional
         Coefficients of the photometric columns from a problem nearby, which may lack the last; None finds them by plain
         least squares, with the law of the target alone.
+    response : Response, optional
+        By which the pixels were made proportional to light; its changes are estimated.
     """
 
     def __init__(
-        self, pixels: BoxPixels, images: TemplateImages, state: TemplateState, photometry: Float | None
+        self,
+        pixels: BoxPixels,
+        images: TemplateImages,
+        state: TemplateState,
+        photometry: Float | None,
+        response: Response | None = None,
     ) -> None:
         self.pixels, self.light = pixels, images.light
         total = float(images.light.sum())
@@ -61,8 +71,9 @@ class Problem:
             differences += [_winged(images.light, state.psf_variance_px2, w) - images.light for w in _WING_WIDTHS]
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         seen = (images.light, *_background(images.light.shape), *differences)
-        self.columns = np.empty((GAIN + len(seen), *images.light.shape))
-        moved, basis = self.columns[:GAIN], self.columns[GAIN:]
+        self.n_light = GAIN + len(seen)
+        self.columns = np.empty((self.n_light + (0 if response is None else 2), *images.light.shape))
+        moved, basis = self.columns[:GAIN], self.columns[GAIN : self.n_light]
         np.stack(seen, out=basis)
         if photometry is None:
             first = unweighted(basis[: LAWS - GAIN], pixels)
@@ -73,6 +84,8 @@ class Problem:
         under[1 : LAWS - GAIN] = photometry[1 : LAWS - GAIN]
         self.signal, level = np.tensordot(np.stack([photometry - under, under]), basis, 1)
         self.model = self.signal + level
+        if response is not None:
+            np.negative(response.changes_dn(self.model), out=self.columns[self.n_light :])
         x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
@@ -145,7 +158,8 @@ class Problem:
         means, sigmas = np.zeros(self.n_parameters), np.full(self.n_parameters, np.inf)
         means[:GAIN], sigmas[:GAIN] = mean, sigma
         sigmas[LAWS : LAWS + self.n_laws] = self.mixing_sigma_dn
-        sigmas[LAWS + self.n_laws :] = _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA
+        sigmas[LAWS + self.n_laws : self.n_light] = _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA
+        sigmas[self.n_light + 1 :] = _CUBE_SIGMA
         return Prior(means, sigmas**-2)
 
     def solve(

@@ -1,0 +1,91 @@
+"""Rows and columns of a detector with charge that is no light, found in the image: optics draw no line as sharp."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask
+
+_REACH = 3
+"""Lines on either side whose median is what a line would hold: it follows slopes and edges, which light falls along."""
+_LEAST_SIGMAS = 2.0
+"""Excess over its neighbors, standard deviations of the noise without light, that a hot line has at least: less is
+hidden by the noise of each pixel, and all lines of a detector differ a little."""
+_SHARE = 0.7
+"""Share of the pixels of a hot part with at least half of its excess: 84 % of those with noise of half of the excess,
+and none of a line that a few stars make bright."""
+_BLEED = 0.2
+"""Excess of the lines next to a hot one over those one farther, over its own, at most: optics of 0.5 px leave 0.3.
+Smear below a bright body (Hayabusa2, 20151203_000006) has peaks as narrow, of 0.8."""
+_WIDEST = 2
+"""Hot lines side by side, at most: optics of 0.6 px and more spread a line over three."""
+_LEAST_LENGTH = 16
+"""Pixels of half a line, at least: fewer have no median that stands out of the noise."""
+_MOST = 0.1
+"""Share of all lines beyond which they are a pattern of the image, not defects."""
+
+
+def hot_lines(pixels_dn: Float, *, noise_dn: float) -> Mask | None:
+    """Find rows and columns that are brighter than their neighbors over the first or the second half of the frame.
+
+    Parameters
+    ----------
+    pixels_dn : (rows, columns), DN
+        As the detector gives them.
+    noise_dn : float, DN
+        Standard deviation of the noise without light.
+
+    Returns
+    -------
+    (rows, columns) bool, or None
+        True on whole lines; None where there are none.
+
+    Notes
+    -----
+    Lines of mean brightness that stands out are looked at pixel by pixel. More than two hot lines side by side are not
+    found, nor are those that are hot over less than half of half a frame.
+    """
+    rows, columns = (_hot_rows(image, noise_dn) for image in (pixels_dn, pixels_dn.T))
+    if not rows.size and not columns.size:
+        return None
+    result = np.zeros(pixels_dn.shape, dtype=bool)
+    result[rows] = True
+    result[:, columns] = True
+    return result
+
+
+def _hot_rows(image: Float, noise_dn: float) -> np.ndarray:
+    """Numbers of hot rows; none where they are too many."""
+    middle = image.shape[1] // 2
+    hot = np.union1d(_hot_in(image[:, :middle], noise_dn), _hot_in(image[:, middle:], noise_dn))
+    return hot if hot.size <= _MOST * len(image) else hot[:0]
+
+
+def _hot_in(image: Float, noise_dn: float) -> np.ndarray:
+    """Numbers of rows that are hot over most of a part of an image."""
+    none = np.zeros(0, dtype=np.int64)
+    if len(image) < 2 * _REACH + 1 or image.shape[1] < _LEAST_LENGTH:
+        return none
+    least = _LEAST_SIGMAS * noise_dn
+    mean = image.mean(axis=1, dtype=np.float64)
+    brighter = mean[_REACH:-_REACH] - np.median(np.lib.stride_tricks.sliding_window_view(mean, 2 * _REACH + 1), axis=1)
+    level = {int(row): _excess_dn(image, int(row)) for row in _REACH + np.flatnonzero(brighter > _SHARE * least)}
+    hot = [row for row, excess in level.items() if excess >= least]
+    groups = np.split(hot, 1 + np.flatnonzero(np.diff(hot) > 1)) if hot else []
+    found = [group for group in groups if len(group) <= _WIDEST and _is_sharp(image, group, level)]
+    return np.concatenate(found).astype(np.int64) if found else none
+
+
+def _is_sharp(image: Float, group: np.ndarray, level: dict[int, float]) -> bool:
+    """Tell whether the rows next to a group are no brighter than those one farther, but for a share of its excess."""
+    first, last = int(group[0]), int(group[-1])
+    near, far = (image[first - step] + image[last + step].astype(np.float64) for step in (1, 2))
+    return float(np.median(near - far)) < 2.0 * _BLEED * min(level[int(row)] for row in group)
+
+
+def _excess_dn(image: Float, row: int) -> float:
+    """Median excess of a row over its neighbors; 0 where only some of its pixels have it."""
+    around = image[max(row - _REACH, 0) : row + _REACH + 1].astype(np.float64)
+    over = image[row] - np.median(around, axis=0)
+    excess = float(np.median(over))
+    return excess if float(np.mean(over > 0.5 * excess)) >= _SHARE else 0.0
