@@ -14,13 +14,14 @@ from giantlike.core.arrays import require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative.consensus import fused, verdict
-from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
+from giantlike.relative.estimator import RESPONSE, BodyEstimator, Estimator, EstimatorInputs
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.landmarks.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.place import limb_in_frame
+from giantlike.relative.response import Response
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.shapes import Ellipsoid
 
@@ -177,7 +178,8 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     its ``provenance`` says which was taken (``chosen``), why (``because``), what checked it (``checked_by``), the
     probability that right estimates differ by as much (``agreement``) and the share of the estimator taken in the
     place (``weight``). ``score``, residuals and counts are those of the estimator taken. A failure is that of the first
-    choice; its text names the others that were tried.
+    choice; its text names the others that were tried. Where ``cross_correlation`` finds that values are not in
+    proportion to light, the others are run on an image in which they are.
 
     Parameters
     ----------
@@ -193,6 +195,20 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         choice = self._choice(inputs)
         _LOG.debug("%s: %s: %s, because %s", inputs.image.name, self.name, ", ".join(choice.estimators), choice.because)
         outcomes = dict[str, CenterFix | Failure]()
+        fix = self._consensus(inputs, choice, outcomes)
+        template = outcomes.get(CrossCorrelation.name)
+        if not isinstance(template, CenterFix) or RESPONSE not in template.provenance:
+            return fix
+        # Values are not proportional to light, and only the template knows: the others get an image where they are.
+        bent = template.provenance[RESPONSE]
+        straight = replace(inputs, image=inputs.straight_image(Response.from_text(bent)))
+        fix = self._consensus(straight, choice, {CrossCorrelation.name: template})
+        return fix if isinstance(fix, Failure) else replace(fix, provenance={**fix.provenance, RESPONSE: bent})
+
+    def _consensus(
+        self, inputs: EstimatorInputs, choice: Choice, outcomes: dict[str, CenterFix | Failure]
+    ) -> CenterFix | Failure:
+        """Take the fix to which nothing objects, and check it; ``outcomes`` holds what is known, and gets the rest."""
 
         def outcome(name: str) -> CenterFix | Failure:
             if name not in outcomes:

@@ -302,6 +302,22 @@ class EstimatorInputs(Value):
         provenance = {**self.provenance, RESPONSE: str(response)}
         return replace(self, pixels_dn=response.light_dn(self.pixels_dn), provenance=provenance)
 
+    def straight_image(self, response: Response) -> Image:
+        """Return the image with values in proportion to light, and a detector that saturates where it did.
+
+        Parameters
+        ----------
+        response : Response
+
+        Returns
+        -------
+        Image
+        """
+        detector, light_dn = self.camera.detector, response.light_dn(self.pixels_dn)
+        if self.saturated.any():
+            detector = replace(detector, saturation_dn=detector.bias_dn + float(light_dn[self.saturated].min()))
+        return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector)
+
     def fail(self, reason: Reason, detail: str) -> Failure:
         """Return a failure whose text starts with the image, the target and the estimator.
 

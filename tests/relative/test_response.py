@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from giantlike.core.detector import Detector
+from giantlike.relative.auto import Auto
 from giantlike.relative.response import Response
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from tests.relative.test_light_truth import Shot, shot
@@ -39,6 +40,18 @@ def test_bodies_on_bytes_by_a_table_are_placed_as_well_as_in_light(exponent: flo
         error = fix.center_px - one.center_px
         total += float(error @ np.linalg.solve(fix.covariance_px2, error))
     assert total < chi2.ppf(1.0 - RARE, 2 * len(SEEDS))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_auto_gives_other_estimators_an_image_in_proportion_to_light(seed: int) -> None:
+    """Limbs on the values as they are contradict the template by many sigma."""
+    one = tabled(shot(seed, phase_deg=60.0, diameter_px=DIAMETER_PX), 0.5)
+    fix = one.fix(Auto())
+    assert not fix.flags.suspect, fix.flags
+    assert fix.provenance["checked_by"]
+    assert "response" in fix.provenance
+    error = fix.center_px - one.center_px
+    assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < chi2.ppf(1.0 - RARE, 2)
 
 
 def test_the_bend_of_a_table_of_square_roots_is_that_of_its_parabola() -> None:
