@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.core.values import Value
 from giantlike.stars.field import half_diagonal_px
+from giantlike.stars.nearest import nearest
 
 BLEND_PX = 4.0
 """Distance below which two stars shift each other's centroid, px: five widths of a star of 0.8 px."""
@@ -84,22 +84,14 @@ def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, am
         return Matches(star_indices=none, detection_indices=none, distance_px=np.zeros(0))
     stars, reach = predicted_px[visible], radius_px + ambiguous_px
     count = 1 if ambiguous_px == 0.0 else 2  # without it the next nearest do not matter
-    to_points, point_of_star = _nearest(points_px, stars, count, reach)
+    to_points, point_of_star = nearest(points_px, stars, count, reach)
     paired = np.flatnonzero(to_points[:, 0] <= radius_px)
     mine, distance = point_of_star[paired, 0], to_points[paired, 0]
-    to_stars, star_of_point = _nearest(stars, points_px[mine], count, reach)
+    to_stars, star_of_point = nearest(stars, points_px[mine], count, reach)
     good = star_of_point[:, 0] == paired
     if count > 1:
         good &= np.minimum(to_points[paired, 1], to_stars[:, 1]) - distance >= ambiguous_px
     return Matches(star_indices=visible[paired[good]], detection_indices=mine[good], distance_px=distance[good])
-
-
-def _nearest(among_px: Float, of_px: Float, count: int, reach_px: float) -> tuple[Float, NDArray[np.intp]]:
-    """Distances and indices (n, count) of the nearest points; infinite for those further away than ``reach_px``."""
-    limit = math.nextafter(reach_px, math.inf)
-    tree = cKDTree(among_px, balanced_tree=False, compact_nodes=False)  # for one use: faster to build
-    distance, index = tree.query(of_px, k=list(range(1, count + 1)), distance_upper_bound=limit)
-    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.intp)
 
 
 def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> float:
@@ -131,7 +123,7 @@ def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, are
     steps = radius_px * np.linspace(4.0, 12.0, _SHIFTS)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     moved = (points_px[None] + steps[:, None]).reshape(-1, 2)
     moved = moved[:: -(-len(moved) // _SAMPLES)]
-    hits = np.isfinite(_nearest(stars, moved, 1, radius_px)[0]).sum()
+    hits = np.isfinite(nearest(stars, moved, 1, radius_px)[0]).sum()
     return float(min(1.0, max(uniform, hits / len(moved))))
 
 
