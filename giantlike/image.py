@@ -40,7 +40,7 @@ class AttitudeSource(StrEnum):
     INTERPOLATED = "interpolated"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Image(Pictured, Value):
     """One image as an immutable value; :meth:`with_attitude` returns a new one.
 

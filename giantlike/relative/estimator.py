@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -390,11 +391,8 @@ def gather(
     geometry = scene.geometry(image, target)
     if isinstance(geometry, Failure):
         return geometry
-    detector = image.detector or camera.detector
-    camera = replace(camera, detector=detector.of_image(image.pixels, image.mask))
-    limit_dn = min(camera.detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, camera.detector))
-    saturated = image.pixels >= limit_dn
-    masked = _bad_pixels(image, camera.detector)
+    readout = _readout(image, image.detector or camera.detector)
+    camera = replace(camera, detector=readout.detector)
     predicted_px = camera.model.project(geometry.position_camera_km)
     inputs = EstimatorInputs(
         estimator=estimator,
@@ -403,15 +401,55 @@ def gather(
         geometry=geometry,
         camera=camera,
         predicted_px=predicted_px,
-        pixels_dn=np.subtract(image.pixels, camera.detector.bias_dn, dtype=np.float64),
-        usable=~(masked | saturated),
-        saturated=saturated & ~masked,
-        masked=masked,
+        pixels_dn=readout.pixels_dn,
+        usable=readout.usable,
+        saturated=readout.saturated,
+        masked=readout.masked,
         flags=_ATTITUDE_FLAGS[image.attitude_source] | image.attitude_errors.flags,
         provenance=_provenance(image, camera, geometry, options),
     )
     problem = _problem(inputs)
     return inputs if problem is None else inputs.fail(*problem)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Readout(Value):
+    """The pixels of an image as :class:`EstimatorInputs` has them, and the detector with all of its noise known."""
+
+    detector: Detector
+    pixels_dn: Float
+    usable: Mask
+    saturated: Mask
+    masked: Mask
+
+    @classmethod
+    def of(cls, image: Image, detector: Detector) -> _Readout:
+        """Readout of an image with the detector that its camera states."""
+        detector = detector.of_image(image.pixels, image.mask)
+        limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, detector))
+        saturated = image.pixels >= limit_dn
+        masked = _bad_pixels(image, detector)
+        return cls(
+            detector=detector,
+            pixels_dn=np.subtract(image.pixels, detector.bias_dn, dtype=np.float64),
+            usable=~(masked | saturated),
+            saturated=saturated & ~masked,
+            masked=masked,
+        )
+
+
+_LATEST: list[tuple[weakref.ref[Image], Detector, _Readout]] = []
+"""The last image, as long as it is there: one estimator after the other takes the same."""
+
+
+def _readout(image: Image, detector: Detector) -> _Readout:
+    """Readout of an image, made once where several estimators run on it."""
+    for known, stated, readout in _LATEST:
+        if known() is image and stated == detector:
+            return readout
+    readout = _Readout.of(image, detector)
+    _LATEST[:] = [(weakref.ref(image, lambda _: _LATEST.clear()), detector, readout)]
+    return readout
 
 
 def _bad_pixels(image: Image, detector: Detector) -> Mask:

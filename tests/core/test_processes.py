@@ -66,15 +66,17 @@ def test_no_more_processes_than_jobs(workers: int, jobs: int, expected: int) -> 
     assert process_count(workers, jobs) == expected
 
 
-def test_what_is_imported_is_left_alone_by_the_collector_which_then_goes_on() -> None:
-    before = gc.get_freeze_count()
+def test_what_is_imported_is_left_alone_by_the_collector_which_then_goes_on_less_often() -> None:
+    before, threshold = gc.get_freeze_count(), gc.get_threshold()
     try:
         with importing():
             assert not gc.isenabled()
         assert gc.isenabled()
         assert gc.get_freeze_count() > before
+        assert gc.get_threshold() > threshold
     finally:
         gc.unfreeze()
+        gc.set_threshold(*threshold)
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")

@@ -12,7 +12,6 @@ from giantlike.core.arrays import Float
 from giantlike.stars.nearest import nearest
 from tests.tolerances import FLOAT64
 
-
 STEP = np.array([1.0, 0.0])
 
 

@@ -187,7 +187,10 @@ def _add_up(
     relative_noise: float,
     sums: Float,
 ) -> int:
-    """Weighted sums (8, 8) of products of the derivatives of all pixels by the unknowns, and of the residual, last."""
+    """Weighted sums (8, 8) of products of the derivatives of pixels by the unknowns, and of the residual, last.
+
+    Above the diagonal: the others are the same.
+    """
     size, half, flux, count = len(columns), len(columns) // 2, now[2], 0
     terms = np.empty(8)
     sums[:] = 0.0
@@ -212,7 +215,7 @@ def _add_up(
             terms[7] = residual
             for a in range(8):
                 weighted = weight * terms[a]
-                for b in range(8):
+                for b in range(a, 8):
                     sums[a, b] += weighted * terms[b]
     return count
 
@@ -225,7 +228,7 @@ def _invert(sums: Float, result: Float) -> None:
         units[k] = 1.0 / math.sqrt(sums[k, k])
     for k in range(7):  # the inverse of the factor grows in the same loop: rows of a lower triangle
         for m in range(k + 1):
-            total = sums[k, m] * units[k] * units[m]
+            total = sums[m, k] * units[k] * units[m]
             for other in range(m):
                 total -= factor[k, other] * factor[m, other]
             factor[k, m] = math.sqrt(total) if k == m else total / factor[m, m]

@@ -1,0 +1,87 @@
+"""What estimators take of an image: made once for all of them, and never that of another image or detector."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+from numpy.testing import assert_array_equal
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
+from giantlike.core.detector import Detector
+from giantlike.core.outcomes import Failure
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
+from giantlike.relative.estimator import EstimatorInputs, gather
+from giantlike.scene import Scene, Target
+from giantlike.shapes import Ellipsoid
+
+SIZE = 64
+SCENE = Scene(
+    targets=(
+        Target(
+            name="BODY",
+            shape=Ellipsoid(radii_km=np.ones(3)),
+            ephemeris=ApparentGeometry(
+                position_inertial_km=np.array([0.0, 0.0, 100.0]),
+                inertial_from_body=Rotation.identity(),
+                sun_direction_inertial=np.array([1.0, 0.0, 0.0]),
+            ),
+        ),
+    )
+)
+
+
+def camera(bias_dn: float, saturation_dn: float = 900.0) -> Camera:
+    middle = (SIZE - 1) / 2
+    return Camera(
+        name="camera",
+        columns=SIZE,
+        rows=SIZE,
+        model=PinholeModel(fx_px=800.0, fy_px=800.0, cx_px=middle, cy_px=middle),
+        detector=Detector(gain_e_per_dn=2.0, bias_dn=bias_dn, saturation_dn=saturation_dn),
+    )
+
+
+def image(seed: int) -> Image:
+    rng = np.random.default_rng(seed)
+    mask = rng.random((SIZE, SIZE)) < 0.01
+    pixels = rng.integers(0, 1000, (SIZE, SIZE)).astype(np.uint16)
+    return Image(pixels=pixels, mask=mask, camera_from_inertial=Rotation.identity())
+
+
+def inputs(of: Image, by: Camera, name: str) -> EstimatorInputs:
+    found = gather(of, by, SCENE, None, estimator=name, options=None)
+    assert not isinstance(found, Failure)
+    return found
+
+
+def require_those_of(found: EstimatorInputs, of: Image, by: Camera) -> None:
+    saturated = of.pixels >= by.detector.saturation_dn
+    assert_array_equal(found.pixels_dn, of.pixels - by.detector.bias_dn)
+    assert_array_equal(found.masked, of.mask)
+    assert_array_equal(found.saturated, saturated & ~of.mask)
+    assert_array_equal(found.usable, ~saturated & ~of.mask)
+
+
+def test_inputs_are_those_of_the_image_and_the_detector_whatever_was_asked_before() -> None:
+    images = [image(seed) for seed in range(2)]
+    cameras = [camera(10.0), camera(100.0), camera(10.0, saturation_dn=700.0)]
+    for number in (0, 0, 1, 0, 1, 1):
+        for by in cameras:
+            require_those_of(inputs(images[number], by, "test"), images[number], by)
+    first, second = (inputs(images[0], cameras[0], name) for name in ("one", "two"))
+    assert (first.estimator, second.estimator) == ("one", "two")
+    assert np.shares_memory(first.pixels_dn, second.pixels_dn)
+
+
+def test_an_image_that_is_no_longer_used_is_not_kept() -> None:
+    used = image(5)
+    inputs(used, camera(10.0), "test")
+    known = weakref.ref(used)
+    del used
+    gc.collect()
+    assert known() is None
