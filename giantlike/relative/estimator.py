@@ -271,6 +271,13 @@ class EstimatorInputs(Value):
             self.camera, self.predicted_px, self.geometry.target.shape.circumscribing_radius_km, self.geometry.range_km
         )
 
+    @property
+    def turn_rad(self) -> float:
+        """Standard deviation of the orientation of the body in the image as it was declared, about any axis, rad."""
+        known, attitude = self.geometry.target.uncertainty, self.image.attitude_covariance_rad2
+        roll = 0.0 if attitude is None else float(attitude[2, 2])
+        return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll)
+
     def focal_plane(self, psf_sigma_px: float | None = None) -> FocalPlane:
         """Return the camera as renders take it.
 

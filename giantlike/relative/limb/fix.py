@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Protocol, TypeVar
 
@@ -362,6 +362,7 @@ def limb_fix(
     search: LimbSearch,
     *,
     allowed_rms_px: float = math.inf,
+    strain_chance: float = 1.0,
 ) -> PositionFix | Failure:
     """Judge a position from a limb and put it into a :class:`PositionFix`.
 
@@ -373,6 +374,8 @@ def limb_fix(
     search : LimbSearch
     allowed_rms_px : float, px
         Larger residuals are a failure.
+    strain_chance : float
+        Probability that the limb of a right body looks strained by as much.
 
     Returns
     -------
@@ -385,7 +388,7 @@ def limb_fix(
     refused = _refused(place, inputs, measured, search, allowed_rms_px)
     if refused is not None:
         return refused
-    checks = _checks(place, inputs, measured, search)
+    checks = replace(_checks(place, inputs, measured, search), strain_chance=strain_chance)
     if checks.far_from_prediction and measured.n_used < LEAST_USED_SHARE * measured.n_offered:
         return Failure(
             Reason.NO_LIMB,

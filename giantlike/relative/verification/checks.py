@@ -232,7 +232,7 @@ def _turn_numbers(coarse: _Coarse, fit: CoarseFit, inputs: EstimatorInputs) -> _
     """What a turn of the face explains of the residuals, and its chance; none where there is little to explain."""
     if isinstance(inputs.geometry.target.shape, Ellipsoid) or not _TURN_MISFIT < fit.misfit < math.inf:
         return _Numbers()
-    sun, turn_rad = inputs.geometry.sun_direction_camera, _turn_rad(inputs)
+    sun, turn_rad = inputs.geometry.sun_direction_camera, inputs.turn_rad
     albedo = inputs.geometry.target.uncertainty.albedo
     turned = fit_turned(coarse.cells, coarse.trace, coarse.own, sun, albedo=albedo, turn_rad=turn_rad)
     if turned is None or not len(turned.further):
@@ -300,7 +300,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None
     if cells is None or trace is None or own is None:
         return None
     albedo = inputs.geometry.target.uncertainty.albedo
-    fit = fit_cells(cells, trace, own, albedo=albedo, turn_rad=_turn_rad(inputs)) if cells.has_face else None
+    fit = fit_cells(cells, trace, own, albedo=albedo, turn_rad=inputs.turn_rad) if cells.has_face else None
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 
 
@@ -316,10 +316,3 @@ def _without_rings(cells: Cells, rings: Rings, body: Body, sun_direction_camera:
     )
     free = ~cv2.dilate(covered.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     return replace(cells, good=cells.good & free, fresh=cells.fresh & free)
-
-
-def _turn_rad(inputs: EstimatorInputs) -> float:
-    """Standard deviation, rad, of the orientation of the body in the image as it was declared, about any axis."""
-    known, attitude = inputs.geometry.target.uncertainty, inputs.image.attitude_covariance_rad2
-    roll = 0.0 if attitude is None else float(attitude[2, 2])
-    return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll)

@@ -1,0 +1,89 @@
+"""Whether residuals of a limb are those of a strained outline: of a body told with another figure or orientation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.processing.limb.measurement import LimbMeasurement
+from giantlike.processing.outline_errors import averages, outline_errors
+from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.quality import LEAST_STRAIN_CHANCE
+
+_LEAST_FREEDOM = 3
+"""Least degrees of freedom that residuals must have beside place and strain: errors are estimated from them."""
+_STRAINS = 2
+
+
+def strain_chance(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
+    """Probability that the limb of a right body looks strained by as much.
+
+    A pole, a roll or axes that are told wrong, and a smear of the image, stretch an outline along one direction. So do
+    the longest waves of relief, but these come with shorter ones, which the strain leaves among the residuals: how much
+    relief there is follows from them.
+
+    Parameters
+    ----------
+    measured : LimbMeasurement
+        Settled.
+    inputs : EstimatorInputs
+        No turn of the body, by its orientation as declared, strains it by more than the turn.
+
+    Returns
+    -------
+    float
+        1 where too few points tell, where the outline is not that of the body (a stand-in, or one whose relief a height
+        map tells), and where only the place is asked for.
+
+    Notes
+    -----
+    The strain s (2,) of no area is fitted beside the place by generalized least squares, and ``s.C^-1.s / 2`` compared
+    with the F distribution: the scale of C is estimated from as many averages as there are, less those parameters.
+    Where noise alone explains the strain, other errors are not looked for.
+    """
+    if inputs.place_alone or measured.relief is not None or measured.terrain is not None:
+        return 1.0
+    keep, turn_rad = measured.keep, inputs.turn_rad
+    means = averages(measured.predicted_px[keep], measured.sigma_px[keep])
+    freedom = len(means) - measured.design.shape[1] - _STRAINS
+    if freedom < _LEAST_FREEDOM:
+        return 1.0
+    shift_px, sigma_px, points = measured.shift_px[keep], measured.sigma_px[keep], measured.predicted_px[keep]
+    design = np.concatenate([measured.design[keep], _strained(points, measured.normals_px[keep])], axis=1)
+    by_noise = means**2 @ sigma_px**2
+    chance = _chance(means @ shift_px, means @ design, np.diag(by_noise), turn_rad, freedom)
+    if chance > LEAST_STRAIN_CHANCE:
+        return chance
+    radius_px = measured.perimeter_px / (2.0 * np.pi)
+    errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=measured.spacing_px)
+    own = errors.covariances(np.sqrt(by_noise), means @ points)
+    covariance = own.noise + own.relief
+    for common_px in measured.common_px.values():
+        shared_px = means @ common_px[keep]
+        covariance = covariance + shared_px @ shared_px.T
+    for error in measured.smooth_errors:
+        covariance = covariance + error.covariance_px2(means @ points)
+    return _chance(means @ shift_px, means @ design, covariance, turn_rad, freedom)
+
+
+def _strained(points_px: Float, normals_px: Float) -> Float:
+    """Outward motion (n, 2), px, of points with a strain: growth along x with shrinking along y, and along diagonals.
+
+    Of other centers than the mean of the points a strain differs by a motion, which is fitted beside it.
+    """
+    x, y = (points_px - points_px.mean(axis=0)).T
+    by_x, by_y = normals_px.T
+    return np.stack([x * by_x - y * by_y, x * by_y + y * by_x], axis=-1)
+
+
+def _chance(shift_px: Float, design: Float, covariance: Float, turn_rad: float, freedom: int) -> float:
+    """Probability of the last two parameters of a fit of shifts (b,) of some covariance (b, b), beside a turn."""
+    from scipy.special import fdtrc
+
+    scale = np.linalg.norm(design, axis=0)
+    x = design / scale
+    weighted = np.linalg.solve(covariance, x)
+    inverse = np.linalg.inv(x.T @ weighted) / np.outer(scale, scale)
+    strain = (inverse @ (scale * (weighted.T @ shift_px)))[-_STRAINS:]
+    of_strain = inverse[-_STRAINS:, -_STRAINS:] + turn_rad**2 * np.eye(_STRAINS)
+    return float(fdtrc(_STRAINS, freedom, float(strain @ np.linalg.solve(of_strain, strain)) / _STRAINS))
