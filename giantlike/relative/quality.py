@@ -74,7 +74,7 @@ threefold growth at which :data:`LEAST_CHANCE` refuses a fix. See docs/gauntlet.
 LEAST_PREDICTION_CHANCE = 1e-3
 """Probability below which a fix contradicts the declared errors of its prediction: the rate of false alarms.
 
-A tenth of the 1 % of right fixes that all checks together may call suspect. Of 195 right fixes of 80 nominal images of
+A tenth of the 1 % of right fixes that all checks together may call suspect. Of 195 right fixes of nominal images of
 the gauntlet (seeds 3000 and 6000, errors cut off at 3 sigma) none came to less than 0.06, their median to 0.52.
 """
 LEAST_STRAIN_CHANCE = 1e-4
@@ -83,7 +83,7 @@ LEAST_STRAIN_CHANCE = 1e-4
 Of 168 right fixes of nominal images (seeds 3000 and 6000, three estimators), 34 of bodies with relief of 1 % that no
 shape holds and 8 with markings of 15 % none came to less than 7e-3. Real limbs are not as good: a Jupiter whose roll is
 known to 3 degrees came to 6e-4, a Saturn within its rings to 7e-4. Wrong poles, rolls and axes of ellipsoids that were
-``ok`` with large sigmas came to 1e-5 and less. See docs/gauntlet.md for what it refuses.
+``ok`` with large sigmas came to 7e-5 and less. See docs/gauntlet.md for what it refuses.
 """
 
 
