@@ -21,7 +21,7 @@ from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
 from giantlike.relative.limb.fix import LimbSolution, limb_fix, limb_view
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions
-from giantlike.relative.limb.strain import strain_chance
+from giantlike.relative.limb.strain import strain_of
 from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.place import apparent_radius_px
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, TriangleMesh
@@ -119,8 +119,15 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
             return outcome
         measured, solution = outcome
         allowed_px = self.options.allowed_rms_px(measured)
-        strained = strain_chance(measured, inputs)
-        return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px, strain_chance=strained)
+        strain = strain_of(measured, inputs)
+        return limb_fix(
+            inputs,
+            measured,
+            strain.grown(solution),
+            self.options,
+            allowed_rms_px=allowed_px,
+            strain_chance=strain.chance,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

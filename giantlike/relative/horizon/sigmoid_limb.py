@@ -11,7 +11,7 @@ from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import Figure, fit_horizon
 from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
 from giantlike.relative.limb.fix import limb_fix, limb_view
-from giantlike.relative.limb.strain import strain_chance
+from giantlike.relative.limb.strain import strain_of
 from giantlike.relative.limb.terrain import CELL_SLOPE_ERROR, with_terrain
 from giantlike.shapes import Ellipsoid
 
@@ -103,5 +103,12 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
             return measured
         measured = with_terrain(measured, inputs, self.options.outlier_mad, slope_error=CELL_SLOPE_ERROR)
         solution = fit_horizon(measured, view.model, figure, measured.position_camera_km, altitude)
-        allowed_px, strained = self.options.allowed_rms_px(measured), strain_chance(measured, inputs)
-        return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px, strain_chance=strained)
+        allowed_px, strain = self.options.allowed_rms_px(measured), strain_of(measured, inputs)
+        return limb_fix(
+            inputs,
+            measured,
+            strain.grown(solution),
+            self.options,
+            allowed_rms_px=allowed_px,
+            strain_chance=strain.chance,
+        )

@@ -20,7 +20,7 @@ from giantlike.relative.limb.fix import IteratedSearch, limb_fix, limb_view
 from giantlike.relative.limb.line_scan import LineMeasurement, measure_by_lines, measure_once
 from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.relative.limb.solution import solve_limb
-from giantlike.relative.limb.strain import strain_chance
+from giantlike.relative.limb.strain import strain_of
 from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.limb.turn import limb_turn
 from giantlike.shapes import Ellipsoid
@@ -118,8 +118,15 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         if not (inputs.place_alone or measured.terrain or sigma_km):  # relief and haze are no part of the outline
             solution = replace(solution, turn=self._turn(lines, view, body, inputs))
         allowed_px = self.options.allowed_rms_px(measured)
-        strained = strain_chance(measured, inputs)
-        return limb_fix(inputs, measured, solution, self.options, allowed_rms_px=allowed_px, strain_chance=strained)
+        strain = strain_of(measured, inputs)
+        return limb_fix(
+            inputs,
+            measured,
+            strain.grown(solution),
+            self.options,
+            allowed_rms_px=allowed_px,
+            strain_chance=strain.chance,
+        )
 
     def _turn(self, measured: LineMeasurement, view: LimbView, body: Body, inputs: EstimatorInputs) -> BodyTurn | None:
         options, scan = self.options, self.options.scan
