@@ -244,8 +244,8 @@ class Quality(enum.Flag):
     what is not the body, tell `rings` of the target and `uncertainty.albedo` of a face with clouds.
     """
     WRONG_FIGURE = enum.auto()
-    """Parts of the body ask for different places: wrong shape, orientation or roll, rows that are shifted, or a
-    height map that is not that of the limb.
+    """Parts of the body ask for different places: wrong shape, orientation or roll, rows that are shifted, a smear that
+    strains the limb, or a height map that is not that of the limb.
 
     Check pole, rotation and epoch, and look at the image for shifted rows.
     """
