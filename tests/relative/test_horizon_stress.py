@@ -219,6 +219,18 @@ def test_a_disk_that_is_clipped_along_its_limb_is_found(name: str) -> None:
     assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
 
 
+def test_a_limb_that_is_clipped_little_is_as_sure_as_it_errs() -> None:
+    """Clipped at two thirds of the peak, the half of the light that is the limb is seen; before, 0.2."""
+    squares = []
+    for number in range(8):
+        case = seen("mcewen", (15.0, 60.0, 90.0, 120.0)[number % 4], 120.0, 190 + number)
+        fix = case.fix(RELATIVE["limb_matching"](), McEwen(), number, saturation_dn=BIAS_DN + PEAK_DN * 2.0 / 3.0)
+        assert isinstance(fix, PositionFix), fix
+        assert not fix.flags.suspect
+        squares.append(case.square(fix) / 3.0)
+    assert 0.4 < np.mean(squares) < 2.0, squares
+
+
 @pytest.mark.parametrize("name", ["ellipsoid_cra", "limb_matching"])
 def test_a_limb_farther_than_declared_is_found_and_suspect(name: str) -> None:
     """The prediction is 70 px off where 40 px are declared."""

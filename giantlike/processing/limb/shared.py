@@ -36,6 +36,11 @@ _OWN_SIGMAS, _OWN_PX = 3.0, 0.1
 """Sigmas of its noise, and px besides, by which a line may lie off its neighbors and still be taken for one of them."""
 
 
+_CONTRADICTED = 3.0
+"""Standard deviations of what is known before from which on it is believed less (Huber's limit): an optics whose width
+is off by a factor is no normal error of its few percent, and left part of it to the law, the wings and the size."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedEstimate(Value):
     """Estimate of the parameters that all lines share.
@@ -78,9 +83,11 @@ def estimate_shared(match: ProfileMatch, good: Mask, *, prior: Float, expected: 
     than that noise (albedo, relief, a point spread function of another form), what is known before counts for more.
     """
     information, pull, gain_change = match.information[good], match.pull[good], match.shared_gain[good]
-    spread = 1.0
+    spread, believed = 1.0, np.ones(len(prior))
     for _ in range(_SPREAD_STEPS):
-        values, inverse, gain = _solved(information, pull, gain_change, prior * spread, expected)
+        known = prior * spread * believed
+        values, inverse, gain = _solved(information, pull, gain_change, known, expected)
+        believed = np.minimum(1.0, _CONTRADICTED / np.maximum(np.abs(values - expected) * np.sqrt(prior), 1e-300))
         scores = gain[:, None] * pull - gain[:, None] ** 2 * np.einsum("nij,j->ni", information, values)
         scatter = _scatter(scores)
         told = np.einsum("n,nij->ij", gain**2, information)

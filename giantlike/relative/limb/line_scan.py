@@ -32,7 +32,6 @@ from giantlike.processing.limb.scan import (
 from giantlike.processing.limb.search import find_limb
 from giantlike.processing.limb.view import LimbView, PredictedLimb
 from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
-from giantlike.relative.limb.clipped import EXTRAPOLATION_ERROR
 from giantlike.relative.limb.fix import (
     LEAST_PSF_PX2,
     PATIENCE,
@@ -453,8 +452,8 @@ class LineScan(Value):
             brightness_px *= step_shortfall(scans, width**2, view, options)
         errors = [SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=view.radius_px)]
         if found.extrapolated_px > 0.0:
-            sigma_px = EXTRAPOLATION_ERROR * found.extrapolated_px
-            errors.append(SmoothError(cause=Cause.EDGE, sigma_px=sigma_px, length_px=view.radius_px))
+            extrapolated = SmoothError(cause=Cause.EDGE, sigma_px=found.extrapolated_px, length_px=view.radius_px)
+            errors.append(extrapolated)
         design = limb_design(limb.normals_px[good], view.model.project_jacobian(limb.points_camera_km[good]))
         return LineMeasurement(
             predicted_px=limb.points_px[good],

@@ -28,7 +28,12 @@ from giantlike.processing.limb.shared import SharedEstimate, estimate_shared, sm
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body, NearRender, render_near
 from giantlike.ray_tracing.reflectance import Lambert, LommelSeeliger, Minnaert, Reflectance
-from giantlike.relative.limb.clipped import LOG_GAIN_SIGMA, clipped_profiles, clipping_level_dn
+from giantlike.relative.limb.clipped import (
+    EXTRAPOLATION_ERROR,
+    LOG_GAIN_SIGMA,
+    clipped_profiles,
+    clipping_level_dn,
+)
 from giantlike.relative.limb.fix import EdgeModel, ScanOptions
 
 OTHER_LAWS: tuple[Reflectance, ...] = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
@@ -167,7 +172,7 @@ class MatchedLines(Value):
     psf_px2 : float, px^2
         Change of the variance of the point spread function that was found.
     extrapolated_px : float, px
-        How far the limb is extrapolated from what is not clipped.
+        Standard deviation of the limb by how its brightness is extrapolated from what is not clipped.
     """
 
     match: ProfileMatch
@@ -356,11 +361,11 @@ def match_lines(
 
 
 def _extrapolated_px(match: ProfileMatch, good: Mask, profiles: ExpectedProfiles) -> float:
-    """Mean shift of good lines by all of the brightness that is clipped; 0 where none is."""
+    """Mean shift of good lines by one standard deviation of the brightness that is clipped; 0 where none is."""
     if Cause.EDGE not in profiles.causes or not good.any():
         return 0.0
     by_brightness = match.shared_px[good, profiles.causes.index(Cause.EDGE)]
-    return float(np.mean(np.abs(by_brightness * profiles.beyond[good])))
+    return EXTRAPOLATION_ERROR * float(np.mean(np.abs(by_brightness) * profiles.beyond[good] ** 2))
 
 
 def _root(covariance: Float) -> Float:
