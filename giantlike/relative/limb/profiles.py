@@ -325,6 +325,7 @@ def match_lines(
     """
     variance = view.detector.variance_dn2
     found = np.zeros(profiles.prior.size)
+    of_blur = np.arange(found.size) == found.size - 1
     about_px = None
     none = SharedEstimate(values=found, covariance=np.zeros((found.size, found.size)))
     for number in range(_ROUNDS):
@@ -341,7 +342,7 @@ def match_lines(
         estimate = none
         if found.size == 0 or not good.any():
             break
-        estimate = estimate_shared(match, good, prior=profiles.prior, expected=profiles.expected)
+        estimate = estimate_shared(match, good, prior=profiles.prior, expected=profiles.expected, open_above=of_blur)
         last = number > 0 and float(np.median(np.abs(match.shared_px[good] @ estimate.values))) < _SETTLED_PX
         if last or number == _ROUNDS - 1:
             break
