@@ -33,7 +33,7 @@ EXTRAPOLATION_ERROR = 0.17
 To first order the brightness is fitted, what is left is of second order. Likeliest of 80 limbs of the independent
 renderer (radii of 30-150 px, phase angles of 15-125 deg, levels of a fifth to five sixths of the peak, three laws):
 squared errors per degree of freedom are 0.4 to 2.0 at each level. With an error in proportion, 0.2 of it, they are 0.1
-to 0.3 at half of the peak and more, 2 at a third, and the likelihood is less by 2 x 55.
+to 0.3 at half of the peak and more, 2 at a third, and the logarithm of the likelihood is less by 55.
 """
 _EACH_LINE = 4
 """Every so many lines are used to choose among them."""
