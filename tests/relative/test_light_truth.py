@@ -73,16 +73,18 @@ class Shot:
 
 
 @cache
-def light(seed: int, law: str, phase_deg: float, diameter_px: float, marked: bool, wings: float) -> tuple[Float, Pose]:
+def light(
+    seed: int, law: str, phase_deg: float, diameter_px: float, marked: bool, wings: float, focal_px: float = FOCAL_PX
+) -> tuple[Float, Pose]:
     """Noise-free image of peak 1, and the pose."""
     rng = np.random.default_rng([seed, 1])
-    range_km = 2.0 * float(np.cbrt(RADII_KM.prod())) * FOCAL_PX / diameter_px
-    position_km = range_km * np.append(rng.uniform(-6.0, 6.0, 2) / FOCAL_PX, 1.0)
+    range_km = 2.0 * float(np.cbrt(RADII_KM.prod())) * focal_px / diameter_px
+    position_km = range_km * np.append(rng.uniform(-6.0, 6.0, 2) / focal_px, 1.0)
     phase, clock = np.radians(phase_deg), rng.uniform(0.0, 2.0 * np.pi)
     sun = np.array([np.sin(phase) * np.cos(clock), np.sin(phase) * np.sin(clock), -np.cos(phase)])
     pose = Pose(position_km, Rotation.random(random_state=rng), sun)
     middle = (SIZE - 1) / 2
-    view = PinholeView(focal_px=FOCAL_PX, center_px=(middle, middle), columns=SIZE, rows=SIZE)
+    view = PinholeView(focal_px=focal_px, center_px=(middle, middle), columns=SIZE, rows=SIZE)
     body = EllipsoidBody(RADII_KM, albedo=MARKED if marked else None)
     sampling = Sampling(cells=3, edge_rays=3) if diameter_px > 20.0 else Sampling(cells=3, edge_rays=80)
     return independent.render_body(
@@ -101,9 +103,10 @@ def shot(
     wings: float = 0.0,
     detector: Detector | None = KNOWN,
     peak_dn: float = 3000.0,
+    focal_px: float = FOCAL_PX,
 ) -> Shot:
     """A body that is believed to be McEwen's; prediction and range are off."""
-    clean, pose = light(seed, law, phase_deg, diameter_px, marked, wings)
+    clean, pose = light(seed, law, phase_deg, diameter_px, marked, wings, focal_px)
     rng = np.random.default_rng([seed, 2])
     sky = independent.background(clean.shape, constant_dn=200.0, slope_dn=slope_dn)
     pixels = independent.record(peak_dn * clean + sky, rng, Recorder(gain_e_per_dn=1.0, read_noise_e=5.0)).pixels
@@ -112,12 +115,12 @@ def shot(
         name="independent",
         columns=SIZE,
         rows=SIZE,
-        model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=middle, cy_px=middle),
+        model=PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle, cy_px=middle),
         psf=GaussianPsf(sigma_px=0.8),
     )
     camera = camera if detector is None else replace(camera, detector=detector)
     true_km, sun = np.asarray(pose.position_camera_km), np.asarray(pose.sun_direction_camera)
-    off_km = np.append(rng.normal(0.0, 3.0, 2) / FOCAL_PX * true_km[2], 0.0)
+    off_km = np.append(rng.normal(0.0, 3.0, 2) / focal_px * true_km[2], 0.0)
     believed = ApparentGeometry(
         position_inertial_km=(true_km + off_km) * (1.0 + 0.01 * rng.normal()),
         inertial_from_body=pose.camera_from_body,
@@ -125,7 +128,7 @@ def shot(
     )
     target = Target(name="BODY", shape=Ellipsoid(radii_km=RADII_KM, name="BODY"), ephemeris=believed)
     image = Image(pixels=pixels.astype(np.int32), camera_from_inertial=Rotation.identity(), name="truth")
-    center_px = FOCAL_PX * true_km[:2] / true_km[2] + middle
+    center_px = focal_px * true_km[:2] / true_km[2] + middle
     toward_sun = sun[:2] / np.linalg.norm(sun[:2])
     return Shot(image, camera, Scene(targets=(target,)), center_px, toward_sun)
 
@@ -182,10 +185,21 @@ def test_wings_of_the_point_spread_function_are_found_by_the_moment() -> None:
 
 
 def test_markings_that_the_shape_lacks_are_in_the_covariance_of_the_moment() -> None:
-    fixes = [(each := shot(seed, phase_deg=30.0, marked=True), each.fix(Moment())) for seed in range(8)]
+    fixes = [(each := shot(seed, phase_deg=30.0, marked=True), each.fix(Moment())) for seed in range(20)]
     within([each.nees(fix) for each, fix in fixes])
-    # Two of eight are suspect: to a coarse render, strong markings look like another figure, or like blur.
-    assert sum(fix.flags.suspect for _, fix in fixes) <= 2
+    # One in five is suspect: to a coarse render, strong markings look like another figure, or like blur.
+    assert sum(fix.flags.suspect for _, fix in fixes) <= 4
+
+
+@pytest.mark.parametrize("law", ["lambert", "hapke", "lommel_seeliger"])
+def test_how_a_law_changes_with_the_phase_angle_is_in_the_covariance_of_the_moment(law: str) -> None:
+    """Over 110 px of a wide camera the phase angle changes by 4 degrees, which McEwen's law makes much of."""
+    for seed in range(3):
+        each = shot(seed, law=law, phase_deg=15.0, diameter_px=110.0, focal_px=1500.0)
+        fix = each.fix(Moment())
+        assert not fix.flags.suspect
+        assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
+        assert np.linalg.norm(fix.center_px - each.center_px) < 0.25  # px; 0.4 where the law of Hapke is taken for another
 
 
 def test_the_figure_is_in_the_covariance_of_the_moment_where_the_light_shows_another() -> None:
@@ -255,7 +269,7 @@ def test_a_missing_block_moves_the_moment_as_little_as_its_template() -> None:
     mask[y : y + 24, x : x + 24] = True
     holed = replace(each, image=replace(each.image, pixels=np.where(mask, 0, each.image.pixels), mask=mask))
     fix = holed.fix(Moment())
-    assert np.linalg.norm(fix.center_px - each.center_px) < 0.35  # px; 1.6 where the block is dark
+    assert np.linalg.norm(fix.center_px - each.center_px) < 0.25  # px; 0.4 where the law of Hapke is taken for another; 1.6 where the block is dark
     assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
 
 

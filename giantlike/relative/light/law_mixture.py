@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Template
-from giantlike.relative.light.separation import BodyLight, seen_from
+from giantlike.relative.light.separation import BodyLight, kept_light, seen_from
 
-_WEIGHT_SIGMA = 1.0 / math.sqrt(6.0)
-"""A priori standard deviation of the weight.
+_SHARE_SIGMA = 1.0 / math.sqrt(6.0)
+"""A priori standard deviation of each share: that of the difference of two laws, the true one and the one assumed.
 
-That of the difference of two laws, the true one and the one assumed, which lie anywhere between that of Lommel and
-Seeliger and that of Lambert with equal probability.
+Both lie anywhere between that of Lommel and Seeliger and that of Lambert with equal probability. So does, 1/rad, how
+their brightness falls with the phase angle, between not at all (those two) and 1 (Hapke's law of dark ground from 10 to
+90 degrees), and how fast they go from the one to the other (McEwen's: 0.74 at 15 degrees).
 """
+_SHARES = 3
+"""Ways in which a law may differ: see :class:`LawMixture`."""
 _BLOCK = 0.25
 """Side of a block over the radius of the body: markings larger than that are few."""
 _LEAST_BLOCKS = 8
@@ -36,50 +41,79 @@ _MOST_FITTED = 0.75
 """Part of the variance of markings that these take, at most, so that what is left says something of them."""
 _ROUNDS, _SETTLED, _STEP = 5, 0.02, 0.1
 """Rounds of the fit, which is nearly linear, with new images and within each with new errors; change, over its standard
-deviation, that ends them; and step of its numerical derivative, a tenth of the way between laws."""
+deviation, that ends them; and step of its numerical derivatives, a tenth of the way between laws."""
+_LINEAR = 0.1
+"""Change of a share from which on derivatives are taken again: with those at 0, laws far away do not settle."""
+_GROWN = 0.003
+"""Relative step of the size: some tenths of a pixel."""
 _MOST = 1.0
-"""Largest weight: from one of the laws to the other."""
+"""Largest share: from one of the laws to the other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LawMixture(Value):
-    """A body under one law, and under two that those of bodies lie between: flat, and dark towards the terminator.
+    """A body under one law, and what other laws change: they lie between a flat one and one dark at the terminator.
 
     Parameters
     ----------
     own : Template
         Under the law that is assumed.
-    change : (h, w) float64
+    changes : (3, h, w) float64
         Brightness of the same pixels under the law of Lambert less that under the law of Lommel and Seeliger, each over
-        its sum.
+        its sum; and, rad, that under the law assumed, over its sum, and the first of these, times the phase angle in
+        each pixel beyond that at the center.
+
+    Notes
+    -----
+    The phase angle differs from limb to limb by the angular diameter of the body. On one of 300 px and 3.4 degrees, at
+    a phase of 15 degrees, McEwen's law moves the center of light by 0.45 px by that alone, where those of Lambert and
+    of Lommel and Seeliger do not.
     """
 
     own: Template
-    change: Float
+    changes: Float
 
     @classmethod
-    def of(cls, own: Template, *, flat: Float, dark: Float) -> LawMixture:
-        """Return the mixture of brightness (h, w) under a flat law and under one dark towards the terminator."""
-        return cls(own=own, change=dark / float(dark.sum()) - flat / float(flat.sum()))
+    def of(cls, own: Template, *, flat: Float, dark: Float, phase_per_px: Float) -> LawMixture:
+        """Return the mixture of brightness (h, w) under a flat law and under one dark towards the terminator.
+
+        ``phase_per_px`` (2,), rad, is the change of the phase angle from pixel to pixel.
+        """
+        rows, columns = own.brightness.shape
+        x, y = own.corner_px - own.center_px
+        beyond = phase_per_px[0] * (np.arange(columns) + x) + phase_per_px[1] * (np.arange(rows) + y)[:, None]
+        change = dark / float(dark.sum()) - flat / float(flat.sum())
+        share = own.brightness / float(own.brightness.sum())
+        return cls(own=own, changes=np.stack([change, beyond * share, beyond * change]))
+
+    def mapped(self, of_image: Callable[[Float], Float]) -> LawMixture:
+        """Return the same after a linear map of images (h, w)."""
+        own = replace(self.own, brightness=np.maximum(of_image(self.own.brightness), 0.0))
+        return LawMixture(own=own, changes=np.stack([of_image(each) for each in self.changes]))
+
+    def resized(self, scale: float) -> LawMixture:
+        """Return the body larger by a factor about its center."""
+        return self if scale == 1.0 else self.mapped(_resizing(self.own, scale))
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> LawMixture:
         """Return the same in coordinates that start at a pixel (2,)."""
         return replace(self, own=seen_from(self.own, corner_px))
 
-    def at(self, weight: float) -> Template:
-        """Return the body under the law assumed plus a share of the difference from the flat law to the dark one.
+    def at(self, shares: Float) -> Template:
+        """Return the body under the law assumed plus a share of each change.
 
         Parameters
         ----------
-        weight : float
-            Towards the dark law; all laws give the same light in total.
+        shares : (3,) float64
+            The first, towards the dark law, leaves the light in total as it is; the others are per rad.
 
         Returns
         -------
         Template
         """
-        brightness = self.own.brightness + weight * float(self.own.brightness.sum()) * self.change
-        return replace(self.own, brightness=np.maximum(brightness, 0.0))
+        changed = np.tensordot(shares * float(self.own.brightness.sum()), self.changes, axes=1)
+        changed += self.own.brightness
+        return replace(self.own, brightness=np.maximum(changed, 0.0, out=changed))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,10 +122,14 @@ class LawFit(Value):
 
     Parameters
     ----------
-    weight, sigma : float
-        Of the mixture, and its standard deviation.
-    slope_px : (2,) float64, px
-        Change of the correction by the weight.
+    shares : (3,) float64
+        Of the mixture.
+    sigma : float
+        Standard deviation of the first share.
+    covariance_px2 : (2, 2) float64, px^2
+        Of the correction, by the errors of the shares.
+    by_size_px : (2,) float64, px
+        Change of the correction where the body is larger, relative, and the law is another for that.
     template : Template
         The body under the law found.
     unexplained_px2 : (2, 2) float64, px^2
@@ -104,9 +142,10 @@ class LawFit(Value):
         Image minus template in the bright pixels, over the brightest pixel of the template.
     """
 
-    weight: float
+    shares: Float
     sigma: float
-    slope_px: Float
+    covariance_px2: Float
+    by_size_px: Float
     template: Template
     unexplained_px2: Float
     markings: float
@@ -151,43 +190,68 @@ class _Blocks(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Weighing(Value):
-    """Linear problem of the weight: light (blocks,) of the image, its photon variance, and what a weight changes."""
+    """Light (blocks,) of the image, and its photon variance."""
 
     blocks: _Blocks
     light_dn: Float
     photon_dn2: Float
-    by_weight_dn: Float
 
-    def solved(self, expected_dn: Float, at: float, *, first: bool) -> tuple[float, float]:
-        """Weight and its variance, from the light (blocks,) expected at a weight.
+    def solved(self, expected_dn: Float, changes_dn: Float, at: Float, *, first: bool) -> tuple[Float, Float, Float]:
+        """Shares (3,) and their covariance, by the light (blocks,) expected at some and what they change (3, blocks).
 
-        The first time without the prior: what a wrong law leaves over looks like markings, with which the law counts
-        little.
+        And what an error of that light adds to them, (3, blocks). The first time without the prior of the first share:
+        what a wrong law leaves over looks like markings, with which the law counts little.
         """
-        weight, variance, photon = at, _WEIGHT_SIGMA**2, self.photon_dn2
+        photon, gains = self.photon_dn2, np.zeros_like(changes_dn)
+        found: Float = at
+        covariance: Float = np.eye(_SHARES)
         for number in range(_ROUNDS):
-            expected = expected_dn + (weight - at) * self.by_weight_dn
+            expected = expected_dn + (found - at) @ changes_dn
             left, level = self.light_dn - expected, np.maximum(expected, np.sqrt(photon))
             # The range, and with it the brightness, is not exact.
-            left, slope = (each - float(each.sum()) / float(level.sum()) * level for each in (left, self.by_weight_dn))
+            left = left - float(left.sum()) / float(level.sum()) * level
+            slopes = changes_dn - np.outer(changes_dn.sum(axis=1) / float(level.sum()), level)
             marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
             errors = photon + marked * self.blocks.clustering(left / level) * level**2
-            prior = 0.0 if first and number == 0 else 1.0 / _WEIGHT_SIGMA**2
-            information = max(float(np.sum(slope**2 / errors)) + prior, 1e-12)
-            change = (float(np.sum(slope * left / errors)) - weight * prior) / information
-            before, weight, variance = weight, float(np.clip(weight + change, -_MOST, _MOST)), 1.0 / information
-            if number > 0 and abs(weight - before) < _SETTLED * math.sqrt(variance):
+            prior = np.full(_SHARES, 1.0 / _SHARE_SIGMA**2)
+            if first and number == 0:
+                prior[0] = 1e-12
+            covariance = np.asarray(np.linalg.inv((slopes / errors) @ slopes.T + np.diag(prior)), dtype=np.float64)
+            gains = covariance @ (slopes / errors)
+            change = gains @ left - covariance @ (found * prior)
+            before, found = found, np.clip(found + change, -_MOST, _MOST)
+            if number > 0 and _settled(found - before, covariance):
                 break
-        return weight, variance
+        return found, covariance, gains - (gains @ level)[:, None] / float(level.sum())
+
+
+def resized(template: Template, scale: float) -> Template:
+    """Return a template of a body that is larger by a factor about its center."""
+    return replace(template, brightness=np.maximum(_resizing(template, scale)(template.brightness), 0.0))
+
+
+def _resizing(template: Template, scale: float) -> Callable[[Float], Float]:
+    """Map of images (h, w) on the pixels of a template that makes them larger about its center."""
+    along, down = (
+        _interpolation(at + (np.arange(count) - at) / scale, count)
+        for at, count in zip(template.center_px - template.corner_px, template.brightness.shape[::-1], strict=True)
+    )
+    return lambda image: np.ascontiguousarray((along @ np.ascontiguousarray((down @ image).T)).T)
+
+
+def _settled(change: Float, covariance: Float) -> bool:
+    return bool((np.abs(change) < _SETTLED * np.sqrt(np.diag(covariance))).all())
 
 
 def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
-    """Fit the weight of a mixture of laws to the brightness of blocks of the body.
+    """Fit the shares of a mixture of laws to the brightness of blocks of the body.
 
     Parameters
     ----------
     light : BodyLight
     laws : LawMixture
+        Of a body of the size that the image shows: one that is too small by 1 % looks darker towards its limb, as if
+        its law were 3 % of the way between two from what it is.
     radius_px : float, px
         Apparent radius of the body.
 
@@ -200,34 +264,36 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     Each block has its photon noise and an albedo of its own, whose scatter is that of the residuals. The body is
     placed by its center of light under each law, so that no limb is needed.
     """
-    center = light.center_px(light.threshold_dn)
+    threshold_dn = light.threshold_dn
+    center, steps = light.center_px(threshold_dn), _STEP * np.eye(_SHARES)
     blocks = _blocks_of(light, laws.own, center, radius_px)
-    template = laws.own
-    expected, other = (_placed(light, each, center) for each in (template, laws.at(_STEP)))
-    problem = _Weighing(
-        blocks=blocks,
-        light_dn=blocks.sums(light.signal_dn),
-        photon_dn2=blocks.photon(light),
-        by_weight_dn=blocks.sums(other - expected) / _STEP,
-    )
-    weight, variance = problem.solved(blocks.sums(expected), 0.0, first=True)
-    placed_at = 0.0
-    for _ in range(_ROUNDS):
-        if abs(weight - placed_at) < _SETTLED * math.sqrt(variance):
+    problem = _Weighing(blocks=blocks, light_dn=blocks.sums(light.signal_dn), photon_dn2=blocks.photon(light))
+    shares, template, changes_at = np.zeros(_SHARES), laws.own, np.full(_SHARES, np.inf)
+    expected, changes_dn = _placed(light, template, center), np.zeros((_SHARES, len(blocks.cells)))
+    for number in range(_ROUNDS):
+        expected_dn = blocks.sums(expected)
+        if np.abs(shares - changes_at).max() > _LINEAR:
+            moved = [blocks.sums(_placed(light, laws.at(shares + step), center)) for step in steps]
+            changes_at, changes_dn = shares, (np.array(moved) - expected_dn) / _STEP
+        found, covariance, gains = problem.solved(expected_dn, changes_dn, shares, first=number == 0)
+        if _settled(found - shares, covariance):
             break
-        placed_at, template = weight, laws.at(weight)
+        shares, template = found, laws.at(found)
         expected = _placed(light, template, center)
-        weight, variance = problem.solved(blocks.sums(expected), placed_at, first=False)
-    weight = placed_at
-    moved = light.offset_px(laws.at(weight + _STEP), light.threshold_dn) - light.offset_px(template, light.threshold_dn)
+    offset = light.offset_px(template, threshold_dn)
+    slopes_px = np.array([light.offset_px(laws.at(shares + step), threshold_dn) - offset for step in steps]) / _STEP
+    larger = resized(template, 1.0 + _GROWN)
+    by_size = gains @ (blocks.sums(_placed(light, larger, center)) - blocks.sums(expected)) / _GROWN
+    by_size_px = (light.offset_px(larger, threshold_dn) - offset) / _GROWN - slopes_px.T @ by_size
     residuals = light.signal_dn - expected
     unexplained_px2, markings = _unexplained(light, expected, center, blocks)
     seen = light.signal_dn[light.region]
     excess = float((residuals[light.region] ** 2 - light.variance_dn2(np.maximum(seen, 0.0))).sum())
     return LawFit(
-        weight=weight,
-        sigma=math.sqrt(variance),
-        slope_px=moved / _STEP,
+        shares=shares,
+        sigma=math.sqrt(float(covariance[0, 0])),
+        covariance_px2=slopes_px.T @ covariance @ slopes_px,
+        by_size_px=by_size_px,
         template=template,
         unexplained_px2=unexplained_px2,
         markings=markings,
@@ -271,7 +337,7 @@ def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:
 def _placed(light: BodyLight, template: Template, center_px: Float) -> Float:
     """Signal (rows, columns) of a template whose center of light is laid on that of the image, DN."""
     expected = light.expected_dn(template.brightness)
-    kept = np.where(expected > light.threshold_dn, expected, 0.0)
+    kept = kept_light(expected, light.threshold_dn)
     kept = kept if kept.any() else expected
     own = np.array([kept.sum(axis=0) @ np.arange(kept.shape[1]), kept.sum(axis=1) @ np.arange(kept.shape[0])])
     shift = center_px - own / float(kept.sum())
@@ -285,10 +351,23 @@ def _placed(light: BodyLight, template: Template, center_px: Float) -> Float:
 
 def _taps(share: float) -> Float:
     """Weights (7,) of the pixels around one in an image moved by a ``share`` of a pixel: a polynomial through six."""
-    nodes = np.arange(-3, 3)
+    return np.append(_through_six(np.array([-share]), first=-3)[0], 0.0)
+
+
+def _interpolation(places: Float, count: int) -> csr_matrix[np.float64]:
+    """Matrix (n, count) that gives values at ``places`` (n,) along a line of ``count`` pixels, dark beyond its ends."""
+    whole = np.floor(places).astype(np.int64)
+    columns = whole[:, None] + np.arange(-2, 4)
+    weights = np.where((columns >= 0) & (columns < count), _through_six(places - whole, first=-2), 0.0)
+    starts = np.arange(0, columns.size + 1, columns.shape[1])
+    return csr_matrix((weights.ravel(), np.clip(columns, 0, count - 1).ravel(), starts), shape=(len(places), count))
+
+
+def _through_six(places: Float, *, first: int) -> Float:
+    """Weights (n, 6) of six values, from pixel ``first`` on, in the polynomial through them at ``places`` (n,)."""
+    nodes = np.arange(first, first + 6)
     others = np.tile(nodes, (6, 1))[~np.eye(6, dtype=bool)].reshape(6, 5)
-    weights = ((-share - others) / (nodes[:, None] - others)).prod(axis=1)
-    return np.append(weights, 0.0)
+    return np.asarray(((places[:, None, None] - others) / (nodes[:, None] - others)).prod(axis=-1))
 
 
 def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks: _Blocks) -> tuple[Float, float]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, require, unit
 from giantlike.core.causes import Cause, summed
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure
@@ -23,9 +24,10 @@ from giantlike.ray_tracing import (
 )
 from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
-from giantlike.relative.light.law_mixture import LawFit, LawMixture, fit_law
+from giantlike.relative.light.law_mixture import LawMixture, fit_law
+from giantlike.relative.light.lit_size import first_scale, measured_size
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
-from giantlike.relative.light.separation import LIGHT_SIGMAS, MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
+from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
 from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.quality import QualityChecks
@@ -34,19 +36,6 @@ from giantlike.scene import TargetGeometry
 _LOWER_THRESHOLD = 0.5
 """Factor of the threshold whose effect on the center enters the covariance as one sigma."""
 _SAMPLING_PX = 0.02  # px, error by the rays of the template on a large body
-_INCONSISTENT_SIGMAS = 4.0  # between predicted and measured size: once in 16,000 by chance
-_EDGE_PX, _SETTLED_EDGE_PX = 1.0, 0.25
-"""Error of the edge of the lit area by the point spread function, px, over 3.5 for a disk; and where the image shows
-none, because several thresholds give the same size."""
-_COUNT_PX = 0.5
-"""Error of each pixel along the edge of the lit area, px: 0.3 as it is counted or not, and noise where light fades."""
-_EDGE_LEVELS = (1.0, 2.0, 4.0, 8.0)
-"""Levels at which sizes are compared, over the least; their range is half of the error of the least, at least."""
-_RANGE_OF_NOISE = 2.06
-"""Expected range of as many normal numbers, over their standard deviation."""
-_HEIGHT = 0.1
-"""Height, over the radius, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of
-waves of half of it, which are 1 / 4 pi as high."""
 _MAX_STRAY = 0.05  # of the bright pixels outside the expected area: above, it is not the light of the body alone
 _FILL_UNKNOWN = 0.25
 """Part of the effect of filled pixels on the center that is one sigma: the template that tells it lies within half a
@@ -59,6 +48,11 @@ _RAYS_ACROSS, _RAYS_SIZE_PX = (96, 300), 40.0
 """Rays across a full disk, and its size up to which the least number will do: what they leave of its light grows with
 the size and falls with the power 3/2 of their number. A crescent gets as many. See ``_SAMPLING_PX``."""
 _MOST_RAYS = 24  # along the side of a pixel: bounds the cost of small bodies
+_SIZES, _SETTLED_SIZE = 3, 1e-3
+"""Rounds of law and size, which depend on each other; relative change of the size that ends them: it moves the law by
+0.003 of the way between two, and the center of a body of 300 px by 0.02 px."""
+_LEAST_SINE = 1e-3
+"""Of the phase angle, below which all directions from the center lead to larger ones."""
 _BLOCKS_ACROSS = 150
 """Blocks of pixels across a disk, of which each gets one ray where light is even; those of small ones are of 2 px."""
 
@@ -161,28 +155,36 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     threshold_dn, without = light.threshold_dn, laws.own
     laws = with_wings(laws, share, psf_sigma_px) if share > 0.0 else laws
     by_wings = light.offset_px(laws.own, threshold_dn) - light.offset_px(without, threshold_dn)
-    law = fit_law(light, laws, radius_px=inputs.radius_px)
+    ranged = partial(measured_size, range_sigma=options.range_sigma, trace=max(TRACE, share))
+    first = first_scale(light, laws, range_sigma=options.range_sigma, trace=max(TRACE, share))
+    for _ in range(_SIZES):
+        law = fit_law(light, laws.resized(first), radius_px=first * inputs.radius_px)
+        size = ranged(light, laws, law, psf_sigma_px=psf_sigma_px, radius_px=inputs.radius_px)
+        rest = size.scale / first
+        if abs(math.log(rest)) < _SETTLED_SIZE:
+            break
+        first = size.scale
     template = law.template
     center_px, noise_px2, background_px2 = light.centroid(threshold_dn)
-    size = _measured_size(light, laws, law, options.range_sigma, max(TRACE, share))
-    brighter = size.scale**-2.0  # all of the light comes from a smaller or larger disk than that of the template
-    rendered = light.offset_px(template, threshold_dn, brighter=brighter)
+    cut = light.offset_px(template, threshold_dn)
     low_dn = _LOWER_THRESHOLD * threshold_dn
-    below = light.center_px(low_dn) + light.offset_px(template, low_dn, brighter=brighter)
-    by_threshold = below - center_px - rendered
+    by_threshold = light.center_px(low_dn) + light.offset_px(template, low_dn) - center_px - cut
+    brighter = 1.0 + _gain_error(light, template, math.hypot(math.log(rest), size.sigma))
+    by_gain = light.offset_px(template, threshold_dn, brighter=brighter) - cut
+    by_fill = _FILL_UNKNOWN * (cut - light.offset_px(template, threshold_dn, filled=False))
+    rendered = cut + math.log(rest) * law.by_size_px
     kind, model = Correction(options.correction), inputs.camera.model
-    offset = phase_correction_px(kind, rendered, inputs.geometry, model, radius_px=inputs.radius_px)
-    by_law = law.sigma * law.slope_px if kind is Correction.RENDERED else offset - rendered
-    unsure = brighter * (1.0 + _gain_error(light, template, size))
-    by_gain = light.offset_px(template, threshold_dn, brighter=unsure) - rendered
-    by_fill = _FILL_UNKNOWN * (rendered - light.offset_px(template, threshold_dn, brighter=brighter, filled=False))
+    offset, by_law, by_size = rendered, law.covariance_px2, law.by_size_px
+    if kind is not Correction.RENDERED:
+        offset = size.scale * phase_correction_px(kind, rendered, inputs.geometry, model, radius_px=inputs.radius_px)
+        by_law, by_size = np.outer(offset - rendered, offset - rendered), offset
     parts = {
         Cause.NOISE: noise_px2 + _SAMPLING_PX**2 * np.eye(2),
         Cause.BACKGROUND: background_px2,
-        Cause.REFLECTANCE: np.outer(by_law, by_law) + np.outer(by_gain, by_gain),
+        Cause.REFLECTANCE: by_law + np.outer(by_gain, by_gain),
         Cause.ALBEDO: law.unexplained_px2 + np.outer(by_fill, by_fill),
         Cause.PSF: np.outer(by_threshold, by_threshold)
-        + size.sigma**2 * np.outer(offset, offset)
+        + size.sigma**2 * np.outer(by_size, by_size)
         + WING_UNKNOWN**2 * np.outer(by_wings, by_wings),
     }
     bright = light.bright
@@ -195,7 +197,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     )
     return CenterFix(
         **inputs.identity,
-        center_px=light.corner_px + center_px + size.scale * offset,
+        center_px=light.corner_px + center_px + offset,
         covariance_px2=summed(parts),
         parts=parts,
         residuals=law.residuals,
@@ -207,68 +209,13 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Size:
-    """Size of the body in the image: ``scale`` times its prediction, with a relative ``sigma``.
-
-    ``excess`` is the difference of measured and predicted size over the largest that is consistent.
-    """
-
-    scale: float
-    sigma: float
-    area_ratio: float
-    excess: float
-
-
-def _measured_size(light: BodyLight, laws: LawMixture, law: LawFit, range_sigma: float, trace: float) -> _Size:
-    """Size by the area above a share ``trace`` of the peak, which depends little on the law, and size predicted."""
-    level = max(LIGHT_SIGMAS * light.sky.sigma_dn, trace * float(light.signal_dn[light.region].max()))
-    measured = float(np.count_nonzero(light.region & (light.signal_dn > level)))
-
-    def area(template: Template) -> float:
-        return max(float(np.count_nonzero(light.expected_dn(template.brightness) > level)), 1.0)
-
-    own = area(law.template)
-    ratio = max(measured, 1.0) / own
-    by_law = max(abs(math.log(area(laws.at(law.weight + step)) / own)) for step in (-law.sigma, law.sigma))
-    edge = _edge_error(light, law.template, level) * 0.5 / math.sqrt(own)
-    variance = (0.5 * by_law) ** 2 + _counted(own) ** 2 + edge**2 + (_HEIGHT * law.markings) ** 2
-    log_size = 0.5 * math.log(ratio)
-    excess = abs(log_size) / (_INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + variance))
-    if excess > 1.0:  # halo, or another body
-        return _Size(scale=1.0, sigma=range_sigma, area_ratio=ratio, excess=excess)
-    weight = range_sigma**2 / (range_sigma**2 + variance)
-    # Birge's ratio: predicted and measured size that are unlikely together are each less certain than they say.
-    sigma = math.sqrt(weight * variance) * max(1.0, _INCONSISTENT_SIGMAS * excess)
-    return _Size(scale=math.exp(weight * log_size), sigma=sigma, area_ratio=ratio, excess=excess)
-
-
-def _counted(area_px: float) -> float:
-    """Relative error of the size of a lit area that is counted in pixels."""
-    return 0.5 * _COUNT_PX * math.sqrt(2.0 * math.sqrt(math.pi * area_px)) / area_px
-
-
-def _gain_error(light: BodyLight, template: Template, size: _Size) -> float:
+def _gain_error(light: BodyLight, template: Template, size_sigma: float) -> float:
     """Relative error of the brightness of a clipped body by that of its size: little of its light shows it."""
     if math.isinf(light.ceiling_dn):
         return 0.0
     expected = light.expected_dn(template.brightness)
     free = float(expected[expected < light.ceiling_dn].sum()) / float(expected.sum())
-    return min(2.0 * math.hypot(math.log(size.scale), size.sigma) / max(free, 1e-6), 1.0)
-
-
-def _edge_error(light: BodyLight, template: Template, level: float) -> float:
-    """Error of the edge of the lit area, px, as :data:`_EDGE_PX`, by how sizes differ between levels."""
-    expected = light.expected_dn(template.brightness)
-    signal = light.signal_dn[light.region]
-    levels = [level * factor for factor in _EDGE_LEVELS if level * factor < 0.5 * float(expected.max())]
-    areas = [(np.count_nonzero(signal > each), np.count_nonzero(expected > each)) for each in levels]
-    sizes = [0.5 * math.log(seen / own) for seen, own in areas if seen > 0 and own > 0]
-    if len(sizes) < len(_EDGE_LEVELS):
-        return _EDGE_PX
-    differ = max(max(sizes) - min(sizes) - _RANGE_OF_NOISE * _counted(float(areas[0][1])), 0.0)
-    shown_px = 2.0 * differ * 2.0 * math.sqrt(areas[0][1])
-    return min(math.hypot(_SETTLED_EDGE_PX, shown_px), _EDGE_PX)
+    return min(2.0 * size_sigma / max(free, 1e-6), 1.0)
 
 
 def _laws(inputs: EstimatorInputs, margin_px: int) -> LawMixture | Failure:
@@ -292,7 +239,17 @@ def _laws(inputs: EstimatorInputs, margin_px: int) -> LawMixture | Failure:
     if isinstance(templates, Failure):
         return templates
     own, flat, dark = templates
-    return LawMixture.of(own, flat=flat.brightness, dark=dark.brightness)
+    per_px = _phase_per_px(geometry, camera)
+    return LawMixture.of(own, flat=flat.brightness, dark=dark.brightness, phase_per_px=per_px)
+
+
+def _phase_per_px(geometry: TargetGeometry, camera: Camera) -> Float:
+    """Change (2,) of the phase angle from pixel to pixel at the center of a body, rad."""
+    sight, sine = unit(geometry.position_camera_km), math.sin(geometry.phase_angle_rad)
+    if sine < _LEAST_SINE:
+        return np.zeros(2)
+    per_px = camera.model.unproject_jacobian(camera.model.project(sight))
+    return np.asarray(geometry.sun_direction_camera @ per_px / sine)
 
 
 def _other_targets(inputs: EstimatorInputs) -> list[ExpectedBlob]:

@@ -37,6 +37,9 @@ _SETTLING, _SETTLED_PX = 4, 2
 _FILL_SIDES_PX, _FILL_SHARE = (65, 17, 5), 0.1
 """Sides, px, of the squares whose good pixels fill bad ones, the last that hold a tenth of good ones: of a pixel or two
 on all sides of single bad pixels, more in the middle of a missing block."""
+_CUT = 1.0
+"""Width of the threshold over it. Errors across the direction of the Sun, of exact ellipsoids of 120 px at 90 and 125
+degrees of phase, are 0.060 and 0.140 px with a sharp one, 0.021 and 0.052 with 1, and 0.021 and 0.042 with 1.6."""
 _GAIN_ROUNDS = 30
 """Halvings in which the gain of a clipped body is found: to a billionth."""
 
@@ -105,6 +108,8 @@ class BodyLight(Value):
         Sky subtracted, bad pixels filled.
     region : (rows, columns) bool
         Pixels whose light counts as the body's.
+    total_dn : float, DN
+        Sum of their signal.
     expected : (rows, columns) bool
         Pixels where light of the body is expected, with a margin.
     threshold_dn : float, DN
@@ -123,6 +128,7 @@ class BodyLight(Value):
     corner_px: NDArray[np.int64]
     signal_dn: Float
     region: Mask
+    total_dn: float
     expected: Mask
     threshold_dn: float
     ceiling_dn: float
@@ -155,7 +161,7 @@ class BodyLight(Value):
 
     def center_px(self, threshold_dn: float) -> Float:
         """Center (2,), px, of the light above a threshold, DN."""
-        return _center_of(np.where(self.region & (self.signal_dn > threshold_dn), self.signal_dn, 0.0))
+        return _center_of(self.region * kept_light(self.signal_dn, threshold_dn))
 
     def variance_dn2(self, signal_dn: Float) -> Float:
         """Variance of the noise of pixels (n,), DN^2: shot noise, and the noise of the sky as it is."""
@@ -177,12 +183,15 @@ class BodyLight(Value):
         background_px2 : (2, 2) float64, px^2
             Covariance by the errors of the plane under them, and by the bend of the sky, as one sigma.
         """
-        rows, columns = np.nonzero(self.region & (self.signal_dn > threshold_dn))
-        values = self.signal_dn[rows, columns]
+        rows, columns = np.nonzero(self.region & (self.signal_dn > (1.0 - 0.5 * _CUT) * threshold_dn))
+        signal = self.signal_dn[rows, columns]
+        values = kept_light(signal, threshold_dn)
         pixels = np.stack([columns, rows], axis=1).astype(np.float64)
         center = values @ pixels / values.sum()
-        arms = (pixels - center) / values.sum()
-        noise = (arms * self.variance_dn2(values)[:, None]).T @ arms
+        share = values / signal
+        slope = share + np.where(share < 1.0, signal / (_CUT * threshold_dn), 0.0)
+        arms = (pixels - center) * slope[:, None] / values.sum()
+        noise = (arms * self.variance_dn2(signal)[:, None]).T @ arms
         lever = arms.T @ self.sky.basis(pixels[:, 0], pixels[:, 1])
         bend = lever @ self.sky.bend_dn
         return center, noise, lever[:, :3] @ self.sky.covariance_dn2 @ lever[:, :3].T + np.outer(bend, bend)
@@ -201,7 +210,7 @@ class BodyLight(Value):
         -------
         (h, w) float64, DN
         """
-        total = float(self.signal_dn[self.region].sum())
+        total = self.total_dn
         gain = total / float(brightness.sum())
         if math.isinf(self.ceiling_dn):
             return gain * brighter * brightness
@@ -235,10 +244,34 @@ class BodyLight(Value):
             x, y = (template.corner_px + self.shift_px).tolist()
             box = PixelBox(x=x, y=y, width=expected.shape[1], height=expected.shape[0])
             expected = _filled(expected, box.cut(self.bad))
-        kept = np.where(expected > threshold_dn, expected, 0.0)
+        kept = kept_light(expected, threshold_dn)
         if not kept.any():
             kept = expected
         return np.asarray(template.center_px - _center_of(kept) - template.corner_px)
+
+
+def kept_light(signal_dn: Float, threshold_dn: float) -> Float:
+    """Light that counts: none below half of a threshold, all from one and a half on, and between them a growing share.
+
+    Parameters
+    ----------
+    signal_dn : (...) float64, DN
+    threshold_dn : float, DN
+        Above 0.
+
+    Returns
+    -------
+    (...) float64, DN
+
+    Notes
+    -----
+    Where pixels count wholly or not at all, those along the cut move the center of a crescent of 120 px by 0.1 px with
+    the place of the body between pixels. See :data:`_CUT`.
+    """
+    share = (signal_dn - (1.0 - 0.5 * _CUT) * threshold_dn) / (_CUT * threshold_dn)
+    np.clip(share, 0.0, 1.0, out=share)
+    share *= signal_dn
+    return share
 
 
 def _center_of(light: Float) -> Float:
@@ -334,12 +367,14 @@ def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> BodyLig
         region, expected, around = _regions(template, shift, blob, prediction.radius_px)
         if window.cuts(region) or not region.any():
             return None
+        region = region & ~foreign
         light = BodyLight(
             corner_px=np.array(window.image.corner_px),
             signal_dn=signal,
-            region=region & ~foreign,
+            region=region,
+            total_dn=float(signal.sum(where=region)),
             expected=expected,
-            threshold_dn=otsu_threshold(signal[around][~foreign[around]]),
+            threshold_dn=max(otsu_threshold(signal[around][~foreign[around]]), sky.sigma_dn),
             ceiling_dn=ceiling,
             sky=sky,
             noise_variance_dn2=window.image.noise_variance_dn2,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -78,8 +77,7 @@ def with_wings(laws: LawMixture, share: float, psf_sigma_px: float) -> LawMixtur
     def spread(brightness: Float) -> Float:
         return (1.0 - share) * brightness + share * _blurred(brightness, _WIDTHS * psf_sigma_px)
 
-    own = replace(laws.own, brightness=spread(laws.own.brightness))
-    return LawMixture(own=own, change=spread(laws.change))
+    return laws.mapped(spread)
 
 
 def _blurred(image: Float, sigma_px: float) -> Float:
