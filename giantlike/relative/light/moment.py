@@ -97,20 +97,23 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     place and size, is separated from the dark by Otsu's method, and the brightness above the plane through the sky
     gives the center of light (Liounis et al. eq. 4). The correction to the center of the figure is by default that of
     the body rendered at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is their
-    eq. 3. It grows with the size of the body, predicted (``range_sigma``) and measured by the lit area.
+    eq. 3. It grows with the size of the body, predicted (``range_sigma``) and measured by the lit area above several
+    levels, which show the width of the point spread function beside it; the body rendered is made as large.
 
     No limb and no detail of the surface is used, so that nothing can be mistaken for them. The reflectance law counts:
-    how far it is from the law of the target toward that of Lommel and Seeliger or that of Lambert follows from the
-    brightness of blocks of a quarter of the radius. ``score`` is the lit area over that expected, ``residuals`` are
-    image minus template over the brightest pixel of the template.
+    how far it is from the law of the target toward that of Lommel and Seeliger or that of Lambert, and how it changes
+    with the phase angle from limb to limb, follows from the brightness of blocks of a quarter of the radius.
+
+    ``score`` is the lit area over that expected, ``residuals`` are image minus template over the brightest pixel of the
+    template.
 
     The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
     ``reflectance``, what the blocks leave open of the law, and of saturated bodies the error of their brightness;
-    ``albedo``, markings and rings, by the residuals of the blocks; ``psf``, the error of the size, half of the effect
-    of the wings that the light beside the body shows and, as one sigma, that of a threshold half as high; ``relief``,
-    what limb, terminator and strain of the light show of another figure, by the checks behind every fix. For
-    ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from the rendered correction is an error of the
-    reflectance.
+    ``albedo``, markings and rings, by the residuals of the blocks; ``psf``, the error of the size, also by way of the
+    law, which is found for a size, half of the effect of the wings that the light beside the body shows and, as one
+    sigma, that of a threshold half as high; ``relief``, what limb, terminator and strain of the light show of another
+    figure, by the checks behind every fix. For ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from
+    the rendered correction is an error of the reflectance.
 
     Failures are ``NO_SIGNAL``, ``AMBIGUOUS``, ``OUT_OF_FRAME`` where light reaches the edge of the image,
     ``SATURATED`` where hardly a pixel is left, and ``NOT_LIT``.
