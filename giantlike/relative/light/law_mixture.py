@@ -15,7 +15,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Template
-from giantlike.relative.light.separation import BodyLight, kept_light, seen_from
+from giantlike.relative.light.separation import BodyLight, center_of, kept_light, seen_from
 
 _SHARE_SIGMA = 1.0 / math.sqrt(6.0)
 """A priori standard deviation of each share: that of the difference of two laws, the true one and the one assumed.
@@ -269,22 +269,22 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     blocks = _blocks_of(light, laws.own, center, radius_px)
     problem = _Weighing(blocks=blocks, light_dn=blocks.sums(light.signal_dn), photon_dn2=blocks.photon(light))
     shares, template, changes_at = np.zeros(_SHARES), laws.own, np.full(_SHARES, np.inf)
-    expected, changes_dn = _placed(light, template, center), np.zeros((_SHARES, len(blocks.cells)))
+    changes_dn, slopes_px = np.zeros((_SHARES, len(blocks.cells))), np.zeros((_SHARES, 2))
+    expected, place_px = _placed(light, template, center)
     for number in range(_ROUNDS):
         expected_dn = blocks.sums(expected)
         if np.abs(shares - changes_at).max() > _LINEAR:
-            moved = [blocks.sums(_placed(light, laws.at(shares + step), center)) for step in steps]
-            changes_at, changes_dn = shares, (np.array(moved) - expected_dn) / _STEP
+            moved = [_placed(light, laws.at(shares + step), center) for step in steps]
+            changes_dn = (np.array([blocks.sums(image) for image, _ in moved]) - expected_dn) / _STEP
+            changes_at, slopes_px = shares, (place_px - np.array([place for _, place in moved])) / _STEP
         found, covariance, gains = problem.solved(expected_dn, changes_dn, shares, first=number == 0)
         if _settled(found - shares, covariance):
             break
         shares, template = found, laws.at(found)
-        expected = _placed(light, template, center)
-    offset = light.offset_px(template, threshold_dn)
-    slopes_px = np.array([light.offset_px(laws.at(shares + step), threshold_dn) - offset for step in steps]) / _STEP
-    larger = resized(template, 1.0 + _GROWN)
-    by_size = gains @ (blocks.sums(_placed(light, larger, center)) - blocks.sums(expected)) / _GROWN
-    by_size_px = (light.offset_px(larger, threshold_dn) - offset) / _GROWN - slopes_px.T @ by_size
+        expected, place_px = _placed(light, template, center)
+    larger, larger_px = _placed(light, resized(template, 1.0 + _GROWN), center)
+    by_size = gains @ (blocks.sums(larger) - blocks.sums(expected)) / _GROWN
+    by_size_px = (place_px - larger_px) / _GROWN - slopes_px.T @ by_size
     residuals = light.signal_dn - expected
     unexplained_px2, markings = _unexplained(light, expected, center, blocks)
     seen = light.signal_dn[light.region]
@@ -334,19 +334,19 @@ def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:
     return _Blocks(rows=rows, columns=columns, number=number, cells=cells)
 
 
-def _placed(light: BodyLight, template: Template, center_px: Float) -> Float:
-    """Signal (rows, columns) of a template whose center of light is laid on that of the image, DN."""
+def _placed(light: BodyLight, template: Template, center_px: Float) -> tuple[Float, Float]:
+    """Signal (rows, columns), DN, of a template laid on the center of light of the image, and its own center (2,)."""
     expected = light.expected_dn(template.brightness)
     kept = kept_light(expected, light.threshold_dn)
-    kept = kept if kept.any() else expected
-    own = np.array([kept.sum(axis=0) @ np.arange(kept.shape[1]), kept.sum(axis=1) @ np.arange(kept.shape[0])])
-    shift = center_px - own / float(kept.sum())
+    place_px = center_of(kept if kept.any() else expected)
+    shift = center_px - place_px
     whole = np.floor(shift)
     along, down = (_taps(float(each)) for each in shift - whole)
     filtered = cv2.sepFilter2D(expected, cv2.CV_64F, along, down, borderType=cv2.BORDER_CONSTANT)
     moved = filtered.astype(np.float64, copy=False)
     rows, columns = light.region.shape
-    return PixelBox(x=0, y=0, width=columns, height=rows).cut(moved, (int(whole[0]), int(whole[1])))
+    box = PixelBox(x=0, y=0, width=columns, height=rows)
+    return box.cut(moved, (int(whole[0]), int(whole[1]))), place_px
 
 
 def _taps(share: float) -> Float:

@@ -161,7 +161,7 @@ class BodyLight(Value):
 
     def center_px(self, threshold_dn: float) -> Float:
         """Center (2,), px, of the light above a threshold, DN."""
-        return _center_of(self.region * kept_light(self.signal_dn, threshold_dn))
+        return center_of(self.region * kept_light(self.signal_dn, threshold_dn))
 
     def variance_dn2(self, signal_dn: Float) -> Float:
         """Variance of the noise of pixels (n,), DN^2: shot noise, and the noise of the sky as it is."""
@@ -247,7 +247,7 @@ class BodyLight(Value):
         kept = kept_light(expected, threshold_dn)
         if not kept.any():
             kept = expected
-        return np.asarray(template.center_px - _center_of(kept) - template.corner_px)
+        return np.asarray(template.center_px - center_of(kept) - template.corner_px)
 
 
 def kept_light(signal_dn: Float, threshold_dn: float) -> Float:
@@ -274,8 +274,8 @@ def kept_light(signal_dn: Float, threshold_dn: float) -> Float:
     return share
 
 
-def _center_of(light: Float) -> Float:
-    """Center (2,), px, of an image (h, w)."""
+def center_of(light: Float) -> Float:
+    """Return the center (2,), px, of an image (h, w)."""
     by_column, by_row = light.sum(axis=0), light.sum(axis=1)
     along = np.array([by_column @ np.arange(by_column.size), by_row @ np.arange(by_row.size)])
     return np.asarray(along / float(by_column.sum()))
