@@ -379,7 +379,7 @@ def fit_horizon(
     """
     points, keep = measured.observed_px[measured.keep], measured.keep
     residuals, design, _ = horizon_residuals(points, model, figure, start_km)
-    lift = altitude_design(points, model, figure, start_km)
+    lift = altitude_design(points, model, figure, start_km) if altitude.sigma_km > 0.0 else np.zeros(len(points))
     own, weighting = _own_errors(measured, residuals, design)
     others = {
         **{cause: shared[keep] @ shared[keep].T for cause, shared in measured.common_px.items()},
