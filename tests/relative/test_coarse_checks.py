@@ -15,9 +15,12 @@ from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import Detector, GaussianPsf
+from giantlike.gauntlet.bodies import rock
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, record, render_body
 from giantlike.ray_tracing import Body, Template, Trace
+from giantlike.ray_tracing.embree import EmbreeSurface, Float32, Int32
 from giantlike.relative.verification import coarse_fit, light_side
+from giantlike.relative.verification import turn as turn_check
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.shapes import Ellipsoid
@@ -33,6 +36,10 @@ CAMERA = Camera(
     psf=GaussianPsf(sigma_px=0.8),
     detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0),
 )
+ROCK_RANGE = 10.0
+"""Range of the rock over that of the ellipsoid: it is as much larger."""
+TURN_SIGMAS = 0.5
+"""Standard deviations by which the turn of a rough rock of 80 px may differ: a chance of 1e-5 becomes 1e-6 to 1e-4."""
 BLOCK_PX = 4
 """Pixels along a block of 2 x 2 cells."""
 LEFT = 0.05
@@ -51,11 +58,15 @@ def light(sun: Float) -> Float:
 
 
 def looked_at(
-    pixels_dn: Float, sun: Float, good: Mask | None = None, off_px: tuple[float, float] = (0.0, 0.0)
+    pixels_dn: Float,
+    sun: Float,
+    good: Mask | None = None,
+    off_px: tuple[float, float] = (0.0, 0.0),
+    body: Body | None = None,
 ) -> tuple[Cells, Trace, Template]:
     """Cells of an image, and the body traced and rendered so far beside its place."""
     off_km = np.append(off_px, 0.0) * POSITION_KM[2] / FOCAL_PX
-    body = Body(
+    body = body or Body(
         shape=Ellipsoid(radii_km=RADII_KM),
         camera_from_body=Rotation.identity(),
         position_camera_km=POSITION_KM + off_km,
@@ -132,6 +143,38 @@ def test_a_side_that_blocks_tell_is_the_one_that_cells_tell(phase_deg: float, mo
             monkeypatch.undo()
         rough, fine = sides[told_deg, light_side._HALVED_RADIUS], sides[told_deg, math.inf]
         assert rough == fine or (rough < 0.0 and fine < 0.0)  # blocks only ever say that the side is right
+
+
+@pytest.mark.parametrize("phase_deg", [20.0, 60.0, 120.0])
+def test_where_a_body_was_lit_tells_renders_of_it_turned_what_they_need(
+    phase_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (body, mesh), sun, view = rock(1), sun_at(phase_deg), PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
+    place = ROCK_RANGE * POSITION_KM
+    signal = render_body(body, view, Pose(place, Rotation.identity(), sun), psf=Psf(0.8))
+    image = record(signal, np.random.default_rng(3)).pixels - 0.0
+    told = Rotation.from_rotvec([0.0, math.radians(1.5), 0.0])
+    given = looked_at(image, sun, body=Body(shape=mesh, camera_from_body=told, position_camera_km=place))
+    sent, first_hit = [], EmbreeSurface.first_hit
+
+    def counted(self: EmbreeSurface, origins: Float32, directions: Float32) -> tuple[Int32, Float32]:
+        sent.append(len(origins))
+        return first_hit(self, origins, directions)
+
+    monkeypatch.setattr(EmbreeSurface, "first_hit", counted)
+    found = []
+    for light_known in (True, False):
+        if not light_known:
+            monkeypatch.setattr(turn_check, "_daylight", lambda trace: None)
+        fit = turn_check.fit_turned(*given, sun, albedo=0.1, turn_rad=0.05)
+        assert fit is not None
+        found.append((fit, sum(sent)))
+        sent.clear()
+    (fit, rays), (of_all, all_rays) = found
+    sigma = np.sqrt(np.diag(of_all.further_covariance))
+    assert rays < all_rays
+    assert np.all(np.abs(fit.further - of_all.further) < TURN_SIGMAS * sigma)
+    assert fit.misfit == pytest.approx(of_all.misfit, rel=0.01)
 
 
 def fitted(pixels_dn: Float, off_px: tuple[float, float] = (0.0, 0.0)) -> CoarseFit:

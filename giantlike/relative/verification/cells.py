@@ -15,6 +15,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
+from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.sampling import spread_over
 
 CELLS_PER_RADIUS = 20
@@ -106,13 +107,15 @@ class Cells(Value):
         within = slice(self.room, self.box.width - self.room)
         return values[within, within]
 
-    def trace(self, body: Body, sun_direction_camera: Float) -> Trace | None:
+    def trace(self, body: Body, sun_direction_camera: Float, daylight: Daylight | None = None) -> Trace | None:
         """Trace a body for renders into the cells.
 
         Parameters
         ----------
         body : Body
         sun_direction_camera : (3,) float64, unitless, camera axes
+        daylight : Daylight, optional
+            Where no ray need be sent, or none to the Sun.
 
         Returns
         -------
@@ -133,6 +136,7 @@ class Cells(Value):
                 min_rays_across=across,
                 margin_px=self.box.width,
             ),
+            daylight=daylight,
         )
         return None if isinstance(traced, Failure) else traced
 

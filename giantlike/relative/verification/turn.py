@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing import Template, Trace
+from giantlike.ray_tracing.daylight import Daylight
+from giantlike.ray_tracing.sampling import Cells as RayCells
 from giantlike.relative.verification.cells import Cells
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 
@@ -42,17 +44,32 @@ def fit_turned(
         Its ``further`` is the turn (2,), rad; None where too few cells hold the body.
     """
     sight, _ = Rotation.align_vectors(trace.body.position_camera_km[None], np.array([[0.0, 0.0, 1.0]]))
-    changes = []
+    changes, told = [], _daylight(trace)
     for axis in sight.as_matrix()[:, :2].T:
-        sides = [_turned_light(cells, trace, step * axis, sun_direction_camera) for step in (_STEP_RAD, -_STEP_RAD)]
+        sides = [
+            _turned_light(cells, trace, step * axis, sun_direction_camera, told) for step in (_STEP_RAD, -_STEP_RAD)
+        ]
         if sides[0] is None or sides[1] is None:
             return None
         changes.append((sides[0] - sides[1]) / (2.0 * _STEP_RAD))
     return fit_cells(cells, trace, own, albedo=albedo, turn_rad=turn_rad, further=np.stack(changes))
 
 
-def _turned_light(cells: Cells, trace: Trace, turn: Float, sun_direction_camera: Float) -> Float | None:
+def _daylight(trace: Trace) -> Daylight:
+    """Where a body that is turned a little is lit, by the rays in the middles of cells of a trace of it as it is.
+
+    A turn moves its face by a few rays: the eight cells around reach farther than that.
+    """
+    center_px = trace.body.center_px(trace.footprint.plane.model)
+    light, (column, row) = trace.at_middles()
+    cells = RayCells(column, light.shape[1], 1), RayCells(row, light.shape[0], 1)
+    return Daylight(cells=cells, lit=light.T > 0.0, center_px=center_px, traced_center_px=center_px, scale=1.0)
+
+
+def _turned_light(
+    cells: Cells, trace: Trace, turn: Float, sun_direction_camera: Float, daylight: Daylight
+) -> Float | None:
     """Light of the body when it is turned by a rotation vector (3,) in camera axes."""
     camera_from_body = Rotation.from_rotvec(turn) * trace.body.camera_from_body
-    turned = cells.trace(replace(trace.body, camera_from_body=camera_from_body), sun_direction_camera)
+    turned = cells.trace(replace(trace.body, camera_from_body=camera_from_body), sun_direction_camera, daylight)
     return None if turned is None else cells.light(turned)
