@@ -39,7 +39,8 @@ def _seen(case: Case, number: int) -> Seen:
     if folder is None:
         return view_of(case, number)
     phase_deg = case.phases_deg[number % len(case.phases_deg)]
-    path = Path(folder) / f"{case.body}-{case.law}-{case.diameter_px:g}-{phase_deg:g}-{case.frame_px}-{number}.npy"
+    body = case.body if case.body == "ellipsoid" else f"{case.body}{case.mesh_cells}"
+    path = Path(folder) / f"{body}-{case.law}-{case.diameter_px:g}-{phase_deg:g}-{case.frame_px}-{number}.npy"
     if path.exists():
         return view_of(case, number, np.load(path))
     seen = view_of(case, number)
