@@ -28,7 +28,8 @@ _FAR_FOCAL_LENGTHS = 10.0  # 84 deg off the axis of a pinhole camera
 _HALVINGS = 40  # of that distance, to find the end of the image: 1e-8 px where the focal length is a thousand
 _BEYOND = np.linspace(0.02, 1.0, 12)  # places between outline and the end of the image, as fractions
 _TURN = 2.0 * np.pi  # rad
-_NEWTON_STEPS = 4  # from the chord, with quadratic convergence: distortion hardly bends a single edge
+_NEWTON_STEPS = 4  # at most, from the chord, with quadratic convergence: distortion hardly bends a single edge
+_STILL = 1e-7  # of the length of an edge: the step after such a one is shorter than rounding
 _ELLIPSE_CORNERS = 720  # chords of an ellipse to start from: half a degree
 _ACROSS = 1e-12  # of the length of an edge: with less of it across a line the edge lies along the line, to rounding
 
@@ -115,12 +116,7 @@ def trace_silhouette(
     sun_body = sun_in_body(body, sun_direction_camera)
     center = body.center_px(model) if center_px is None else as_finite(center_px, (2,), "center_px")
     body = body.seen_by(model)
-    outline = outline_of(body, model)
-    edge = outline.outermost(center, angles)
-    points_camera_km = edge.points_camera_km
-    if not outline.complete:
-        covered = _covered(body, model, center, angles, edge.radii_px)
-        points_camera_km = np.where(covered[:, None], np.nan, points_camera_km)
+    outline, edge, points_camera_km = _edge(body, model, center, angles)
     points_px = model.project(points_camera_km)
     valid = finite_rows(points_px)
     grazing_px = projected_normals(model, points_camera_km, edge.normals_camera)
@@ -140,6 +136,38 @@ def trace_silhouette(
         cos_incidence=np.where(valid, hits.normals @ sun_body, np.nan),
         lit=valid & ~body.tracer.shadowed(hits, sun_body),
     )
+
+
+def outline_points_px(body: Body, model: CameraModel, angles_rad: ArrayLike) -> Float:
+    """Outermost points of a body's outline, as :func:`trace_silhouette` finds them, without their normals and light.
+
+    Parameters
+    ----------
+    body : Body
+    model : CameraModel
+    angles_rad : (k,), rad
+        Directions from the projection of the body's origin, from +x towards +y.
+
+    Returns
+    -------
+    (k, 2) float64, px
+        NaN where the direction meets no edge that the camera can image.
+    """
+    angles = as_floats(angles_rad, (), "angles_rad")
+    _, _, points_camera_km = _edge(body.seen_by(model), model, body.center_px(model), angles)
+    return model.project(points_camera_km)
+
+
+def _edge(
+    body: Body, model: CameraModel, center_px: Float, angles_rad: Float
+) -> tuple[EdgeOutline | EllipseOutline, Crossings, Float]:
+    """Outline of a body, its outermost crossings, and these in space (k, 3), km: NaN where more of it lies beyond."""
+    outline = outline_of(body, model)
+    edge = outline.outermost(center_px, angles_rad)
+    if outline.complete:
+        return outline, edge, edge.points_camera_km
+    covered = _covered(body, model, center_px, angles_rad, edge.radii_px)
+    return outline, edge, np.where(covered[:, None], np.nan, edge.points_camera_km)
 
 
 def _hits(body: Body, valid: Mask, points_camera_km: Float, edge: Crossings) -> Hits:
@@ -294,7 +322,9 @@ class EdgeOutline(Value):
             value = _aside(self.model.project(points) - center_px, steps)
             slope = _aside(np.einsum("pij,pj->pi", self.model.project_jacobian(points), edges), steps)
             slope = np.where(slope == 0.0, np.inf, slope)
-            fraction = np.clip(fraction - value / slope, 0.0, 1.0)
+            before, fraction = fraction, np.clip(fraction - value / slope, 0.0, 1.0)
+            if np.allclose(fraction, before, rtol=0.0, atol=_STILL):
+                break
         return fraction, slanted
 
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.frames import rotate
 from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
+from giantlike.ray_tracing.silhouette import outline_points_px
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, irregular_body, mesh_from_ellipsoid
 from tests.numerical import numerical_jacobian
@@ -181,3 +182,9 @@ def test_hit_points_lie_on_their_rays_and_on_the_surface_at_every_range(range_km
     apart = np.linalg.norm(smooth.points_km - faceted.points_km, axis=1)[both][steep]
     longest = 2.0 * np.sqrt(4 * np.pi / 50_000)
     assert apart.max() < longest**2 / 8 / 0.36 / 0.3
+
+
+@pytest.mark.parametrize("shape", [POLYHEDRON, ELLIPSOID])
+def test_outline_points_alone_are_those_of_a_silhouette(shape: Shape) -> None:
+    body = Body(shape=shape, camera_from_body=TILTED, position_camera_km=np.array([0.1, -0.2, 10.0]))
+    assert_array_equal(outline_points_px(body, BROWN, CIRCLE), _outline(body, BROWN).points_px)

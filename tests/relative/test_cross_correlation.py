@@ -31,6 +31,7 @@ from giantlike.relative.place import center_of_position
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
+from giantlike.relative.template.linear import Problem, unweighted
 from giantlike.relative.template.state import TemplateImages, TemplateState
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, TriangleMesh, irregular_body, load_shape, sphere
@@ -215,6 +216,27 @@ def test_a_failed_render_ends_the_fit_with_its_reason() -> None:
     dark = Failure(Reason.NOT_LIT, "dark")
     fit = fit_template(boxed(np.ones(SHAPE)), lambda state, fine: dark, TRUE)
     assert fit is dark
+
+
+def test_the_motion_of_an_image_is_that_of_its_pixels_by_their_slopes() -> None:
+    images, step = blobs()(TRUE, True), np.array([0.3, -0.2, 0.01])
+    problem = Problem(boxed(1000.0 * images.light), images, TRUE, None)
+    rows, columns = np.indices(SHAPE)
+    slopes = problem.columns[0] ** 2 + problem.columns[1] ** 2
+    x, y = columns + CORNER[0] - TRUE.center_px[0], rows + CORNER[1] - TRUE.center_px[1]
+    squares = (step[0] - step[2] * x) ** 2 + (step[1] - step[2] * y) ** 2
+    assert_allclose(problem.motion_px(step), math.sqrt(np.average(squares, weights=slopes)), rtol=1e-9)
+    assert_allclose(problem.reach_px, math.sqrt(np.average(x**2 + y**2, weights=images.light)), rtol=1e-9)
+
+
+def test_plain_least_squares_are_those_of_numpy() -> None:
+    random = np.random.default_rng(8)
+    basis = random.normal(size=(4, *SHAPE)) * np.array([1e-3, 1.0, 30.0, 1e4])[:, None, None]
+    pixels = boxed(
+        np.tensordot([5e3, 3.0, 0.2, 1e-3], basis, 1) + random.normal(size=SHAPE), random.random(SHAPE) < 0.8
+    )
+    expected = np.linalg.lstsq(basis[:, pixels.usable].T, pixels.values_dn[pixels.usable], rcond=None)[0]
+    assert_allclose(unweighted(basis, pixels), expected, rtol=1e-8)
 
 
 def test_alignment_takes_a_rough_start_near_the_solution() -> None:

@@ -283,15 +283,10 @@ class LinearFit(Value):
         inverse = np.linalg.inv(self.information)
         return np.asarray(inverse @ scatter @ inverse)
 
-    def _noise_scatter(self, noise: Float) -> Float:
-        """Covariance (k, k) of the scores from independent noise of given variance (h, w), and from the prior."""
-        rows = self.columns.reshape(len(self.columns), -1) * (self.weights * np.sqrt(noise)).ravel()
-        result: Float = rows @ rows.T + np.diag(self.prior.information)
-        return result
-
     def noise_covariance(self, noise: Float) -> Float:
         """Covariance (k, k) of the parameters from independent noise of given variance (h, w), and from the prior."""
-        return self._sandwich(self._noise_scatter(noise))
+        rows = self.columns.reshape(len(self.columns), -1) * (self.weights * np.sqrt(noise)).ravel()
+        return self._sandwich(rows @ rows.T + np.diag(self.prior.information))
 
     def error_covariance(self, error: Float, *, length_px: float) -> Float:
         """Covariance of the parameters from an error of the model of known size.
@@ -309,13 +304,13 @@ class LinearFit(Value):
         """
         return self._sandwich(_correlated(self.columns * (self.weights * error), length_px / math.sqrt(2.0)))
 
-    def noise_parts(self, noise: Float, groups: Mapping[Cause, list[int]]) -> dict[Cause, Float]:
+    def noise_parts(self, of_noise: Float, groups: Mapping[Cause, list[int]]) -> dict[Cause, Float]:
         """Covariance from noise, apart by the parameters without which it would not be there.
 
         Parameters
         ----------
-        noise : (h, w) float64
-            Variance of independent noise.
+        of_noise : (k, k) float64
+            From :meth:`noise_covariance`.
         groups : mapping of Cause to list of int
             Parameters of each cause.
 
@@ -324,7 +319,7 @@ class LinearFit(Value):
         dict of Cause to (k, k) float64
             Of each cause in turn, what knowledge of its parameters would take away; ``NOISE`` holds the rest.
         """
-        rest, parts = self.noise_covariance(noise), dict[Cause, Float]()
+        rest, parts = of_noise, dict[Cause, Float]()
         for cause, group in groups.items():
             if group:
                 inverse = np.linalg.pinv(rest[np.ix_(group, group)], hermitian=True)
@@ -379,15 +374,18 @@ class LinearFit(Value):
         squares = score**2 / information
         return np.asarray(np.outer(moves, moves) * (score / information) ** 2 * max(1.0 - 1.0 / max(squares, 1.0), 0.0))
 
-    def full_covariance(self, residuals: Float, noise: Float, error: Float, *, blur_px: float, block_px: int) -> Float:
+    def full_covariance(
+        self, residuals: Float, error: Float, *, of_noise: Float, blur_px: float, block_px: int
+    ) -> Float:
         """Covariance of the parameters from noise and from correlated errors of the model.
 
         Parameters
         ----------
         residuals : (h, w) float64
-        noise, error : (h, w) float64
-            Variances of the part that is independent from pixel to pixel, and of the part that the point spread
-            function spreads.
+        error : (h, w) float64
+            Variance of the part that the point spread function spreads.
+        of_noise : (k, k) float64
+            From :meth:`noise_covariance`, of the part that is independent from pixel to pixel.
         blur_px : float, px
             Standard deviation of the point spread function.
         block_px : int, px
@@ -409,7 +407,7 @@ class LinearFit(Value):
         length_px = _correlation_length_px(residuals, self.weights, error, blur_px, block_px)
         absorbed = _absorbed(self.weights * error, length_px, len(self.columns))
         correlated = _correlated(self.columns * (self.weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
-        sandwich = self._sandwich(self._noise_scatter(noise) + correlated)
+        sandwich = of_noise + self._sandwich(correlated)
         offsets = (0, block_px // 2) if self.weights.size < _MANY_BLOCKS * block_px**2 else (0,)
         found = [self._jackknife(residuals, block_px, offset) for offset in offsets]
         known = [covariance for covariance in found if covariance is not None]

@@ -366,10 +366,11 @@ class _Solved:
     ) -> dict[Cause, Float]:
         """Covariance (3, 3) of center and range by cause: of noise, and what residuals show beyond it, as markings."""
         noise, error = variances
+        of_noise = fit.noise_covariance(noise)
         whole = fit.full_covariance(
             residuals,
-            noise,
             error,
+            of_noise=of_noise,
             blur_px=math.sqrt(self.state.psf_variance_px2 + PIXEL_VARIANCE_PX2),
             block_px=int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX)),
         )
@@ -381,7 +382,7 @@ class _Solved:
             Cause.BACKGROUND: list(range(OFFSET, LAWS)),
             Cause.PSF: [BLUR, *range(LAWS + self.problem.n_laws, self.problem.n_light)],
         }
-        parts = fit.noise_parts(noise, groups)
+        parts = fit.noise_parts(of_noise, groups)
         known = sum(parts.values(), np.zeros_like(whole))
         if options.relief_sigma > 0.0:
             relief = options.relief_sigma * self.problem.columns[RANGE]

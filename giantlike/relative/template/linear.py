@@ -89,21 +89,20 @@ class Problem:
         x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
-        rendered = images.derivatives
-        by_pixels = self.signal
-        if rendered is not None:  # wings of the point spread function are wide enough for differences of pixels
-            wings = slice(len(basis) - (len(_WING_WIDTHS) if images.winged else 0), None)
-            by_pixels = np.tensordot(photometry[wings], basis[wings] + images.light, 1)
-        slope_x, slope_y, curvature = _derivatives(by_pixels)
-        radial = x * slope_x + y * slope_y + spread * curvature
-        np.stack([-slope_x, -slope_y, radial, 0.5 * curvature], out=moved)
-        if rendered is not None:
-            shares = photometry[LAWS - GAIN :]
+        shares = photometry[LAWS - GAIN :]
+        wings, by_differences = shares[self.n_laws :], self.signal
+        if images.derivatives is not None:
             scales = [total / max(float(other.sum()), 1e-300) for other in images.others]
-            moved += rendered(np.array([photometry[0] - shares.sum(), *(shares[: self.n_laws] * scales)]))
+            weights = np.array([photometry[0] - shares.sum(), *(shares[: self.n_laws] * scales)])
+            np.copyto(moved, images.derivatives(weights))
+            by_differences = np.tensordot(wings, basis[len(basis) - len(wings) :] + images.light, 1)
+        else:
+            moved[:] = 0.0
+        if images.derivatives is None or wings.any():  # wings are wide enough for differences of pixels
+            moved += _by_differences(by_differences, x, y, spread)
         self._slope2 = moved[X] ** 2 + moved[Y] ** 2
-        self._places = np.stack(np.broadcast_arrays(x, y))
-        self.reach_px = math.sqrt(float((images.light * (x**2 + y**2)).sum() / total))
+        self._slope_moments = _moments(np.where(self.offered, self._slope2, 0.0), x, y[:, 0])
+        self.reach_px = math.sqrt(_moments(images.light, x, y[:, 0])[3] / total)
 
     @property
     def mixing_sigma_dn(self) -> float:
@@ -130,9 +129,10 @@ class Problem:
         Its root mean square over the pixels, by the squared slope of the light: of the features that fix the geometry.
         Where a body is cut by the frame, a center far outside moves more than they do.
         """
-        weights = np.where(self.offered, self._slope2, 0.0)
-        moved = step[[X, Y], None, None] - step[RANGE] * self._places
-        return math.sqrt(float(np.vdot(weights, (moved**2).sum(axis=0))) / max(float(weights.sum()), 1e-300))
+        total, by_x, by_y, by_square = self._slope_moments
+        along, growth = step[X] * by_x + step[Y] * by_y, float(step[RANGE])
+        squares = (step[X] ** 2 + step[Y] ** 2) * total - 2.0 * growth * along + growth**2 * by_square
+        return math.sqrt(max(float(squares), 0.0) / max(total, 1e-300))
 
     @property
     def n_parameters(self) -> int:
@@ -170,13 +170,15 @@ class Problem:
         Above twice ``most_pixels`` it takes every second, third, ... pixel that is offered.
         """
         use, pixels = self.offered, self.pixels
-        thin = slice(None, None, max(int(np.count_nonzero(use) / most_pixels), 1))
-        signal = self.signal[use][thin]
-        shapes = np.stack([np.ones(signal.size), self._slope2[use][thin], signal**2])
+        step = max(int(np.count_nonzero(use) / most_pixels), 1)
+        taken = slice(None, None, step) if use.all() else np.flatnonzero(use)[::step]
+        signal = self.signal.ravel()[taken]
+        shapes = np.stack([np.ones(signal.size), self._slope2.ravel()[taken], signal**2])
         variances = VarianceModel(pixels.noise_variance_dn2(signal), shapes)
-        censored = np.zeros(signal.size, bool) if pixels.censored is None else pixels.censored[use][thin]
-        measured = Measured(pixels.values_dn[use][thin], censored, variances)
-        fit = robust_fit(_chosen(self.columns, use)[:, thin].T, measured, prior, clip_sigma=clip_sigma, start=errors)
+        censored = np.zeros(signal.size, bool) if pixels.censored is None else pixels.censored.ravel()[taken]
+        measured = Measured(pixels.values_dn.ravel()[taken], censored, variances)
+        design = self.columns.reshape(self.n_parameters, -1)[:, taken].T
+        fit = robust_fit(design, measured, prior, clip_sigma=clip_sigma, start=errors)
         if fit is None:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"
@@ -197,8 +199,11 @@ def unweighted(basis: Float, pixels: BoxPixels) -> Float:
     (k,) float64
         Coefficients of the images, over the usable pixels.
     """
-    brightness = np.linalg.lstsq(_chosen(basis, pixels.usable).T, pixels.values_dn[pixels.usable], rcond=None)[0]
-    return brightness.astype(np.float64, copy=False)
+    rows, values = _chosen(basis, pixels.usable), pixels.values_dn[pixels.usable]
+    normal = rows @ rows.T
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = np.linalg.lstsq(normal / np.outer(scale, scale), rows @ values / scale, rcond=None)[0]
+    return np.asarray(scaled / scale, dtype=np.float64)
 
 
 def _chosen(images: Float, use: Mask) -> Float:
@@ -221,6 +226,22 @@ def _background(shape: tuple[int, ...]) -> tuple[Float, Float, Float]:
     """A constant, and slopes from -1 to 1 along x and y (h, w)."""
     y, x = (np.linspace(-1.0, 1.0, size) for size in shape)
     return np.ones(shape), np.broadcast_to(x, shape), np.broadcast_to(y[:, None], shape)
+
+
+def _moments(weights: Float, x: Float, y: Float) -> tuple[float, float, float, float]:
+    """Sums of weights (h, w) at x (w,) and y (h,), and of these times x, y and ``x^2 + y^2``."""
+    by_column, by_row = weights.sum(axis=0), weights.sum(axis=1)
+    squares = float(by_column @ x**2 + by_row @ y**2)
+    return float(by_row.sum()), float(by_column @ x), float(by_row @ y), squares
+
+
+def _by_differences(image: Float, x: Float, y: Float, spread: float) -> Float:
+    """Derivatives (4, h, w) of an image at x (w,) and y (h, 1) from its center, by center, log range and blur.
+
+    ``spread`` is the variance of the blur, px^2, which does not grow with the body.
+    """
+    slope_x, slope_y, curvature = _derivatives(image)
+    return np.stack([-slope_x, -slope_y, x * slope_x + y * slope_y + spread * curvature, 0.5 * curvature])
 
 
 def _derivatives(image: Float) -> tuple[Float, Float, Float]:
