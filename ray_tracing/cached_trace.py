@@ -18,7 +18,7 @@ from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, gathered, ray_grid, shade_tile, unless_dark
-from giantlike.ray_tracing.sampling import Cells, MovedCells, Tile
+from giantlike.ray_tracing.sampling import Cells, Tile
 from giantlike.ray_tracing.trace import TracedRays, View, in_order, sunlight, trace_rays, view_of
 
 
@@ -113,13 +113,13 @@ class Trace(Value):
         -------
         Trace
         """
-        (x, y), ((across, _), (down, _)) = self.footprint.cells, (cells.middles for cells in self.footprint.cells)
-        middle = np.zeros((x.count, y.count), bool)
-        middle[np.ix_(across, down)] = True
+        (x, y), step = self.footprint.cells, self.footprint.cells[0].per_px
+        (left, _), (top, _) = x.middles, y.middles
 
         def kept(tile: Tile, traced: TracedRays) -> TracedRays:
-            part = middle[tile.left : tile.right, tile.start : tile.stop]
-            return traced.only(part.reshape(-1).take(traced.sight.rays))
+            columns, rows = np.divmod(traced.sight.rays, tile.rows)
+            middle = ((columns + (tile.left - left)) % step == 0) & ((rows + (tile.start - top)) % step == 0)
+            return traced.only(middle)
 
         return replace(self, tiles=tuple(map(kept, self.footprint.tiles, self.tiles)))
 
@@ -133,8 +133,9 @@ class Trace(Value):
         corner_px : (int, int), px
             Column and row of the first of them.
         """
-        (across, column), (down, row) = (cells.middles for cells in self.footprint.cells)
-        brightness = self.cell_brightness(self.body.reflectance)[np.ix_(across, down)].T
+        (x, y), step = self.footprint.cells, self.footprint.cells[0].per_px
+        (left, column), (top, row) = x.middles, y.middles
+        brightness = self.cell_brightness(self.body.reflectance)[left::step, top::step].T
         return brightness, (column, row)
 
     def with_reflectance(self, reflectance: Reflectance) -> Trace:
@@ -199,46 +200,6 @@ class Trace(Value):
 
         pairs = zip(self.footprint.tiles, self.tiles, strict=True)
         return replace(self, view=view, tiles=tuple(in_order(relit, pairs, view.options.threads)))
-
-
-def moved_trace(trace: Trace, body: Body, plane: FocalPlane) -> Trace:
-    """Take a trace for that of the same body at a place nearby, or in the pixels of another size of the same camera.
-
-    The rays meet the same points of the surface, whose light falls elsewhere.
-
-    Parameters
-    ----------
-    trace : Trace
-    body : Body
-        Where it is now.
-    plane : FocalPlane
-        On which its light falls.
-
-    Returns
-    -------
-    Trace
-        Of all the rays, also of those that have come to lie outside of the frame.
-    """
-    before, known = trace.body, trace.footprint.plane.model
-    ranges_km = [float(np.linalg.norm(one.position_camera_km)) for one in (before, body)]
-    scale = plane.model.focal_length_px / known.focal_length_px * ranges_km[0] / ranges_km[1]
-    ends = zip(trace.cells, before.center_px(known).tolist(), body.center_px(plane.model).tolist(), strict=True)
-    x, y = (MovedCells.of(cells, start, stop, scale) for cells, start, stop in ends)
-    low, high = (np.array([cells.pixels[end] for cells in (x, y)]) for end in (0, -1))
-    corner, (width, height) = low - plane.halo_px - 1, (high - low + 2 * plane.halo_px + 3).tolist()
-    footprint = replace(
-        trace.footprint,
-        plane=plane,
-        cells=(x, y),
-        spread=(
-            x.spread(int(corner[0]), width, plane.psf_sigma_px),
-            y.spread(int(corner[1]), height, plane.psf_sigma_px),
-        ),
-        corner_px=corner,
-        size_px=(width, height),
-    )
-    view = replace(trace.view, body=replace(before, position_camera_km=body.position_camera_km))
-    return replace(trace, view=view, footprint=footprint, size_px=(plane.columns, plane.rows))
 
 
 def trace_body(

@@ -64,5 +64,5 @@ class Daylight(Value):
         """Numbers of the rough cells in which fine ones lie, -1 beyond them."""
         rough = self.cells[axis]
         places_px = self.traced_center_px[axis] + (fine.centers_px - self.center_px[axis]) / self.scale
-        numbers = rough.numbers_at(places_px)
+        numbers = np.floor((places_px + 0.5) * rough.per_px).astype(np.int64) - rough.first
         return np.where((numbers >= 0) & (numbers < rough.count), numbers, -1)

@@ -142,7 +142,7 @@ class Footprint(Value):
         """
         ends = (tile.left, tile.right), (tile.start, tile.stop)
         x, y = (
-            np.clip(cells.pixels[slice(*end)] - int(corner), -1, size)
+            np.clip((cells.first + np.arange(*end)) // cells.per_px - int(corner), -1, size)
             for cells, end, corner, size in zip(self.cells, ends, self.corner_px, self.size_px, strict=True)
         )
         x, y, first = x + 1, y - y[0], int(y[0])  # with a pixel to either side for rays outside the footprint

@@ -403,7 +403,7 @@ def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> T
         photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
     return Template(
         brightness=spread_over(footprint.spread[1], light),
-        coverage=counts / (footprint.cells[0].density * footprint.cells[1].density),
+        coverage=counts / footprint.cells[0].per_px ** 2,
         corner_px=footprint.corner_px,
         center_px=view.body.center_px(footprint.plane.model),
         photocenter_px=photocenter_px,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import ndtr
 
@@ -51,24 +50,10 @@ class Cells:
         return (np.arange(self.count) + self.first + 0.5) / self.per_px - 0.5
 
     @property
-    def density(self) -> float:
-        """Cells to a pixel."""
-        return self.per_px
-
-    @property
-    def pixels(self) -> NDArray[np.int64]:
-        """Pixels (count,) in which the centers of the cells lie."""
-        return (self.first + np.arange(self.count)) // self.per_px
-
-    def numbers_at(self, places_px: Float) -> NDArray[np.int64]:
-        """Numbers (n,), from the first, of the cells in which places (n,), px, lie; some lie in none."""
-        return np.floor((places_px + 0.5) * self.per_px).astype(np.int64) - self.first
-
-    @property
-    def middles(self) -> tuple[NDArray[np.int64], int]:
-        """Numbers, from the first, of the cells in the middles of pixels one after the other, and the first pixel."""
+    def middles(self) -> tuple[int, int]:
+        """Number, from the first, of the first cell in the middle of a pixel, and that pixel."""
         number = (self.per_px // 2 - self.first) % self.per_px
-        return np.arange(number, self.count, self.per_px), (self.first + number) // self.per_px
+        return number, (self.first + number) // self.per_px
 
     def spread(self, first_px: int, count_px: int, sigma_px: float) -> csr_matrix[np.float64]:
         """Share of the light of each cell that falls on each pixel.
@@ -88,87 +73,23 @@ class Cells:
         (count_px, count) csr_matrix
             Columns sum to the width of a cell, px.
         """
+        half = 0.5 / self.per_px
+        reach = PSF_REACH_SIGMA * sigma_px
+        width = int(np.ceil(2 * reach + 2 * half)) + 1
+        numbers = np.arange(self.count) + self.first
         kinds = min(self.per_px, self.count)  # cells alike in their pixels spread alike
-        centers = ((np.arange(kinds) + self.first) % self.per_px + 0.5) / self.per_px - 0.5
         place = np.arange(self.count) % kinds
-        return _spread(centers, place, self.pixels - first_px, 0.5 / self.per_px, count_px, sigma_px)
-
-
-@dataclass(frozen=True, slots=True)
-class MovedCells(Cells):
-    """Cells that were moved and scaled: no more aligned with the pixels; ``first`` and ``per_px`` are rounded.
-
-    Parameters
-    ----------
-    start_px, step_px : float, px
-        Center of the first cell, and width of each.
-    """
-
-    start_px: float
-    step_px: float
-
-    @classmethod
-    def of(cls, cells: Cells, from_px: float, to_px: float, scale: float) -> MovedCells:
-        """Return cells of which what lay at ``from_px`` comes to ``to_px``, ``scale`` times as wide."""
-        start, step = to_px + scale * (float(cells.centers_px[0]) - from_px), scale / cells.density
-        per_px = max(round(1.0 / step), 1)
-        return cls(int(np.floor((start + 0.5) * per_px)), cells.count, per_px, start, step)
-
-    @property
-    def edges_px(self) -> Float:
-        """Coordinates (count + 1,) of the edges, px."""
-        return self.start_px + self.step_px * (np.arange(self.count + 1, dtype=np.float64) - 0.5)
-
-    @property
-    def centers_px(self) -> Float:
-        """Coordinates (count,) of the centers, px."""
-        return self.start_px + self.step_px * np.arange(self.count, dtype=np.float64)
-
-    @property
-    def density(self) -> float:
-        """Cells to a pixel."""
-        return 1.0 / self.step_px
-
-    @property
-    def pixels(self) -> NDArray[np.int64]:
-        """Pixels (count,) in which the centers of the cells lie."""
-        return np.floor(self.centers_px + 0.5).astype(np.int64)
-
-    def numbers_at(self, places_px: Float) -> NDArray[np.int64]:
-        """As :meth:`Cells.numbers_at`."""
-        return np.floor((places_px - self.start_px) / self.step_px + 0.5).astype(np.int64)
-
-    @property
-    def middles(self) -> tuple[NDArray[np.int64], int]:
-        """Numbers, from the first, of the cells nearest to the middles of the pixels from the first pixel on."""
-        first, last = int(np.ceil(self.edges_px[0])), int(np.floor(self.edges_px[-1]))
-        numbers = np.rint((np.arange(first, last + 1) - self.start_px) / self.step_px).astype(np.int64)
-        return np.clip(numbers, 0, self.count - 1), first
-
-    def spread(self, first_px: int, count_px: int, sigma_px: float) -> csr_matrix[np.float64]:
-        """As :meth:`Cells.spread`."""
-        pixels = self.pixels
-        return _spread(
-            self.centers_px - pixels, np.arange(self.count), pixels - first_px, 0.5 * self.step_px, count_px, sigma_px
-        )
-
-
-def _spread(
-    centers: Float, place: NDArray[np.int64], pixels: NDArray[np.int64], half: float, count_px: int, sigma_px: float
-) -> csr_matrix[np.float64]:
-    """Share of the light of cells on so many pixels: each has the ``place`` of its center among some in its pixel."""
-    reach = PSF_REACH_SIGMA * sigma_px
-    width = int(np.ceil(2 * reach + 2 * half)) + 1
-    lowest = np.floor(centers - half - reach + 0.5).astype(np.int64)
-    left = lowest[:, None] + np.arange(width) - 0.5 - centers[:, None]
-    weights = _ramp(left + 1 + half, sigma_px) - _ramp(left + 1 - half, sigma_px)
-    weights -= _ramp(left + half, sigma_px) - _ramp(left - half, sigma_px)
-    np.maximum(weights, 0.0, out=weights)  # rounding of differences far out
-    rows = (lowest[place] + pixels)[:, None] + np.arange(width)
-    inside = (rows >= 0) & (rows < count_px)
-    ends = np.concatenate([[0], np.cumsum(inside.sum(axis=1))])
-    by_cell = (weights[place][inside], rows[inside], ends)
-    return csc_matrix(by_cell, shape=(count_px, place.size)).tocsr()
+        centers = (numbers[:kinds] % self.per_px + 0.5) / self.per_px - 0.5
+        lowest = np.floor(centers - half - reach + 0.5).astype(np.int64)
+        left = lowest[:, None] + np.arange(width) - 0.5 - centers[:, None]
+        weights = _ramp(left + 1 + half, sigma_px) - _ramp(left + 1 - half, sigma_px)
+        weights -= _ramp(left + half, sigma_px) - _ramp(left - half, sigma_px)
+        np.maximum(weights, 0.0, out=weights)  # rounding of differences far out
+        rows = (lowest[place] + numbers // self.per_px - first_px)[:, None] + np.arange(width)
+        inside = (rows >= 0) & (rows < count_px)
+        ends = np.concatenate([[0], np.cumsum(inside.sum(axis=1))])
+        by_cell = (weights[place][inside], rows[inside], ends)
+        return csc_matrix(by_cell, shape=(count_px, self.count)).tocsr()
 
 
 @dataclass(frozen=True, slots=True)

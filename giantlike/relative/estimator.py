@@ -23,7 +23,7 @@ from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.processing.detection.dead_lines import dead_lines
 from giantlike.processing.detection.hot_lines import hot_lines
-from giantlike.ray_tracing import FocalPlane, Trace
+from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import with_budget
 from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.response import Response
@@ -144,7 +144,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
         if isinstance(inputs, Failure):
             return inputs
-        result, rays = self._estimate_with_rays(inputs)
+        result = self._estimate(inputs)
         if not isinstance(result, Failure):
             result = with_budget(
                 result,
@@ -159,12 +159,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             return result
         bent = result.provenance.get(RESPONSE)
         seen = inputs if bent is None else inputs.linearized(Response.from_text(bent))
-        search_px = getattr(self.options, "search_px", 0.0)
-        return verified(result, seen, search_px, by_light=self.by_light, rays=rays)
-
-    def _estimate_with_rays(self, inputs: EstimatorInputs) -> tuple[Fix | Failure, Trace | None]:
-        """Return what :meth:`_estimate` does, with the rays of a whole body near by that its checks may use, if any."""
-        return self._estimate(inputs), None
+        return verified(result, seen, getattr(self.options, "search_px", 0.0), by_light=self.by_light)
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:

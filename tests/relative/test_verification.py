@@ -20,14 +20,11 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.gauntlet.bodies import rock
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
-from giantlike.ray_tracing import Body, RenderOptions, Trace, trace_body
-from giantlike.ray_tracing.daylight import Daylight
 from giantlike.relative import Moment
 from giantlike.relative.estimator import EstimatorInputs, gather
 from giantlike.relative.place import place_covariance
 from giantlike.relative.quality import LEAST_CHANCE
 from giantlike.relative.verification import verified
-from giantlike.relative.verification.cells import Cells
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, TriangleMesh
 
@@ -234,103 +231,19 @@ def test_a_pole_told_10_degrees_off_is_another_figure_where_nothing_else_is_wron
     assert Quality.WRONG_FIGURE in flags(inputs_of(light(60.0), 60.0, turn=turned))
 
 
-@cache
-def rock_seen() -> tuple[Float, TriangleMesh]:
-    """Light of a rock at a phase angle of 50 degrees, and its mesh."""
-    body, mesh = rock(1)
-    view = PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
-    return render_body(body, view, Pose(POSITION_KM, TURN, sun_at(50.0)), law="mcewen", psf=Psf(0.7)), mesh
-
-
-def numbers_of(fix: PositionFix) -> dict[str, float]:
-    return {name: float(number) for name, number in (part.split("=") for part in fix.provenance["checks"].split())}
-
-
 def test_a_rock_whose_face_is_turned_is_another_figure_unless_declared() -> None:
     """By 4 degrees: features move by 2 px within a limb that stays nearly as it is, and take the place with them."""
-    signal, mesh = rock_seen()
+    body, mesh = rock(1)
+    view = PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
+    signal: Float = render_body(body, view, Pose(POSITION_KM, TURN, sun_at(50.0)), law="mcewen", psf=Psf(0.7))
     assert flags(inputs_of(signal, 50.0, shape=mesh)) == Quality.NONE
     turned = Rotation.from_rotvec([0.0, math.radians(4.0), 0.0]) * TURN
     fix = verified(fix_at(inputs := inputs_of(signal, 50.0, shape=mesh, turn=turned)), inputs, SEARCH_PX)
-    assert Quality.WRONG_FIGURE in fix.flags, numbers_of(fix)
-    assert numbers_of(fix)["figure_chance"] > LEAST_CHANCE, numbers_of(fix)  # nothing but the turn tells
+    numbers = dict(part.split("=") for part in fix.provenance["checks"].split())
+    assert Quality.WRONG_FIGURE in fix.flags, numbers
+    assert float(numbers["figure_chance"]) > LEAST_CHANCE, numbers  # nothing but the turn tells
     declared = TargetUncertainty(pole_rad=0.05, spin_rad=0.05)
     assert not flags(inputs_of(signal, 50.0, shape=mesh, turn=turned, uncertainty=declared)).suspect
-
-
-def rays_to(inputs: EstimatorInputs, *, rays: int = 3) -> Trace:
-    """Rays that an estimator sends to the body where it is predicted."""
-    trace = trace_body(
-        inputs.geometry.body(),
-        CAMERA.model,
-        sun_direction_camera=inputs.geometry.sun_direction_camera,
-        columns=SIZE,
-        rows=SIZE,
-        options=RenderOptions(rays_per_pixel_side=rays, min_rays_across=1, margin_px=40),
-    )
-    assert isinstance(trace, Trace)
-    return trace
-
-
-def counted(monkeypatch: pytest.MonkeyPatch) -> list[Body]:
-    """Bodies to which the checks send rays from now on."""
-    sent, trace = list[Body](), Cells.trace
-
-    def counting(
-        cells: Cells, body: Body, sun_direction_camera: Float, daylight: Daylight | None = None
-    ) -> Trace | None:
-        sent.append(body)
-        return trace(cells, body, sun_direction_camera, daylight)
-
-    monkeypatch.setattr(Cells, "trace", counting)
-    return sent
-
-
-@pytest.mark.parametrize("turn_deg", [0.0, 4.0])
-def test_checks_on_the_rays_of_an_estimator_say_what_those_on_their_own_say(
-    turn_deg: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    signal, mesh = rock_seen()
-    turn = Rotation.from_rotvec([0.0, math.radians(turn_deg), 0.0]) * TURN
-    inputs = inputs_of(signal, 50.0, shape=mesh, turn=turn)
-    alone = verified(fix_at(inputs), inputs, SEARCH_PX)
-    sent = counted(monkeypatch)
-    found = verified(fix_at(inputs), inputs, SEARCH_PX, rays=rays_to(inputs))
-    assert len(sent) == (0 if turn_deg == 0.0 else 4), "only turns of the face need rays of their own"
-    assert found.flags == alone.flags
-    own, others = numbers_of(alone), numbers_of(found)
-    assert others["misfit"] == pytest.approx(own["misfit"], rel=0.3, abs=0.05)
-    assert others["light_log_odds"] == pytest.approx(own["light_log_odds"], rel=0.15)
-
-
-@pytest.mark.parametrize("why", ["few", "turned", "far", "cut"])
-def test_rays_that_do_not_serve_are_not_used(why: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    signal, mesh = rock_seen()
-    inputs = inputs_of(signal, 50.0, shape=mesh)
-    turned = Rotation.from_rotvec([0.0, 2e-3, 0.0]) * TURN
-    told = {
-        "few": lambda: rays_to(inputs, rays=2),
-        "turned": lambda: rays_to(inputs_of(signal, 50.0, shape=mesh, turn=turned)),
-        "far": lambda: rays_to(inputs_of(signal, 50.0, shape=mesh, off_km=(20.0, 0.0, 0.0))),  # 0.017 rad
-        "cut": lambda: cut_off(rays_to(inputs)),
-    }
-    sent = counted(monkeypatch)
-    verified(fix_at(inputs), inputs, SEARCH_PX, rays=told[why]())
-    assert len(sent) == 1
-
-
-def cut_off(trace: Trace) -> Trace:
-    """Rays of the same body in a frame that ends within it."""
-    cut = trace_body(
-        trace.body,
-        CAMERA.model,
-        sun_direction_camera=sun_at(50.0),
-        columns=SIZE // 2,
-        rows=SIZE,
-        options=replace(trace.view.options, margin_px=0),
-    )
-    assert isinstance(cut, Trace)
-    return cut
 
 
 def test_rows_that_are_one_pixel_off_are_another_figure() -> None:

@@ -13,7 +13,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Re
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
-from giantlike.ray_tracing import Template, Trace, trace_silhouette
+from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.ray_tracing.silhouette import outline_points_px
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.place import limb_in_frame, position_of_center
@@ -176,16 +176,12 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | PositionFix | Failure:
         """Find the body of gathered inputs: :func:`match_template` and the flags of its result."""
-        return self._estimate_with_rays(inputs)[0]
-
-    def _estimate_with_rays(self, inputs: EstimatorInputs) -> tuple[CenterFix | PositionFix | Failure, Trace | None]:
-        """Find the body, and hand on the rays that it was located with."""
         blocks, match = self._matched(inputs)
         if isinstance(match, Failure):
-            return match, None
+            return match
         if match.fit.bend_sigmas > _BENT_SIGMAS and match.fit.response.bend > _LEAST_BEND:
             inputs, blocks, match = self._straightened(inputs, blocks, match)
-        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options), match.located
+        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
 
     def _matched(
         self, inputs: EstimatorInputs, response: Response | None = None
@@ -237,13 +233,10 @@ class TemplateMatch(Value):
     fit : TemplateFit
     box : PixelBox
         Pixels that were fitted; it may reach over the frame.
-    located : Trace
-        The body at the predicted place, whose template was found in the image.
     """
 
     fit: TemplateFit
     box: PixelBox
-    located: Trace
 
 
 def match_template(
@@ -282,7 +275,7 @@ def match_template(
     located = _located(image, good, renderer, options)
     if isinstance(located, Failure):
         return located
-    start, template, peak = located.state, located.template, located.peak
+    start, template, peak = located.traced.state, located.template, located.peak
     shift = np.rint(peak.offset_px).astype(np.int64)
     low, high = _lit_part(template)
     box = renderer.box(low + shift, high + shift, _BOX_MARGIN_PX + math.ceil(_BOX_MARGIN * radius_px))
@@ -303,27 +296,27 @@ def match_template(
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))
         pixels = image.cut(box)
     fit_options = replace(_fit_options(options, radius_px, psf_known=psf_known, block_px=block_px), response=response)
-    traced = MovedBody(trace=located.trace, state=start)
     fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
         if isinstance(fit, Failure) and fit.reason is Reason.NOT_CONVERGED:
             # Real images may not hold all laws apart; what those left out would change is in the covariance.
-            synthesis = renderer.synthesis(box, other_law=options.free_reflectance, most_laws=most_laws, traced=traced)
+            synthesis = renderer.synthesis(
+                box, other_law=options.free_reflectance, most_laws=most_laws, traced=located.traced
+            )
             fit = fit_template(pixels, synthesis, state, options=fit_options)
     if isinstance(fit, Failure):
         return fit
     if fit.gain_dn <= 0.0 or not fit.score >= options.min_score:
         detail = f"the fitted template has a correlation of {fit.score:.3g}, needed {options.min_score:g}"
         return Failure(Reason.LOW_CORRELATION, detail)
-    return TemplateMatch(fit=fit, box=box, located=located.trace)
+    return TemplateMatch(fit=fit, box=box)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Located(Value):
     """A template rendered of a traced body, and its place in the image."""
 
-    trace: Trace
-    state: TemplateState
+    traced: MovedBody
     template: Template
     peak: CorrelationPeak
 
@@ -362,7 +355,11 @@ def _correlated(
     peak = locate_template(
         image.values_dn, good, light, corner, options=CorrelationOptions(search_px=search_px, min_score=min_score)
     )
-    return peak if isinstance(peak, Failure) else _Located(trace=trace, state=state, template=template, peak=peak)
+    return (
+        peak
+        if isinstance(peak, Failure)
+        else _Located(traced=MovedBody(trace=trace, state=state), template=template, peak=peak)
+    )
 
 
 def _fit_options(

@@ -14,10 +14,9 @@ from giantlike.core.blocks import block_sums
 from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, Trace, trace_body
-from giantlike.ray_tracing.cached_trace import moved_trace
+from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
-from giantlike.ray_tracing.sampling import span, spread_over
+from giantlike.ray_tracing.sampling import spread_over
 
 CELLS_PER_RADIUS = 20
 """Cells to a radius of the body, as far as pixels are not larger: two exposures 5 px apart on a body of 140 px show as
@@ -38,13 +37,6 @@ _ACROSS = 1.6
 """Rays across the narrow side of a body, at least, over those across a radius of the usual number of cells."""
 _RAYS_ACROSS_POINT = 32
 """Rays across a body without a face, which is only looked for elsewhere: its light is then right to 1 %."""
-_SEEN_RAD = 0.01
-"""Turn, rad, by which a body may have been seen from elsewhere by rays that serve for it: a fifth of a cell in the
-middle of the face, as much as ``_LINEAR`` of the checks lets it be out of place."""
-_LEAST_DENSITY = 0.9 * _RAYS_PER_CELL
-"""The same of rays that an estimator sent, which have the range that was predicted and not the one found."""
-_SAME_TURN = 1e-9
-"""One less the cosine of half a turn up to which it is none: 1e-4 rad."""
 _MOST_CELLS = 240
 """Most cells along the side of the region: a body much larger than its mean radius says gets larger cells."""
 
@@ -104,12 +96,6 @@ class Cells(Value):
         side = self.box.width - 2 * self.room
         return PixelBox(x=self.box.x + self.room, y=self.box.y + self.room, width=side, height=side)
 
-    @property
-    def _plane(self) -> FocalPlane:
-        """Of the image whose pixels are the cells."""
-        camera = self.camera
-        return FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=camera.psf)
-
     def sights(self) -> Float:
         """Lines of sight (n, n, 3) through the middles of the cells, camera axes."""
         rows, columns = np.mgrid[: self.box.height, : self.box.width]
@@ -153,38 +139,6 @@ class Cells(Value):
             daylight=daylight,
         )
         return None if isinstance(traced, Failure) else traced
-
-    def moved(self, known: Trace, body: Body) -> Trace | None:
-        """Take the rays that an estimator sent to a body for those of :meth:`trace`.
-
-        Parameters
-        ----------
-        known : Trace
-            Of the whole body, with the light of its own law.
-        body : Body
-            At the place found.
-
-        Returns
-        -------
-        Trace or None
-            None where the body was seen from elsewhere, only in part, or with fewer rays.
-        """
-        before = known.body
-        turned = before.camera_from_body.as_quat() @ body.camera_from_body.as_quat()
-        places_km = [one.position_camera_km for one in (before, body)]
-        ranges_km = [float(np.linalg.norm(place)) for place in places_km]
-        seen_rad = float(np.linalg.norm(places_km[0] / ranges_km[0] - places_km[1] / ranges_km[1]))
-        nearer = abs(math.log(ranges_km[0] / ranges_km[1])) * before.shape.circumscribing_radius_km / ranges_km[1]
-        if not self.has_face or abs(turned) < 1.0 - _SAME_TURN or max(seen_rad, nearer) > _SEEN_RAD:
-            return None
-        hull = span(before.hull_px(known.footprint.plane.model))
-        if hull is None or any(
-            low < cells.edges_px[0] or high > cells.edges_px[-1]
-            for cells, low, high in zip(known.cells, *hull, strict=True)
-        ):
-            return None
-        trace = moved_trace(known, body, self._plane)
-        return trace if min(cells.density for cells in trace.cells) >= _LEAST_DENSITY else None
 
     def render(self, trace: Trace) -> Template | None:
         """Shade a trace; None where nothing that is seen is lit."""

@@ -69,9 +69,7 @@ class _Numbers(TypedDict, total=False):
     growth: float
 
 
-def verified(
-    fix: AnyFix, inputs: EstimatorInputs, search_px: float, *, by_light: bool = False, rays: Trace | None = None
-) -> AnyFix:
+def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float, *, by_light: bool = False) -> AnyFix:
     """Return a fix with the flags and numbers of its checks; unchanged where it has them already.
 
     Parameters
@@ -84,8 +82,6 @@ def verified(
     by_light : bool
         The fix is that of all light, which moves with whatever is wrong with the figure; estimators on limbs and
         templates know errors of relief themselves.
-    rays : Trace, optional
-        Those that the estimator sent to the body, under its own law: where they serve, the checks send none.
 
     Returns
     -------
@@ -93,7 +89,7 @@ def verified(
     """
     if _CHECKED in fix.provenance:
         return fix
-    coarse = _coarse(fix, inputs, search_px, rays)
+    coarse = _coarse(fix, inputs, search_px)
     numbers = _Numbers() if coarse is None else _image_numbers(fix, coarse, inputs, search_px)
     chance = _prediction_chance(fix, inputs)
     if chance is not None:
@@ -264,7 +260,7 @@ class _Coarse(Value):
     fit: CoarseFit | None
 
 
-def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float, rays: Trace | None) -> _Coarse | None:
+def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
     """Render and fit a body where it was found, and again where the image would have it if that is not near by.
 
     A body that is seen larger than its shape, by haze around it, is rendered nearer: the two look the same.
@@ -275,7 +271,7 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float, rays: Tra
         range_km /= 1.0 + float(fix.provenance[_ALTITUDE]) / geometry.target.shape.mean_radius_km
     known = geometry.body(range_km * model.unproject(fix.center_px))
     body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
-    coarse = _at(body, inputs, search_px, rays)
+    coarse = _at(body, inputs, search_px)
     if coarse is None or coarse.fit is None:
         return coarse
     moved, cells = coarse.fit.moved, coarse.cells
@@ -285,13 +281,13 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float, rays: Tra
     if step < linear or step > _BELIEVED:
         return coarse
     position_km = range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2])
-    again = _at(replace(body, position_camera_km=position_km), inputs, search_px, rays)
+    again = _at(replace(body, position_camera_km=position_km), inputs, search_px)
     if again is None or again.fit is None or not again.fit.misfit < coarse.fit.misfit:
         return coarse
     return replace(again, fit=replace(again.fit, moved=moved + again.fit.moved))
 
 
-def _at(body: Body, inputs: EstimatorInputs, search_px: float, known: Trace | None) -> _Coarse | None:
+def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
     """Render a body coarsely and fit it; None where it is too small or not seen."""
     off_px = body.center_px(inputs.camera.model) - inputs.predicted_px
     room_px = search_px + float(np.max(np.abs(off_px)))
@@ -299,9 +295,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float, known: Trace | No
     cells = cells_around(inputs.pixels_dn, good, inputs.saturated, inputs.camera, body, room_px=room_px)
     if cells is not None and inputs.geometry.target.rings is not None:
         cells = _without_rings(cells, inputs.geometry.target.rings, body, inputs.geometry.sun_direction_camera)
-    trace = None if cells is None or known is None else cells.moved(known, body)
-    if cells is not None and trace is None:
-        trace = cells.trace(body, inputs.geometry.sun_direction_camera)
+    trace = None if cells is None else cells.trace(body, inputs.geometry.sun_direction_camera)
     own = None if cells is None or trace is None else cells.render(trace)
     if cells is None or trace is None or own is None:
         return None
