@@ -38,9 +38,27 @@ def dead_lines(pixels_dn: Float, *, bias_dn: float, noise_dn: float) -> Mask | N
     no bright body crosses: these do no harm.
     """
     rows, columns = (_dead_rows(image, bias_dn, noise_dn) for image in (pixels_dn, pixels_dn.T))
+    return whole_lines(pixels_dn.shape, rows, columns)
+
+
+def whole_lines(shape: tuple[int, ...], rows: np.ndarray, columns: np.ndarray) -> Mask | None:
+    """Mask of rows and columns.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the image.
+    rows, columns : (k,), (m,) int64
+        Their numbers.
+
+    Returns
+    -------
+    (rows, columns) bool, or None
+        True on whole lines; None where there are none.
+    """
     if not rows.size and not columns.size:
         return None
-    result = np.zeros(pixels_dn.shape, dtype=bool)
+    result = np.zeros(shape, dtype=bool)
     result[rows] = True
     result[:, columns] = True
     return result

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.processing.detection.dead_lines import whole_lines
 
 _REACH = 3
 """Lines on either side whose median is what a line would hold: it follows slopes and edges, which light falls along."""
@@ -46,12 +47,7 @@ def hot_lines(pixels_dn: Float, *, noise_dn: float) -> Mask | None:
     found, nor are those that are hot over less than half of half a frame.
     """
     rows, columns = (_hot_rows(image, noise_dn) for image in (pixels_dn, pixels_dn.T))
-    if not rows.size and not columns.size:
-        return None
-    result = np.zeros(pixels_dn.shape, dtype=bool)
-    result[rows] = True
-    result[:, columns] = True
-    return result
+    return whole_lines(pixels_dn.shape, rows, columns)
 
 
 def _hot_rows(image: Float, noise_dn: float) -> np.ndarray:

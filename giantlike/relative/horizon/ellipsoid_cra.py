@@ -18,10 +18,10 @@ from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import CraMethod, Figure, christian_robinson, fit_horizon
 from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
-from giantlike.relative.limb.fix import LimbSolution, limb_fix, limb_view
+from giantlike.relative.limb.fix import LimbSolution, limb_view
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions
-from giantlike.relative.limb.strain import strain_of
+from giantlike.relative.limb.strain import fix_of_strained
 from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.place import apparent_radius_px
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, TriangleMesh
@@ -118,16 +118,7 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
         if isinstance(outcome, Failure):
             return outcome
         measured, solution = outcome
-        allowed_px = self.options.allowed_rms_px(measured)
-        strain = strain_of(measured, inputs)
-        return limb_fix(
-            inputs,
-            measured,
-            strain.grown(solution),
-            self.options,
-            allowed_rms_px=allowed_px,
-            strain_chance=strain.chance,
-        )
+        return fix_of_strained(inputs, measured, solution, self.options)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,8 +10,8 @@ from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import Figure, fit_horizon
 from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
-from giantlike.relative.limb.fix import limb_fix, limb_view
-from giantlike.relative.limb.strain import strain_of
+from giantlike.relative.limb.fix import limb_view
+from giantlike.relative.limb.strain import fix_of_strained
 from giantlike.relative.limb.terrain import CELL_SLOPE_ERROR, with_terrain
 from giantlike.shapes import Ellipsoid
 
@@ -103,12 +103,4 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
             return measured
         measured = with_terrain(measured, inputs, self.options.outlier_mad, slope_error=CELL_SLOPE_ERROR)
         solution = fit_horizon(measured, view.model, figure, measured.position_camera_km, altitude)
-        allowed_px, strain = self.options.allowed_rms_px(measured), strain_of(measured, inputs)
-        return limb_fix(
-            inputs,
-            measured,
-            strain.grown(solution),
-            self.options,
-            allowed_rms_px=allowed_px,
-            strain_chance=strain.chance,
-        )
+        return fix_of_strained(inputs, measured, solution, self.options)

@@ -16,11 +16,11 @@ from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
-from giantlike.relative.limb.fix import IteratedSearch, limb_fix, limb_view
+from giantlike.relative.limb.fix import IteratedSearch, limb_view
 from giantlike.relative.limb.line_scan import LineMeasurement, measure_by_lines, measure_once
 from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.relative.limb.solution import solve_limb
-from giantlike.relative.limb.strain import strain_of
+from giantlike.relative.limb.strain import fix_of_strained
 from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.limb.turn import limb_turn
 from giantlike.shapes import Ellipsoid
@@ -117,16 +117,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
             solution = replace(solution, provenance={"limb_altitude_km": f"{altitude_km:.6g}"})
         if not (inputs.place_alone or measured.terrain or sigma_km):  # relief and haze are no part of the outline
             solution = replace(solution, turn=self._turn(lines, view, body, inputs))
-        allowed_px = self.options.allowed_rms_px(measured)
-        strain = strain_of(measured, inputs)
-        return limb_fix(
-            inputs,
-            measured,
-            strain.grown(solution),
-            self.options,
-            allowed_rms_px=allowed_px,
-            strain_chance=strain.chance,
-        )
+        return fix_of_strained(inputs, measured, solution, self.options)
 
     def _turn(self, measured: LineMeasurement, view: LimbView, body: Body, inputs: EstimatorInputs) -> BodyTurn | None:
         options, scan = self.options, self.options.scan

@@ -8,11 +8,12 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
+from giantlike.core.outcomes import Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.outline_errors import averages, outline_errors
 from giantlike.relative.estimator import EstimatorInputs
-from giantlike.relative.limb.fix import LimbSolution
+from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
 
 _LEAST_FREEDOM = 3
 """Least degrees of freedom that residuals must have beside place and strain: errors are estimated from them."""
@@ -51,6 +52,28 @@ class Strain(Value):
         parts = dict(solution.covariances_km2)
         own = {cause: self.tension * parts[cause] for cause in (Cause.NOISE, Cause.RELIEF) if cause in parts}
         return replace(solution, covariances_km2=parts | own)
+
+
+def fix_of_strained(
+    inputs: EstimatorInputs, measured: LimbMeasurement, solution: LimbSolution, search: IteratedSearch
+) -> PositionFix | Failure:
+    """Judge a position from a limb that may look strained, with errors that explain the strain.
+
+    Parameters
+    ----------
+    inputs : EstimatorInputs
+    measured : LimbMeasurement
+        Settled.
+    solution : LimbSolution
+    search : IteratedSearch
+
+    Returns
+    -------
+    PositionFix or Failure
+    """
+    strain, allowed_px = strain_of(measured, inputs), search.allowed_rms_px(measured)
+    grown = strain.grown(solution)
+    return limb_fix(inputs, measured, grown, search, allowed_rms_px=allowed_px, strain_chance=strain.chance)
 
 
 def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
