@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
+from giantlike.processing.limb.contrast import contrasts
 from giantlike.processing.limb.measurement import SATURATED_SHARE
 from giantlike.processing.limb.view import LimbView, PredictedLimb
 
@@ -92,16 +92,25 @@ def search_limb(
         blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32)
         offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
         thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
-        contrasts = _ContrastSearch(
-            blurred,
-            good,
+        values = contrasts(
+            np.where(good, blurred, np.float32(np.nan)),
+            center_px - corner + best.shift_px,
             points_px[thin] - center_px,
             offset_px * limb.normals_px[thin],
             limb.brightness[thin] / limb.brightness[thin].mean(),
-            floor_dn=_COARSE_NOISE_SIGMAS * view.dark_noise_dn + 1e-6,
+            shifts,
+            scales,
+            _COARSE_NOISE_SIGMAS * view.dark_noise_dn + 1e-6,
+            step < coarsest,
         )
-        found = contrasts.best(center_px - corner, best.shift_px, shifts, scales, steepest=step < coarsest)
-        best = found if step == coarsest else replace(found, contrast=best.contrast)
+        winners = values.reshape(scales.size, -1).argmax(axis=1)
+        value, scale, winner = max(zip(values.reshape(scales.size, -1).max(axis=1), scales, winners, strict=True))
+        down, across = divmod(int(winner), shifts.size)
+        best = CoarseLimb(
+            shift_px=best.shift_px + shifts[[across, down]],
+            scale=float(scale),
+            contrast=float(value) if step == coarsest else best.contrast,
+        )
         if step <= _LEAST_STEP_PX:
             return best
         shifts = _around(0.0, step, _FINER)
@@ -208,65 +217,3 @@ def _sky_dn(crop: Float, good: Mask) -> float:
 def _around(middle: float, reach: float, steps: int) -> Float:
     """Values from ``middle - reach`` to ``middle + reach`` in so many steps to either side."""
     return middle + np.arange(-steps, steps + 1, dtype=np.float64) * (reach / max(steps, 1))
-
-
-class _ContrastSearch:
-    """Contrast across an outline at many places at once, by nearest pixels of a blurred image."""
-
-    def __init__(
-        self, image: NDArray[np.float32], good: Mask, arms: Float, steps: Float, weights: Float, *, floor_dn: float
-    ) -> None:
-        self._values, self._good = np.pad(image, 1).ravel(), np.pad(good, 1).ravel()  # a border that counts nothing
-        self._size, self._whole = np.array(image.shape[::-1]) + 2, bool(good.all())
-        self._arms, self._steps, self._weights = arms, steps, weights.astype(np.float32)
-        self._floor = np.float32(floor_dn)
-
-    def best(self, center_px: Float, about_px: Float, shifts_px: Float, scales: Float, *, steepest: bool) -> CoarseLimb:
-        """Find the highest contrast among a square of shifts about one, for every scale.
-
-        Or the largest difference across, DN, which is sharper but rises with every bright edge.
-        """
-        found = []
-        for scale in scales:
-            middle = center_px + about_px + float(scale) * self._arms
-            value = self._across(middle, shifts_px, steepest=steepest)
-            winner = int(np.argmax(value))
-            found.append((float(value[winner]), float(scale), winner))
-        best, scale_best, winner = max(found)
-        down, across = divmod(winner, len(shifts_px))
-        shift_px = about_px + shifts_px[[across, down]]
-        return CoarseLimb(shift_px=shift_px, scale=scale_best, contrast=best)
-
-    def _across(self, middle: Float, shifts: Float, *, steepest: bool) -> Float:
-        """Mean contrast (k k,) across points (n, 2) at shifts (k,) along both axes, or mean difference, DN.
-
-        Outlines that lie mostly outside the image count as if half inside.
-        """
-        inner, outer = self._index(middle - self._steps, shifts), self._index(middle + self._steps, shifts)
-        light, dark = (self._values.take(which, mode="clip") for which in (inner, outer))
-        difference = light - dark
-        if not steepest:
-            np.abs(light, out=light)
-            light += np.abs(dark, out=dark)
-            light += self._floor
-            difference /= light
-        if self._whole and not any(self._reaches_border(middle + side, shifts) for side in (-self._steps, self._steps)):
-            return np.asarray(difference @ self._weights / max(float(self._weights.sum()), 0.5))
-        weights = (self._good.take(inner) & self._good.take(outer)) * self._weights
-        weight = weights.sum(axis=1)
-        weight = np.maximum(weight, 0.5 * max(float(weight.max()), 1.0))
-        return np.asarray(np.einsum("kn,kn->k", difference, weights) / weight)
-
-    def _reaches_border(self, points: Float, shifts: Float) -> bool:
-        """True if points (n, 2) moved along both axes may lie outside the image."""
-        low, high = points.min(axis=0) + shifts[0], points.max(axis=0) + shifts[-1]
-        return not bool(np.all((low > 0.0) & (high < self._size - 3)))
-
-    def _index(self, points: Float, shifts: Float) -> NDArray[np.intp]:
-        """Flat index (k k, n) of pixels nearest to points (n, 2) moved along both axes, or as near as the border."""
-        columns, rows = (
-            np.clip(np.rint(points[:, axis] + shifts[:, None]) + 1.0, 0, self._size[axis] - 1).astype(np.intp)
-            for axis in range(2)
-        )
-        index: NDArray[np.intp] = rows[:, None] * self._size[0] + columns
-        return index.reshape(-1, len(points))

@@ -13,7 +13,8 @@ from giantlike.core.values import Value, select_rows
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.measurement import judge_points
 from giantlike.processing.limb.view import LimbView
-from giantlike.relative.horizon.cells import CellFits, fit_cells, limb_pixels
+from giantlike.relative.horizon.cells import CellFits, fit_cells
+from giantlike.relative.horizon.pixels import limb_pixels
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
 
 _ROUNDS = 2
@@ -149,7 +150,7 @@ def _fitted(
         pixels,
         view.pixels_dn,
         table,
-        view.detector.variance_dn2,
+        view.detector,
         largest_left=math.inf if rules.first else 2.0 * _MAX_UNEXPLAINED,
     )
     good, rejected = judge_points(

@@ -15,12 +15,13 @@ from scipy.ndimage import maximum_filter1d
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.compiled import compiled
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
-from giantlike.relative.horizon.blur import LEAST_RADIUS, DepthBlur
+from giantlike.relative.horizon.blur import DepthBlur
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
@@ -46,6 +47,7 @@ _DEPTHS, _WING_DEPTHS = 36, 18
 """Depths that the integral over a blur takes, and those over wings, whose light is smooth and of which little counts:
 with 18 for these, centers of seven disks of 300 px were where they are with 36 to 0.014 sigma."""
 _TABLE_STEP = 0.35  # of the width of the blur
+_TINY = float(np.finfo(np.float64).tiny)
 _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])  # inside the horizon, where limb counts as lit or dark
 
 
@@ -116,78 +118,9 @@ class HorizonArc(Value):
         result: Float = -(self.by_pixel @ self.normals_px[..., None])[..., 0]
         return result
 
-    def seen_from(self, pixels: Indices, nodes: Indices) -> tuple[Float, Float]:
-        """Distances of pixels (n, 2) from the horizon, and the nearest points on it.
-
-        Parameters
-        ----------
-        pixels : (n, 2) int64, px
-        nodes : (n,) int64
-            A point of the horizon near each: a piece of a circle through it stands for the horizon.
-
-        Returns
-        -------
-        outward_px : (n,) float64, px
-        feet_px : (n, 2) float64, px
-        """
-        points, normals = self.points_px[nodes], self.normals_px[nodes]
-        x, y = pixels[:, 0] - points[:, 0], pixels[:, 1] - points[:, 1]
-        high, aside = x * normals[:, 0] + y * normals[:, 1], y * normals[:, 0] - x * normals[:, 1]
-        bend = self.curvature[nodes]
-        aside /= np.maximum(1.0 + bend * high, LEAST_RADIUS)
-        drop = 0.5 * bend * aside**2  # of the horizon below its tangent
-        feet = np.stack(
-            [
-                points[:, 0] - aside * normals[:, 1] - drop * normals[:, 0],
-                points[:, 1] + aside * normals[:, 0] - drop * normals[:, 1],
-            ],
-            axis=-1,
-        )
-        return high + drop * (1.0 + bend * high), feet
-
     def thinned(self, cell_px: float, every: int) -> HorizonArc:
         """Return the points in every so many-th of the cells of a length, px."""
         return select_rows(self, (self.along_px / cell_px).astype(np.int64) % every == 0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ArcPlaces(Value):
-    """Places along a horizon.
-
-    Parameters
-    ----------
-    nodes : (n,) int64
-        The nearest point of the arc.
-    along_px : (n,) float64, px
-        Length of the horizon from its start.
-    """
-
-    nodes: Indices
-    along_px: Float
-
-    @classmethod
-    def of(cls, arc: HorizonArc, feet_px: Float, near: Indices) -> ArcPlaces:
-        """Return the places of points on a horizon.
-
-        Parameters
-        ----------
-        arc : HorizonArc
-        feet_px : (n, 2) float64, px
-            Points on the horizon.
-        near : (n,) int64
-            Points of the arc near them.
-
-        Returns
-        -------
-        ArcPlaces
-        """
-        tangents = arc.tangents_px
-        ahead = np.einsum("ni,ni->n", tangents[:-1], np.diff(arc.points_px, axis=0))
-        sense = math.copysign(1.0, float(np.median(ahead))) if ahead.size else 1.0
-        aside = np.einsum("ni,ni->n", feet_px - arc.points_px[near], tangents[near])
-        along_px = arc.along_px[near] + sense * aside
-        between = 0.5 * (arc.along_px[1:] + arc.along_px[:-1])
-        return cls(nodes=np.searchsorted(between, along_px), along_px=along_px)
 
 
 def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -> HorizonArc | Failure:
@@ -257,7 +190,7 @@ class ProfileTable(Value):
     Parameters
     ----------
     knots_px : (k,) float64, px
-        Places along the horizon, as of :class:`ArcPlaces`.
+        Places along the horizon, as of ``HorizonArc.along_px``.
     first_px, step_px : float, px
         The distances are ``first + i step``, positive outward.
     values : (k, m, 2 (p + q) + p) float64
@@ -291,46 +224,44 @@ class ProfileTable(Value):
         slope, curve : (n, p) float64
             Its first two derivatives, 1/px and 1/px^2, for the powers.
         """
-        place = (outward_px - self.first_px) / self.step_px
-        count, width = self.values.shape[1:]
-        index = np.clip(np.floor(place).astype(np.int64), 0, count - 2)
-        t = (place - index)[:, None]
-        last = self.knots_px.size - 1
-        knot = np.clip(np.searchsorted(self.knots_px, along_px) - 1, 0, max(last - 1, 0))
-        next_knot = np.minimum(knot + 1, last)
-        apart = np.maximum(self.knots_px[next_knot] - self.knots_px[knot], np.finfo(np.float64).tiny)
-        share = np.clip((along_px - self.knots_px[knot]) / apart, 0.0, 1.0)[:, None]
-        # One row for each place of the table and the next: rows are taken in a fraction of the time of an index along
-        # each axis.
-        rows = self.values.reshape(-1, width)
-        pairs = np.concatenate([rows[:-1], rows[1:]], axis=1)
-        both, beside = (pairs.take(which * count + index, axis=0) for which in (knot, next_knot))
-        beside -= both
-        beside *= share
-        both += beside
-        near, far = both[:, :width], both[:, width:]
-        half = (width - self.powers) // 2
-        values, slopes, curves = slice(half), slice(half, 2 * half), slice(2 * half, None)
-        shares = self._cubic_shares(t)
-        value = _combined(near, far, values, slopes, shares)
-        slope = _combined(near, far, slice(half, half + self.powers), curves, shares)
-        bend = near[:, curves] + t * (far[:, curves] - near[:, curves])
-        return value, slope, bend
-
-    def _cubic_shares(self, t: Float) -> tuple[Float, Float, Float, Float]:
-        """Shares (n, 1) of values and slopes here and at the next row in the cubic between, at t of the way."""
-        s, step = 1.0 - t, self.step_px
-        return s * s * (1.0 + 2.0 * t), step * s * s * t, t * t * (3.0 - 2.0 * t), -step * t * t * s
+        return _interpolated(self.knots_px, self.first_px, self.step_px, self.values, self.powers, along_px, outward_px)
 
 
-def _combined(
-    near: Float, far: Float, values: slice, slopes: slice, shares: tuple[Float, Float, Float, Float]
-) -> Float:
-    """Cubic (n, k) between two rows of a table, from columns of values and of slopes."""
-    result: Float = shares[0] * near[:, values]
-    for share, part in zip(shares[1:], (near[:, slopes], far[:, values], far[:, slopes]), strict=True):
-        result += share * part
-    return result
+@compiled
+def _interpolated(
+    knots_px: Float, first_px: float, step_px: float, values: Float, powers: int, along_px: Float, outward_px: Float
+) -> tuple[Float, Float, Float]:
+    """Interpolate a table at n places, with its fields and with results as of :class:`ProfileTable`.
+
+    Linearly along the horizon, and by cubics with the tabulated slopes across it.
+    """
+    n, count, width = len(along_px), values.shape[1], values.shape[2]
+    half, last = (width - powers) // 2, len(knots_px) - 1
+    value, slope, curve = np.empty((n, half)), np.empty((n, powers)), np.empty((n, powers))
+    before, after = np.empty(width), np.empty(width)
+    for k in range(n):
+        place = (outward_px[k] - first_px) / step_px
+        index = min(max(math.floor(place), 0), count - 2)
+        t = place - index
+        s = 1.0 - t
+        knot = min(max(np.searchsorted(knots_px, along_px[k]) - 1, 0), max(last - 1, 0))
+        after_knot = min(knot + 1, last)
+        apart = max(knots_px[after_knot] - knots_px[knot], _TINY)
+        share = min(max((along_px[k] - knots_px[knot]) / apart, 0.0), 1.0)
+        for i in range(width):
+            here, there = values[knot, index, i], values[after_knot, index, i]
+            before[i] = here + share * (there - here)
+            here, there = values[knot, index + 1, i], values[after_knot, index + 1, i]
+            after[i] = here + share * (there - here)
+        a, b = s * s * (1.0 + 2.0 * t), step_px * s * s * t  # of value and slope before, and after
+        c, d = t * t * (3.0 - 2.0 * t), -step_px * t * t * s
+        for i in range(half):
+            value[k, i] = a * before[i] + b * before[half + i] + c * after[i] + d * after[half + i]
+        for i in range(powers):
+            here, there = before[2 * half + i], after[2 * half + i]
+            slope[k, i] = a * before[half + i] + b * here + c * after[half + i] + d * there
+            curve[k, i] = here + t * (there - here)
+    return value, slope, curve
 
 
 def profile_table(

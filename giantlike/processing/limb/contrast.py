@@ -1,0 +1,81 @@
+"""Contrast across an outline at many places and sizes, compiled: sums of :mod:`giantlike.processing.limb.search`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.core.compiled import compiled
+
+
+@compiled
+def contrasts(
+    image: NDArray[np.float32],
+    middle_px: Float,
+    arms_px: Float,
+    offsets_px: Float,
+    weights: Float,
+    shifts_px: Float,
+    scales: Float,
+    floor_dn: float,
+    steepest: bool,
+) -> Float:
+    """Sum up the contrast across an outline by nearest pixels.
+
+    Parameters
+    ----------
+    image : (rows, columns) float32, DN
+        NaN where a pixel counts nothing.
+    middle_px : (2,) float64, px
+        Point about which the outline grows.
+    arms_px : (n, 2) float64, px
+        From there to the points of the outline, at scale 1.
+    offsets_px : (n, 2) float64, px
+        From the outline to the pixel outside that is compared; as far inside lies the other.
+    weights : (n,) float64
+        Of the points.
+    shifts_px : (k,) float64, px
+        Shifts along both axes, every one of x with every one of y.
+    scales : (m,) float64
+    floor_dn : float, DN
+        Brightness added to the sum of both sides.
+    steepest : bool
+        Take the difference of both sides, DN, not its share of their sum.
+
+    Returns
+    -------
+    (m, k, k) float64
+        Weighted mean for each scale and shift along y and x. Outlines that lie mostly where nothing counts count as if
+        half did.
+    """
+    rows, columns = image.shape
+    n, k = len(arms_px), len(shifts_px)
+    sums, counted = np.zeros((len(scales), k, k)), np.zeros((len(scales), k, k))
+    inner, outer = np.empty((k, 2), np.int64), np.empty((k, 2), np.int64)
+    for m in range(len(scales)):
+        for point in range(n):
+            weight = weights[point]
+            for axis in range(2):
+                at = middle_px[axis] + scales[m] * arms_px[point, axis]
+                for j in range(k):
+                    inner[j, axis] = int(np.rint(at - offsets_px[point, axis] + shifts_px[j]))
+                    outer[j, axis] = int(np.rint(at + offsets_px[point, axis] + shifts_px[j]))
+            for j in range(k):
+                y, far_y = inner[j, 1], outer[j, 1]
+                if y < 0 or y >= rows or far_y < 0 or far_y >= rows:
+                    continue
+                for i in range(k):
+                    x, far_x = inner[i, 0], outer[i, 0]
+                    if x < 0 or x >= columns or far_x < 0 or far_x >= columns:
+                        continue
+                    light, dark = image[y, x], image[far_y, far_x]
+                    value = light - dark
+                    if value != value:
+                        continue
+                    if not steepest:
+                        value /= abs(light) + abs(dark) + floor_dn
+                    sums[m, j, i] += weight * value
+                    counted[m, j, i] += weight
+        sums[m] /= np.maximum(counted[m], 0.5 * max(counted[m].max(), 1.0))
+    return sums
