@@ -56,6 +56,12 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not loaded & {"numpy", "scipy", "cv2", "astropy", "matplotlib", "trimesh", "spiceypy", "pyarrow"}
 
 
+def test_a_camera_model_loads_no_compiler_before_it_projects() -> None:
+    code = "import sys, giantlike.camera_models; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+
+
 def test_the_package_logs_nothing_unless_asked() -> None:
     code = "import giantlike, logging; logging.getLogger('giantlike.stars').error('text')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

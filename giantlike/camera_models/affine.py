@@ -166,11 +166,7 @@ class AffineModel(ABC):
         -------
         (..., 2, 3) float64, px per unit of the points
         """
-
-        def block(points: Float) -> Float:
-            return self._pixels_of(self._lens_jacobian(*np.ascontiguousarray(points.T)))
-
-        return blockwise(block, as_floats(points_camera, (3,), "points_camera"), (2, 3))
+        return blockwise(self._project_jacobian_block, as_floats(points_camera, (3,), "points_camera"), (2, 3))
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
         """Derivative of :meth:`unproject` with respect to the pixel.
@@ -184,11 +180,7 @@ class AffineModel(ABC):
         -------
         (..., 3, 2) float64, 1/px
         """
-
-        def block(points: Float) -> Float:
-            return inverse_on_the_sphere(self.project_jacobian(self.unproject(points)))
-
-        return blockwise(block, as_floats(points_px, (2,), "points_px"), (3, 2))
+        return blockwise(self._unproject_jacobian_block, as_floats(points_px, (2,), "points_px"), (3, 2))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
         """Derivative of the pixels of ``at_temperature(temperature_c).project`` with respect to :attr:`parameters`.
@@ -314,6 +306,12 @@ class AffineModel(ABC):
         v = (pixels[:, 1] - self.cy_px) / self.fy_px
         u = (pixels[:, 0] - self.cx_px - self.skew_px * v) / self.fx_px
         return np.stack(self._lens_inverse(u, v), axis=-1)
+
+    def _project_jacobian_block(self, points: Float) -> Float:
+        return self._pixels_of(self._lens_jacobian(*np.ascontiguousarray(points.T)))
+
+    def _unproject_jacobian_block(self, pixels: Float) -> Float:
+        return inverse_on_the_sphere(self._project_jacobian_block(self._unproject_block(pixels)))
 
     def _pixels_of(self, by_something: Float) -> Float:
         """Focal-plane derivatives (2, m, n) as pixel derivatives (n, 2, m)."""

@@ -7,20 +7,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from giantlike.camera_models.affine import AFFINE_NAMES, TEMPERATURE_NAMES
-from giantlike.camera_models.plane import (
-    PlaneModel,
-    Slopes,
-    decentering,
-    decentering_slopes,
-    radial_slopes,
-    sum_of_slopes,
-)
 from giantlike.camera_models.polynomial import smallest_positive_root
+from giantlike.camera_models.rational import RationalModel
 from giantlike.core.arrays import Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BrownModel(PlaneModel):
+class BrownModel(RationalModel):
     """Pinhole with radial (k1-k3) and decentering (p1, p2) distortion of the image-plane point.
 
     Parameters
@@ -46,17 +39,9 @@ class BrownModel(PlaneModel):
     p1: float = 0.0
     p2: float = 0.0
 
-    def _distort(self, x: Float, y: Float) -> tuple[Float, Float]:
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        dx, dy = decentering(x, y, self.p1, self.p2)
-        return radial * x + dx, radial * y + dy
-
-    def _slopes(self, x: Float, y: Float) -> Slopes:
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        growth = 2.0 * (self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3))
-        return sum_of_slopes(radial_slopes(x, y, radial, growth), decentering_slopes(x, y, self.p1, self.p2))
+    @property
+    def _twelve(self) -> tuple[float, ...]:
+        return (self.k1, self.k2, self.k3, 0.0, 0.0, 0.0, self.p1, self.p2, 0.0, 0.0, 0.0, 0.0)
 
     def _by_coefficient(self, x: Float, y: Float) -> tuple[list[Float], list[Float]]:
         r2 = x * x + y * y

@@ -10,20 +10,13 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from giantlike.camera_models.affine import AFFINE_NAMES, TEMPERATURE_NAMES
-from giantlike.camera_models.plane import (
-    PlaneModel,
-    Slopes,
-    decentering,
-    decentering_slopes,
-    radial_slopes,
-    sum_of_slopes,
-)
 from giantlike.camera_models.polynomial import smallest_positive_root
+from giantlike.camera_models.rational import RationalModel
 from giantlike.core.arrays import Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OpenCVModel(PlaneModel):
+class OpenCVModel(RationalModel):
     """OpenCV's distortion with up to twelve coefficients (no tilted sensor).
 
     Parameters
@@ -61,30 +54,14 @@ class OpenCVModel(PlaneModel):
     s3: float = 0.0
     s4: float = 0.0
 
+    @property
+    def _twelve(self) -> tuple[float, ...]:
+        return self.lens_coefficients
+
     def _parts(self, r2: Float) -> tuple[Float, Float]:
         """Numerator and denominator of the radial factor."""
         numerator = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         return numerator, 1.0 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
-
-    def _distort(self, x: Float, y: Float) -> tuple[Float, Float]:
-        r2 = x * x + y * y
-        numerator, denominator = self._parts(r2)
-        radial = numerator / denominator
-        dx, dy = decentering(x, y, self.p1, self.p2)
-        return (
-            radial * x + dx + r2 * (self.s1 + r2 * self.s2),
-            radial * y + dy + r2 * (self.s3 + r2 * self.s4),
-        )
-
-    def _slopes(self, x: Float, y: Float) -> Slopes:
-        r2 = x * x + y * y
-        numerator, denominator = self._parts(r2)
-        radial = numerator / denominator
-        growth = 2.0 * (self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3))
-        growth = (growth - radial * 2.0 * (self.k4 + r2 * (2 * self.k5 + 3 * r2 * self.k6))) / denominator
-        lens = sum_of_slopes(radial_slopes(x, y, radial, growth), decentering_slopes(x, y, self.p1, self.p2))
-        along_x, along_y = 2 * (self.s1 + 2 * r2 * self.s2), 2 * (self.s3 + 2 * r2 * self.s4)
-        return sum_of_slopes(lens, (along_x * x, along_x * y, along_y * x, along_y * y))
 
     def _by_coefficient(self, x: Float, y: Float) -> tuple[list[Float], list[Float]]:
         r2 = x * x + y * y

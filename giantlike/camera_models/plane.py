@@ -14,9 +14,9 @@ from giantlike.core.arrays import Float
 Slopes = tuple[Float, Float, Float, Float]
 """du/dx, du/dy, dv/dx, dv/dy of a map of the plane."""
 
-_MAX_NEWTON_STEPS = 40  # a few suffice inside; near the edge of the invertible region steps are halved
-_LAST_STEP = 1e-8  # relative step at which Newton's method stops; the error left is its square times a curvature
-_STEP_PER_ERROR = 1e-2  # least step per distance from the goal to stop: next to a pole, steps are short far from it
+MAX_NEWTON_STEPS = 40  # a few suffice inside; near the edge of the invertible region steps are halved
+LAST_STEP = 1e-8  # relative step at which Newton's method stops; the error left is its square times a curvature
+STEP_PER_ERROR = 1e-2  # least step per distance from the goal to stop: next to a pole, steps are short far from it
 _AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)  # rad, every 5 degrees
 _WIDEST_RAD = np.radians(89.9)  # largest angle from the axis at which folds are looked for; at 90 degrees r is infinite
 
@@ -93,7 +93,7 @@ class PlaneModel(AffineModel):
         start = _radial_start(self, np.hypot(u, v))
         x, y = u * start, v * start
         todo = np.arange(x.size)
-        for _ in range(_MAX_NEWTON_STEPS):
+        for _ in range(MAX_NEWTON_STEPS):
             at_x, at_y = x[todo], y[todo]
             near_x, near_y, error = self._newton(at_x, at_y, u[todo], v[todo])
             step = np.abs(near_x - at_x) + np.abs(near_y - at_y)
@@ -103,7 +103,7 @@ class PlaneModel(AffineModel):
                 back = np.where(outside, 0.5 * (np.minimum(np.hypot(at_x, at_y), limit) + limit) / radius, 1.0)
                 near_x, near_y = near_x * back, near_y * back
             x[todo], y[todo] = near_x, near_y
-            moving = (np.maximum(step, _STEP_PER_ERROR * error) > _LAST_STEP * (1.0 + radius)) | outside
+            moving = (np.maximum(step, STEP_PER_ERROR * error) > LAST_STEP * (1.0 + radius)) | outside
             todo = todo[moving]
             if not todo.size:
                 break
@@ -118,34 +118,6 @@ class PlaneModel(AffineModel):
         inverse = 1.0 / (ux * vy - uy * vx)
         du, dv = at_u - u, at_v - v
         return x - (vy * du - uy * dv) * inverse, y - (ux * dv - vx * du) * inverse, np.abs(du) + np.abs(dv)
-
-
-def radial_slopes(x: Float, y: Float, radial: Float, growth: Float) -> Slopes:
-    """Slopes of ``radial * (x, y)`` where ``growth`` is twice the derivative of ``radial`` by r^2."""
-    cross = growth * x * y
-    return radial + growth * x * x, cross, cross, radial + growth * y * y
-
-
-def decentering(x: Float, y: Float, p1: float, p2: float) -> tuple[Float, Float]:
-    """Displacement by decentering distortion, which OpenCV calls tangential.
-
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 7.
-    """
-    xx, xy, yy = x * x, x * y, y * y
-    return 2 * p1 * xy + p2 * (3 * xx + yy), p1 * (xx + 3 * yy) + 2 * p2 * xy
-
-
-def decentering_slopes(x: Float, y: Float, p1: float, p2: float) -> Slopes:
-    """Derivative of :func:`decentering`."""
-    cross = 2 * p1 * x + 2 * p2 * y
-    return 2 * p1 * y + 6 * p2 * x, cross, cross, 6 * p1 * y + 2 * p2 * x
-
-
-def sum_of_slopes(a: Slopes, b: Slopes) -> Slopes:
-    """Slopes of a sum of two maps."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
 
 
 @lru_cache(maxsize=256)
@@ -176,13 +148,24 @@ def _least_slope(model: PlaneModel, radii: Float) -> Float:
 
 def _radial_start(model: PlaneModel, distorted: Float) -> Float:
     """Factor on distorted points that removes the mean of the distortion over azimuth."""
-    mapped, radii = _radial_table(type(model), model.lens_coefficients)
+    mapped, radii = radial_table(type(model), model.lens_coefficients)
     return np.interp(distorted, mapped, radii) / np.where(distorted > 0, distorted, 1.0)
 
 
 @lru_cache(maxsize=256)
-def _radial_table(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> tuple[Float, Float]:
-    """Distorted radii, averaged over azimuth, and the undistorted radii of them."""
+def radial_table(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> tuple[Float, Float]:
+    """Distorted radii of a lens, averaged over azimuth, and the undistorted radii of them.
+
+    Parameters
+    ----------
+    kind : type
+    coefficients : tuple of float
+        As :attr:`~giantlike.camera_models.affine.AffineModel.lens_coefficients` has them.
+
+    Returns
+    -------
+    mapped, radii : (256,) float64
+    """
     model = kind.unit_lens(coefficients)
     widest = min(np.arctan(model.max_radius), np.radians(80.0)) * (1.0 - 1e-6)  # short of a pole
     radii = np.tan(np.linspace(0.0, widest, 256))

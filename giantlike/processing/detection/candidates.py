@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.detection.frame import Frame
+from giantlike.processing.detection.lit_pixels import connected, peaks_among
 from giantlike.processing.detection.matched_filter import FilteredImage, Image32
 from giantlike.processing.detection.options import DetectionOptions
 
@@ -19,7 +19,6 @@ _EXTENDED_AREA = 4.0  # area over that of a star of the same peak above the thre
 _EXTENDED_AREA_MARGIN_PX = 12  # added to it, px: small areas fluctuate with the noise
 _LEAST_SIDE = 0.05  # of the peak: a neighbor below it, which noise may bring below zero, has no logarithm to rely on
 _ROWS = 64  # of the image compared with its threshold at a time
-_AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))  # neighbors of a pixel, rows first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,15 +83,13 @@ def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOpt
     Candidates
     """
     above = _above(filtered, options.threshold_sigma)
-    n_components, labels = cv2.connectedComponents(above.view(np.uint8), connectivity=8, ltype=cv2.CV_32S)
     columns = above.shape[1]
     lit = np.flatnonzero(above)
-    component = labels.ravel()[lit]
+    component, n_components = connected(lit, columns)
     area = np.bincount(component, minlength=n_components)
-    peaks = _local_maxima(filtered.response, lit)
-    component = labels.ravel()[peaks]
-    large = area[component] >= options.min_area_px
-    peaks, component = peaks[large], component[large]
+    highest = peaks_among(filtered.response, lit)
+    highest = highest[area[component[highest]] >= options.min_area_px]
+    peaks, component = lit[highest], component[highest]
     response = filtered.response.ravel()[peaks].astype(np.float64)
     noise = filtered.noise_dn.ravel()[peaks].astype(np.float64)
     significance = response / (noise * filtered.response_noise)
@@ -132,22 +129,6 @@ def _above(filtered: FilteredImage, threshold_sigma: float) -> Mask:
         some = slice(first, first + _ROWS)
         np.greater(filtered.response[some], filtered.noise_dn[some] * factor, out=above[some])
     return above
-
-
-def _local_maxima(response: Image32, indices: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Those of some pixels above their eight neighbors; of equal ones only the first in reading order."""
-    columns = response.shape[1]
-    flat = response.ravel()
-    x, height = indices % columns, flat[indices]
-    for dy, dx in _AROUND:
-        other = indices + (dy * columns + dx)
-        inside = (other >= 0) & (other < flat.size)
-        if dx:
-            inside &= x != (columns - 1 if dx > 0 else 0)
-        beside = flat[np.where(inside, other, 0)]
-        kept = np.flatnonzero(~inside | (height > beside if (dy, dx) < (0, 0) else height >= beside))
-        indices, x, height = indices[kept], x[kept], height[kept]
-    return indices
 
 
 def _maxima(response: Image32, pixels_px: NDArray[np.int64]) -> tuple[Float, Float]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse import csr_matrix
 from scipy.special import ndtr
 
 from giantlike.core.arrays import Float
@@ -19,6 +18,7 @@ from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import RefinedTrace
 from giantlike.ray_tracing.sampling import Cells
 from giantlike.ray_tracing.tracer import Indices
+from giantlike.relative.template.spread_parts import spread
 from giantlike.relative.template.state import TemplateState
 
 _LEAST_BLUR_PX = 1e-3
@@ -26,8 +26,6 @@ _LEAST_BLUR_PX = 1e-3
 
 _REACH_SIGMA = 5.5
 """Of the point spread function, where shares end: 4e-8 of the light lies beyond, and derivatives do not show it."""
-
-_Sparse: TypeAlias = csr_matrix[np.float64] | csc_matrix[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,13 +126,13 @@ class MovedBody(Value):
         """
         x, y = self.trace.cells
         down = self._row(y, 1, state).on_pixels(box.y, box.height)
-        first = _Grid(self._row(x, 0, state).on_pixels(box.x, box.width), down, rays.cells, box.width)
+        first = _Grid(_Columns(self._row(x, 0, state).on_pixels(box.x, box.width)), down, rays.cells)
         rest: list[_Grid] = []
         if len(rays.parts) and isinstance(self.trace, RefinedTrace):
             x, y = self.trace.part_cells
             down = self._row(y, 1, state).on_pixels(box.y, box.height)
             across = self._row(x, 0, state).of_parts(*self.trace.part_places, y.count, box.x, box.width)
-            rest.append(_Grid(across, down, rays.parts, box.width))
+            rest.append(_Grid(across, down, rays.parts))
         lights = np.ascontiguousarray(np.moveaxis(sum((grid.lights for grid in rest), first.lights), -1, 0))
         return lights, lambda weights: sum((grid.derivatives(weights) for grid in rest), first.derivatives(weights))
 
@@ -154,40 +152,80 @@ class MovedBody(Value):
 class _Shares:
     """Shares of the light of cells along one axis, px, and their derivatives: sparse (m, n) matrices alike."""
 
-    value: _Sparse
-    by_center: _Sparse
-    by_log_range: _Sparse
-    by_variance: _Sparse
+    value: csr_matrix[np.float64]
+    by_center: csr_matrix[np.float64]
+    by_log_range: csr_matrix[np.float64]
+    by_variance: csr_matrix[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Columns of a whole grid, whose light (columns, ...) is spread over columns of pixels."""
+
+    shares: _Shares
+
+    def lights(self, light: Float) -> Float:
+        """Light (rows, w, k) of that (columns, k, rows) of cells."""
+        spread = _product(self.shares.value, light.reshape(len(light), -1))
+        return np.ascontiguousarray(spread.reshape(-1, *light.shape[1:]).transpose(2, 0, 1))
+
+    def with_derivatives(self, light: Float) -> list[Float]:
+        """Light (rows, w) of that (columns, rows) of cells, and its derivatives by center, log range and variance."""
+        shares = self.shares
+        matrices = (shares.value, shares.by_center, shares.by_log_range, shares.by_variance)
+        return [np.ascontiguousarray(_product(matrix, light).T) for matrix in matrices]
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """Some cells, at ``columns`` (n,) and ``rows`` (n,) of a grid, whose light is spread over columns of pixels.
+
+    ``shares`` (4, columns, p) are those of each column on ``p`` pixels from ``first_px`` (columns,), and derivatives.
+    """
+
+    columns: Indices
+    rows: Indices
+    row_count: int
+    shares: Float
+    first_px: Indices
+    width: int
+
+    def lights(self, light: Float) -> Float:
+        """Light (rows, w, k) of that (n, k) of parts."""
+        of_value = self._spread(light, self.shares[:1])
+        return np.asarray(of_value[0])
+
+    def with_derivatives(self, light: Float) -> list[Float]:
+        """Light (rows, w) of that (n,) of parts, and its derivatives by center, log range and variance."""
+        return list(self._spread(light[:, None], self.shares)[..., 0])
+
+    def _spread(self, light: Float, shares: Float) -> Float:
+        places = self.columns, self.rows, shares, self.first_px, self.row_count, self.width
+        return spread(np.array(light), *places)  # a copy: values are read-only, for which loops are compiled anew
 
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
     """Cells of one size, whose light is spread over pixels along x and then along y.
 
-    ``light`` is (columns, k, rows) of a whole grid, with ``across`` (w, columns), or (n, k) of some of its cells, with
-    ``across`` (rows * w, n); ``down`` is (h, rows).
+    ``light`` is (columns, k, rows) of a whole grid or (n, k) of some of its cells; ``down`` is (h, rows).
     """
 
-    across: _Shares
+    across: _Columns | _Parts
     down: _Shares
     light: Float
-    width: int
 
     @property
     def lights(self) -> Float:
         """Light (h, w, k) under each law."""
-        columns = self._along_x(self.across.value, self.light)
+        columns = self.across.lights(self.light)
         return _product(self.down.value, columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
 
     def derivatives(self, weights: Float) -> Float:
         """Derivatives (4, h, w) of the sum with weights (j,) of the first ``j`` laws."""
         mixed = np.tensordot(self.light[:, : len(weights)], weights, (1, 0))
-        mixed = mixed.reshape(len(mixed), 1, -1) if self.light.ndim == 3 else mixed[:, None]
-        across, down = self.across, self.down
-        columns, by_center, by_log_range, by_variance = (
-            self._along_x(matrix, mixed)[..., 0]
-            for matrix in (across.value, across.by_center, across.by_log_range, across.by_variance)
-        )
+        down = self.down
+        columns, by_center, by_log_range, by_variance = self.across.with_derivatives(mixed)
         return np.stack(
             [
                 _product(down.value, by_center),
@@ -197,15 +235,8 @@ class _Grid:
             ]
         )
 
-    def _along_x(self, matrix: _Sparse, light: Float) -> Float:
-        """Light (rows, w, k) of rows of cells on columns of pixels."""
-        spread = _product(matrix, light.reshape(len(light), -1))
-        if light.ndim == 2:
-            return spread.reshape(-1, self.width, light.shape[1])
-        return np.ascontiguousarray(spread.reshape(self.width, *light.shape[1:]).transpose(2, 0, 1))
 
-
-def _product(matrix: _Sparse, values: Float) -> Float:
+def _product(matrix: csr_matrix[np.float64], values: Float) -> Float:
     """Product (m, k) of a sparse (m, n) and a dense (n, k) array."""
     return np.asarray(matrix @ values, dtype=np.float64)
 
@@ -232,20 +263,14 @@ class _Row:
         shares = self._shares(np.broadcast_to(lows[:, None], within.shape)[inside], self.away[numbers])
         return _Shares(*(csr_matrix((values, indices, ends), shape=(count_px, count)) for values in shares))
 
-    def of_parts(self, columns: Indices, rows: Indices, row_count: int, first_px: int, count_px: int) -> _Shares:
-        """Shares (row_count * pixels, n) of the n cells at some ``columns`` of this row and ``rows`` of the image."""
+    def of_parts(self, columns: Indices, rows: Indices, row_count: int, first_px: int, count_px: int) -> _Parts:
+        """Shares on so many pixels from the first of the n cells at some ``columns`` of this row, in ``rows``."""
         reach = _REACH_SIGMA * self.sigma + self.half
         first = np.floor(self.center + self.away - reach - (first_px - 0.5)).astype(np.int64)
         pixels = first[:, None] + np.arange(math.ceil(2.0 * reach) + 1)
         lows = first_px - 0.5 + pixels - self.center
-        inside = (pixels >= 0) & (pixels < count_px)
-        places = (np.clip(pixels, 0, count_px - 1)[columns] + count_px * rows[:, None]).astype(np.int32).ravel()
-        ends = np.arange(0, places.size + 1, pixels.shape[1], dtype=np.int32)
-        shape = row_count * count_px, columns.size
         shares = self._shares(np.asarray(lows, np.float64), np.broadcast_to(self.away[:, None], lows.shape))
-        return _Shares(
-            *(csc_matrix((np.where(inside, each, 0.0)[columns].ravel(), places, ends), shape=shape) for each in shares)
-        )
+        return _Parts(columns, rows, row_count, np.stack(shares), first, count_px)
 
     def _shares(self, lows: Float, away: Float) -> tuple[Float, Float, Float, Float]:
         """Shares, as in :class:`_Shares`, on pixels from ``lows`` (...) to 1 px more of cells at ``away`` (...).
