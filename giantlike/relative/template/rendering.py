@@ -19,6 +19,7 @@ from giantlike.ray_tracing import (
     Hapke,
     Lambert,
     LommelSeeliger,
+    McEwen,
     Minnaert,
     Reflectance,
     RenderOptions,
@@ -171,7 +172,8 @@ class TemplateRenderer(Value):
         """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
         All laws are shaded on the same rays: what differs between two of their images is the law and nothing else. The
-        body is traced once roughly and once finely, and anew only where it is seen from elsewhere.
+        body is traced once roughly and once finely, and anew only where it is seen from elsewhere. How brightness
+        changes with the phase angle over the disk is mixed in last, in fine renders, which alone can tell.
 
         Parameters
         ----------
@@ -189,16 +191,17 @@ class TemplateRenderer(Value):
         small = self.radius_px < _SMALL_RADIUS_PX
         others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
         laws = (self.target.reflectance, *others)
+        every = (*laws, _law_of_phase(laws[0])) if other_law and most_laws is None and not small else laws
         kept: dict[bool, tuple[MovedBody, ShadedRays]] = {}
         if traced is not None:
             kept[False] = traced, traced.shaded(laws)
 
         def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
             fine = fine and not small
-            untried = fine and other_law
+            untried, mixed = fine and other_law, every if fine else laws
             if fine not in kept or not self._near(kept[fine][0].state, state, fine=fine or small):
                 known = self._daylight(kept[False][0], state) if False in kept and not small else None
-                made = self._traced(state, (*laws, _UNTRIED_LAW) if untried else laws, fine=fine, daylight=known)
+                made = self._traced(state, (*mixed, _UNTRIED_LAW) if untried else mixed, fine=fine, daylight=known)
                 if isinstance(made, Failure):
                     return made
                 kept[fine] = made
@@ -206,7 +209,7 @@ class TemplateRenderer(Value):
             lights, derivatives = body.lights(box, state, rays)
             return TemplateImages(
                 light=lights[0],
-                others=list(lights[1 : len(laws)]),
+                others=list(lights[1 : len(mixed)]),
                 winged=fine,
                 untried=lights[-1] if untried else None,
                 derivatives=derivatives,
@@ -268,6 +271,17 @@ def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:
     """
     first: Reflectance = LommelSeeliger() if isinstance(law, Lambert) else Lambert()
     return first, *_OTHER_LAWS
+
+
+def _law_of_phase(law: Reflectance) -> Reflectance:
+    """Return the law that shows in a mixture how brightness changes with the phase angle alone, over the disk.
+
+    McEwen's law changes from Lommel and Seeliger's to Lambert's as the phase angle grows, by 0.5 % over a disk of 1.4
+    degrees. With all three in the mixture that change is between none of it and twice what McEwen tells, by the
+    prior of the shares. A slope of any size over the phase angle took the place of the terminator of a Moon seen
+    through a wide lens: 0.28 px off with 0.006 px stated.
+    """
+    return LommelSeeliger() if isinstance(law, McEwen) else McEwen()
 
 
 def placed(template: Template, box: PixelBox, shift_px: NDArray[np.int64] | None = None) -> Float:
