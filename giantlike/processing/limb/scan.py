@@ -13,15 +13,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.statistics import MAD_TO_SIGMA, robust_sigma
 from giantlike.core.values import Value
-from giantlike.processing.limb.batched import moved, scaled_normal, solution_operators, solved
+from giantlike.processing.limb import line_match
+from giantlike.processing.limb.line_values import sampled
 from giantlike.processing.limb.view import in_frame
 
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
@@ -39,14 +37,8 @@ Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` f
 _MODEL_ERROR = 0.02
 """Error of the expected profile over its height: without it the dark side, where the noise is least, would rule, and
 with it whatever little light is there besides. No study yet."""
-_REFINEMENTS = 2
-"""Linear steps before the last one, after the search in multiples of the sampling step.
-
-One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivity.md``).
-"""
 _MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
-_DARK = 1e-100  # scale of a column below which the expected profile is dark: lines whose limb is not rendered
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
@@ -200,7 +192,7 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     """
     require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
     places = _places(points_px, normals_px, offsets_px)
-    values = values_on_lines(pixels_dn, points_px, normals_px, offsets_px)
+    values = values_on_lines(pixels_dn[None], points_px, normals_px, offsets_px)[0]
     clean = usable
     if not usable.all():
         clean = cv2.erode(usable.view(np.uint8), np.ones((5, 5), np.uint8), borderValue=1).view(np.bool_)
@@ -209,23 +201,21 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     )
 
 
-def values_on_lines(image: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
-    """Values of an image along lines, as :func:`scan_lines` samples them.
+def values_on_lines(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
+    """Values of images along lines, as :func:`scan_lines` samples them.
 
     Parameters
     ----------
-    image : (rows, columns) float64
+    images : (k, rows, columns) float64
     points_px, normals_px : (n, 2) float64
     offsets_px : (m,) float64, px
 
     Returns
     -------
-    (n, m) float64
-        Outside the image those of its border.
+    (k, n, m) float64
+        Outside the images those of their borders.
     """
-    coordinates = np.moveaxis(_places(points_px, normals_px, offsets_px)[..., ::-1], -1, 0)
-    values: Float = map_coordinates(image, coordinates, order=3, mode="nearest", prefilter=False)
-    return values
+    return sampled(np.ascontiguousarray(images), points_px, normals_px, offsets_px)
 
 
 def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
@@ -306,39 +296,40 @@ def match_profiles(
         half + most <= middle,
         f"lines reach {scans.offsets_px[-1]:g} px, needed window + search = {window_px + search_px:g} px",
     )
-    part = slice(middle - half, middle + half + 1)
-    profile, offsets = expected[:, part], scans.offsets_px[part]
-    near = slice(middle - half - most, middle + half + most + 1)
-    windows = sliding_window_view(scans.values_dn[:, near], 2 * half + 1, axis=1)
-    correlation = _correlations(windows, profile)
-    lag, shift, fixed = _start(correlation, step, about_px)
-    lines = np.arange(lag.size)
-    best = correlation[lines, lag]
-    far = np.abs(np.arange(2 * most + 1)[None] - lag[:, None]) * step > _RIVAL_PX
-    rival = np.max(np.where(far & _local_maxima(correlation), correlation, -1.0), axis=1)
-    data = windows[lines, lag]
-    columns = _design(moved(expected, shift / step), offsets, part, step)
-    variance, weights = _weights(data, columns, variance_dn2)
-    for _ in range(_REFINEMENTS):
-        solution = solved(columns, data, weights)
-        shift = np.where(fixed, shift, np.clip(shift + _quotient(solution), -step, step))
-        columns = _design(moved(expected, shift / step), offsets, part, step)
-    free = solved(columns, data, weights)
-    operator = solution_operators(columns, weights, _stiffness(columns, weights, free))
-    solution = np.asarray(np.einsum("nkw,nw->nk", operator, data), dtype=np.float64)
+    part, near = (slice(middle - reach, middle + reach + 1) for reach in (half, half + most))
+    about = np.full(len(expected), np.nan) if about_px is None else about_px
+    values, expected = scans.values_dn, np.ascontiguousarray(expected)
+    lag, start_px, best, rival, light = line_match.started(values, expected, about, step, half, most, _RIVAL_PX)
+    variance = variance_dn2(light)
+    weights = 1.0 / (variance + (_MODEL_ERROR * light.max(axis=1, keepdims=True)) ** 2)
+    shift, free, slope_variance, without_slope = line_match.refined(
+        values, expected, lag, start_px, np.isfinite(about), weights, step, half, most
+    )
     others = np.zeros((*expected.shape, 0)) if shared is None else shared
-    changes = moved(others, shift / step, part) * solution[:, :1, None]
-    shift = shift + np.clip(_quotient(solution), -2.0 * step, 2.0 * step)
-    left = data - np.einsum("nwk,nk->nw", columns, solution)
-    taken, information, pull = _about_shared(columns, changes, operator, weights, left)
+    solution, noise, left_rms, taken, information, pull = line_match.matched(
+        values,
+        expected,
+        others,
+        lag,
+        shift,
+        weights,
+        variance,
+        _stiffness(free, slope_variance),
+        _noise_correlation(scans.offsets_px[part]),
+        step,
+        half,
+        most,
+    )
+    shift = shift + np.clip(_quotient(solution[:, 2], solution[:, 0]), -2.0 * step, 2.0 * step)
     gain = np.where(solution[:, 0] == 0.0, np.inf, solution[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
-        unexplained = np.sqrt(np.mean(left**2, axis=1)) / (np.abs(solution[:, 0]) * np.ptp(profile, axis=1))
+        unexplained = left_rms / (np.abs(solution[:, 0]) * np.ptp(expected[:, part], axis=1))
+        sigma = noise / np.abs(solution[:, 0])
     return ProfileMatch(
         complete=np.all(scans.usable[:, near], axis=1),
         shift_px=(lag - most) * step + shift,
-        sigma_px=_noise_px(operator, solution, offsets, variance),
-        without_slope_px=_quotient(solved(columns[..., :3], data, weights)) - _quotient(free),
+        sigma_px=np.where(np.isfinite(sigma), sigma, np.inf),
+        without_slope_px=_quotient(without_slope[:, 1], without_slope[:, 0]) - _quotient(free[:, 2], free[:, 0]),
         gain_dn=solution[:, 0],
         correlation=best,
         unexplained=np.where(np.isfinite(unexplained), unexplained, np.inf),
@@ -392,94 +383,32 @@ def _at(mask: Mask, places_px: Float) -> Mask:
     return mask[np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)]
 
 
-def _correlations(windows: Float, profile: Float) -> Float:
-    """Normalized correlation (n, lags) of windows (n, lags, w) with profiles (n, w); 0 where one is flat."""
-    target = profile - profile.mean(axis=1, keepdims=True)
-    target = target / np.maximum(np.linalg.norm(target, axis=1, keepdims=True), 1e-300)
-    total, square = windows.sum(axis=2), np.einsum("nlw,nlw->nl", windows, windows)
-    spread = np.sqrt(np.maximum(square - total**2 / windows.shape[2], 0.0))
-    product = np.einsum("nlw,nw->nl", windows, target)
-    return np.where(spread > 1e-9 * np.sqrt(square), product / np.maximum(spread, 1e-300), 0.0)
-
-
-def _start(correlation: Float, step: float, about_px: Float | None) -> tuple[NDArray[np.intp], Float, Mask]:
-    """Lag and the rest of the shift, px, that lines (n, lags) start from; True where they are to stay there."""
-    best = np.argmax(correlation, axis=1)
-    if about_px is None:
-        return best, np.zeros(best.size), np.zeros(best.size, dtype=bool)
-    most = correlation.shape[1] // 2
-    fixed = np.isfinite(about_px)
-    asked = np.clip(np.rint(np.where(fixed, about_px, 0.0) / step).astype(np.intp) + most, 0, 2 * most)
-    lag = np.where(fixed, asked, best)
-    return lag, np.where(fixed, np.nan_to_num(about_px) - (lag - most) * step, 0.0), fixed
-
-
-def _local_maxima(values: Float) -> Mask:
-    padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
-    result: Mask = (values >= padded[:, :-2]) & (values >= padded[:, 2:])
+def _noise_correlation(offsets_px: Float) -> Float:
+    """Covariance (w, w) of values at places along a line, over the noise variance of a pixel."""
+    apart = offsets_px[:, None] - offsets_px
+    result: Float = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
     return result
 
 
-def _design(expected: Float, offsets: Float, part: slice, step: float) -> Float:
-    """Columns (n, w, 4) of the match: profile, offset, outward shift, slope."""
-    profile = expected[:, part]
-    outward = -np.gradient(expected, step, axis=1)[:, part]
-    return np.stack([profile, np.ones_like(profile), outward, offsets * profile], axis=-1)
-
-
-def _weights(data: Float, columns: Float, variance_dn2: Callable[[Float], Float]) -> tuple[Float, Float]:
-    """Noise variance (n, w) of data (n, w), DN^2, from an unweighted fit, and weights that allow for model error."""
-    first = solved(columns, data, np.ones_like(data))
-    bright = np.maximum(np.einsum("nwk,nk->nw", columns[..., :2], first[:, :2]), 0.0)
-    variance = variance_dn2(bright)
-    return variance, 1.0 / (variance + (_MODEL_ERROR * bright.max(axis=1, keepdims=True)) ** 2)
-
-
-def _noise_px(operator: Float, solution: Float, offsets: Float, variance: Float) -> Float:
-    """Standard deviation (n,) of the shifts by noise, px, of solutions (n, 4) made by operators (n, 4, w)."""
-    apart = offsets[:, None] - offsets
-    correlation = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
-    noise = operator[:, 2] * np.sqrt(variance)
-    sigma = np.sqrt(np.einsum("nw,nw->n", noise @ correlation, noise))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = sigma / np.abs(solution[:, 0])
-    return np.where(np.isfinite(sigma), sigma, np.inf)
-
-
-def _about_shared(
-    columns: Float, changes: Float, operator: Float, weights: Float, left: Float
-) -> tuple[Float, Float, Float]:
-    """What lines say about parameters that they share: what a unit does to a fit (n, 4, c), information, and pull.
-
-    ``changes`` (n, w, c) are those of the data (n, w) with the parameters, ``left`` is what the fit by ``columns``
-    (n, w, 4), whose solutions ``operator`` (n, 4, w) makes, leaves.
-    """
-    taken = operator @ changes
-    weighted = np.swapaxes(changes * weights[..., None], 1, 2)
-    information = weighted @ (changes - columns @ taken)
-    return taken, (information + np.swapaxes(information, 1, 2)) / 2.0, (weighted @ left[..., None])[..., 0]
-
-
-def _stiffness(columns: Float, weights: Float, free: Float) -> Float:
+def _stiffness(free: Float, slope_variance: Float) -> Float:
     """Information (n,) on the slopes, 1/DN^2, that all lines together give: they are as small as most are.
 
-    ``free`` (n, 4) are solutions with free slopes. What these scatter by more than noise is how far slopes are from
-    nothing: where the expected brightness holds that is little, and a slope that is free only adds noise to the shift.
+    ``free`` (n, 4) are solutions with free slopes, of ``slope_variance`` (n,). What these scatter by more than noise is
+    how far slopes are from nothing: where the expected brightness holds that is little, and a slope that is free only
+    adds noise to the shift.
     """
-    normal, scale = scaled_normal(columns, weights)
-    told = (free[:, 0] > 0.0) & (scale[:, 3, 0] > _DARK)
+    told = (free[:, 0] > 0.0) & np.isfinite(slope_variance)
     if not told.any():
         return np.full(len(free), _LEAST_SLOPE**-2)
     slope = np.abs(free[told, 3] / free[told, 0])
-    variance = np.linalg.inv(normal[told])[:, 3, 3] / scale[told, 3, 0] ** 2
-    noise = np.median(variance / free[told, 0] ** 2)
+    noise = np.median(slope_variance[told] / free[told, 0] ** 2)
     excess = (MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
     spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
     result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
     return result
 
 
-def _quotient(solution: Float) -> Float:
-    """Shift (n,), px, of solutions (n, k): that of the outward column over the gain; 0 where there is no gain."""
+def _quotient(shifted: Float, gain: Float) -> Float:
+    """Shifts (n,), px, of gains times shifts; 0 where there is no gain."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(solution[:, 2] / solution[:, 0], posinf=0.0, neginf=0.0)
+        return np.nan_to_num(shifted / gain, posinf=0.0, neginf=0.0)

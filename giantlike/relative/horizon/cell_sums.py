@@ -8,12 +8,9 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.compiled import compiled
+from giantlike.core.elimination import RIDGE, solve_normal, solve_symmetric
 from giantlike.relative.horizon.profile import Indices
 
-_RIDGE = 1e-12
-"""Added to normal matrices of unit diagonal: beyond rounding, below all information."""
-_NOTHING = 1e-100
-"""Least diagonal of a normal matrix: cells without pixels have none, and its square must not underflow."""
 _REFITS = 2
 """Fits with the noise of the brightness fitted before; one or four change ellipsoid_cra by up to 0.06 sigma."""
 _CLIPS, _CLIP_SIGMAS = 3, 5.0
@@ -94,7 +91,7 @@ def fitted(
                 if kept[k] and abs(left[k]) > _CLIP_SIGMAS * noise + largest_left * step:
                     kept[k] = False
                     far += 1
-            rms = math.sqrt(remains / max(weights.sum(), _RIDGE))
+            rms = math.sqrt(remains / max(weights.sum(), RIDGE))
             rest[0, cell] = np.inf if freedom < _MIN_FREEDOM else remains / max(freedom, 1)
             rest[1, cell] = gain
             rest[2, cell] = inside * math.sqrt(weights.max())
@@ -128,7 +125,7 @@ def _brightness(
                 solution[i, 0] += weighted * data[k]
                 for j in range(i, inner):
                     normal[i, j] += weighted * columns[k, j]
-        _solve_scaled(normal, solution)
+        solve_normal(normal, solution)
     return weights, solution[:, 0]
 
 
@@ -153,7 +150,7 @@ def _other_terms(
         for profile in range(count):
             largest[profile] = max(largest[profile], value[k, profile])
     for profile in range(count):
-        gains[profile] = inside / max(largest[profile], _RIDGE)
+        gains[profile] = inside / max(largest[profile], RIDGE)
     gains[free] = gains[0]
     shift = free + 2
     for k in range(n):
@@ -202,7 +199,7 @@ def _reduced(
                 sums[i, j] += weighted * terms[k, j]
     own = np.empty((inner, 1 + outer))  # solution, and what of it the shared terms take
     own[:, 0], own[:, 1:] = right[:inner], sums[:inner, inner:]
-    _solve_scaled(sums[:inner, :inner].copy(), own)
+    solve_normal(sums[:inner, :inner].copy(), own)
     trace = 0.0
     for i in range(outer):
         pull[i] = right[inner + i]
@@ -213,14 +210,14 @@ def _reduced(
             for m in range(inner):
                 gained -= sums[m, inner + i] * own[m, 1 + j]
             if freedom < _MIN_FREEDOM:
-                gained = _RIDGE if i == j else 0.0
+                gained = RIDGE if i == j else 0.0
             information[i, j] = information[j, i] = gained
         trace += information[i, i]
     estimate = np.empty((outer, 1))
     for i in range(outer):
-        information[i, i] += _RIDGE * max(trace, 1e-30)
+        information[i, i] += RIDGE * max(trace, 1e-30)
         estimate[i, 0] = pull[i]
-    _solve(information.copy(), estimate)
+    solve_symmetric(information.copy(), estimate)
     remains = 0.0
     for m in range(inner):
         for i in range(outer):
@@ -240,40 +237,3 @@ def _variance(light_dn: float, dark_dn2: float, gain_e_per_dn: float, relative_n
     """Noise variance of a pixel, DN^2: ``Detector.variance_dn2``."""
     light = max(light_dn, 0.0)
     return dark_dn2 + light / gain_e_per_dn + (relative_noise * light) ** 2
-
-
-@compiled
-def _solve_scaled(normal: Float, right: Float) -> None:
-    """Replace sides (m, r) by solutions of normal equations, given above the diagonal, which a ridge makes regular."""
-    size, sides = right.shape
-    units = np.empty(size)
-    for i in range(size):
-        units[i] = 1.0 / math.sqrt(max(normal[i, i], _NOTHING))
-    for i in range(size):
-        for j in range(i, size):
-            normal[i, j] *= units[i] * units[j]
-        normal[i, i] += _RIDGE
-        for side in range(sides):
-            right[i, side] *= units[i]
-    _solve(normal, right)
-    for i in range(size):
-        for side in range(sides):
-            right[i, side] *= units[i]
-
-
-@compiled
-def _solve(matrix: Float, right: Float) -> None:
-    """Replace sides (m, r) by solutions with a symmetric matrix, given above the diagonal, by elimination."""
-    size, sides = right.shape
-    for i in range(size):
-        for j in range(i + 1, size):
-            share = matrix[i, j] / matrix[i, i]
-            for k in range(j, size):
-                matrix[j, k] -= share * matrix[i, k]
-            for side in range(sides):
-                right[j, side] -= share * right[i, side]
-    for i in range(size - 1, -1, -1):
-        for side in range(sides):
-            for j in range(i + 1, size):
-                right[i, side] -= matrix[i, j] * right[j, side]
-            right[i, side] /= matrix[i, i]

@@ -105,7 +105,8 @@ def clipped_profiles(
     variance = view.detector.variance_dn2
 
     def sampled(image: Float) -> Float:
-        return values_on_lines(image, scans.points_px, scans.normals_px, scans.offsets_px)
+        values: Float = values_on_lines(image[None], scans.points_px, scans.normals_px, scans.offsets_px)[0]
+        return values
 
     few = scans.some(slice(None, None, _EACH_LINE))
 

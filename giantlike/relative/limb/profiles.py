@@ -214,7 +214,7 @@ def expected_profiles(
         return rendered
     images, there = rendered.images, replace(scans, points_px=scans.points_px - rendered.corner_px)
     beyond = np.zeros(len(scans.points_px))
-    values, *laws = (values_on_lines(image, there.points_px, there.normals_px, there.offsets_px) for image in images)
+    values, *laws = values_on_lines(images, there.points_px, there.normals_px, there.offsets_px)
     height = np.ptp(values, axis=1)
     scales = [float(np.median(height / np.maximum(np.ptp(law, axis=1), 1e-300))) for law in laws]
     nominal, psf_sigma = _nominal_psf(view, psf_px2, options.psf_error)

@@ -1,0 +1,68 @@
+"""Small symmetric systems of equations, solved inside of compiled loops."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.compiled import compiled
+
+RIDGE = 1e-12
+"""Added to normal matrices of unit diagonal: beyond rounding, below all information."""
+_NOTHING = 1e-100
+"""Least diagonal of a normal matrix: where nothing is measured there is none, and its square must not underflow."""
+
+
+@compiled
+def solve_normal(normal: Float, right: Float) -> None:
+    """Solve normal equations, whose unknowns are scaled to unit information, with a ridge that makes them regular.
+
+    Parameters
+    ----------
+    normal : (m, m) float64
+        Read on and above the diagonal, and changed.
+    right : (m, r) float64
+        Right sides, which become the solutions; an unknown that nothing depends on becomes 0.
+    """
+    size, sides = right.shape
+    units = np.empty(size)
+    for i in range(size):
+        units[i] = 1.0 / math.sqrt(max(normal[i, i], _NOTHING))
+    for i in range(size):
+        for j in range(i, size):
+            normal[i, j] *= units[i] * units[j]
+        normal[i, i] += RIDGE
+        for side in range(sides):
+            right[i, side] *= units[i]
+    solve_symmetric(normal, right)
+    for i in range(size):
+        for side in range(sides):
+            right[i, side] *= units[i]
+
+
+@compiled
+def solve_symmetric(matrix: Float, right: Float) -> None:
+    """Solve equations with a symmetric matrix that is positive, or is but for rounding, by elimination.
+
+    Parameters
+    ----------
+    matrix : (m, m) float64
+        Read on and above the diagonal, and changed.
+    right : (m, r) float64
+        Right sides, which become the solutions.
+    """
+    size, sides = right.shape
+    for i in range(size):
+        for j in range(i + 1, size):
+            share = matrix[i, j] / matrix[i, i]
+            for k in range(j, size):
+                matrix[j, k] -= share * matrix[i, k]
+            for side in range(sides):
+                right[j, side] -= share * right[i, side]
+    for i in range(size - 1, -1, -1):
+        for side in range(sides):
+            for j in range(i + 1, size):
+                right[i, side] -= matrix[i, j] * right[j, side]
+            right[i, side] /= matrix[i, i]

@@ -1,0 +1,347 @@
+"""Profiles of lines matched with expected ones, line after line, compiled: :func:`.scan.match_profiles` in three parts.
+
+Between the parts the brightness of all lines becomes noise, and their slopes what is known of slopes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.compiled import compiled
+from giantlike.core.elimination import solve_normal
+
+Indices = NDArray[np.int64]
+
+_REFINEMENTS = 2
+"""Linear steps before the last one, after the search in multiples of the sampling step.
+
+One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivity.md``).
+"""
+_DARK = 1e-100  # root of the information on a slope below which the expected profile is dark
+_FLAT = 1e-9  # spread of the values of a window over their size, below which it is flat
+_HELD = 1e12  # information over that of a line: holds a slope at zero
+_COLUMNS = 4  # of a match: profile, offset, outward shift, slope
+
+
+@compiled
+def started(
+    values: Float, expected: Float, about_px: Float, step_px: float, half: int, most: int, rival_px: float
+) -> tuple[Indices, Float, Float, Float, Float]:
+    """Find where the expected profile of each line correlates best, or start from a given place.
+
+    Parameters
+    ----------
+    values : (n, m) float64, DN
+        Along the lines, m odd, the middle at zero.
+    expected : (n, m) float64
+    about_px : (n,) float64, px
+        Where to start; NaN for where the correlation is best.
+    step_px : float, px
+        Between values.
+    half, most : int
+        Values to both sides that are compared, and by which a profile is shifted at most.
+    rival_px : float, px
+        Other places as good are looked for from this distance on.
+
+    Returns
+    -------
+    lag : (n,) int64
+        Steps from the innermost place that was tried.
+    shift_px : (n,) float64, px
+        From there to the given place, or 0.
+    best, rival : (n,) float64
+        Normalized correlation at that lag, and of the best other place; -1 where there is none.
+    light_dn : (n, w) float64, DN
+        Brightness there, fitted without weights.
+    """
+    n, middle, width, lags = len(values), values.shape[1] // 2, 2 * half + 1, 2 * most + 1
+    lag, shift, best, rival = np.empty(n, np.int64), np.zeros(n), np.empty(n), np.full(n, -1.0)
+    light, columns, target, correlation = (
+        np.empty((n, width)),
+        np.empty((width, _COLUMNS)),
+        np.empty(width),
+        np.empty(lags),
+    )
+    one, normal, right = np.ones(width), np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, 1))
+    for line in range(n):
+        profile = expected[line, middle - half : middle + half + 1]
+        target[:] = profile - profile.mean()
+        target /= max(math.sqrt((target**2).sum()), 1e-300)
+        for k in range(lags):
+            total, square, product = 0.0, 0.0, 0.0
+            for i in range(width):
+                value = values[line, middle - half - most + k + i]
+                total += value
+                square += value * value
+                product += value * target[i]
+            spread = math.sqrt(max(square - total * total / width, 0.0))
+            correlation[k] = product / spread if spread > _FLAT * math.sqrt(square) else 0.0
+        lag[line] = np.argmax(correlation)
+        if np.isfinite(about_px[line]):
+            lag[line] = min(max(int(np.rint(about_px[line] / step_px)) + most, 0), 2 * most)
+            shift[line] = about_px[line] - (lag[line] - most) * step_px
+        best[line] = correlation[lag[line]]
+        for k in range(lags):
+            highest = (k == 0 or correlation[k] >= correlation[k - 1]) and (
+                k == lags - 1 or correlation[k] >= correlation[k + 1]
+            )
+            if highest and abs(k - lag[line]) * step_px > rival_px:
+                rival[line] = max(rival[line], correlation[k])
+        data = values[line, middle - half - most + lag[line] :][:width]
+        _fill(expected[line], shift[line], step_px, half, columns)
+        _fit(columns, data, one, normal, right, _COLUMNS)
+        for i in range(width):
+            light[line, i] = max(columns[i, 0] * right[0, 0] + right[1, 0], 0.0)
+    return lag, shift, best, rival, light
+
+
+@compiled
+def refined(
+    values: Float,
+    expected: Float,
+    lag: Indices,
+    shift_px: Float,
+    fixed: Mask,
+    weights: Float,
+    step_px: float,
+    half: int,
+    most: int,
+) -> tuple[Float, Float, Float, Float]:
+    """Shift each line to its best place by linear steps, and fit it there with its slope left free.
+
+    Parameters
+    ----------
+    values, expected : (n, m) float64
+    lag : (n,) int64
+    shift_px : (n,) float64, px
+        As of :func:`started`.
+    fixed : (n,) bool
+        Lines that stay.
+    weights : (n, w) float64, 1/DN^2
+    step_px : float, px
+    half, most : int
+
+    Returns
+    -------
+    shift_px : (n,) float64, px
+        The lines are linear about this shift from their lag.
+    free : (n, 4) float64
+        Gain, offset, gain times what is left of the shift, gain times slope.
+    slope_variance : (n,) float64
+        Variance of the last of these; infinite where the expected profile is dark.
+    without_slope : (n, 2) float64
+        The gain and gain times shift without a slope.
+    """
+    n, middle, width = len(values), values.shape[1] // 2, 2 * half + 1
+    shifts, free, variance, without = shift_px.copy(), np.empty((n, _COLUMNS)), np.full(n, np.inf), np.empty((n, 2))
+    columns, normal = np.empty((width, _COLUMNS)), np.empty((_COLUMNS, _COLUMNS))
+    right, unit = np.empty((_COLUMNS, 1)), np.empty((_COLUMNS, 1))
+    for line in range(n):
+        data = values[line, middle - half - most + lag[line] :][:width]
+        _fill(expected[line], shifts[line], step_px, half, columns)
+        for _ in range(_REFINEMENTS):
+            if fixed[line]:
+                break
+            _fit(columns, data, weights[line], normal, right, _COLUMNS)
+            shifts[line] = min(max(shifts[line] + quotient(right[2, 0], right[0, 0]), -step_px), step_px)
+            _fill(expected[line], shifts[line], step_px, half, columns)
+        _fit(columns, data, weights[line], normal, right, _COLUMNS)
+        free[line] = right[:, 0]
+        _sums(columns, data, weights[line], normal, right)
+        if normal[3, 3] > _DARK**2:
+            unit[:] = 0.0
+            unit[3, 0] = 1.0
+            solve_normal(normal, unit)
+            variance[line] = unit[3, 0]
+        _fit(columns, data, weights[line], normal, right, _COLUMNS - 1)
+        without[line, 0], without[line, 1] = right[0, 0], right[2, 0]
+    return shifts, free, variance, without
+
+
+@compiled
+def matched(
+    values: Float,
+    expected: Float,
+    others: Float,
+    lag: Indices,
+    shift_px: Float,
+    weights: Float,
+    variance_dn2: Float,
+    stiffness: Float,
+    correlation: Float,
+    step_px: float,
+    half: int,
+    most: int,
+) -> tuple[Float, Float, Float, Float, Float, Float]:
+    """Fit each line with what is known of slopes, and find what it says of parameters that all lines share.
+
+    Parameters
+    ----------
+    values, expected : (n, m) float64
+    others : (n, m, c) float64
+        Change of the expected profiles with each of the shared parameters.
+    lag : (n,) int64
+    shift_px : (n,) float64, px
+        As of :func:`refined`.
+    weights, variance_dn2 : (n, w) float64
+    stiffness : (n,) float64, 1/DN^2
+        Information on gain times slope before the fit, that it is 0.
+    correlation : (w, w) float64
+        Of the noise of the values.
+    step_px : float, px
+    half, most : int
+
+    Returns
+    -------
+    solution : (n, 4) float64
+        As ``free`` of :func:`refined`.
+    noise : (n,) float64
+        Standard deviation of gain times shift by noise.
+    left_rms : (n,) float64, DN
+        Root mean square of what the fit leaves.
+    taken : (n, 4, c) float64
+        What a unit of each shared parameter does to the solution.
+    information : (n, c, c) float64
+    pull : (n, c) float64
+        Information times estimate.
+    """
+    n, middle, width, count = len(values), values.shape[1] // 2, 2 * half + 1, others.shape[2]
+    solutions, noises, rms = np.empty((n, _COLUMNS)), np.empty(n), np.empty(n)
+    taken, information, pull = np.zeros((n, _COLUMNS, count)), np.zeros((n, count, count)), np.zeros((n, count))
+    columns, normal, right = np.empty((width, _COLUMNS)), np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, 1))
+    inverse, operator, changes = np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, width)), np.empty((width, count))
+    noise, own = np.empty(width), np.empty(count)
+    for line in range(n):
+        data = values[line, middle - half - most + lag[line] :][:width]
+        _fill(expected[line], shift_px[line], step_px, half, columns)
+        _sums(columns, data, weights[line], normal, right)
+        normal[3, 3] += min(stiffness[line], _HELD * normal[3, 3])
+        inverse[:] = 0.0
+        for a in range(_COLUMNS):
+            inverse[a, a] = 1.0
+        solve_normal(normal, inverse)
+        for a in range(_COLUMNS):
+            solutions[line, a] = 0.0
+            for i in range(width):
+                total = 0.0
+                for b in range(_COLUMNS):
+                    total += inverse[a, b] * columns[i, b]
+                operator[a, i] = total * weights[line, i]
+                solutions[line, a] += operator[a, i] * data[i]
+        near, shares = _cubic(shift_px[line] / step_px)
+        gain = solutions[line, 0]
+        for i in range(width):
+            changes[i] = 0.0
+            for k in range(4):
+                at = min(max(middle - half + i + near + k - 1, 0), 2 * middle)
+                for c in range(count):
+                    changes[i, c] += gain * shares[k] * others[line, at, c]
+            for a in range(_COLUMNS):
+                for c in range(count):
+                    taken[line, a, c] += operator[a, i] * changes[i, c]
+        squares = 0.0
+        for i in range(width):
+            left = data[i]
+            for a in range(_COLUMNS):
+                left -= columns[i, a] * solutions[line, a]
+            squares += left * left
+            noise[i] = operator[2, i] * math.sqrt(variance_dn2[line, i])
+            own[:] = changes[i]
+            for a in range(_COLUMNS):
+                for c in range(count):
+                    own[c] -= columns[i, a] * taken[line, a, c]
+            for c in range(count):
+                weighted = weights[line, i] * changes[i, c]
+                pull[line, c] += weighted * left
+                for d in range(count):
+                    information[line, c, d] += weighted * own[d]
+        for c in range(count):
+            for d in range(c):
+                both = 0.5 * (information[line, c, d] + information[line, d, c])
+                information[line, c, d] = information[line, d, c] = both
+        rms[line] = math.sqrt(squares / width)
+        total = 0.0
+        for i in range(width):
+            for j in range(i):
+                total += 2.0 * noise[i] * correlation[i, j] * noise[j]
+            total += noise[i] * correlation[i, i] * noise[i]
+        noises[line] = math.sqrt(total)
+    return solutions, noises, rms, taken, information, pull
+
+
+@compiled
+def quotient(shifted: float, gain: float) -> float:
+    """Shift of a solution: gain times shift over gain; 0 where there is no gain.
+
+    Parameters
+    ----------
+    shifted, gain : float
+
+    Returns
+    -------
+    float
+    """
+    shift = shifted / gain
+    return shift if np.isfinite(shift) else 0.0
+
+
+@compiled
+def _cubic(steps: float) -> tuple[int, tuple[float, float, float, float]]:
+    """Whole steps and shares of four samples that move a line towards larger indices, by the cubic through them."""
+    near = math.floor(-steps)
+    t = -steps - near
+    return near, (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
+
+
+@compiled
+def _between(line: Float, at: int, shares: tuple[float, float, float, float]) -> float:
+    """Value of a line (m,) by shares of four samples about a place; beyond the ends it is that of the ends."""
+    last = len(line) - 1
+    result = 0.0
+    for k in range(4):
+        result += shares[k] * line[min(max(at + k - 1, 0), last)]
+    return result
+
+
+@compiled
+def _fill(expected: Float, shift_px: float, step_px: float, half: int, columns: Float) -> None:
+    """Fill in the columns (w, 4) of a match with a profile (m,) that is shifted."""
+    middle = len(expected) // 2
+    near, shares = _cubic(shift_px / step_px)
+    before = _between(expected, middle - half - 1 + near, shares)
+    here = _between(expected, middle - half + near, shares)
+    for i in range(2 * half + 1):
+        after = _between(expected, middle - half + i + 1 + near, shares)
+        columns[i, 0], columns[i, 1] = here, 1.0
+        columns[i, 2] = (before - after) / (2.0 * step_px)
+        columns[i, 3] = (i - half) * step_px * here
+        before, here = here, after
+
+
+@compiled
+def _sums(columns: Float, data: Float, weights: Float, normal: Float, right: Float) -> None:
+    """Fill in normal equations, above the diagonal, of weighted least squares by columns (w, 4)."""
+    normal[:] = 0.0
+    right[:] = 0.0
+    for i in range(len(data)):
+        for a in range(_COLUMNS):
+            weighted = weights[i] * columns[i, a]
+            right[a, 0] += weighted * data[i]
+            for b in range(a, _COLUMNS):
+                normal[a, b] += weighted * columns[i, b]
+
+
+@compiled
+def _fit(columns: Float, data: Float, weights: Float, normal: Float, right: Float, count: int) -> None:
+    """Fill in the solution ``right`` (4, 1) of weighted least squares by the first so many of columns (w, 4)."""
+    _sums(columns, data, weights, normal, right)
+    solve_normal(normal[:count, :count], right[:count])
