@@ -158,6 +158,35 @@ def outline_points_px(body: Body, model: CameraModel, angles_rad: ArrayLike) -> 
     return model.project(points_camera_km)
 
 
+def lit_outline(
+    body: Body, model: CameraModel, angles_rad: ArrayLike, *, sun_direction_camera: ArrayLike
+) -> tuple[Float, Mask]:
+    """Outermost points of a body's outline that the camera can image, and where the Sun shines on them.
+
+    Parameters
+    ----------
+    body : Body
+    model : CameraModel
+    angles_rad : (k,), rad
+        Directions from the projection of the body's origin, from +x towards +y.
+    sun_direction_camera : (3,), unitless, camera axes
+        Unit vector from body to Sun.
+
+    Returns
+    -------
+    points_px : (n, 2) float64, px
+        As :func:`trace_silhouette` finds them, those of directions without any left out.
+    lit : (n,) bool
+    """
+    angles, body = as_floats(angles_rad, (), "angles_rad"), body.seen_by(model)
+    _, edge, points_camera_km = _edge(body, model, body.center_px(model), angles)
+    points_px = model.project(points_camera_km)
+    valid = finite_rows(points_px)
+    hits = _hits(body, valid, points_camera_km, edge)
+    dark = body.tracer.shadowed(hits, sun_in_body(body, sun_direction_camera))
+    return points_px[valid], ~dark[valid]
+
+
 def _edge(
     body: Body, model: CameraModel, center_px: Float, angles_rad: Float
 ) -> tuple[EdgeOutline | EllipseOutline, Crossings, Float]:

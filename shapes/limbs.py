@@ -119,25 +119,14 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices
     """
     # A facet of an outline faces the camera C where n . (C - vertex) > 0, and a neighbor with a normal no farther away
     # than the bend does not, so that |n . (C - vertex)| is at most the bend times the distance.
+    from giantlike.shapes.silhouette_loops import edges_between, near_silhouette
+
     normals, offsets_km, bends = mesh.bends
-    heights_km = camera_body_km.astype(np.float32) @ normals
-    heights_km -= offsets_km
     farthest_km = np.float32(np.linalg.norm(camera_body_km) + mesh.circumscribing_radius_km)
-    near = np.flatnonzero(np.abs(heights_km) <= farthest_km * bends)
-    front = mesh.normals[near] @ camera_body_km > mesh.plane_offsets_km[near]
-    faces = mesh.faces[near]
-    seen, unseen = (np.zeros(len(mesh.vertices_km), dtype=bool) for _ in range(2))
-    seen[faces[front]] = True
-    unseen[faces[~front]] = True
-    candidate = seen & unseen
-    candidate[mesh.border_vertices] = True
-    kept = np.flatnonzero(candidate[faces].any(axis=1))  # every facet at each edge of two candidate vertices
-    kept = kept[np.argsort(~front[kept], kind="stable")]
-    near, front = near[kept], front[kept]
-    faces = mesh.faces[near]
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    keep = candidate[edges].all(axis=1)
-    edges, facets, front = edges[keep], np.repeat(near, 3)[keep], np.repeat(front, 3)[keep]
+    near, front = near_silhouette(
+        np.array(camera_body_km), mesh.normals, mesh.plane_offsets_km, normals, offsets_km, farthest_km * bends
+    )
+    edges, facets, front = edges_between(mesh.faces, near, front, mesh.border_vertices, len(mesh.vertices_km))
     _, sample, which = np.unique(
         edges[:, 0] * len(mesh.vertices_km) + edges[:, 1], return_index=True, return_inverse=True
     )

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel
 from giantlike.core.frames import rotate
 from giantlike.ray_tracing import Body, Silhouette, trace_silhouette
-from giantlike.ray_tracing.silhouette import outline_points_px
+from giantlike.ray_tracing.silhouette import lit_outline, outline_points_px
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, irregular_body, mesh_from_ellipsoid
 from tests.numerical import numerical_jacobian
@@ -188,3 +188,13 @@ def test_hit_points_lie_on_their_rays_and_on_the_surface_at_every_range(range_km
 def test_outline_points_alone_are_those_of_a_silhouette(shape: Shape) -> None:
     body = Body(shape=shape, camera_from_body=TILTED, position_camera_km=np.array([0.1, -0.2, 10.0]))
     assert_array_equal(outline_points_px(body, BROWN, CIRCLE), _outline(body, BROWN).points_px)
+
+
+@pytest.mark.parametrize("shape", [POLYHEDRON, ELLIPSOID])
+def test_a_lit_outline_is_lit_on_the_side_of_the_sun(shape: Shape) -> None:
+    body = Body(shape=shape, camera_from_body=TILTED, position_camera_km=np.array([0.1, -0.2, 10.0]))
+    points_px, lit = lit_outline(body, BROWN, CIRCLE, sun_direction_camera=SUN)
+    assert_array_equal(points_px, outline_points_px(body, BROWN, CIRCLE))
+    toward_px = (points_px - points_px.mean(axis=0)) @ SUN[:2]
+    assert lit[toward_px > 0.5 * toward_px.max()].all()
+    assert not lit[toward_px < -0.5 * toward_px.max()].any()

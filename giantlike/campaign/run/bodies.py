@@ -18,7 +18,7 @@ from giantlike.campaign.store.records import Attitude, ObservationRecord, Proble
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
-from giantlike.ray_tracing import trace_silhouette
+from giantlike.ray_tracing.silhouette import lit_outline
 from giantlike.relative import Estimator
 from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import Scene, TargetGeometry
@@ -171,7 +171,7 @@ def _observed(
     done = attempt(with_fix, record, camera, geometry, outcome) if isinstance(outcome, CenterFix) else outcome
     if not isinstance(done, ObservationRecord):
         done = record.replace(problem=Problem.of(done) if isinstance(done, Failure) else done)
-    return done.replace(time_s=time.perf_counter() - start)
+    return done.model_copy(update={"time_s": time.perf_counter() - start})  # all else is checked already
 
 
 def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
@@ -188,8 +188,7 @@ def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:
     outline, lit = np.zeros((0, 2)), np.zeros(0, dtype=bool)
     if radius_px >= _OUTLINE_MIN_RADIUS_PX:
         angles = np.linspace(0.0, 2 * np.pi, _OUTLINE_ANGLES, endpoint=False)
-        edge = trace_silhouette(geometry.body(), model, angles, sun_direction_camera=geometry.sun_direction_camera)
-        outline, lit = edge.points_px[edge.valid], edge.lit[edge.valid]
+        outline, lit = lit_outline(geometry.body(), model, angles, sun_direction_camera=geometry.sun_direction_camera)
     return TargetView(
         target=geometry.target.name,
         predicted_px=predicted_px.tolist(),

@@ -123,7 +123,9 @@ def with_attitude(record: AttitudeRecord, camera: Camera, attitude: Attitude, st
     )
 
 
-def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> AttitudeRecord:
+def with_stars(
+    record: AttitudeRecord, camera: Camera, fix: AttitudeFix, detected_px: list[list[float]]
+) -> AttitudeRecord:
     """Record with an attitude that was found from stars.
 
     Parameters
@@ -131,6 +133,8 @@ def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> Atti
     record : AttitudeRecord
     camera : Camera
     fix : AttitudeFix
+    detected_px : (n, 2) list of float, px
+        Everything that looked like a star.
 
     Returns
     -------
@@ -138,6 +142,7 @@ def with_stars(record: AttitudeRecord, camera: Camera, fix: AttitudeFix) -> Atti
     """
     attitude = attitude_of(fix.camera_from_inertial, AttitudeSource.STARS, fix.covariance_rad2, fix.errors)
     return with_attitude(record, camera, attitude, status_of(fix.flags)).replace(
+        detected_px=detected_px,
         n_detected=fix.n_detected,
         n_matched=fix.n_used,
         n_rejected=fix.n_rejected,

@@ -105,7 +105,7 @@ def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
     if job.solve:
         solved = opened if isinstance(opened, Problem) else attempt(_solved, *opened, job.entry)
         record = failed_image(bench.campaign, job.entry, solved) if isinstance(solved, Problem) else solved
-        record = record.replace(time_s=time.perf_counter() - start)
+        record = record.model_copy(update={"time_s": time.perf_counter() - start})  # all else is checked already
         attitude = attitude_to_use(bench.campaign, record)
         if attitude != job.attitude or not record.readable:
             work += job.bodies_if_turned
@@ -268,7 +268,8 @@ def _from_stars(record: AttitudeRecord, navigation: StarNavigation, image: Image
     detections, fix = navigation.detect_and_solve(image)
     if isinstance(detections, Failure):
         return record.replace(problem=Problem.of(detections))
-    record = record.replace(detected_px=detections.points_px.tolist(), n_detected=int(detections.clean.sum()))
+    detected_px = detections.points_px.tolist()
     if isinstance(fix, Failure):
-        return record.replace(problem=Problem.of(fix))
-    return with_stars(record, navigation.camera, fix)
+        n_detected = int(detections.clean.sum())
+        return record.replace(problem=Problem.of(fix), detected_px=detected_px, n_detected=n_detected)
+    return with_stars(record, navigation.camera, fix, detected_px)

@@ -13,6 +13,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from giantlike.campaign.store.database import Row
+from giantlike.campaign.store.record_values import PlainRecord
 from giantlike.campaign.store.records import ImageRecord
 from giantlike.core.errors import DataError
 
@@ -23,6 +24,7 @@ _FEWEST_NUMBERS = 16
 _KEY = "$array"
 _LEVEL = 1
 """Of zlib: higher levels gain 1 % on positions of stars and take four times as long."""
+_NESTED = (dict, list, PlainRecord)
 _DTYPES = {"b": np.dtype("bool"), "i": np.dtype("<i8"), "f": np.dtype("<f8")}
 
 
@@ -54,7 +56,7 @@ class PackedRecord(Generic[Record]):
         PackedRecord
         """
         light = record.light()
-        points = None if record.is_light else packed(record.model_dump())
+        points = None if record.is_light else packed(record.__dict__)
         return cls(light, Row(light.model_dump_json(), points))
 
 
@@ -64,7 +66,7 @@ def packed(values: dict[str, Any]) -> bytes:
     Parameters
     ----------
     values : dict
-        As JSON has them.
+        As JSON has them, or records of such.
 
     Returns
     -------
@@ -163,16 +165,16 @@ def damaged(path: Path, error: ValueError) -> DataError:
 
 
 def _stripped(value: Any, arrays: list[np.ndarray]) -> Any:
-    """Value with its long lists of numbers moved to ``arrays``."""
+    """Plain value, without records, with its long lists of numbers moved to ``arrays``."""
+    if isinstance(value, PlainRecord):
+        value = value.__dict__
     if isinstance(value, dict):
-        return {
-            key: _stripped(inner, arrays) if isinstance(inner, dict | list) else inner for key, inner in value.items()
-        }
+        return {key: _stripped(inner, arrays) if isinstance(inner, _NESTED) else inner for key, inner in value.items()}
     if not isinstance(value, list):
         return value
     array = _array(value)
     if array is None:
-        return [_stripped(inner, arrays) if isinstance(inner, dict | list) else inner for inner in value]
+        return [_stripped(inner, arrays) if isinstance(inner, _NESTED) else inner for inner in value]
     arrays.append(array)
     return {_KEY: len(arrays) - 1}
 

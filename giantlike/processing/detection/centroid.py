@@ -29,8 +29,8 @@ from scipy.spatial import cKDTree
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.processing.detection.gauss_newton import fitted, last_steps, subtract
-from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches, chi2_inflation
+from giantlike.processing.detection.gauss_newton import elongations, fitted, last_steps, subtract
+from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, PIXEL_VARIANCE_PX2, Patches, chi2_inflation
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
 _STEPS_ALONE = 4  # before neighbors are subtracted: what has not converged goes on together with what has neighbors
@@ -133,6 +133,34 @@ def fit_stars(
         changed[:] = False
         changed[which] = ~last_steps(found.parameters - before, before, found.covariance, found.reduced_chi2)
     return _finished(patches, solution)
+
+
+def elongation(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
+    """Largest second moment (n,) in a Gaussian window as wide as a star, in units of the window's.
+
+    Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5. A line or an edge
+    gives 1, a hot pixel 0.
+
+    Parameters
+    ----------
+    patches : Patches
+    points_px : (n, 2) float64, px
+    background_dn : (n,) float64, DN
+    psf_sigma_px : float, px
+
+    Returns
+    -------
+    (n,) float64
+    """
+    return elongations(
+        patches.values_dn,
+        patches.valid,
+        patches.corner_px,
+        np.array(points_px),
+        np.array(background_dn),
+        math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2),
+        max(psf_sigma_px, MIN_PSF_SIGMA_PX),
+    )
 
 
 def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:

@@ -25,7 +25,7 @@ from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.detection.candidates import Candidates, find_candidates
-from giantlike.processing.detection.centroid import StarFits, fit_stars, neighbor_pairs
+from giantlike.processing.detection.centroid import StarFits, elongation, fit_stars, neighbor_pairs
 from giantlike.processing.detection.common_streak import (
     CommonStreak,
     find_common_streak,
@@ -433,7 +433,7 @@ def _flags(
         masked |= (core & bad).any(axis=(1, 2))
     relative_width = np.hypot(fits.width_px, math.sqrt(PIXEL_VARIANCE_PX2)) / width
     wide = relative_width > np.where(saturated, _EXTENDED_WIDTH_SATURATED, _EXTENDED_WIDTH)
-    long = patches.elongation(points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
+    long = elongation(patches, points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
     long &= ~saturated  # a plateau has no shape
     usual = _usual_width_px(fits, ~saturated & ~wide & ~long, psf_sigma_px) if usual_px is None else usual_px
     few = find_few_pixels(patches, points_px, np.full(len(points_px), usual), fits.background_dn, psf_sigma_px)

@@ -1,4 +1,4 @@
-"""Least squares of one Gaussian after the other, compiled: steps of :mod:`giantlike.processing.detection.centroid`."""
+"""Gaussians and their pixels, one star after the other, compiled: least squares, and what flags ask of the pixels."""
 
 from __future__ import annotations
 
@@ -157,6 +157,137 @@ def subtract(values_dn: Float, corner_px: NDArray[np.int64], stars: NDArray[np.i
         for j in range(size):
             for i in range(size):
                 values_dn[star, j, i] -= other[2] * rows[j, 0] * columns[i, 0]
+
+
+@compiled
+def star_light(
+    values_dn: Float,
+    valid: Mask,
+    saturated: Mask,
+    variance_dn2: Float,
+    corner_px: NDArray[np.int64],
+    points_px: Float,
+    widths_px: Float,
+    background_dn: Float,
+    radius_px: float,
+    gain_e_per_dn: float,
+    model_error: float,
+) -> tuple[Float, Mask, Float]:
+    """Light of the stars that fit best where only their fluxes are unknown, never negative.
+
+    Parameters
+    ----------
+    values_dn : (n, w, w) float64, DN
+    valid, saturated : (n, w, w) bool
+    variance_dn2 : (n,) float64, DN^2
+        Of the background of a pixel.
+    corner_px : (n, 2) int64, px
+    points_px, widths_px, background_dn : (n, 2), (n,), (n,) float64
+    radius_px : float, px
+        Pixels count whose middles are as near to the point.
+    gain_e_per_dn : float
+    model_error : float
+        Of the light of a star in a pixel, relative.
+
+    Returns
+    -------
+    light_dn : (n, w, w) float64, DN
+    used : (n, w, w) bool
+        Pixels that count: valid ones that are not saturated.
+    left : (n,) float64
+        Sum of their squared residuals over their variances.
+    """
+    n, size = values_dn.shape[0], values_dn.shape[1]
+    light, used, left = np.empty(values_dn.shape), np.zeros(values_dn.shape, np.bool_), np.zeros(n)
+    columns, rows = np.empty((size, 3)), np.empty((size, 3))
+    for star in range(n):
+        offset_x, offset_y = corner_px[star, 0] - points_px[star, 0], corner_px[star, 1] - points_px[star, 1]
+        _shares(offset_x, math.log(widths_px[star]), columns)
+        _shares(offset_y, math.log(widths_px[star]), rows)
+        flux = 0.0
+        for _ in range(2):  # the weights depend on the flux
+            seen = expected = 0.0
+            for j in range(size):
+                for i in range(size):
+                    near = (offset_x + i) ** 2 + (offset_y + j) ** 2 <= radius_px**2
+                    used[star, j, i] = near and valid[star, j, i] and not saturated[star, j, i]
+                    if used[star, j, i]:
+                        share = rows[j, 0] * columns[i, 0]
+                        weight = share / (variance_dn2[star] + flux * share / gain_e_per_dn)
+                        seen += weight * (values_dn[star, j, i] - background_dn[star])
+                        expected += weight * share
+            flux = max(seen / max(expected, 1e-30), 0.0)
+        for j in range(size):
+            for i in range(size):
+                expected = light[star, j, i] = flux * rows[j, 0] * columns[i, 0]
+                if used[star, j, i]:
+                    variance = variance_dn2[star] + expected / gain_e_per_dn + (model_error * expected) ** 2
+                    left[star] += (values_dn[star, j, i] - background_dn[star] - expected) ** 2 / variance
+    return light, used, left
+
+
+@compiled
+def elongations(
+    values_dn: Float,
+    valid: Mask,
+    corner_px: NDArray[np.int64],
+    points_px: Float,
+    background_dn: Float,
+    window_px: float,
+    width_px: float,
+) -> Float:
+    """Largest second moments in Gaussian windows, see :func:`giantlike.processing.detection.centroid.elongation`.
+
+    Parameters
+    ----------
+    values_dn : (n, w, w) float64, DN
+    valid : (n, w, w) bool
+    corner_px : (n, 2) int64, px
+    points_px, background_dn : (n, 2), (n,) float64
+    window_px, width_px : float, px
+        Widths of the window, and of a star without the integration over pixels.
+
+    Returns
+    -------
+    (n,) float64
+        In units of the window's; 0.5 of a star.
+    """
+    n, size = values_dn.shape[0], values_dn.shape[1]
+    result, of_light, of_star = np.empty(n), np.empty(4), np.empty(4)
+    columns, rows = np.empty((size, 3)), np.empty((size, 3))
+    window_x, window_y = np.empty(size), np.empty(size)
+    for star in range(n):
+        offset_x, offset_y = corner_px[star, 0] - points_px[star, 0], corner_px[star, 1] - points_px[star, 1]
+        _shares(offset_x, math.log(width_px), columns)
+        _shares(offset_y, math.log(width_px), rows)
+        for k in range(size):
+            window_x[k] = math.exp(-0.5 * ((offset_x + k) / window_px) ** 2)
+            window_y[k] = math.exp(-0.5 * ((offset_y + k) / window_px) ** 2)
+        of_light[:] = 0.0
+        of_star[:] = 0.0
+        for j in range(size):
+            for i in range(size):
+                if valid[star, j, i]:
+                    window, x, y = window_y[j] * window_x[i], offset_x + i, offset_y + j
+                    _add_moments(window * (values_dn[star, j, i] - background_dn[star]), x, y, of_light)
+                    _add_moments(window * rows[j, 0] * columns[i, 0], x, y, of_star)
+        seen, expected = max(of_light[0], 1e-300), max(of_star[0], 1e-300)
+        xx, yy, xy = (
+            of_light[1] / seen - of_star[1] / expected,
+            of_light[2] / seen - of_star[2] / expected,
+            of_light[3] / seen - of_star[3] / expected,
+        )
+        result[star] = ((xx + yy) / 2.0 + math.hypot((xx - yy) / 2.0, xy)) / window_px**2 + 0.5
+    return result
+
+
+@compiled
+def _add_moments(light: float, x: float, y: float, sums: Float) -> None:
+    """Add light at a place to sums (4,) of it times 1, xx, yy and xy."""
+    sums[0] += light
+    sums[1] += light * x * x
+    sums[2] += light * y * y
+    sums[3] += light * x * y
 
 
 @compiled

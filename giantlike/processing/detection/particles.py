@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.processing.detection.matched_filter import Image32, recorded_width_px
+from giantlike.processing.detection.gauss_newton import star_light
+from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import Patches
 
 CORE_WIDTHS = 2.0
@@ -35,7 +36,6 @@ _MODEL_ERROR = 0.08  # relative error of the star model in a pixel: no optics ar
 _PIXEL_COST = 4.0  # of a free pixel, in chi-square: the expected square of the highest of eight noise values
 _MOST_PIXELS = 12  # in which the light of a particle may be
 _REFUSED_SIGMAS = 4.0  # excess of chi-square over its degrees of freedom, in its standard deviations
-_LEAST = np.float32(1e-30)  # instead of a sum that is zero
 _STAR_UNKNOWNS = 4  # x, y, flux, background
 _LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # share of the power unexplained by a star, for lines and for other shapes
 _LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4  # limit of the second moment across a line, see above; px^2
@@ -60,8 +60,11 @@ class FewPixels(Value):
 def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> Mask:
     """Mask (n, w, w) of the core of the sources at ``points_px`` (n, 2)."""
     dx, dy = patches.offsets_px(points_px)
-    radius = CORE_WIDTHS * recorded_width_px(psf_sigma_px) + 0.5
-    return np.asarray((dy**2)[:, :, None] + (dx**2)[:, None, :] <= radius**2)
+    return np.asarray((dy**2)[:, :, None] + (dx**2)[:, None, :] <= _core_radius_px(psf_sigma_px) ** 2)
+
+
+def _core_radius_px(psf_sigma_px: float) -> float:
+    return CORE_WIDTHS * recorded_width_px(psf_sigma_px) + 0.5
 
 
 def find_few_pixels(
@@ -87,26 +90,33 @@ def find_few_pixels(
     FewPixels
     """
     n, gain = len(points_px), patches.gain_e_per_dn
-    used = (core_of(patches, points_px, psf_sigma_px) & patches.valid & ~patches.saturated).reshape(n, -1)
-    share = patches.star_shares(points_px, widths_px).reshape(n, -1).astype(np.float32)
-    light = (patches.values_dn.reshape(n, -1) - background_dn[:, None]).astype(np.float32)
-    floor = patches.noise_dn[:, None].astype(np.float32) ** 2
-    star = _star_light(light, share * used, share, floor, gain)
-    variance = floor + star / gain + (_MODEL_ERROR * star) ** 2
-    left = np.sum(np.where(used, (light - star) ** 2 / variance, 0.0), axis=1)
-    freedom = np.maximum(used.sum(axis=1) - _STAR_UNKNOWNS, 1)
+    star, used, left = star_light(
+        patches.values_dn,
+        patches.valid,
+        patches.saturated,
+        patches.noise_dn**2,
+        patches.corner_px,
+        np.array(points_px),
+        np.array(widths_px),
+        np.array(background_dn),
+        _core_radius_px(psf_sigma_px),
+        gain,
+        _MODEL_ERROR,
+    )
+    freedom = np.maximum(np.count_nonzero(used, axis=(1, 2)) - _STAR_UNKNOWNS, 1)
     refused = np.flatnonzero(left > freedom + _REFUSED_SIGMAS * np.sqrt(2.0 * freedom))
     not_star, n_pixels = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
     if not refused.size:
         return FewPixels(not_star=not_star, n_pixels=n_pixels)
-    above, square = light[refused].astype(np.float64), floor[refused].astype(np.float64)
-    few, n_pixels[refused], lit = _brightest_pixels(above, used[refused], square, gain)
     some = patches.select(refused)
+    light = (some.values_dn - background_dn[refused, None, None]).reshape(refused.size, -1)
+    star, used = star[refused].reshape(light.shape), used[refused].reshape(light.shape)
+    few, n_pixels[refused], lit = _brightest_pixels(light, used, some.noise_dn[:, None] ** 2, gain)
     x, y, xx, yy, xy = some.moments(points_px[refused], lit.reshape(some.values_dn.shape))
     xx, yy, xy = xx - x**2, yy - y**2, xy - x * y
     across = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)  # second moment across the line through the light
     thin = across <= min(_LINE_PX2 + _LINE_GROWTH * psf_sigma_px**2, _LINE_MOST_PX2)
-    unlike, all_light = (np.where(used[refused], part[refused] ** 2, 0.0).sum(axis=1) for part in (light - star, light))
+    unlike, all_light = (np.where(used, part**2, 0.0).sum(axis=1) for part in (light - star, light))
     not_star[refused] = (unlike > np.where(thin, _LEAST_POWER, _UNLIKE_POWER) * all_light) & (few < left[refused])
     return FewPixels(not_star=not_star, n_pixels=n_pixels)
 
@@ -123,13 +133,3 @@ def _brightest_pixels(
     least = np.take_along_axis(np.pad(brightest, ((0, 0), (1, 0)), constant_values=np.inf), n_pixels[:, None], axis=1)
     lit: Float = np.where((single >= least) & (light > 0.0), light, 0.0)
     return single.sum(axis=1) - explained.max(axis=1), n_pixels.astype(np.int64), lit
-
-
-def _star_light(light: Image32, used_share: Image32, share: Image32, floor: Image32, gain_e_per_dn: float) -> Image32:
-    """Light (n, pixels) of the star that fits best, never negative: its flux is the only unknown."""
-    flux = np.zeros((len(light), 1), dtype=np.float32)
-    for _ in range(2):  # the weights depend on the flux
-        weight = used_share / (floor + flux * share / gain_e_per_dn)
-        seen, expected = (np.einsum("ij,ij->i", weight, part)[:, None] for part in (light, share))
-        flux = np.maximum(seen / np.maximum(expected, _LEAST), 0.0)
-    return flux * share

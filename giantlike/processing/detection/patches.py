@@ -83,11 +83,6 @@ class Patches(Value):
         dy = self.corner_px[:, 1, None] + steps - points_px[:, 1, None]
         return dx, dy
 
-    def star_shares(self, points_px: Float, widths_px: Float) -> Float:
-        """Share (n, w, w) of a round Gaussian at ``points_px`` (n, 2), of width (n,), px, that falls on each pixel."""
-        across, down = (pixel_shares(self.corner_px[:, k], self.size_px, points_px[:, k], widths_px)[0] for k in (0, 1))
-        return down[:, :, None] * across[:, None, :]
-
     def variance_dn2(self, light_dn: Float) -> Float:
         """Variance (n, w, w), DN^2, of pixels with the light (n, w, w), DN: background, shot noise and response."""
         light = np.maximum(light_dn, 0.0)
@@ -137,40 +132,6 @@ class Patches(Value):
         """Moments (5, n) of light (n, w, w) about points (n, 2) over its sum: x, y in px, and xx, yy, xy in px^2."""
         across, down = (np.stack([np.ones_like(d), d, d**2], axis=1) for d in self.offsets_px(points_px))
         return _moments(down @ light_dn @ across.swapaxes(1, 2))
-
-    def elongation(self, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
-        """Largest second moment (n,) in a Gaussian window as wide as a star, in units of the window's.
-
-        Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5. A line or an edge
-        gives 1, a hot pixel 0.
-
-        Parameters
-        ----------
-        points_px : (n, 2) float64, px
-        background_dn : (n,) float64, DN
-        psf_sigma_px : float, px
-
-        Returns
-        -------
-        (n,) float64
-        """
-        dx, dy = self.offsets_px(points_px)
-        window_px = math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
-        across, down = (
-            np.stack([np.ones_like(d), d, d**2], axis=1) * np.exp(-0.5 * (d / window_px) ** 2)[:, None]
-            for d in (dx, dy)
-        )
-        light = np.where(self.valid, self.values_dn - background_dn[:, None, None], 0.0)
-        width = np.full(len(points_px), max(psf_sigma_px, MIN_PSF_SIGMA_PX))
-        one, two = (pixel_shares(self.corner_px[:, k], self.size_px, points_px[:, k], width)[0] for k in (0, 1))
-        star = (down @ two[:, :, None]) @ (across @ one[:, :, None]).swapaxes(1, 2)
-        part = np.flatnonzero(~self.valid.all(axis=(1, 2)))
-        if part.size:
-            shares = two[part, :, None] * one[part, None, :] * self.valid[part]
-            star[part] = down[part] @ shares @ across[part].swapaxes(1, 2)
-        _, _, xx, yy, xy = _moments(down @ light @ across.swapaxes(1, 2)) - _moments(star)
-        longest: Float = ((xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)) / window_px**2 + 0.5
-        return longest
 
     def border_level_dn(self) -> Float:
         """Median (n,), DN, of the valid pixels on the rim of each patch, or of all valid ones."""
