@@ -30,6 +30,7 @@ from tests.tolerances import FLOAT64_SUM
 
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
 NOISELESS_PX = 0.005  # the shift is fitted linearly about the nearest half pixel
+CORRELATED = 0.95  # a shift of 1.5 px by multiples of half a pixel; bad values left in make it 0.7
 SIGMA_RATIO = 0.15  # of 600 lines: five times the standard error of a standard deviation, 2.9 %
 MOST_CAUTION = 0.25  # waves longer than the arc cannot be excluded by the residuals: sigmas up to twice too large
 PSF_PX = 0.8
@@ -112,6 +113,20 @@ def test_a_match_finds_the_shift_of_a_blurred_edge_without_noise(moved_px: float
     assert not match.rivalled.any()
     assert_allclose(match.shift_px, moved_px, rtol=0, atol=NOISELESS_PX)
     assert_allclose(match.gain_dn, 2000.0, rtol=0, atol=10.0)
+
+
+def test_lines_that_bad_columns_cross_are_matched_by_what_is_left_of_them() -> None:
+    points, normals = circle(90)
+    pixels, usable = disk(radius_px=RADIUS_PX + 1.5), np.ones((SIZE, SIZE), dtype=bool)
+    for column in (int(CENTER_PX[0]) - 12, int(CENTER_PX[0]) + 15):
+        pixels[:, column], usable[:, column] = 5000.0, False
+    scans = scan_lines(pixels, usable, points, normals, line_offsets(9.0, 0.5))
+    match = match_profiles(scans, expected_of(scans), variance_dn2=DETECTOR.variance_dn2, window_px=5.0, search_px=4.0)
+    crossed = ~scans.usable.all(axis=1)
+    assert match.complete[~crossed].all()
+    assert np.count_nonzero(match.complete & crossed) > 0.3 * np.count_nonzero(crossed)
+    assert_allclose(match.shift_px[match.complete], 1.5, rtol=0, atol=NOISELESS_PX)
+    assert match.correlation[match.complete].min() > CORRELATED
 
 
 def test_the_scatter_of_shifts_is_the_stated_sigma() -> None:

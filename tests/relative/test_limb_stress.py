@@ -57,6 +57,7 @@ def fixes(
     saturation_dn: float = np.inf,
     psf_px: float = PSF_PX,
     edges: EdgeModel = EdgeModel.TEMPLATE,
+    bad_columns: tuple[int, ...] = (),
 ) -> list[PositionFix]:
     """Fixes of some images of a body, predicted 3 px and 0.4 % of range off."""
     signal, position, sun = truth
@@ -76,7 +77,10 @@ def fixes(
     found = []
     for seed in range(DRAWS):
         pixels = record(signal, np.random.default_rng(seed), recorder).pixels.astype(np.uint16)
-        image = Image(pixels=pixels, camera_from_inertial=Rotation.identity(), name=f"draw-{seed}")
+        mask = np.isin(np.arange(SIZE), bad_columns) & np.ones((SIZE, 1), bool)
+        image = Image(
+            pixels=np.where(mask, 0, pixels), mask=mask, camera_from_inertial=Rotation.identity(), name=f"draw-{seed}"
+        )
         fix = estimator.estimate(image, camera, Scene(targets=(target,)))
         assert isinstance(fix, PositionFix), fix
         assert not fix.flags.suspect, fix.flags.names()
@@ -121,6 +125,14 @@ def test_optics_that_blur_far_more_than_they_are_told_to_are_found_out() -> None
     found = fixes(truth, McEwen(), psf_px=PSF_PX / 1.7)
     assert mean_nees(found, truth[1]) < LIMIT
     assert abs(range_error(found, truth[1])) < EXACT_RANGE
+
+
+def test_bad_columns_across_a_small_limb_leave_a_right_fix() -> None:
+    """Lines that they hide say nothing against it: counted as rejected, and dropped as a whole, there was no limb."""
+    truth = light("mcewen", 60.0, 22.0)
+    found = fixes(truth, McEwen(), bad_columns=(86, 107))
+    assert mean_nees(found, truth[1]) < LIMIT
+    assert min(fix.n_used for fix in found) > 20
 
 
 def test_wings_of_the_point_spread_function_are_found_out() -> None:

@@ -29,14 +29,24 @@ _COLUMNS = 4  # of a match: profile, offset, outward shift, slope
 
 @compiled
 def started(
-    values: Float, expected: Float, about_px: Float, step_px: float, half: int, most: int, rival_px: float
-) -> tuple[Indices, Float, Float, Float, Float]:
+    values: Float,
+    usable: Mask,
+    expected: Float,
+    about_px: Float,
+    step_px: float,
+    half: int,
+    most: int,
+    rival_px: float,
+    least: int,
+    core: int,
+) -> tuple[Indices, Float, Float, Float, Float, Mask, Mask]:
     """Find where the expected profile of each line correlates best, or start from a given place.
 
     Parameters
     ----------
     values : (n, m) float64, DN
         Along the lines, m odd, the middle at zero.
+    usable : (n, m) bool
     expected : (n, m) float64
     about_px : (n,) float64, px
         Where to start; NaN for where the correlation is best.
@@ -46,6 +56,8 @@ def started(
         Values to both sides that are compared, and by which a profile is shifted at most.
     rival_px : float, px
         Other places as good are looked for from this distance on.
+    least, core : int
+        Values of a window that are usable at least, and to both sides of its middle where all are.
 
     Returns
     -------
@@ -57,6 +69,10 @@ def started(
         Normalized correlation at that lag, and of the best other place; -1 where there is none.
     light_dn : (n, w) float64, DN
         Brightness there, fitted without weights.
+    used : (n, w) bool
+        Values there that count: those that are usable, or, of a line that is not complete, all.
+    complete : (n,) bool
+        Enough of the values there are usable.
     """
     n, middle, width, lags = len(values), values.shape[1] // 2, 2 * half + 1, 2 * most + 1
     lag, shift, best, rival = np.empty(n, np.int64), np.zeros(n), np.empty(n), np.full(n, -1.0)
@@ -66,6 +82,7 @@ def started(
         np.empty(width),
         np.empty(lags),
     )
+    every, complete = np.ones((n, width), np.bool_), np.ones(n, np.bool_)
     one, normal, right = np.ones(width), np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, 1))
     for line in range(n):
         profile = expected[line, middle - half : middle + half + 1]
@@ -80,6 +97,12 @@ def started(
                 product += value * target[i]
             spread = math.sqrt(max(square - total * total / width, 0.0))
             correlation[k] = product / spread if spread > _FLAT * math.sqrt(square) else 0.0
+        told = usable[line, middle - half - most : middle + half + most + 1]
+        whole = told.all()
+        if not whole:
+            for k in range(lags):
+                data = values[line, middle - half - most + k :][:width]
+                correlation[k] = _correlation(data, target, told[k : k + width], least)
         lag[line] = np.argmax(correlation)
         if np.isfinite(about_px[line]):
             lag[line] = min(max(int(np.rint(about_px[line] / step_px)) + most, 0), 2 * most)
@@ -92,11 +115,18 @@ def started(
             if highest and abs(k - lag[line]) * step_px > rival_px:
                 rival[line] = max(rival[line], correlation[k])
         data = values[line, middle - half - most + lag[line] :][:width]
+        one[:] = 1.0
+        if not whole:
+            there = told[lag[line] : lag[line] + width]
+            complete[line] = there.sum() >= least and there[half - core : half + core + 1].all()
+            if complete[line]:
+                every[line] = there
+                one[:] = there
         _fill(expected[line], shift[line], step_px, half, columns)
         _fit(columns, data, one, normal, right, _COLUMNS)
         for i in range(width):
             light[line, i] = max(columns[i, 0] * right[0, 0] + right[1, 0], 0.0)
-    return lag, shift, best, rival, light
+    return lag, shift, best, rival, light, every, complete
 
 
 @compiled
@@ -248,7 +278,7 @@ def matched(
             left = data[i]
             for a in range(_COLUMNS):
                 left -= columns[i, a] * solutions[line, a]
-            squares += left * left
+            squares += left * left if weights[line, i] > 0.0 else 0.0
             noise[i] = operator[2, i] * math.sqrt(variance_dn2[line, i])
             own[:] = changes[i]
             for a in range(_COLUMNS):
@@ -263,7 +293,7 @@ def matched(
             for d in range(c):
                 both = 0.5 * (information[line, c, d] + information[line, d, c])
                 information[line, c, d] = information[line, d, c] = both
-        rms[line] = math.sqrt(squares / width)
+        rms[line] = math.sqrt(squares / max((weights[line] > 0.0).sum(), 1))
         total = 0.0
         for i in range(width):
             for j in range(i):
@@ -287,6 +317,24 @@ def quotient(shifted: float, gain: float) -> float:
     """
     shift = shifted / gain
     return shift if np.isfinite(shift) else 0.0
+
+
+@compiled
+def _correlation(data: Float, target: Float, usable: Mask, least: int) -> float:
+    """Normalized correlation of usable values (w,) with a target; 0 where they are too few or flat."""
+    count = usable.sum()
+    if count < least:
+        return 0.0
+    total, aim = (data * usable).sum() / count, (target * usable).sum() / count
+    square, length, product, size = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(data)):
+        if usable[i]:
+            square += (data[i] - total) ** 2
+            length += (target[i] - aim) ** 2
+            product += (data[i] - total) * (target[i] - aim)
+            size += data[i] ** 2
+    spread = math.sqrt(square)
+    return product / (spread * math.sqrt(length)) if spread > _FLAT * math.sqrt(size) and length > 0.0 else 0.0
 
 
 @compiled

@@ -23,6 +23,8 @@ GAIN_RANGE = (0.2, 5.0)
 
 The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn they differ by 0.2-0.6 sigma.
 """
+UNSEEN = "masked, saturated or outside the frame"
+"""Reason of points of which the image tells nothing."""
 SATURATED_SHARE = 0.2
 """Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
 
@@ -127,7 +129,8 @@ class LimbMeasurement(Value):
     rejected : mapping of str to int
         Points of the lit limb that are not among the n, by reason.
     n_elsewhere : int
-        Edges measured that are no points of the limb.
+        Edges measured that are no points of the limb, and points of it of which the image tells nothing: nothing is
+        wrong with a limb that bad columns hide.
     area : (rows, columns) bool
         Pixels within reach of the limb.
     terrain : TerrainShift or None
@@ -326,7 +329,7 @@ def judge_points(
         low, high = np.array(GAIN_RANGE) * float(np.median(gain_dn[typical]))
         gain_ok = (gain_dn > low) & (gain_dn < high)
     checks = {
-        "masked, saturated or outside the frame": complete,
+        UNSEEN: complete,
         "too weak": strong,
         "not like the expected profile": alike,
         "too bright or too dark": gain_ok,

@@ -40,6 +40,9 @@ with it whatever little light is there besides. No study yet."""
 _MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
 _LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
 _LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
+_LEAST_USABLE, _CORE_PX = 0.5, 2.0
+"""Share of a window that is usable at least, and how far to both sides of the limb all of it is: two standard
+deviations of a usual edge, which hold most of what a line says about its place."""
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
 
@@ -84,7 +87,8 @@ class ProfileMatch(Value):
     Parameters
     ----------
     complete : (n,) bool
-        Every value needed is usable; the other arrays mean nothing where not.
+        Values about the limb and at least half of the others are usable, and the match is of these; the other arrays
+        mean nothing where not.
     shift_px : (n,) float64, px
         Positive outward.
     sigma_px : (n,) float64, px
@@ -296,12 +300,15 @@ def match_profiles(
         half + most <= middle,
         f"lines reach {scans.offsets_px[-1]:g} px, needed window + search = {window_px + search_px:g} px",
     )
-    part, near = (slice(middle - reach, middle + reach + 1) for reach in (half, half + most))
+    part = slice(middle - half, middle + half + 1)
     about = np.full(len(expected), np.nan) if about_px is None else about_px
     values, expected = scans.values_dn, np.ascontiguousarray(expected)
-    lag, start_px, best, rival, light = line_match.started(values, expected, about, step, half, most, _RIVAL_PX)
+    enough = math.ceil(_LEAST_USABLE * (2 * half + 1)), math.floor(_CORE_PX / step)
+    lag, start_px, best, rival, light, used, complete = line_match.started(
+        values, scans.usable, expected, about, step, half, most, _RIVAL_PX, *enough
+    )
     variance = variance_dn2(light)
-    weights = 1.0 / (variance + (_MODEL_ERROR * light.max(axis=1, keepdims=True)) ** 2)
+    weights = used / (variance + (_MODEL_ERROR * light.max(axis=1, keepdims=True)) ** 2)
     shift, free, slope_variance, without_slope = line_match.refined(
         values, expected, lag, start_px, np.isfinite(about), weights, step, half, most
     )
@@ -326,7 +333,7 @@ def match_profiles(
         unexplained = left_rms / (np.abs(solution[:, 0]) * np.ptp(expected[:, part], axis=1))
         sigma = noise / np.abs(solution[:, 0])
     return ProfileMatch(
-        complete=np.all(scans.usable[:, near], axis=1),
+        complete=complete,
         shift_px=(lag - most) * step + shift,
         sigma_px=np.where(np.isfinite(sigma), sigma, np.inf),
         without_slope_px=_quotient(without_slope[:, 1], without_slope[:, 0]) - _quotient(free[:, 2], free[:, 0]),

@@ -14,6 +14,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
+    UNSEEN,
     LimbMeasurement,
     SmoothError,
     limb_design,
@@ -454,6 +455,7 @@ class LineScan(Value):
         if found.extrapolated_px > 0.0:
             extrapolated = SmoothError(cause=Cause.EDGE, sigma_px=found.extrapolated_px, length_px=view.radius_px)
             errors.append(extrapolated)
+        unseen = rejected.pop(UNSEEN) if options.edges is EdgeModel.TEMPLATE else 0  # clipped pixels are seen there
         design = limb_design(limb.normals_px[good], view.model.project_jacobian(limb.points_camera_km[good]))
         return LineMeasurement(
             predicted_px=limb.points_px[good],
@@ -469,6 +471,7 @@ class LineScan(Value):
             perimeter_px=self.lines.perimeter_px,
             cut_by_frame=self.lines.cut_by_frame,
             rejected=rejected,
+            n_elsewhere=unseen,
             area=area,
             relief=self.relief,
             psf_px2=width**2 + found.psf_px2,
