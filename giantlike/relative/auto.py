@@ -14,14 +14,14 @@ from giantlike.core.arrays import require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative.consensus import fused, verdict
-from giantlike.relative.estimator import RESPONSE, BodyEstimator, Estimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.landmarks.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.place import limb_in_frame
-from giantlike.relative.response import Response
+from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.shapes import Ellipsoid
 

@@ -26,12 +26,10 @@ from giantlike.processing.detection.hot_lines import hot_lines
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import with_budget
 from giantlike.relative.place import apparent_radius_px
-from giantlike.relative.response import Response
+from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene, TargetGeometry
 
-RESPONSE = "response"
-"""Key of the provenance of fixes that were made of values bent into proportion to light."""
 _PLATEAU_PIXELS = 20
 """Pixels of exactly the largest value from which on they may be a plateau: hot pixels are fewer, a saturated star has
 more."""
@@ -104,6 +102,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
     """True for an estimator of fixes of others, which have been checked already."""
     by_light: ClassVar[bool] = False
     """True for an estimator of the center of all light, which moves with any error of the figure."""
+    finds_response: ClassVar[bool] = False
+    """True for an estimator that finds out by itself where values are not in proportion to light."""
 
     def __init__(self, options: Options | None = None) -> None:
         self._options: Options = options or self.options_type()
@@ -144,22 +144,29 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
         if isinstance(inputs, Failure):
             return inputs
-        result = self._estimate(inputs)
-        if not isinstance(result, Failure):
-            result = with_budget(
-                result,
-                image,
-                camera,
-                inputs.geometry,
-                lambda moved: self._estimate(replace(inputs, geometry=moved, place_alone=True)),
-            )
+        result = self._budgeted(inputs)
         if isinstance(result, Failure):
             return inputs.fail(result.reason, result.detail)
         if self.of_fixes:
             return result
         bent = result.provenance.get(RESPONSE)
         seen = inputs if bent is None else inputs.linearized(Response.from_text(bent))
-        return verified(result, seen, getattr(self.options, "search_px", 0.0), by_light=self.by_light)
+        again = None if self.finds_response else self._budgeted
+        search_px = getattr(self.options, "search_px", 0.0)
+        return verified(result, seen, search_px, by_light=self.by_light, again=again)
+
+    def _budgeted(self, inputs: EstimatorInputs) -> Fix | Failure:
+        """Find the body, with all causes of error of its place."""
+        result = self._estimate(inputs)
+        if isinstance(result, Failure):
+            return result
+        return with_budget(
+            result,
+            inputs.image,
+            inputs.camera,
+            inputs.geometry,
+            lambda moved: self._estimate(replace(inputs, geometry=moved, place_alone=True)),
+        )
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:

@@ -10,6 +10,11 @@ from scipy.stats import chi2
 
 from giantlike.core.detector import Detector
 from giantlike.relative.auto import Auto
+from giantlike.relative.estimator import Estimator
+from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA
+from giantlike.relative.horizon.sigmoid_limb import SigmoidLimb
+from giantlike.relative.light.moment import Moment
+from giantlike.relative.limb.limb_matching import LimbMatching
 from giantlike.relative.response import Response
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from tests.relative.test_light_truth import Shot, shot
@@ -54,6 +59,21 @@ def test_auto_gives_other_estimators_an_image_in_proportion_to_light(seed: int) 
     assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < chi2.ppf(1.0 - RARE, 2)
 
 
+@pytest.mark.parametrize("estimator", [Moment(), LimbMatching(), EllipsoidCRA(), SigmoidLimb()])
+def test_estimators_without_a_response_of_their_own_make_their_fix_again_in_light(estimator: Estimator) -> None:
+    total, size = 0.0, 0
+    for seed in SEEDS:
+        one = tabled(shot(seed, phase_deg=40.0 + 20.0 * seed, diameter_px=DIAMETER_PX), 0.5)
+        fix = one.fix(estimator)
+        assert not fix.flags.suspect, fix.flags
+        assert "response" in fix.provenance
+        assert np.sqrt(np.diag(fix.covariance_px2)).max() < (0.3 if estimator.name == "moment" else SIGMA_PX)
+        error = fix.center_px - one.center_px
+        total += float(error @ np.linalg.solve(fix.covariance_px2, error))
+        size += 2
+    assert total < chi2.ppf(1.0 - RARE, size)
+
+
 def test_the_bend_of_a_table_of_square_roots_is_that_of_its_parabola() -> None:
     fix = tabled(shot(1, diameter_px=DIAMETER_PX), 0.5).fix(CrossCorrelation())
     found = Response.from_text(fix.provenance["response"])
@@ -64,7 +84,8 @@ def test_the_bend_of_a_table_of_square_roots_is_that_of_its_parabola() -> None:
 
 def test_markings_and_other_laws_bend_nothing() -> None:
     for one in (shot(1, diameter_px=DIAMETER_PX, marked=True), shot(2, diameter_px=DIAMETER_PX, law="hapke")):
-        assert "response" not in one.fix(CrossCorrelation()).provenance
+        for estimator in (CrossCorrelation(), LimbMatching(), Moment()):
+            assert "response" not in one.fix(estimator).provenance
 
 
 def test_light_and_its_derivative_by_the_bend_agree_with_differences() -> None:

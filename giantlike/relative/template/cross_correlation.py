@@ -18,7 +18,7 @@ from giantlike.ray_tracing.silhouette import outline_points_px
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.quality import SHORT_ARC_SHARE, QualityChecks
-from giantlike.relative.response import Response
+from giantlike.relative.response import LEAST_BEND, STRAIGHTENED, Response, settled
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
@@ -60,15 +60,8 @@ _LEAST_LIMB_PX = 60.0
 """Length of lit limb in the frame below which an ellipsoid without markings is not placed, as ``auto`` needs it: flat
 fields, laws and templates are right to some parts in a thousand, with which squared errors by the fall of light alone
 were 6 per degree of freedom (484 px, six draws of noise)."""
-_BENT_SIGMAS, _LEAST_BEND, _MOST_BEND = 10.0, 0.25, 0.98
-"""Bend of the response that residuals ask for, over its standard deviation and in itself, from which on it is tried,
-and the largest one. Of the gauntlet tables of square roots ask for 0.34 and more, images with nothing but another law
-for 0.03 at most, markings for 0.3."""
-_BENDINGS, _SETTLED_BEND = 6, 0.02
-"""Matches with a response, at most, and the change of its bend below which it is found: what remains is estimated."""
-_STRAIGHTENED = 0.1
-"""Structure of the residuals with a response over that without, at most. By a table of square roots it is 0.02 at most;
-of markings, eclipses, wrong poles and other shapes, where a bend takes on what is wrong, 0.3 at least."""
+_BENT_SIGMAS = 10.0
+"""Bend of the response that residuals ask for, over its standard deviation, from which on it is tried."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 
 
@@ -172,6 +165,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     """
 
     name: ClassVar[str] = "cross_correlation"
+    finds_response: ClassVar[bool] = True
     options_type = CrossCorrelationOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | PositionFix | Failure:
@@ -179,7 +173,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         blocks, match = self._matched(inputs)
         if isinstance(match, Failure):
             return match
-        if match.fit.bend_sigmas > _BENT_SIGMAS and match.fit.response.bend > _LEAST_BEND:
+        if match.fit.bend_sigmas > _BENT_SIGMAS and match.fit.response.bend > LEAST_BEND:
             inputs, blocks, match = self._straightened(inputs, blocks, match)
         return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
 
@@ -208,19 +202,15 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch]:
         """Match again with values bent into proportion to light; what was there where that explains little more."""
-        response, structure = match.fit.response, match.fit.structure
-        for _ in range(_BENDINGS):
-            response = replace(response, bend=min(max(response.bend, 0.0), _MOST_BEND))
+
+        def tried(response: Response) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
             straight = inputs.linearized(response)
             again_blocks, again = self._matched(straight, response)
-            if isinstance(again, Failure):
-                break
-            found = again.fit.response
-            if abs(found.bend - response.bend) < _SETTLED_BEND:
-                if found.bend > _LEAST_BEND and again.fit.structure < _STRAIGHTENED * structure:
-                    return straight, again_blocks, again
-                break
-            response = found
+            return None if isinstance(again, Failure) else (straight, again_blocks, again)
+
+        found = settled(match.fit.response, tried, lambda trial: trial[2].fit.response)
+        if found is not None and found[2].fit.structure < STRAIGHTENED * match.fit.structure:
+            return found
         return inputs, blocks, match
 
 

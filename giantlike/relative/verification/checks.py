@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypedDict, TypeVar, runtime_checkable
 
@@ -12,14 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, Cause, summed
-from giantlike.core.outcomes import CenterFix, PositionFix
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import with_error, with_larger_errors
 from giantlike.relative.quality import LEAST_CHANCE, QualityChecks
+from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.light_side import light_side
+from giantlike.relative.verification.proportion import in_proportion, looks_bent
 from giantlike.relative.verification.rival import rival_log_odds
 from giantlike.relative.verification.turn import fit_turned
 from giantlike.rings import Rings
@@ -69,7 +72,14 @@ class _Numbers(TypedDict, total=False):
     growth: float
 
 
-def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float, *, by_light: bool = False) -> AnyFix:
+def verified(
+    fix: AnyFix,
+    inputs: EstimatorInputs,
+    search_px: float,
+    *,
+    by_light: bool = False,
+    again: Callable[[EstimatorInputs], AnyFix | Failure] | None = None,
+) -> AnyFix:
     """Return a fix with the flags and numbers of its checks; unchanged where it has them already.
 
     Parameters
@@ -82,6 +92,9 @@ def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float, *, by_light
     by_light : bool
         The fix is that of all light, which moves with whatever is wrong with the figure; estimators on limbs and
         templates know errors of relief themselves.
+    again : callable, optional
+        Runs the estimator on inputs with other values: a fix that takes values for light is made again where the coarse
+        render shows that they are not in proportion to it.
 
     Returns
     -------
@@ -90,6 +103,10 @@ def verified(fix: AnyFix, inputs: EstimatorInputs, search_px: float, *, by_light
     if _CHECKED in fix.provenance:
         return fix
     coarse = _coarse(fix, inputs, search_px)
+    if again is not None and coarse is not None and looks_bent(coarse):
+        straight = in_proportion(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
+        if straight is not None:
+            fix, coarse, inputs = straight
     numbers = _Numbers() if coarse is None else _image_numbers(fix, coarse, inputs, search_px)
     chance = _prediction_chance(fix, inputs)
     if chance is not None:
@@ -300,7 +317,13 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None
     if cells is None or trace is None or own is None:
         return None
     albedo = inputs.geometry.target.uncertainty.albedo
-    fit = fit_cells(cells, trace, own, albedo=albedo, turn_rad=inputs.turn_rad) if cells.has_face else None
+    bent = inputs.provenance.get(RESPONSE)
+    response = None if bent is None else Response.from_text(bent)
+    fit = (
+        fit_cells(cells, trace, own, albedo=albedo, turn_rad=inputs.turn_rad, response=response)
+        if cells.has_face
+        else None
+    )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 
 

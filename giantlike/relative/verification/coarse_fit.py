@@ -11,6 +11,7 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
+from giantlike.relative.response import LEAST_BEND, Response
 from giantlike.relative.verification.cells import BLOCK, Cells
 
 _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
@@ -33,6 +34,8 @@ _LAWS = (1, 2, 3)
 """Columns of the design for other laws."""
 _OTHER_LAW = 0.5
 """Error that laws beyond those leave, over what they change: half of it."""
+_LEVEL = 4
+"""Column of the design for the background."""
 _PLACE, _STRAIN, _BLUR = slice(10, 13), slice(13, 16), slice(16, 19)
 """Columns of the design for the place, the strain and the blur."""
 _GEOMETRY, _OF_GEOMETRY = slice(10, None), (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, None))
@@ -104,6 +107,13 @@ class CoarseFit(Value):
     figure_px2 : (2, 2) float64, px^2
         Covariance of the center of all light by a figure that is not that of the body, as far as edges and strain show
         it; zero where they are those of a right one.
+    response : Response
+        What the residuals ask for beside all else: the one by which the values were made proportional to light, if they
+        were, with another bend.
+    bend_sigma : float
+        Standard deviation of its bend; infinite where it is too small to be looked at.
+    structure : float
+        Mean product of residuals of neighboring lit cells over their errors: noise comes to zero.
     further : (k,) float64
         What was fitted besides.
     further_covariance : (k, k) float64
@@ -120,6 +130,9 @@ class CoarseFit(Value):
     blur_covariance: Float
     unevenness: float
     figure_px2: Float
+    response: Response
+    bend_sigma: float
+    structure: float
     further: Float
     further_covariance: Float
 
@@ -140,7 +153,14 @@ class _Design(Value):
 
 
 def fit_cells(
-    cells: Cells, trace: Trace, own: Template, *, albedo: float, turn_rad: float = 0.0, further: Float | None = None
+    cells: Cells,
+    trace: Trace,
+    own: Template,
+    *,
+    albedo: float,
+    turn_rad: float = 0.0,
+    further: Float | None = None,
+    response: Response | None = None,
 ) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the place to the cells around a body.
 
@@ -157,6 +177,8 @@ def fit_cells(
         Standard deviation of the orientation of the body, about any axis.
     further : (k, n, n) float64, optional
         Changes of the light in :attr:`Cells.inner` that are fitted besides, by unknowns of the order of 1 at most.
+    response : Response, optional
+        By which the values were made proportional to light.
 
     Returns
     -------
@@ -203,6 +225,13 @@ def fit_cells(
     by_figure = math.sqrt(_share_of_figure(normalized, lit, edge))
     strained, strayed = np.asarray(solution[_STRAIN] / gain), np.where(edge, by_figure * shown_sigma / gain, 0.0)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
+    model = (solution @ flat).reshape(values.shape)
+    if response is None:
+        response = Response(bend=0.0, dark_dn=float(solution[_LEVEL]), bright_dn=float(model[lit].max()))
+    by_bend, bend = _bend_asked(response, values, model, flat, weighted, normal)
+    bend_sigma = math.inf
+    if bend > LEAST_BEND:
+        bend_sigma = math.sqrt(float(_covariance(by_bend[None], noise, shown_sigma, cells)[0, 0]))
     return CoarseFit(
         gain_dn=gain,
         misfit=misfit,
@@ -215,9 +244,33 @@ def fit_cells(
         strain_covariance=strain_covariance,
         unevenness=_unevenness(design.columns[_PLACE] * np.sqrt(weights), normalized),
         figure_px2=_by_figure(strained, strain_covariance, strayed, design.own, cells),
+        response=replace(response, bend=bend),
+        bend_sigma=bend_sigma,
+        structure=_structure(normalized, lit),
         further=np.asarray(solution[_FURTHER] / gain),
         further_covariance=besides / gain**2,
     )
+
+
+def _bend_asked(
+    response: Response, values: Float, model: Float, flat: Float, weighted: Float, normal: Float
+) -> tuple[Float, float]:
+    """Bend of a response that residuals ask for beside a model (n, n), and how it changes with the cells (n, n).
+
+    ``flat`` and ``weighted`` (p, n * n) are the design and the same over variances, ``normal`` (p, p) their products.
+    """
+    bent = -response.changes_dn(model)[0].ravel()
+    weights = weighted[_LEVEL]  # of a column of ones
+    influence = weights * (bent - np.linalg.solve(normal, weighted @ bent) @ flat)
+    influence /= max(float(influence @ bent), 1e-300)
+    return influence.reshape(values.shape), response.bend + float(influence @ (values - model).ravel())
+
+
+def _structure(normalized: Float, lit: Mask) -> float:
+    """Mean product of neighboring residuals of lit cells."""
+    left = np.where(lit, normalized, 0.0)
+    products = 0.5 * float(np.vdot(left[1:], left[:-1]) + np.vdot(left[:, 1:], left[:, :-1]))
+    return products / float(np.count_nonzero(lit))
 
 
 def _unevenness(slopes: Float, normalized: Float) -> float:
@@ -333,6 +386,9 @@ def _nothing_alike() -> CoarseFit:
         blur_covariance=np.eye(3),
         unevenness=0.0,
         figure_px2=np.zeros((2, 2)),
+        response=Response(bend=0.0, dark_dn=0.0, bright_dn=1.0),
+        bend_sigma=math.inf,
+        structure=math.inf,
         further=np.zeros(0),
         further_covariance=np.zeros((0, 0)),
     )
