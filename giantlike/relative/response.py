@@ -16,12 +16,10 @@ RESPONSE = "response"
 LEAST_BEND = 0.25
 """Bend that residuals ask for from which on it is tried. Of the gauntlet tables of square roots ask for 0.34 and more,
 images with nothing but another law for 0.03 at most, markings for 0.3."""
-STRAIGHTENED = 0.1
-"""Structure of residuals with a response over that without, at most. By a table of square roots it is 0.02 at most; of
-markings, eclipses, wrong poles and other shapes, where a bend takes on what is wrong, 0.3 at least."""
 _MOST_BEND = 0.98
 _BENDINGS, _SETTLED_BEND = 6, 0.02
-"""Trials of a response, at most, and the change of its bend below which it is found: what remains is estimated."""
+"""Trials of a response, at most, and the change of its bend, if not its standard deviation, below which it is found:
+what remains is estimated."""
 
 Trial = TypeVar("Trial")
 
@@ -105,7 +103,7 @@ class Response(Value):
 
 
 def settled(
-    first: Response, tried: Callable[[Response], Trial | None], asked: Callable[[Trial], Response]
+    first: Response, tried: Callable[[Response], Trial | None], asked: Callable[[Trial], tuple[Response, float]]
 ) -> Trial | None:
     """Straighten values by the bend that residuals ask for, until they ask for no other.
 
@@ -116,7 +114,7 @@ def settled(
     tried : callable
         What comes of values that were straightened by a response; None where nothing does.
     asked : callable
-        The response that the residuals of such a trial ask for.
+        The response that the residuals of such a trial ask for, and the standard deviation of its bend.
 
     Returns
     -------
@@ -129,8 +127,8 @@ def settled(
         trial = tried(response)
         if trial is None:
             return None
-        found = asked(trial)
-        if abs(found.bend - response.bend) < _SETTLED_BEND:
+        found, sigma = asked(trial)
+        if abs(found.bend - response.bend) < max(_SETTLED_BEND, sigma):
             return trial if found.bend > LEAST_BEND else None
         response = found
     return None

@@ -74,7 +74,14 @@ class Shot:
 
 @cache
 def light(
-    seed: int, law: str, phase_deg: float, diameter_px: float, marked: bool, wings: float, focal_px: float = FOCAL_PX
+    seed: int,
+    law: str,
+    phase_deg: float,
+    diameter_px: float,
+    marked: bool,
+    wings: float,
+    focal_px: float = FOCAL_PX,
+    motion_px: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Float, Pose]:
     """Noise-free image of peak 1, and the pose."""
     rng = np.random.default_rng([seed, 1])
@@ -88,7 +95,7 @@ def light(
     body = EllipsoidBody(RADII_KM, albedo=MARKED if marked else None)
     sampling = Sampling(cells=3, edge_rays=3) if diameter_px > 20.0 else Sampling(cells=3, edge_rays=80)
     return independent.render_body(
-        body, view, pose, law=law, psf=Psf(0.8, wings, 3.5), peak_dn=1.0, sampling=sampling
+        body, view, pose, law=law, psf=Psf(0.8, wings, 3.5, motion_px), peak_dn=1.0, sampling=sampling
     ), pose
 
 
@@ -104,9 +111,10 @@ def shot(
     detector: Detector | None = KNOWN,
     peak_dn: float = 3000.0,
     focal_px: float = FOCAL_PX,
+    motion_px: tuple[float, float] = (0.0, 0.0),
 ) -> Shot:
     """A body that is believed to be McEwen's; prediction and range are off."""
-    clean, pose = light(seed, law, phase_deg, diameter_px, marked, wings, focal_px)
+    clean, pose = light(seed, law, phase_deg, diameter_px, marked, wings, focal_px, motion_px)
     rng = np.random.default_rng([seed, 2])
     sky = independent.background(clean.shape, constant_dn=200.0, slope_dn=slope_dn)
     pixels = independent.record(peak_dn * clean + sky, rng, Recorder(gain_e_per_dn=1.0, read_noise_e=5.0)).pixels

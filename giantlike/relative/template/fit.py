@@ -24,6 +24,7 @@ from giantlike.core.values import Value
 from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
+from giantlike.relative.template.smear import Smear
 from giantlike.relative.template.state import Synthesis, TemplateState
 
 _LOG = logging.getLogger("giantlike.relative")
@@ -73,6 +74,8 @@ class TemplateFitOptions:
         where the start is within ``tolerance_px``.
     response : Response, optional
         By which the pixels were made proportional to light; its bend is estimated along with the rest.
+    smear : Smear, optional
+        By which the template is smeared; what is left of it is estimated along with the rest.
 
     Raises
     ------
@@ -89,6 +92,7 @@ class TemplateFitOptions:
     relief_length_px: float = 10.0
     fine_at_once: bool = False
     response: Response | None = None
+    smear: Smear | None = None
 
     def __post_init__(self) -> None:
         require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
@@ -133,6 +137,10 @@ class TemplateFit(Value):
         one that starts from values proportional to light.
     bend_sigmas : float
         Its bend over its standard deviation by the weights of the pixels.
+    smear : Smear
+        What the residuals ask for: the one of the options as it was estimated, or, without one, a rough one.
+    smear_sigmas : float
+        Its size over its standard deviation by the weights of the pixels.
     """
 
     state: TemplateState
@@ -149,6 +157,8 @@ class TemplateFit(Value):
     iterations: int
     response: Response
     bend_sigmas: float
+    smear: Smear
+    smear_sigmas: float
     corner_px: tuple[int, int] = (0, 0)
 
     def used_at_px(self, block_px: int = 1) -> Float:
@@ -222,6 +232,8 @@ def fit_template(
     that of a field of such relief with the given standard deviation and correlation length. The effect of relief on the
     shading is left to the residuals.
     """
+    if options.smear is not None:
+        synthesize = options.smear.of_renders(synthesize)
     trial, fine = start, options.fine_at_once
     last: _Solved | None = None
     for iteration in range(1, options.max_iterations + 1):
@@ -229,7 +241,7 @@ def fit_template(
         if isinstance(images, Failure):
             return images
         photometry = None if last is None else last.solution.parameters[GAIN : last.problem.n_light]
-        problem = Problem(pixels, images, trial, photometry, options.response)
+        problem = Problem(pixels, images, trial, photometry, options.response, smeared=options.smear is not None)
         if last is not None and last.motion_px > _ROUGH_STEP_PX and last.problem.misfit_dn2() < problem.misfit_dn2():
             last = last.shortened(_RETREAT)
             trial = last.stepped()
@@ -329,6 +341,7 @@ class _Solved:
         parts = self._parts(fit, residuals, (noise, error), options)
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
         response, bend_sigmas = self._response(fit, residuals, model, options.response)
+        smear, smear_sigmas = self._smear(fit, residuals, options.smear)
         return TemplateFit(
             state=state,
             parts=parts,
@@ -344,6 +357,8 @@ class _Solved:
             iterations=iterations,
             response=response,
             bend_sigmas=bend_sigmas,
+            smear=smear,
+            smear_sigmas=smear_sigmas,
             corner_px=problem.pixels.corner_px,
         )
 
@@ -361,6 +376,19 @@ class _Solved:
             sigma = math.sqrt(float(np.linalg.inv(fit.information)[place, place]))
         return replace(known, bend=bend), bend / sigma
 
+    def _smear(self, fit: LinearFit, residuals: Float, known: Smear | None) -> tuple[Smear, float]:
+        """Smear as it was estimated, or as the residuals ask for one, and its size over its standard deviation."""
+        if known is None:
+            found = [fit.asked(residuals, column) for column in self.problem.by_smear()]
+            straight, oblique = (share for share, _ in found)
+            sigma = max(each for _, each in found)
+        else:
+            left = self.solution.parameters[-2:]
+            straight, oblique = known.straight_px2 + left[0], known.oblique_px2 + left[1]
+            sigma = math.sqrt(float(np.diag(np.linalg.inv(fit.information))[-2:].max()))
+        smear = Smear(straight_px2=float(straight), oblique_px2=float(oblique))
+        return smear, smear.size_px2 / sigma
+
     def _parts(
         self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
     ) -> dict[Cause, Float]:
@@ -377,10 +405,14 @@ class _Solved:
         groups = {
             Cause.REFLECTANCE: [
                 *range(LAWS, LAWS + self.problem.n_laws),
-                *range(self.problem.n_light, self.problem.n_parameters),
+                *range(self.problem.n_light, self.problem.n_light + self.problem.n_bends),
             ],
             Cause.BACKGROUND: list(range(OFFSET, LAWS)),
-            Cause.PSF: [BLUR, *range(LAWS + self.problem.n_laws, self.problem.n_light)],
+            Cause.PSF: [
+                BLUR,
+                *range(LAWS + self.problem.n_laws, self.problem.n_light),
+                *range(self.problem.n_light + self.problem.n_bends, self.problem.n_parameters),
+            ],
         }
         parts = fit.noise_parts(of_noise, groups)
         known = sum(parts.values(), np.zeros_like(whole))

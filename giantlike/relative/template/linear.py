@@ -18,7 +18,8 @@ from giantlike.relative.template.state import TemplateImages, TemplateState
 X, Y, RANGE, BLUR, GAIN, OFFSET, RAMP_X, RAMP_Y = range(8)
 """Parameters: center in px, logarithm of the range, variance of the point spread function in px^2, then photometry: the
 light, a constant background and its slopes over half the box. After them come the other reflectance laws, then the
-wings of the point spread function where they are estimated, and last the changes of the response where that is."""
+wings of the point spread function where they are estimated, and last the changes of the response and those of a smear
+where these are."""
 LAWS = RAMP_Y + 1
 
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
@@ -26,6 +27,7 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 
 _FIRST_DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])  # central, of sixth order, 1/px
 _SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])  # the same, 1/px^2
+_AS_IT_IS = np.ones(1)
 _MIXING_SIGMA = 1.0
 """A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
 about between those that are mixed."""
@@ -53,6 +55,8 @@ class Problem:
         least squares, with the law of the target alone.
     response : Response, optional
         By which the pixels were made proportional to light; its changes are estimated.
+    smeared : bool
+        The images are smeared, and what is left of that is estimated.
     """
 
     def __init__(
@@ -62,6 +66,8 @@ class Problem:
         state: TemplateState,
         photometry: Float | None,
         response: Response | None = None,
+        *,
+        smeared: bool = False,
     ) -> None:
         self.pixels, self.light = pixels, images.light
         total = float(images.light.sum())
@@ -72,7 +78,8 @@ class Problem:
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         seen = (images.light, *_background(images.light.shape), *differences)
         self.n_light = GAIN + len(seen)
-        self.columns = np.empty((self.n_light + (0 if response is None else 2), *images.light.shape))
+        self.n_bends, self.n_smears = 0 if response is None else 2, 2 if smeared else 0
+        self.columns = np.empty((self.n_light + self.n_bends + self.n_smears, *images.light.shape))
         moved, basis = self.columns[:GAIN], self.columns[GAIN : self.n_light]
         np.stack(seen, out=basis)
         if photometry is None:
@@ -85,7 +92,9 @@ class Problem:
         self.signal, level = np.tensordot(np.stack([photometry - under, under]), basis, 1)
         self.model = self.signal + level
         if response is not None:
-            np.negative(response.changes_dn(self.model), out=self.columns[self.n_light :])
+            np.negative(response.changes_dn(self.model), out=self.columns[self.n_light :][:2])
+        if smeared:
+            self.columns[-2:] = self.by_smear()
         x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
@@ -134,6 +143,10 @@ class Problem:
         squares = (step[X] ** 2 + step[Y] ** 2) * total - 2.0 * growth * along + growth**2 * by_square
         return math.sqrt(max(float(squares), 0.0) / max(total, 1e-300))
 
+    def by_smear(self) -> Float:
+        """Change (2, h, w) of the model by the two variances of a smear."""
+        return _by_smear(self.signal)
+
     @property
     def n_parameters(self) -> int:
         """Number of parameters."""
@@ -159,7 +172,7 @@ class Problem:
         means[:GAIN], sigmas[:GAIN] = mean, sigma
         sigmas[LAWS : LAWS + self.n_laws] = self.mixing_sigma_dn
         sigmas[LAWS + self.n_laws : self.n_light] = _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA
-        sigmas[self.n_light + 1 :] = _CUBE_SIGMA
+        sigmas[self.n_light + 1 : self.n_light + self.n_bends] = _CUBE_SIGMA
         return Prior(means, sigmas**-2)
 
     def solve(
@@ -246,11 +259,17 @@ def _by_differences(image: Float, x: Float, y: Float, spread: float) -> Float:
 
 def _derivatives(image: Float) -> tuple[Float, Float, Float]:
     """Slopes along x and y and the Laplacian (h, w), by differences of sixth order."""
-    keep = np.ones(1)
+    curvature: Float = _filtered(image, _SECOND_DERIVATIVE, _AS_IT_IS) + _filtered(image, _AS_IT_IS, _SECOND_DERIVATIVE)
+    return _filtered(image, _FIRST_DERIVATIVE, _AS_IT_IS), _filtered(image, _AS_IT_IS, _FIRST_DERIVATIVE), curvature
 
-    def slope(along_x: Float, along_y: Float) -> Float:
-        filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
-        return filtered.astype(np.float64, copy=False)
 
-    curvature: Float = slope(_SECOND_DERIVATIVE, keep) + slope(keep, _SECOND_DERIVATIVE)
-    return slope(_FIRST_DERIVATIVE, keep), slope(keep, _FIRST_DERIVATIVE), curvature
+def _by_smear(image: Float) -> Float:
+    """Change (2, h, w) of an image by half of the variance along x less that along y, and by the covariance."""
+    straight = _filtered(image, _SECOND_DERIVATIVE, _AS_IT_IS) - _filtered(image, _AS_IT_IS, _SECOND_DERIVATIVE)
+    return np.stack([0.5 * straight, _filtered(image, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)])
+
+
+def _filtered(image: Float, along_x: Float, along_y: Float) -> Float:
+    """Image (h, w) after a filter along x and one along y."""
+    filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
+    return filtered.astype(np.float64, copy=False)

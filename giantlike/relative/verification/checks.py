@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypedDict, TypeVar, runtime_checkable
 
@@ -19,6 +19,7 @@ from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import with_error, with_larger_errors
 from giantlike.relative.quality import LEAST_CHANCE, QualityChecks
 from giantlike.relative.response import RESPONSE, Response
+from giantlike.relative.template.smear import SMEAR, Smear
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.light_side import light_side
@@ -288,7 +289,7 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
         range_km /= 1.0 + float(fix.provenance[_ALTITUDE]) / geometry.target.shape.mean_radius_km
     known = geometry.body(range_km * model.unproject(fix.center_px))
     body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
-    coarse = _at(body, inputs, search_px)
+    coarse = _at(body, inputs, search_px, fix.provenance)
     if coarse is None or coarse.fit is None:
         return coarse
     moved, cells = coarse.fit.moved, coarse.cells
@@ -298,14 +299,17 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     if step < linear or step > _BELIEVED:
         return coarse
     position_km = range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2])
-    again = _at(replace(body, position_camera_km=position_km), inputs, search_px)
+    again = _at(replace(body, position_camera_km=position_km), inputs, search_px, fix.provenance)
     if again is None or again.fit is None or not again.fit.misfit < coarse.fit.misfit:
         return coarse
     return replace(again, fit=replace(again.fit, moved=moved + again.fit.moved))
 
 
-def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
-    """Render a body coarsely and fit it; None where it is too small or not seen."""
+def _at(body: Body, inputs: EstimatorInputs, search_px: float, known: Mapping[str, str]) -> _Coarse | None:
+    """Render a body coarsely and fit it; None where it is too small or not seen.
+
+    ``known`` is the provenance of a fix: the response and the smear that it has found are none of its errors.
+    """
     off_px = body.center_px(inputs.camera.model) - inputs.predicted_px
     room_px = search_px + float(np.max(np.abs(off_px)))
     good = ~inputs.masked
@@ -317,13 +321,18 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float) -> _Coarse | None
     if cells is None or trace is None or own is None:
         return None
     albedo = inputs.geometry.target.uncertainty.albedo
-    bent = inputs.provenance.get(RESPONSE)
-    response = None if bent is None else Response.from_text(bent)
-    fit = (
-        fit_cells(cells, trace, own, albedo=albedo, turn_rad=inputs.turn_rad, response=response)
-        if cells.has_face
-        else None
-    )
+    bent, moved = known.get(RESPONSE), known.get(SMEAR)
+    fit = None
+    if cells.has_face:
+        fit = fit_cells(
+            cells,
+            trace,
+            own,
+            albedo=albedo,
+            turn_rad=inputs.turn_rad,
+            response=None if bent is None else Response.from_text(bent),
+            smear=None if moved is None else Smear.from_text(moved),
+        )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 
 

@@ -12,6 +12,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
 from giantlike.relative.response import LEAST_BEND, Response
+from giantlike.relative.template.smear import Smear
 from giantlike.relative.verification.cells import BLOCK, Cells
 
 _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
@@ -161,6 +162,7 @@ def fit_cells(
     turn_rad: float = 0.0,
     further: Float | None = None,
     response: Response | None = None,
+    smear: Smear | None = None,
 ) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the place to the cells around a body.
 
@@ -179,13 +181,15 @@ def fit_cells(
         Changes of the light in :attr:`Cells.inner` that are fitted besides, by unknowns of the order of 1 at most.
     response : Response, optional
         By which the values were made proportional to light.
+    smear : Smear, optional
+        Motion of the body during the exposure, in pixels of the image.
 
     Returns
     -------
     CoarseFit or None
         None where too few cells hold the body.
     """
-    design = _design(cells, trace, own)
+    design = _design(cells, trace, own, smear)
     if further is not None:
         design = design.with_further(further)
     fresh = cells.cropped(cells.fresh)
@@ -290,12 +294,15 @@ def _unevenness(slopes: Float, normalized: Float) -> float:
     return worst
 
 
-def _design(cells: Cells, trace: Trace, own: Template) -> _Design:
+def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _Design:
     """The light of the body under its law and others, a plane, and derivatives by place and size."""
+    in_cells = None if smear is None else smear.on_blocks(cells.size)
     light = cells.place(own.brightness, own)
+    light = light if in_cells is None else in_cells.smeared(light)
     others = []
     for law in _OTHER_LAWS:
         other = cells.light(trace.with_reflectance(law))
+        other = other if in_cells is None else in_cells.smeared(other)
         others.append(other * (light.sum() / max(float(other.sum()), _DARK)) - light)
     rows, columns = np.mgrid[: light.shape[0], : light.shape[1]]
     x = (columns - (own.center_px[0] - cells.inner.x)) / cells.radius

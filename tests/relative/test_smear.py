@@ -1,0 +1,66 @@
+"""Bodies that moved in the image during the exposure: the motion is found, and they lie where it had its middle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from giantlike.relative.template.cross_correlation import CrossCorrelation
+from giantlike.relative.template.smear import Smear
+from tests.relative.test_light_truth import shot
+from tests.tolerances import RARE
+
+SEEDS = (1, 2, 3)
+DIAMETER_PX = 90.0
+SIGMA_PX = (
+    0.02  # of the image without motion 0.01; 0.1 to 0.2 px were stated where the motion was an error of the model
+)
+LENGTH_PX, ANGLE_RAD = 0.3, 0.1
+ROUNDED_PX2 = 1e-12
+
+
+@pytest.mark.parametrize("length_px", [2.5, 5.0, 12.0])
+def test_bodies_in_motion_are_placed_as_well_as_others_and_tell_how_they_moved(length_px: float) -> None:
+    total = 0.0
+    for seed in SEEDS:
+        angle = 0.9 * seed
+        motion_px = (length_px * math.cos(angle), length_px * math.sin(angle))
+        one = shot(seed, phase_deg=30.0 * seed, diameter_px=DIAMETER_PX, motion_px=motion_px)
+        fix = one.fix(CrossCorrelation())
+        assert not fix.flags.suspect, fix.flags
+        assert np.sqrt(np.diag(fix.covariance_px2)).max() < SIGMA_PX
+        error = fix.center_px - one.center_px
+        total += float(error @ np.linalg.solve(fix.covariance_px2, error))
+        smear = Smear.from_text(fix.provenance["smear"])
+        assert smear.length_px == pytest.approx(length_px, abs=LENGTH_PX)
+        along = smear.direction[0] * math.cos(angle) + smear.direction[1] * math.sin(angle)
+        assert abs(along) > math.cos(ANGLE_RAD)
+    assert total < chi2.ppf(1.0 - RARE, 2 * len(SEEDS))
+
+
+@pytest.mark.parametrize("law", ["mcewen", "hapke", "lambert"])
+def test_bodies_at_rest_have_no_smear(law: str) -> None:
+    for marked in (False, True):
+        assert (
+            "smear" not in shot(4, law=law, diameter_px=DIAMETER_PX, marked=marked).fix(CrossCorrelation()).provenance
+        )
+
+
+def test_a_point_becomes_a_line_with_the_variance_that_is_stated() -> None:
+    smear = Smear.of_motion((6.0, -3.0))
+    y, x = np.mgrid[-20:21, -20:21]
+    spot = np.exp(-0.5 * (x**2 + y**2) / 1.5**2)
+    line, spot = smear.smeared(spot) / spot.sum(), spot / spot.sum()
+    found = [float(((line - spot) * product).sum()) for product in (x * x, x * y, y * y)]
+    assert float(line.sum()) == pytest.approx(1.0, abs=1e-7)
+    np.testing.assert_allclose(found, smear.blur_px2, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(smear.blur_px2, [36.0 / 12.0, -18.0 / 12.0, 9.0 / 12.0], rtol=0, atol=ROUNDED_PX2)
+
+
+def test_a_smear_is_read_as_it_is_written() -> None:
+    smear = Smear(straight_px2=-0.25, oblique_px2=1.5)
+    assert Smear.from_text(str(smear)) == smear
+    assert smear.on_blocks(2.0).length_px == pytest.approx(0.5 * smear.length_px, abs=ROUNDED_PX2)
