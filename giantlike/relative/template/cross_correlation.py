@@ -71,7 +71,7 @@ _EXACT = 2e-5
 """The same, over the light, that exact templates leave: 1.3e-5 at most of 12 bodies of 90 px, 0.4 % of the light."""
 _SMEARED_SIGMAS, _LEAST_SMEAR_PX = 6.0, 1.0
 """Smear that residuals ask for, over its standard deviation, and its length, px, from which on it is tried."""
-_SMEARINGS, _SETTLED_SMEAR = 6, 0.05
+_SMEARINGS, _SETTLED_SMEAR = 8, 0.01
 """Matches with a smear, at most, and its relative change below which it is found: what remains is estimated."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 

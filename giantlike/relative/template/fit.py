@@ -241,7 +241,7 @@ def fit_template(
         if isinstance(images, Failure):
             return images
         photometry = None if last is None else last.solution.parameters[GAIN : last.problem.n_light]
-        problem = Problem(pixels, images, trial, photometry, options.response, smeared=options.smear is not None)
+        problem = Problem(pixels, images, trial, photometry, options.response)
         if last is not None and last.motion_px > _ROUGH_STEP_PX and last.problem.misfit_dn2() < problem.misfit_dn2():
             last = last.shortened(_RETREAT)
             trial = last.stepped()

@@ -28,6 +28,7 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 _FIRST_DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])  # central, of sixth order, 1/px
 _SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])  # the same, 1/px^2
 _AS_IT_IS = np.ones(1)
+_TWICE_ALONG_X, _TWICE_ALONG_Y = (_SECOND_DERIVATIVE, _AS_IT_IS), (_AS_IT_IS, _SECOND_DERIVATIVE)
 _MIXING_SIGMA = 1.0
 """A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
 about between those that are mixed."""
@@ -55,8 +56,6 @@ class Problem:
         least squares, with the law of the target alone.
     response : Response, optional
         By which the pixels were made proportional to light; its changes are estimated.
-    smeared : bool
-        The images are smeared, and what is left of that is estimated.
     """
 
     def __init__(
@@ -66,8 +65,6 @@ class Problem:
         state: TemplateState,
         photometry: Float | None,
         response: Response | None = None,
-        *,
-        smeared: bool = False,
     ) -> None:
         self.pixels, self.light = pixels, images.light
         total = float(images.light.sum())
@@ -78,7 +75,7 @@ class Problem:
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         seen = (images.light, *_background(images.light.shape), *differences)
         self.n_light = GAIN + len(seen)
-        self.n_bends, self.n_smears = 0 if response is None else 2, 2 if smeared else 0
+        self.n_bends, self.n_smears = 0 if response is None else 2, 0 if images.by_smear is None else 2
         self.columns = np.empty((self.n_light + self.n_bends + self.n_smears, *images.light.shape))
         moved, basis = self.columns[:GAIN], self.columns[GAIN : self.n_light]
         np.stack(seen, out=basis)
@@ -93,8 +90,8 @@ class Problem:
         self.model = self.signal + level
         if response is not None:
             np.negative(response.changes_dn(self.model), out=self.columns[self.n_light :][:2])
-        if smeared:
-            self.columns[-2:] = self.by_smear()
+        if images.by_smear is not None:
+            np.multiply(images.by_smear, self.gain_dn, out=self.columns[-2:])
         x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
@@ -143,9 +140,10 @@ class Problem:
         squares = (step[X] ** 2 + step[Y] ** 2) * total - 2.0 * growth * along + growth**2 * by_square
         return math.sqrt(max(float(squares), 0.0) / max(total, 1e-300))
 
-    def by_smear(self) -> Float:
-        """Change (2, h, w) of the model by the two variances of a smear."""
-        return _by_smear(self.signal)
+    def by_smear(self) -> tuple[Float, Float]:
+        """Change of the model (h, w) by the two variances of a short smear, beside what is even in it."""
+        along, across = (_filtered(self.signal, *each) for each in (_TWICE_ALONG_X, _TWICE_ALONG_Y))
+        return 0.5 * (along - across), _filtered(self.signal, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)
 
     @property
     def n_parameters(self) -> int:
@@ -259,14 +257,8 @@ def _by_differences(image: Float, x: Float, y: Float, spread: float) -> Float:
 
 def _derivatives(image: Float) -> tuple[Float, Float, Float]:
     """Slopes along x and y and the Laplacian (h, w), by differences of sixth order."""
-    curvature: Float = _filtered(image, _SECOND_DERIVATIVE, _AS_IT_IS) + _filtered(image, _AS_IT_IS, _SECOND_DERIVATIVE)
+    curvature: Float = _filtered(image, *_TWICE_ALONG_X) + _filtered(image, *_TWICE_ALONG_Y)
     return _filtered(image, _FIRST_DERIVATIVE, _AS_IT_IS), _filtered(image, _AS_IT_IS, _FIRST_DERIVATIVE), curvature
-
-
-def _by_smear(image: Float) -> Float:
-    """Change (2, h, w) of an image by half of the variance along x less that along y, and by the covariance."""
-    straight = _filtered(image, _SECOND_DERIVATIVE, _AS_IT_IS) - _filtered(image, _AS_IT_IS, _SECOND_DERIVATIVE)
-    return np.stack([0.5 * straight, _filtered(image, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)])
 
 
 def _filtered(image: Float, along_x: Float, along_y: Float) -> Float:

@@ -14,6 +14,8 @@ from giantlike.relative.template.state import Synthesis, TemplateImages, Templat
 
 SMEAR = "smear"
 """Key of the provenance of fixes by a template that was smeared."""
+_STEP = 0.05
+"""Relative step of numerical derivatives by the variances: beyond a tenth the fall of light along a line bends."""
 _ROOM_PX = 4
 """Pixels around an image that a smear is applied to, beside its own length, so that its ends do not meet."""
 
@@ -136,6 +138,15 @@ class Smear(Value):
         spread = irfft2(rfft2(padded) * np.sinc(self.length_px * along), s=size)
         return np.asarray(spread[..., room : room + height, room : room + width], dtype=np.float64)
 
+    def _changes(self, image: Float) -> Float:
+        """Derivatives (2, h, w) of an image (h, w), smeared, by both variances, from central differences."""
+        step = _STEP * max(self.size_px2, _STEP)
+        high_x, low_x, high_y, low_y = (
+            replace(self, straight_px2=self.straight_px2 + x, oblique_px2=self.oblique_px2 + y).smeared(image)
+            for x, y in ((step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step))
+        )
+        return np.stack([high_x - low_x, high_y - low_y]) / (2.0 * step)
+
     def of_renders(self, synthesize: Synthesis) -> Synthesis:
         """Return a function that renders a body smeared.
 
@@ -162,6 +173,7 @@ class Smear(Value):
                 others=others,
                 untried=last[0] if last else None,
                 derivatives=None if sharp is None else lambda weights: self.smeared(sharp(weights)),
+                by_smear=self._changes(made.light),
             )
 
         return images

@@ -55,6 +55,8 @@ class TemplateImages(Value):
         px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as sharp as a
         point spread function. With such errors shift, range, blur and law, which do nearly the same to the image of a
         small body, seem to be distinguishable, and steps on coarse pixels end beside the solution.
+    by_smear : (2, h, w) float64, optional
+        Derivatives of ``light`` by the two variances of the motion that smears it, per px^2; None where none does.
     """
 
     light: Float
@@ -62,6 +64,7 @@ class TemplateImages(Value):
     winged: bool = False
     untried: Float | None = None
     derivatives: Callable[[Float], Float] | None = None
+    by_smear: Float | None = None
 
 
 Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]
