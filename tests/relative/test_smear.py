@@ -50,7 +50,7 @@ def test_bodies_at_rest_have_no_smear(law: str) -> None:
 
 
 def test_a_point_becomes_a_line_with_the_variance_that_is_stated() -> None:
-    smear = Smear.of_motion((6.0, -3.0))
+    smear = Smear(straight_px2=(6.0**2 - 3.0**2) / 24.0, oblique_px2=-6.0 * 3.0 / 12.0)
     y, x = np.mgrid[-20:21, -20:21]
     spot = np.exp(-0.5 * (x**2 + y**2) / 1.5**2)
     line, spot = smear.smeared(spot) / spot.sum(), spot / spot.sum()

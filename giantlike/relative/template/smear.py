@@ -32,28 +32,15 @@ class Smear(Value):
 
     Examples
     --------
-    >>> smear = Smear.of_motion((3.0, 4.0))
+    By 3 px along x and 4 px along y:
+
+    >>> smear = Smear(straight_px2=(3**2 - 4**2) / 24, oblique_px2=3 * 4 / 12)
     >>> round(smear.length_px, 12), [round(along, 12) for along in smear.direction]
     (5.0, [0.6, 0.8])
     """
 
     straight_px2: float = 0.0
     oblique_px2: float = 0.0
-
-    @classmethod
-    def of_motion(cls, motion_px: tuple[float, float]) -> Smear:
-        """Return the smear of a motion in the image.
-
-        Parameters
-        ----------
-        motion_px : (float, float), px
-
-        Returns
-        -------
-        Smear
-        """
-        x, y = motion_px
-        return cls(straight_px2=(x * x - y * y) / 24.0, oblique_px2=x * y / 12.0)
 
     @classmethod
     def from_text(cls, text: str) -> Smear:
