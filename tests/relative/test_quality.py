@@ -34,6 +34,9 @@ def flags(**numbers: Any) -> Quality:
         ({"weakness": 1.01}, Quality.LOW_SCORE),
         ({"prediction_chance": 9e-4}, Quality.FAR_FROM_PREDICTION),
         ({"prediction_chance": 1.1e-3}, Quality.NONE),
+        ({"place_chance": 0.018, "figure_chance": 0.018}, Quality.DISAGREEMENT),
+        ({"place_chance": 0.018, "prediction_chance": 0.018}, Quality.DISAGREEMENT),
+        ({"place_chance": 1e-4, "figure_chance": 0.019}, Quality.NONE),
         ({"strain_chance": 9e-5}, Quality.WRONG_FIGURE),
         ({"strain_chance": 1.1e-4}, Quality.NONE),
         ({"ambiguous": True}, Quality.AMBIGUOUS),
@@ -47,3 +50,13 @@ def test_each_flag_has_one_limit(numbers: dict[str, Any], flag: Quality) -> None
 def test_more_used_than_offered_is_refused() -> None:
     with pytest.raises(InputError, match="n_used"):
         flags(n_used=3, n_offered=2)
+
+
+def test_two_objections_are_as_rare_as_the_limit_says() -> None:
+    drawn = np.random.default_rng(5).random((400_000, 3))
+    seconds = np.sort(drawn, axis=1)[:, 1]
+    for second in (0.018, 0.1, 0.5):
+        numbers = {"place_chance": 0.0, "figure_chance": second, "prediction_chance": 1.0}
+        checks = QualityChecks(off_px=np.zeros(2), search_px=40.0, **numbers)
+        share = float((seconds <= second).mean())
+        assert abs(checks.objections_chance - share) < 4.0 * np.sqrt(share / len(drawn))

@@ -183,6 +183,15 @@ def test_a_fix_a_little_beside_the_body_is_less_certain_and_one_that_agrees_stay
     np.testing.assert_allclose(found.covariance_camera_km2, expected, rtol=0.0, atol=1e-6 * expected[2, 2])
 
 
+def test_a_difference_along_one_axis_that_is_not_by_chance_counts_whole() -> None:
+    inputs = inputs_of(light(60.0), 60.0)
+    beside = fix_at(inputs, POSITION_KM + np.array([0.11, 0.0, 0.0]))  # 0.37 px: 7 of its sigma
+    found = verified(beside, inputs, SEARCH_PX)
+    assert not found.flags.suspect
+    off_px = float(np.hypot(*(beside.center_px - fix_at(inputs).center_px)))
+    assert off_px < 2.0 * math.sqrt(found.covariance_px2[0, 0])  # per degree of freedom 2.5
+
+
 def test_a_smear_makes_a_fix_less_certain_and_wings_of_the_optics_do_not() -> None:
     body, view = EllipsoidBody(RADII_KM), PinholeView(FOCAL_PX, (MIDDLE, MIDDLE), SIZE, SIZE)
     grown = []

@@ -52,6 +52,10 @@ _TURN_MISFIT = 0.2
 no turn of more than a degree, and are those of most right fixes, which should not pay for four more renders."""
 _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
 """What of a blur (xx, xy, yy) is more along one direction than across it."""
+_NOT_BY_CHANCE = 1e-3
+"""Probability below which errors of a fix are not those of all axes alike: the rate of false alarms of the prediction.
+
+Of 2,324 ``ok`` fixes of the gauntlet (seed 9500) 33 are so strained, none of which had to be ``ok``."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
 
@@ -136,6 +140,9 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     function was told, blur beyond it, per degree of freedom, and at least 1. Of right fixes on right models none has
     more. A blur that contradicts the fix says nothing of its errors: it may be rings, or another exposure.
 
+    Per degree of freedom, a difference that lies along one axis stays larger than its sigma. Where it is too large for
+    chance, it is not one of all axes alike, and counts whole.
+
     Parameters
     ----------
     fix : CenterFix or PositionFix
@@ -155,13 +162,19 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     """
     own = _own(fix)
     size = len(own)
-    place = _squared(fit.moved[:size], fit.covariance[:size, :size] + own) / size
-    figure = _squared(fit.strain, fit.strain_covariance) / len(fit.strain)
+    place = _ratio(fit.moved[:size], fit.covariance[:size, :size] + own)
+    figure = _ratio(fit.strain, fit.strain_covariance)
     # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
     room = min(float(np.trace(fit.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
     blurred = psf_known and chance_of(fit.blur, fit.blur_covariance) > LEAST_CHANCE  # beyond, the fix is refused
-    smear = _squared(_SMEAR @ fit.blur, _SMEAR @ fit.blur_covariance @ _SMEAR.T) / len(_SMEAR) if blurred else 0.0
+    smear = _ratio(_SMEAR @ fit.blur, _SMEAR @ fit.blur_covariance @ _SMEAR.T) if blurred else 0.0
     return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (smear - 1.0))
+
+
+def _ratio(difference: Float, covariance: Float) -> float:
+    """Squared length of a difference (k,) over its covariance (k, k): per axis, but whole where it is not by chance."""
+    whole = chance_of(difference, covariance) < _NOT_BY_CHANCE
+    return _squared(difference, covariance) / (1 if whole else len(difference))
 
 
 def _growth(fix: CenterFix, figure_px2: Float) -> float:
