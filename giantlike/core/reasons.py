@@ -220,7 +220,8 @@ class Quality(enum.Flag):
     """Two independent estimators differ by more than their covariances explain.
 
     One of them may be the coarse render behind every estimate: rendered where it was found, the body would match the
-    image better elsewhere, or at another range. Look at both outlines over the image.
+    image better elsewhere, or at another range; or two of its place, its figure and its prediction are unlikely at
+    once. Look at both outlines over the image.
     """
     UNCHECKED = enum.auto()
     """No independent estimator found the body, so nothing confirms the fix.
