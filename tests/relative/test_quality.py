@@ -56,7 +56,6 @@ def test_two_objections_are_as_rare_as_the_limit_says() -> None:
     drawn = np.random.default_rng(5).random((400_000, 3))
     seconds = np.sort(drawn, axis=1)[:, 1]
     for second in (0.018, 0.1, 0.5):
-        numbers = {"place_chance": 0.0, "figure_chance": second, "prediction_chance": 1.0}
-        checks = QualityChecks(off_px=np.zeros(2), search_px=40.0, **numbers)
+        checks = QualityChecks(off_px=np.zeros(2), search_px=40.0, place_chance=0.0, figure_chance=second)
         share = float((seconds <= second).mean())
         assert abs(checks.objections_chance - share) < 4.0 * np.sqrt(share / len(drawn))
