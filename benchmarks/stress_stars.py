@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from stress_truth import RADII_KM, READ_NOISE_DN, Case, Draw, Seen, draw_of
 
@@ -28,6 +29,7 @@ from giantlike.independent import (
     EllipsoidBody,
     PinholeView,
     Pose,
+    Psf,
     Recorder,
     StarField,
     background,
@@ -44,6 +46,8 @@ VIEW = PinholeView(FOCAL_PX, (513.0, 509.0), SIZE, SIZE)
 AU_KM, SPEED_KM_S = 1.495978707e8, 30.0
 EPOCH = time_from_et(5.05e8)  # 2016.0, the epoch of the catalog
 CATALOG_MAGNITUDE = 9.0
+FEW = 24  # of which about half lie in the frame
+WAVES = 200
 CALIBRATION_IMAGES, STARS_AN_IMAGE, CENTROID_PX = 5, 30, 0.1
 
 
@@ -57,6 +61,13 @@ class StarCase:
     slope_dn: tuple[float, float] = (0.0, 0.0)
     level_dn: float = 50.0
     observer: bool = True
+    brightest: float = 2.0
+    guide: float = 0.0
+    """Magnitude of one star near the middle that is far brighter than the others; 0 for none."""
+    shared_px: float = 0.0
+    shared_length_px: float = 300.0
+    """Distortion that nobody told: standard deviation per axis, and length over which neighbors share it."""
+    psf: Psf = field(default_factory=Psf)
     estimators: tuple[str, ...] = ("stars",)
 
 
@@ -65,6 +76,20 @@ STAR_CASES = (
     StarCase(name="stars ramp 2 DN/px", slope_dn=(2.0 * SIZE, 0.0), level_dn=1100.0),
     StarCase(name="stars crowded", stars=6000, faintest=12.0),
     StarCase(name="stars observer unknown", observer=False),
+    StarCase(name="12 stars", stars=FEW),
+    StarCase(name="12 stars distorted over 300 px", stars=FEW, shared_px=0.3),
+    StarCase(name="12 stars distorted over 600 px", stars=FEW, shared_px=0.3, shared_length_px=600.0),
+    StarCase(name="stars distorted over 300 px", shared_px=0.3),
+    StarCase(name="stars distorted over 600 px", shared_px=0.3, shared_length_px=600.0),
+    StarCase(name="120 stars", stars=240),
+    StarCase(name="120 stars distorted over 600 px", stars=240, shared_px=0.3, shared_length_px=600.0),
+    StarCase(name="12 stars one bright", stars=FEW, brightest=8.0, guide=4.0),
+    StarCase(name="12 stars one bright distorted", stars=FEW, brightest=8.0, guide=4.0, shared_px=0.05),
+    StarCase(name="12 stars wings", stars=FEW, psf=Psf(0.7, wing_share=0.1, wing_sigma_px=4.0)),
+    StarCase(name="12 stars 1.2 px told 0.7", stars=FEW, psf=Psf(1.2)),
+    StarCase(name="12 stars smeared by 2 px", stars=FEW, psf=Psf(motion_px=(1.6, 1.2))),
+    StarCase(name="12 stars smeared by 5 px", stars=FEW, psf=Psf(motion_px=(4.0, 3.0))),
+    StarCase(name="stars smeared by 5 px", psf=Psf(motion_px=(4.0, 3.0))),
 )
 CORNER_CASE = Case(
     name="camera of 150 stars, body in a corner",
@@ -85,6 +110,23 @@ class StarSeen:
     velocity_km_s: Float
 
 
+class WarpedView(PinholeView):
+    """The camera with a smooth distortion of its own: a field of random waves, whose correlation is a Gaussian."""
+
+    def __init__(self, rng: np.random.Generator, size_px: float, length_px: float) -> None:
+        super().__init__(VIEW.focal_px, VIEW.center_px, SIZE, SIZE)
+        waves = (rng.normal(scale=1.0 / length_px, size=(2, WAVES, 2)), rng.uniform(0.0, 2.0 * math.pi, (2, WAVES)))
+        object.__setattr__(self, "_waves", waves)
+        object.__setattr__(self, "_size_px", size_px * math.sqrt(2.0 / WAVES))
+
+    def project(self, vectors_camera: ArrayLike) -> Float:
+        """Return the pixels (..., 2) of vectors (..., 3) in camera axes."""
+        places = super().project(vectors_camera)
+        vectors, phases = self._waves  # type: ignore[attr-defined]
+        shifts = [np.cos(places @ wave.T + phase).sum(axis=-1) for wave, phase in zip(vectors, phases, strict=True)]
+        return places + self._size_px * np.stack(shifts, axis=-1)  # type: ignore[attr-defined]
+
+
 def _catalog(field: StarField) -> MemoryCatalog:
     known = field.magnitudes <= CATALOG_MAGNITUDE
     return catalog_of(StarField(directions=field.directions[known], magnitudes=field.magnitudes[known]))
@@ -96,10 +138,17 @@ def star_view(case: StarCase, number: int) -> StarSeen:
     attitude = Rotation.random(rng=rng)
     axis = attitude.inv().as_matrix()[:, 2]
     reach = 1.1 * math.atan(SIZE / FOCAL_PX / math.sqrt(2.0))
-    field = random_stars(rng, case.stars, axis=axis, radius_rad=reach, magnitudes=(2.0, case.faintest))
+    field = random_stars(rng, case.stars, axis=axis, radius_rad=reach, magnitudes=(case.brightest, case.faintest))
+    if case.guide:
+        middle = random_stars(rng, 1, axis=axis, radius_rad=0.5 * reach, magnitudes=(case.guide, case.guide + 0.1))
+        field = StarField(
+            directions=np.vstack([middle.directions, field.directions]),
+            magnitudes=np.append(middle.magnitudes, field.magnitudes),
+        )
     velocity = rng.normal(size=3)
     velocity *= SPEED_KM_S / np.linalg.norm(velocity)
-    signal, _ = star_image(field, VIEW, attitude, observer_velocity_km_s=velocity)
+    view = WarpedView(rng, case.shared_px, case.shared_length_px) if case.shared_px else VIEW
+    signal, _ = star_image(field, view, attitude, observer_velocity_km_s=velocity, psf=case.psf)
     signal += background(signal.shape, constant_dn=case.level_dn, slope_dn=case.slope_dn)
     return StarSeen(
         number=number,

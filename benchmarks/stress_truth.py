@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike.atmosphere import Atmosphere
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
@@ -23,6 +24,7 @@ from giantlike.image import Image
 from giantlike.independent import (
     Defects,
     EllipsoidBody,
+    Haze,
     PinholeView,
     Pose,
     Psf,
@@ -32,6 +34,7 @@ from giantlike.independent import (
     background,
     bumps,
     craters,
+    hazy_sphere,
     record,
     render_body,
 )
@@ -39,8 +42,10 @@ from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
 
 RADII_KM = (10.0, 9.2, 8.6)
+MEAN_KM = float(np.cbrt(np.prod(RADII_KM)))
 FOCAL_PX = 5000.0
 READ_NOISE_DN = 5.0
+PEAK_DN = 3000.0
 ATTITUDE = Rotation.from_rotvec([0.3, -1.0, 0.4])
 ERROR_PX, RANGE_ERROR = 4.0, 0.01
 MESH_CELLS = 160
@@ -69,6 +74,10 @@ class Case:
     attitude_error_deg: float = 0.0
     frame_px: int = 0
     mesh_cells: int = MESH_CELLS
+    haze: Haze | None = None
+    """Around a sphere of the mean radius."""
+    told_haze_sigma_km: float = 0.0
+    """Of the altitude of the limb, by which the haze is told; 0 where it is not."""
     estimators: tuple[str, ...] = ()
     options: str = ""
     observed: bool = False
@@ -118,6 +127,8 @@ def _figure(case: Case, number: int) -> tuple[EllipsoidBody | ReliefBody, Shape]
     """The body, and the shape that is told."""
     markings = bumps(7000 + number, rms=case.albedo, widths_deg=(4.0, 25.0)) if case.albedo else None
     unlisted = bumps(8000 + number, rms=case.relief, widths_deg=(3.0, 15.0), count=150) if case.relief else None
+    if case.haze is not None:
+        return EllipsoidBody(MEAN_KM), Ellipsoid(radii_km=np.full(3, MEAN_KM))
     if case.body == "ellipsoid":
         told = Ellipsoid(radii_km=np.array(RADII_KM))
         if unlisted is None:
@@ -138,8 +149,7 @@ def view_of(case: Case, number: int, rendered_dn: Float | None = None) -> Seen:
         place = place + np.array([0.5 * case.diameter_px, 0.0]) * rng.choice([-1.0, 1.0])
     sight = view.directions(place)
     sight /= np.linalg.norm(sight)
-    mean = float(np.cbrt(np.prod(RADII_KM)))
-    position = 2.0 * mean * FOCAL_PX / case.diameter_px * sight
+    position = 2.0 * MEAN_KM * FOCAL_PX / case.diameter_px * sight
     side = np.cross(sight, [*rng.normal(size=2), 0.0])
     if case.diameter_px > size:
         side = np.array([0.5 * (size - 1) - place[0], 0.3 * rng.normal() * case.diameter_px, 0.0])
@@ -151,7 +161,11 @@ def view_of(case: Case, number: int, rendered_dn: Float | None = None) -> Seen:
     body, told = _figure(case, number)
     signal = rendered_dn
     if signal is None:
-        signal = render_body(body, view, Pose(position, turn, sun), law=case.law, psf=case.psf)
+        if case.haze is None:
+            signal = render_body(body, view, Pose(position, turn, sun), law=case.law, psf=case.psf)
+        else:
+            signal = hazy_sphere(MEAN_KM, case.haze, view, Pose(position, turn, sun), law=case.law, psf=case.psf)
+            signal *= PEAK_DN / signal.max()
         signal += background((size, size), constant_dn=case.level_dn, slope_dn=case.slope_dn)
     camera = Camera(
         name="stress",
@@ -203,6 +217,13 @@ def draw_of(seen: Seen, seed: int) -> Draw:
         shape=seen.shape,
         ephemeris=geometry,
         reflectance=TOLD_LAWS[case.told_law],
+        atmosphere=None
+        if case.haze is None or not case.told_haze_sigma_km
+        else Atmosphere(
+            scale_height_km=case.haze.scale_height_km,
+            optical_depth=case.haze.vertical_depth,
+            sigma_km=case.told_haze_sigma_km,
+        ),
         uncertainty=TargetUncertainty(
             pole_rad=math.radians(case.pole_error_deg), spin_rad=math.radians(case.pole_error_deg)
         ),
@@ -223,6 +244,8 @@ ELLIPSOID = ("cross_correlation", "limb_matching", "ellipsoid_cra", "sigmoid_lim
 LIMBS = ("limb_matching", "ellipsoid_cra", "sigmoid_limb", "ellipse_fit")
 ROCK = ("cross_correlation", "limb_matching", "moment", "auto")
 """Estimators for meshes."""
+HAZE = Haze(scale_height_km=0.05, vertical_depth=0.05)
+"""0.3 px of scale height; along the limb the optical depth is 1.7 at the ground."""
 _BASE = Case(name="exact", estimators=ELLIPSOID)
 
 
@@ -316,6 +339,10 @@ CASES: tuple[Case, ...] = (
         phases_deg=(0.0, 60.0, 120.0, 150.0),
         estimators=("unresolved", "auto"),
     ),
+    replace(_BASE, name="facets of 3 px rock", body="rock", estimators=ROCK, mesh_cells=32),
+    replace(_BASE, name="facets of 6 px rock", body="rock", estimators=ROCK, mesh_cells=16),
+    replace(_BASE, name="haze told", haze=HAZE, told_haze_sigma_km=0.5 * HAZE.scale_height_km),
+    replace(_BASE, name="haze not told", haze=HAZE),
     replace(_BASE, name="edges step", estimators=LIMBS[:1], options="step"),
     replace(_BASE, name="edges step, law lambert", estimators=LIMBS[:1], options="step", law="lambert"),
 )

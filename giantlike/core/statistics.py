@@ -15,7 +15,6 @@ MAD_TO_SIGMA = 1.482602218505602
 IQR_PER_SIGMA = 1.3489795003921634
 """Interquartile range of a normal distribution of unit standard deviation: twice the inverse normal CDF at 3/4."""
 _COST = 2.0  # of a parameter in -2 ln likelihood, by the criterion of Akaike
-_LEAST_FLOOR, _MOST_FLOOR, _FLOORS = 0.03, 3.0, 14  # floors tried, over the median sigma: steps of 1.4
 _FACTORS = 24  # tried between 1 and the one without a floor: steps of 5 % where that is 3
 MEDIAN_CHI2 = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom: of the squared length of a normalized residual in the image."""
@@ -195,44 +194,6 @@ def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[f
     best = min(of(factor) for factor in np.geomspace(1.0, most, _FACTORS).tolist())
     _, factor, floor = best if best[0] < alone[0] - _COST else alone
     return factor, floor
-
-
-def hidden_floor(residuals: Float, covariance: Float, jacobian: Float) -> float:
-    """Most likely error floor of observations whose residuals their noise explains.
-
-    An observation that is far better than all others is fitted exactly, so that its own error moves the fit off the
-    others and hides in it: the sum of squares does not show it. The restricted likelihood (REML) looks at what the fit
-    leaves of each.
-
-    Parameters
-    ----------
-    residuals : (n, 2) float64
-        Of the fit with these covariances.
-    covariance : (n, 2, 2) float64
-        Of each residual, positive definite.
-    jacobian : (n, 2, k) float64
-        Derivative of the observations by the parameters of the fit.
-
-    Returns
-    -------
-    float
-        Unit of the residuals, per axis; 0 where it makes them no more likely than a parameter costs.
-    """
-    variances, axes = _principal(covariance)
-    along = _turned(residuals, axes).ravel()
-    design = _turned(jacobian, axes).reshape(along.size, -1)
-    design /= np.linalg.norm(design, axis=0)
-    own = variances.ravel()
-    floors = np.append(np.sqrt(np.median(own)) * np.geomspace(_LEAST_FLOOR, _MOST_FLOOR, _FLOORS), 0.0)
-    total = own + floors[:, None] ** 2
-    table = np.column_stack([design, along])
-    products = (table[:, :, None] * table[:, None, :]).reshape(along.size, -1)
-    sums = ((1.0 / total) @ products).reshape(-1, *[table.shape[1]] * 2)
-    normal, right = sums[:, :-1, :-1], sums[:, :-1, -1]
-    left = sums[:, -1, -1] - np.sum(right * np.linalg.solve(normal, right[..., None])[..., 0], axis=1)
-    costs = np.log(total).sum(axis=1) + np.linalg.slogdet(normal)[1] + left
-    best = int(np.argmin(costs[:-1]))
-    return float(floors[best]) if costs[best] < costs[-1] - _COST else 0.0
 
 
 def robust_sigma(values: ArrayLike, center: float | None = None) -> float:

@@ -16,10 +16,10 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, turned_about
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.statistics import error_floor, error_terms, hidden_floor, squared_residuals, whitened
+from giantlike.core.statistics import error_floor, error_terms, squared_residuals, whitened
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
-from giantlike.stars.smooth_errors import MOST_WEIGHED, shared_covariance, shared_error_px, unmodeled_errors
+from giantlike.stars.smooth_errors import MOST_WEIGHED, Residuals, unmodeled_errors
 
 _MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
 _STEP_RAD = 1e-6
@@ -60,9 +60,8 @@ class AttitudeSolution(Value):
         The floor that is likely where the noise explains the residuals: in the covariance, not in the weights. It
         matters where one star is far better than the others, so that the fit follows its unmodeled error.
     shared_error_px : float, px
-        Standard deviation per axis of the errors that neighboring stars share, 0 where there are none to be seen. Of
-        few stars the covariance is the mean over all sizes and lengths of them, each with its probability; that of
-        many holds them as if they were a shift and a slope of the whole image.
+        Standard deviation per axis of the errors that neighboring stars share, 0 where there are none to be seen. The
+        covariance is the mean over all sizes and lengths of them, each with its probability.
     by_pixels : (3, k, 2) float64, rad/px
         Derivative of the small rotation by the places in the image of the k stars used.
     """
@@ -309,24 +308,18 @@ def _solution(
     state, covariance = fitted
     weighted = stars.inflated(floor, factor)
     sigma_px = np.sqrt(np.trace(weighted.covariance_px2, axis1=1, axis2=2) / 2.0)
-    by_pixels, residuals = _by_pixels(state, weighted.select(used), scale), chosen.residuals(state)
-    own = factor**2 * chosen.covariance_px2
-    if residuals.size > 3 + scale + len(uncertain) and len(residuals) <= MOST_WEIGHED:
-        jacobian = state.jacobian(chosen.directions, scale, uncertain)
-        beyond = unmodeled_errors(chosen.points_px, residuals, own, jacobian, by_pixels)
-        if beyond.shared_px > 0.0 or floor == 0.0:
-            noise = np.einsum("ina,nab,jnb->ij", by_pixels, own, by_pixels, optimize=True)
+    by_pixels = _by_pixels(state, weighted.select(used), scale)
+    own = chosen.inflated(0.0, factor)
+    left = _residuals(state, own, by_pixels, scale, uncertain)
+    covariance_rad2, hidden_px, shared_px = covariance[:3, :3], 0.0, 0.0
+    if left.residuals_px.size > left.jacobian.shape[-1]:
+        few = len(own.directions) <= MOST_WEIGHED
+        beyond = unmodeled_errors(left if few else left.gathered())
+        within_cells = not few and beyond.own_px > 0.0 and left.alike(sigma_px[used])
+        if floor == 0.0 or within_cells or beyond.scale_px > 0.0 or beyond.shared_px > 0.0:
+            noise = np.einsum("ina,nab,jnb->ij", by_pixels, own.covariance_px2, by_pixels, optimize=True)
             covariance_rad2 = noise + beyond.covariance_rad2
-        else:
-            covariance_rad2 = covariance[:3, :3]
-        hidden_px, shared_px = beyond.own_px if floor == 0.0 else 0.0, beyond.shared_px
-    else:
-        shared_px = shared_error_px(chosen.points_px, residuals, sigma_px[used], explained=floor == 0.0)
-        hidden_px = 0.0
-        if floor == 0.0 and freedom > 0:
-            hidden_px = hidden_floor(residuals, own, state.jacobian(chosen.directions, scale))
-        covariance_rad2 = covariance[:3, :3] + shared_px**2 * shared_covariance(chosen.points_px, by_pixels)
-        covariance_rad2 += hidden_px**2 * np.einsum("ina,jna->ij", by_pixels, by_pixels)
+            hidden_px, shared_px = beyond.own_px if floor == 0.0 else 0.0, beyond.shared_px
     return AttitudeSolution(
         camera_from_inertial=state.rotation,
         covariance_rad2=0.5 * (covariance_rad2 + covariance_rad2.T),
@@ -339,6 +332,18 @@ def _solution(
         reduced_chi2=plain / max(freedom, 1),
         hidden_floor_px=hidden_px,
         shared_error_px=shared_px,
+        by_pixels=by_pixels,
+    )
+
+
+def _residuals(state: _State, stars: _Stars, by_pixels: Float, scale: Scale, uncertain: Sequence[str]) -> Residuals:
+    """What the fit leaves of these stars, and how parameters and scale would move them."""
+    return Residuals(
+        points_px=stars.points_px,
+        residuals_px=stars.residuals(state),
+        covariance_px2=stars.covariance_px2,
+        jacobian=state.jacobian(stars.directions, scale, uncertain),
+        scaling_px=state.jacobian(stars.directions, Scale.FOCAL_LENGTH)[..., 3],
         by_pixels=by_pixels,
     )
 
