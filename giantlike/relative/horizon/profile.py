@@ -23,6 +23,7 @@ from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
 from giantlike.relative.horizon.blur import DepthBlur
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
+from giantlike.relative.horizon.surface import Surface, traced
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
 
@@ -375,45 +376,11 @@ def blur_width_px(psf_variance_px2: float) -> float:
     return math.sqrt(psf_variance_px2 + PIXEL_VARIANCE_PX2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Surface(Value):
-    """Surface at some depths inside points of a horizon: where rays meet it, both cosines and the phase, (k, q)."""
-
-    meets: Mask
-    incidence: Float
-    emission: Float
-    phase_rad: Float
-
-    def brightness(self, law: Reflectance | None) -> Float:
-        """Brightness (k, q) by a law, or 1 without one."""
-        if law is None:
-            return self.meets.astype(np.float64)
-        return np.where(self.meets, law(self.incidence, self.emission, self.phase_rad), 0.0)
-
-    def to_depth(self, count: int) -> _Surface:
-        """The first so many of the depths."""
-        return _Surface(
-            meets=self.meets[:, :count],
-            incidence=self.incidence[:, :count],
-            emission=self.emission[:, :count],
-            phase_rad=self.phase_rad[:, :count],
-        )
-
-
-def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> _Surface:
+def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> Surface:
     """The surface at depths (q,) inside points of the horizon."""
-    figure, position_km, inward = arc.body.figure, arc.body.position_camera_km, arc.inward
-    pull, conic = figure.cone(position_km)
-    rays = arc.directions[:, None] + depths_px[None, :, None] * inward[:, None]
-    rays /= np.sqrt(np.einsum("kqi,kqi->kq", rays, rays))[..., None]
-    inside = np.einsum("kqi,kqi->kq", rays @ conic, rays)
-    stretch = np.einsum("kqi,kqi->kq", rays @ figure.shape_matrix, rays)
-    distance = (rays @ pull - np.sqrt(np.maximum(inside, 0.0))) / stretch
-    normals = (distance[..., None] * rays - position_km) @ figure.shape_matrix
-    normals /= np.sqrt(np.einsum("kqi,kqi->kq", normals, normals))[..., None]
-    return _Surface(
-        meets=inside > 0.0,
-        incidence=np.clip(normals @ sun, -1.0, 1.0),
-        emission=np.clip(-np.einsum("kqi,kqi->kq", normals, rays), 0.0, 1.0),
-        phase_rad=np.arccos(np.clip(-(rays @ sun), -1.0, 1.0)),
+    figure, position_km = arc.body.figure, arc.body.position_camera_km
+    _, conic = figure.cone(position_km)
+    meets, incidence, emission, phase_rad = traced(
+        arc.directions, arc.inward, depths_px, position_km, figure.shape_matrix, conic, sun
     )
+    return Surface(meets=meets, incidence=incidence, emission=emission, phase_rad=phase_rad)

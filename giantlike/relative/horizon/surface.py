@@ -1,0 +1,128 @@
+"""The surface of an ellipsoid just inside its horizon, where its brightness is asked for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.compiled import compiled
+from giantlike.core.values import Value
+from giantlike.ray_tracing import Reflectance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surface(Value):
+    """The surface at q depths inside k points of a horizon.
+
+    Parameters
+    ----------
+    meets : (k, q) bool
+        The ray meets the ellipsoid.
+    incidence, emission : (k, q) float64
+        Cosines of the angles to the Sun and to the camera.
+    phase_rad : (k, q) float64, rad
+    """
+
+    meets: Mask
+    incidence: Float
+    emission: Float
+    phase_rad: Float
+
+    def brightness(self, law: Reflectance | None) -> Float:
+        """Brightness of the surface.
+
+        Parameters
+        ----------
+        law : Reflectance or None
+            None for a surface of brightness 1.
+
+        Returns
+        -------
+        (k, q) float64
+            0 where a ray meets nothing.
+        """
+        if law is None:
+            return self.meets.astype(np.float64)
+        return np.where(self.meets, law(self.incidence, self.emission, self.phase_rad), 0.0)
+
+    def to_depth(self, count: int) -> Surface:
+        """Return the first so many of the depths."""
+        return Surface(
+            meets=self.meets[:, :count],
+            incidence=self.incidence[:, :count],
+            emission=self.emission[:, :count],
+            phase_rad=self.phase_rad[:, :count],
+        )
+
+
+@compiled
+def traced(
+    directions: Float,
+    inward: Float,
+    depths_px: Float,
+    position_km: Float,
+    shape_matrix: Float,
+    conic: Float,
+    sun: Float,
+) -> tuple[Mask, Float, Float, Float]:
+    """Trace rays inside points of a horizon.
+
+    Parameters
+    ----------
+    directions : (k, 3) float64, unitless, camera axes
+        Of the points.
+    inward : (k, 3) float64, 1/px
+        Their change by one pixel inward.
+    depths_px : (q,) float64, px
+        Inside the points.
+    position_km : (3,) float64, km, camera axes
+        Of the center of the ellipsoid.
+    shape_matrix : (3, 3) float64, 1/km^2, camera axes
+        Points of its surface about the center have ``x.A.x == 1``.
+    conic : (3, 3) float64, 1/km^2
+        Directions of its horizon have ``x.M.x == 0``, those that meet it more.
+    sun : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
+
+    Returns
+    -------
+    meets : (k, q) bool
+    incidence, emission, phase_rad : (k, q) float64
+        As of :class:`Surface`.
+    """
+    shape = (len(directions), len(depths_px))
+    meets, incidence = np.empty(shape, np.bool_), np.empty(shape)
+    emission, phase = np.empty(shape), np.empty(shape)
+    ray, point, normal = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(shape[0]):
+        for q in range(shape[1]):
+            for i in range(3):
+                ray[i] = directions[k, i] + depths_px[q] * inward[k, i]
+            ray /= math.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
+            inside, stretch, pull = 0.0, 0.0, 0.0
+            for i in range(3):
+                for j in range(3):
+                    inside += ray[i] * conic[i, j] * ray[j]
+                    stretch += ray[i] * shape_matrix[i, j] * ray[j]
+                    pull += ray[i] * shape_matrix[i, j] * position_km[j]
+            distance = (pull - math.sqrt(max(inside, 0.0))) / stretch
+            for i in range(3):
+                point[i] = distance * ray[i] - position_km[i]
+            for i in range(3):
+                normal[i] = 0.0
+                for j in range(3):
+                    normal[i] += shape_matrix[i, j] * point[j]
+            length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+            to_sun, to_camera, back = 0.0, 0.0, 0.0
+            for i in range(3):
+                to_sun += normal[i] * sun[i]
+                to_camera -= normal[i] * ray[i]
+                back -= ray[i] * sun[i]
+            meets[k, q] = inside > 0.0
+            incidence[k, q] = min(max(to_sun / length, -1.0), 1.0)
+            emission[k, q] = min(max(to_camera / length, 0.0), 1.0)
+            phase[k, q] = math.acos(min(max(back, -1.0), 1.0))
+    return meets, incidence, emission, phase
