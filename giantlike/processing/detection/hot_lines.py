@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.processing.detection.dead_lines import whole_lines
@@ -64,7 +65,7 @@ def _hot_in(image: Float, noise_dn: float) -> np.ndarray:
         return none
     least = _LEAST_SIGMAS * noise_dn
     mean = image.mean(axis=1, dtype=np.float64)
-    brighter = mean[_REACH:-_REACH] - np.median(np.lib.stride_tricks.sliding_window_view(mean, 2 * _REACH + 1), axis=1)
+    brighter = (mean - median_filter(mean, 2 * _REACH + 1))[_REACH:-_REACH]
     level = {int(row): _excess_dn(image, int(row)) for row in _REACH + np.flatnonzero(brighter > _SHARE * least)}
     hot = [row for row, excess in level.items() if excess >= least]
     groups = np.split(hot, 1 + np.flatnonzero(np.diff(hot) > 1)) if hot else []
