@@ -67,6 +67,9 @@ _EXPLAINED = 0.1
 """Structure of the residuals with a response or a smear over that without, at most. By a table of square roots it is
 0.02 at most, by a motion 0.04; of markings, eclipses, wrong poles and other shapes, where a bend takes on what is
 wrong, 0.3 at least."""
+_PROMISING = 0.5
+"""The same of the first smear that residuals ask for: of motion up to 22 px it is 0.2 at most, of poles, shapes, comets
+and double exposures 0.54 at least, and further ones are not tried."""
 _EXACT = 2e-5
 """The same, over the light, that exact templates leave: 1.3e-5 at most of 12 bodies of 90 px, 0.4 % of the light."""
 _SMEARED_SIGMAS, _LEAST_SMEAR_PX = 6.0, 1.0
@@ -239,7 +242,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         smear, structure = match.fit.smear, match.fit.structure
         for _ in range(_SMEARINGS):
             again = self._matched(inputs, smear=smear)[1]
-            if isinstance(again, Failure):
+            if isinstance(again, Failure) or again.fit.structure > max(_PROMISING * structure, _EXACT):
                 return None
             found = again.fit.smear
             if found.less(smear).size_px2 < _SETTLED_SMEAR * smear.size_px2:
