@@ -84,7 +84,9 @@ def test_lines_and_cells_measure_a_limb_of_arrays_into_one_value() -> None:
         view, figure, truth.reflectance, start.position_camera_km, HorizonSearch(), HorizonScan()
     )
     assert isinstance(by_cells, LimbMeasurement)
-    solution = fit_horizon(by_cells, PLANE.model, figure, by_cells.position_camera_km, Altitude())
+    solution = fit_horizon(
+        by_cells, PLANE.model, figure, by_cells.position_camera_km, Altitude(), sun_direction_camera=SUN
+    )
     assert sigmas(solution.position_camera_km, solution.covariance_camera_km2, truth.position_camera_km) < SIGMAS
     known = {Cause.NOISE, Cause.PSF, Cause.ALTITUDE, Cause.REFLECTANCE}
     assert known <= set(solution.covariances_km2) <= known | {Cause.RELIEF}
@@ -154,5 +156,5 @@ def test_some_points_of_a_measurement_can_be_solved_alone() -> None:
     some = measured.select(which)
     assert_allclose(some.observed_px, measured.observed_px[which], rtol=0, atol=0)
     figure = Figure(radii_km=SHAPE.radii_km, camera_from_axes=truth.camera_from_body)
-    solution = fit_horizon(some, PLANE.model, figure, truth.position_camera_km, Altitude())
+    solution = fit_horizon(some, PLANE.model, figure, truth.position_camera_km, Altitude(), sun_direction_camera=SUN)
     assert sigmas(solution.position_camera_km, solution.covariance_camera_km2, truth.position_camera_km) < SIGMAS

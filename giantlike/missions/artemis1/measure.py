@@ -97,7 +97,9 @@ def iterative(setting: Setting, shot: Shot, sun: Float, figure: Figure, start_km
     measured = measure_by_cells(view, figure, McEwen(), start_km, search, HorizonScan())
     if isinstance(measured, Failure):
         return measured
-    return fit_horizon(measured, shot.model, figure, measured.position_camera_km, Altitude()).position_camera_km
+    found_km = measured.position_camera_km
+    solution = fit_horizon(measured, shot.model, figure, found_km, Altitude(), sun_direction_camera=sun)
+    return solution.position_camera_km
 
 
 def apparent_radius_px(model: CameraModel, radius_km: float, position_km: Float) -> float:

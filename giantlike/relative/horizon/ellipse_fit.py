@@ -315,7 +315,8 @@ def fit_limb_ellipse(
     start_km = christian_robinson(observed_px[used], model, figure, sigma_px=measured.sigma_px[used])
     if isinstance(start_km, Failure):
         return start_km
-    solution = fit_horizon(measured.select(used), model, figure, start_km, altitude)
+    chosen, sun = measured.select(used), view.sun_direction_camera
+    solution = fit_horizon(chosen, model, figure, start_km, altitude, sun_direction_camera=sun)
     return replace(measured, keep=kept), replace(
         solution, position_camera_km=solution.position_camera_km - stand_in.offset_camera_km
     )

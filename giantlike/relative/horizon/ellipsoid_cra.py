@@ -203,5 +203,6 @@ def _fitted(
     center_km = christian_robinson(points_px, model, figure, method=options.method, sigma_px=sigma_px)
     if isinstance(center_km, Failure):
         return center_km
-    solution = fit_horizon(measured, model, figure, center_km, altitude, method=options.method)
+    sun, method = view.sun_direction_camera, options.method
+    solution = fit_horizon(measured, model, figure, center_km, altitude, sun_direction_camera=sun, method=method)
     return measured, replace(solution, position_camera_km=solution.position_camera_km - stand_in.offset_camera_km)

@@ -17,6 +17,7 @@ from giantlike.core.causes import Cause, added
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import solution_gain
+from giantlike.processing.limb.altitude import lifted
 from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
 from giantlike.processing.outline_errors import outline_errors
 from giantlike.relative.limb.fix import LimbSolution
@@ -351,6 +352,7 @@ def fit_horizon(
     start_km: Float,
     altitude: Altitude,
     *,
+    sun_direction_camera: Float,
     method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD,
 ) -> LimbSolution:
     """Fit the position of an ellipsoid to all points of a measured limb at once.
@@ -364,6 +366,8 @@ def fit_horizon(
     start_km : (3,) float64, km, camera axes
         Near the solution.
     altitude : Altitude
+    sun_direction_camera : (3,) float64, unitless, camera axes
+        Unit vector from body to Sun.
     method : CraMethod
         Other than maximum likelihood, the position is taken as it is and gets the covariance of that method.
 
@@ -380,10 +384,11 @@ def fit_horizon(
     points, keep = measured.observed_px[measured.keep], measured.keep
     residuals, design, _ = horizon_residuals(points, model, figure, start_km)
     lift = altitude_design(points, model, figure, start_km) if altitude.sigma_km > 0.0 else np.zeros(len(points))
+    by_altitude = altitude.sigma_km * lifted(lift, model.unproject(points), start_km, sun_direction_camera)
     own, weighting = _own_errors(measured, residuals, design)
     others = {
         **{cause: shared[keep] @ shared[keep].T for cause, shared in measured.common_px.items()},
-        Cause.ALTITUDE: altitude.sigma_km**2 * np.outer(lift, lift),
+        Cause.ALTITUDE: by_altitude @ by_altitude.T,
     }
     covariance = weighting + np.sum(list(others.values()), axis=0)
     best = method is CraMethod.MAXIMUM_LIKELIHOOD

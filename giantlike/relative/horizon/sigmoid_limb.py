@@ -102,5 +102,12 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
         if isinstance(measured, Failure):
             return measured
         measured = with_terrain(measured, inputs, self.options.outlier_mad, slope_error=CELL_SLOPE_ERROR)
-        solution = fit_horizon(measured, view.model, figure, measured.position_camera_km, altitude)
+        solution = fit_horizon(
+            measured,
+            view.model,
+            figure,
+            measured.position_camera_km,
+            altitude,
+            sun_direction_camera=view.sun_direction_camera,
+        )
         return fix_of_strained(inputs, measured, solution, self.options)

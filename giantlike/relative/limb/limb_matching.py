@@ -12,6 +12,7 @@ from giantlike.core.arrays import Float, require_number, unit
 from giantlike.core.causes import Cause
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Reason
+from giantlike.processing.limb.altitude import lifted
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body
@@ -110,7 +111,9 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
             return lines
         measured = with_terrain(lines, inputs, self.options.outlier_mad)
         if sigma_km > 0.0:
-            lift = {Cause.ALTITUDE: sigma_km * np.linalg.norm(measured.design, axis=1)[:, None]}
+            sights, sun = view.model.unproject(measured.predicted_px), view.sun_direction_camera
+            lift_px = sigma_km * np.linalg.norm(measured.design, axis=1)
+            lift = {Cause.ALTITUDE: lifted(lift_px, sights, measured.position_camera_km, sun)}
             measured = replace(measured, common_px={**measured.common_px, **lift})
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         if altitude_km:
