@@ -10,9 +10,9 @@ _FROM_SUN_TO_TERMINATOR = 2.0
 """Change of the altitude between a limb below the Sun and one at the terminator, standard deviations of the altitude.
 
 It is higher where light comes through more of the haze. Of a sphere in haze of a vertical optical depth of 0.05
-(``giantlike.independent.hazy_sphere``, 8 views at 15 to 125 degrees of phase), told with half a scale height of standard
-deviation, horizons with one altitude for the whole limb were off along the direction of the Sun by 0.5 to 1 scale
-height, and across it by 0.03.
+(``giantlike.independent.hazy_sphere``, 8 views at 15 to 125 degrees of phase), told with half a scale height of
+standard deviation, horizons with one altitude for the whole limb were off along the direction of the Sun by 0.5 to 1
+scale height, and across it by 0.03.
 """
 
 
