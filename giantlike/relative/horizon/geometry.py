@@ -107,10 +107,13 @@ class Altitude:
     altitude_km : float, km
     sigma_km : float, km
         Standard deviation; 0 where the altitude is known.
+    uneven : bool
+        True for haze, which is seen higher where the Sun is lower: by as much as it is uncertain.
     """
 
     altitude_km: float = 0.0
     sigma_km: float = 0.0
+    uneven: bool = False
 
     def __post_init__(self) -> None:
         require_number(self.altitude_km, "limb_altitude_km")
@@ -144,7 +147,8 @@ class Altitude:
         weighted = np.linalg.solve(covariance, np.column_stack([lift, design]))
         gain = weighted[:, 0] - weighted[:, 1:] @ np.linalg.solve(design.T @ weighted[:, 1:], weighted[:, 1:].T @ lift)
         known = variance - variance**2 * float(gain @ lift)
-        return Altitude(self.altitude_km + variance * float(gain @ left), math.sqrt(max(known, 0.0)))
+        estimate_km = self.altitude_km + variance * float(gain @ left)
+        return replace(self, altitude_km=estimate_km, sigma_km=math.sqrt(max(known, 0.0)))
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -384,7 +388,9 @@ def fit_horizon(
     points, keep = measured.observed_px[measured.keep], measured.keep
     residuals, design, _ = horizon_residuals(points, model, figure, start_km)
     lift = altitude_design(points, model, figure, start_km) if altitude.sigma_km > 0.0 else np.zeros(len(points))
-    by_altitude = altitude.sigma_km * lifted(lift, model.unproject(points), start_km, sun_direction_camera)
+    by_altitude = altitude.sigma_km * lift[:, None]
+    if altitude.uneven:
+        by_altitude = lifted(by_altitude[:, 0], model.unproject(points), start_km, sun_direction_camera)
     own, weighting = _own_errors(measured, residuals, design)
     others = {
         **{cause: shared[keep] @ shared[keep].T for cause, shared in measured.common_px.items()},

@@ -112,4 +112,6 @@ class HorizonSearch(IteratedSearch):
         Altitude
         """
         own = Altitude(self.limb_altitude_km, self.altitude_sigma_km)
-        return Altitude(*geometry.limb_altitude_km) if own == Altitude() else own
+        if own != Altitude() or geometry.target.atmosphere is None:
+            return own
+        return Altitude(*geometry.limb_altitude_km, uneven=True)
