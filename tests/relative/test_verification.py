@@ -222,6 +222,22 @@ def test_a_limb_that_a_told_range_leaves_elsewhere_is_no_blur() -> None:
     assert Quality.BLURRED not in fix.flags
 
 
+@pytest.mark.parametrize(("phase_deg", "first", "shift"), [(60.0, 105, 2), (100.0, 105, 3), (120.0, 100, 2)])
+def test_rows_that_are_shifted_from_one_on_are_another_figure_where_few_are(
+    phase_deg: float, first: int, shift: int
+) -> None:
+    """The others decide the place and, in the mean over all rows, what is uneven."""
+    rows = light(phase_deg).copy()
+    rows[first:] = np.roll(rows[first:], shift, axis=1)
+    assert Quality.WRONG_FIGURE in flags(inputs_of(rows, phase_deg))
+
+
+def test_a_single_row_that_is_shifted_is_no_other_figure() -> None:
+    rows = light(60.0).copy()
+    rows[80] = np.roll(rows[80], 5)
+    assert Quality.WRONG_FIGURE not in flags(inputs_of(rows, 60.0))
+
+
 def test_rows_that_are_shifted_and_a_roll_are_another_figure_unless_declared() -> None:
     rows = light(60.0).copy()
     rows[80:] = np.roll(rows[80:], 4, axis=1)

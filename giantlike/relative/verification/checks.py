@@ -68,6 +68,7 @@ class _Numbers(TypedDict, total=False):
     misfit: float
     unexplained: float
     unevenness: float
+    step: float
     place_chance: float
     figure_chance: float
     blur_chance: float
@@ -253,6 +254,7 @@ def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers
         misfit=fit.misfit,
         unexplained=fit.unexplained,
         unevenness=fit.unevenness,
+        step=fit.step,
         place_chance=chance_of(fit.moved[:size], fit.covariance[:size, :size] + own),
         figure_chance=chance_of(fit.strain, fit.strain_covariance),
         blur_chance=chance_of(fit.blur, fit.blur_covariance) if psf_known else 1.0,

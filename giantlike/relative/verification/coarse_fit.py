@@ -63,6 +63,9 @@ _LIT = 0.05
 _TELLING, _LINES = 0.05, 4
 """Information of a row or column on its place, over that of the one that tells most, from which on it counts, and pairs
 of neighbors that are needed."""
+_BESIDE = 3
+"""Lines on each side of a gap whose places are compared. Of one side the spikes that cosmic rays and ghosts leave in
+single lines are as large as steps of right markings; of six steps of markings are as large as those of shifted rows."""
 _LONG_WAVES = 1.3
 """Effect of relief over that of errors of the same scatter that are alike over parts of a face. With 1.0 the variances
 of eight right limbs with relief of 1 % that no shape holds grew threefold, with 1.7 by a half, but rows that are two
@@ -105,6 +108,9 @@ class CoarseFit(Value):
     unevenness : float
         Mean squared difference of the places of neighboring rows, or columns, over its variance: where one of them ends
         light tells where it is. Errors of figures, laws and markings reach over many, so that 1 is far too much.
+    step : float
+        The largest squared difference of the places of :data:`_BESIDE` rows and as many below them, or columns, over
+        its variance: where all lines from one on are shifted. A single line that is off counts little.
     figure_px2 : (2, 2) float64, px^2
         Covariance of the center of all light by a figure that is not that of the body, as far as edges and strain show
         it; zero where they are those of a right one.
@@ -130,6 +136,7 @@ class CoarseFit(Value):
     blur: Float
     blur_covariance: Float
     unevenness: float
+    step: float
     figure_px2: Float
     response: Response
     bend_sigma: float
@@ -228,6 +235,7 @@ def fit_cells(
     strain_covariance = strain / gain**2 + turn_rad**2 * np.eye(3)
     by_figure = math.sqrt(_share_of_figure(normalized, lit, edge))
     strained, strayed = np.asarray(solution[_STRAIN] / gain), np.where(edge, by_figure * shown_sigma / gain, 0.0)
+    unevenness, step = _unevenness(design.columns[_PLACE] * np.sqrt(weights), normalized)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
     model = (solution @ flat).reshape(values.shape)
     if response is None:
@@ -246,7 +254,8 @@ def fit_cells(
         blur_covariance=blur * (cells.size**2 / gain) ** 2 + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0]),
         strain=strained,
         strain_covariance=strain_covariance,
-        unevenness=_unevenness(design.columns[_PLACE] * np.sqrt(weights), normalized),
+        unevenness=unevenness,
+        step=step,
         figure_px2=_by_figure(strained, strain_covariance, strayed, design.own, cells),
         response=replace(response, bend=bend),
         bend_sigma=bend_sigma,
@@ -277,21 +286,35 @@ def _structure(normalized: Float, lit: Mask) -> float:
     return products / float(np.count_nonzero(lit))
 
 
-def _unevenness(slopes: Float, normalized: Float) -> float:
-    """Mean squared difference of the places of neighboring lines over its variance, of rows or of columns.
+def _unevenness(slopes: Float, normalized: Float) -> tuple[float, float]:
+    """Mean squared difference of the places of neighboring lines over its variance, and that of the largest step.
 
-    ``slopes`` (3, n, n) are derivatives by x and by y over the errors of the cells, ``normalized`` their residuals.
+    Of rows, or of columns. ``slopes`` (3, n, n) are derivatives by x and by y over the errors of the cells,
+    ``normalized`` their residuals.
     """
-    worst = 0.0
+    uneven = step = 0.0
     for slope, along in ((slopes[0], 1), (slopes[1], 0)):
         slope = np.where(normalized != 0.0, slope, 0.0)
         known = np.sum(slope**2, axis=along)
         used = known > _TELLING * float(known.max())
-        place = np.sum(slope * normalized, axis=along)[used] / known[used]
-        squares = np.diff(place) ** 2 / (1.0 / known[used][1:] + 1.0 / known[used][:-1])
-        if len(squares) >= _LINES:
-            worst = max(worst, float(squares.mean()))
-    return worst
+        if np.count_nonzero(used) > _LINES:
+            known, moved = known[used], np.sum(slope * normalized, axis=along)[used]
+            uneven = max(uneven, float(np.mean(_apart(moved, known, 1))))
+            step = max(step, float(np.max(_apart(moved, known, _BESIDE))))
+    return uneven, step
+
+
+def _apart(moved: Float, known: Float, beside: int) -> Float:
+    """Squared differences (n - 1,) of the places of up to some lines before and after each gap, over their variance.
+
+    ``known`` (n,) is what each line tells of its place, over which ``moved`` (n,) is that place.
+    """
+    sums = np.concatenate([np.zeros((2, 1)), np.cumsum([moved, known], axis=1)], axis=1)
+    gaps = np.arange(1, len(known))
+    first, last = np.maximum(gaps - beside, 0), np.minimum(gaps + beside, len(known))
+    before, after = sums[:, gaps] - sums[:, first], sums[:, last] - sums[:, gaps]
+    squared = (after[0] / after[1] - before[0] / before[1]) ** 2
+    return np.asarray(squared / (1.0 / before[1] + 1.0 / after[1]))
 
 
 def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _Design:
@@ -392,6 +415,7 @@ def _nothing_alike() -> CoarseFit:
         blur=np.zeros(3),
         blur_covariance=np.eye(3),
         unevenness=0.0,
+        step=0.0,
         figure_px2=np.zeros((2, 2)),
         response=Response(bend=0.0, dark_dn=0.0, bright_dn=1.0),
         bend_sigma=math.inf,
