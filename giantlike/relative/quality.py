@@ -57,8 +57,8 @@ STEP = 16.0
 sent apart: four standard deviations of noise and errors of the model together, beyond which a cell is not explained.
 
 Of 256 fixes of the gauntlet from which an answer is demanded (seed 9501, 21 kinds) those of markings of 15 % come to 12
-at most (one of seed 9500 to 14), all others to 1.8, right fixes of real images to 4.4; rows that are shifted from one on
-come to 13 to 30 where nothing else tells.
+at most (one of seed 9500 to 14), all others to 1.8, right fixes of real images to 4.4; rows that are shifted from one
+on come to 13 to 30 where nothing else tells.
 """
 TURN_SHARE = 0.15
 """Share of the squared residuals that a turn of the face must explain to be one; markings and relief look turned too.
