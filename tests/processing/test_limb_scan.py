@@ -13,6 +13,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution, robust_solution
+from giantlike.processing.limb.measurement import pixels_near
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
     SAMPLING_VARIANCE_PX2,
@@ -278,3 +279,16 @@ def test_residuals_that_are_exactly_zero_give_a_finite_covariance() -> None:
     assert_allclose(fit.solution, 0.0, rtol=0, atol=FLOAT64_SUM)
     assert np.isfinite(fit.covariance).all()
     assert np.isfinite(fit.residual_covariance(np.full(40, 0.02), points)).all()
+
+
+def test_points_that_no_lens_shows_are_on_no_line_and_no_pixel() -> None:
+    """Beyond where a distortion folds over there is no place in the image; the cast of such a place was undefined."""
+    points, normals = circle(8)
+    points[3], normals[5] = np.nan, np.nan
+    offsets = line_offsets(5.0, 0.5)
+    scans = scan_lines(disk(), np.ones((SIZE, SIZE), dtype=bool), points, normals, offsets)
+    assert not scans.usable[[3, 5]].any()
+    assert scans.usable[[0, 1, 2, 4, 6, 7]].all()
+    seen = np.delete(np.arange(8), [3, 5])
+    known = pixels_near(points[seen], normals[seen], offsets, (SIZE, SIZE))
+    np.testing.assert_array_equal(pixels_near(points, normals, offsets, (SIZE, SIZE)), known)

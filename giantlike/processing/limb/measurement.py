@@ -431,11 +431,9 @@ def pixels_near(points_px: Float, normals_px: Float, offsets_px: Float, shape: t
     (rows, columns) bool
     """
     area = np.zeros(shape, dtype=bool)
-    columns, rows = (
-        np.rint(points_px[:, axis, None] + offsets_px * normals_px[:, axis, None]).astype(np.intp) for axis in range(2)
-    )
-    inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
-    area[rows[inside], columns[inside]] = True
+    columns, rows = (np.rint(points_px[:, axis, None] + offsets_px * normals_px[:, axis, None]) for axis in range(2))
+    inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])  # False where not finite
+    area[rows[inside].astype(np.intp), columns[inside].astype(np.intp)] = True
     return area
 
 
