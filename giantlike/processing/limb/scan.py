@@ -386,10 +386,10 @@ def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], windo
 def _at(mask: Mask, places_px: Float) -> Mask:
     """Values of a mask at the nearest pixels; those of the edge for places outside, False where no place is in view."""
     rows, columns = mask.shape
-    seen = np.isfinite(places_px).all(axis=-1, keepdims=True)
-    nearest = np.rint(np.where(seen, places_px, 0.0))
+    seen: Mask = np.all(np.isfinite(places_px), axis=-1)
+    nearest = np.rint(np.where(seen[..., None], places_px, 0.0))
     index = np.clip(nearest, 0, (columns - 1, rows - 1)).astype(np.intp)
-    return np.asarray(mask[index[..., 1], index[..., 0]] & seen[..., 0])
+    return np.asarray(mask[index[..., 1], index[..., 0]] & seen)
 
 
 def _noise_correlation(offsets_px: Float) -> Float:
