@@ -43,3 +43,4 @@ $(VENV)/installed-dev: pyproject.toml | $(VENV)/bin/python
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis demo-output docs/_build docs/api docs/gallery docs/plots
+	find . -name '*.nb[ic]' -path '*/__pycache__/*' -delete

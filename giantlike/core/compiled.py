@@ -14,7 +14,8 @@ def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays.
 
     The code is kept for later processes, beside the module or in the cache of the user; where neither can be written,
-    each process compiles it anew. Divisions by zero give infinities, as in numpy.
+    each process compiles it anew. Divisions by zero give infinities, as in numpy. It is compiled again when its own
+    module changes, not when one does whose functions it calls: ``make clean`` deletes what is kept.
 
     Parameters
     ----------
