@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,19 +39,6 @@ def test_bodies_in_motion_are_placed_as_well_as_others_and_tell_how_they_moved(l
         along = smear.direction[0] * math.cos(angle) + smear.direction[1] * math.sin(angle)
         assert abs(along) > math.cos(ANGLE_RAD)
     assert total < chi2.ppf(1.0 - RARE, 2 * len(SEEDS))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_two_exposures_on_one_frame_leave_the_place_open_between_them(seed: int) -> None:
-    """They look like a motion that no even one explains."""
-    one = shot(seed, phase_deg=50.0, diameter_px=DIAMETER_PX)
-    apart_px = np.array([4, 5])
-    second = np.roll(one.image.pixels, apart_px[::-1], axis=(0, 1))
-    double = replace(one, image=replace(one.image, pixels=one.image.pixels + second))
-    fix = double.fix(CrossCorrelation())
-    for place_px in (one.center_px, one.center_px + apart_px):
-        error = fix.center_px - place_px
-        assert error @ np.linalg.solve(fix.covariance_px2, error) < chi2.ppf(1.0 - RARE, 2)
 
 
 @pytest.mark.parametrize("law", ["mcewen", "hapke", "lambert"])

@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
-from giantlike.core.causes import Cause
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
@@ -193,8 +192,6 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             found = self._straightened(inputs, blocks, match)
         if found is None and fit.smear_sigmas > _SMEARED_SIGMAS and fit.smear.length_px * blocks.size > _LEAST_SMEAR_PX:
             found = self._followed(inputs, blocks, match)
-            if found is None:
-                match = replace(match, fit=_open_along(fit, fit.smear))
         inputs, blocks, match = (inputs, blocks, match) if found is None else found
         return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
 
@@ -415,18 +412,6 @@ def _scaled(options: CrossCorrelationOptions, radius_px: float) -> bool:
     """Return True if the range is estimated."""
     wide = 2.0 * radius_px >= options.min_scale_diameter_px
     return wide if options.estimate_scale is None else options.estimate_scale
-
-
-def _open_along(fit: TemplateFit, smear: Smear) -> TemplateFit:
-    """Fit whose place is open along a smear that residuals ask for and that does not explain them.
-
-    Two exposures look so, or a motion that was not even: the body was anywhere along the smear.
-    """
-    xx, xy, yy = smear.blur_px2
-    error = np.zeros_like(fit.covariance)
-    error[:2, :2] = [[xx, xy], [xy, yy]]
-    parts = {**fit.parts, Cause.PSF: fit.parts.get(Cause.PSF, np.zeros_like(error)) + error}
-    return replace(fit, parts=parts)
 
 
 def _fix(
