@@ -64,8 +64,8 @@ _TELLING, _LINES = 0.05, 4
 """Information of a row or column on its place, over that of the one that tells most, from which on it counts, and pairs
 of neighbors that are needed."""
 _BESIDE = 3
-"""Lines on each side of a gap whose places are compared. Of one side the spikes that cosmic rays and ghosts leave in
-single lines are as large as steps of right markings; of six steps of markings are as large as those of shifted rows."""
+"""Lines on each side of a gap whose places are compared. With one, the spikes that cosmic rays and ghosts leave in
+single lines are as large as some steps of shifted rows; with six, steps of markings are."""
 _LONG_WAVES = 1.3
 """Effect of relief over that of errors of the same scatter that are alike over parts of a face. With 1.0 the variances
 of eight right limbs with relief of 1 % that no shape holds grew threefold, with 1.7 by a half, but rows that are two
