@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import traceback
 import warnings
 from collections import Counter
@@ -29,7 +30,8 @@ import numpy as np
 from tests.hostile_damage import mutated
 
 MOST_BYTES = 500_000_000  # of memory that reading a small file may take
-HANGS_AFTER_S = 60.0
+HANGS_AFTER_S = 60.0  # of CPU time for one file: a busy machine makes nothing hang
+_SILENT_AFTER_S = 10 * HANGS_AFTER_S  # of the clock: a worker that waits for what never comes takes no CPU time
 _HARD_LIMIT_BYTES = 8_000_000_000  # of a worker: the machine stays usable whatever a reader takes
 _Outcome = tuple[str, int, str, str]  # kind, number, outcome, text
 
@@ -139,12 +141,12 @@ def _outcomes_of_fork(kind: str, content: bytes, numbers: range, folder: Path, s
 
 
 def _lines(pipe: IO[bytes]) -> Iterator[bytes | None]:
-    """Lines from a worker; None where none came for as long as a hang."""
+    """Lines from a worker; None where it was silent for too long."""
     buffer = b""
     with selectors.DefaultSelector() as selector:
         selector.register(pipe, selectors.EVENT_READ)
         while True:
-            if not selector.select(HANGS_AFTER_S):
+            if not selector.select(_SILENT_AFTER_S):
                 yield None
             chunk = pipe.read(65536)
             if not chunk:
@@ -200,7 +202,7 @@ def _try(kind: str, path: Path) -> tuple[str, str]:
     from giantlike.core.errors import OpNavError
     from tests.hostile_seeds import KINDS
 
-    before = _peak_bytes()
+    before, start = _peak_bytes(), time.process_time()
     try:
         KINDS[kind].read(path)
         outcome, text = "read", ""
@@ -209,7 +211,9 @@ def _try(kind: str, path: Path) -> tuple[str, str]:
         outcome, text = ("foreign", f"several lines: {str(error)[:200]!r}") if several else ("refused", "")
     except Exception as error:  # noqa: BLE001  every other exception is what is looked for
         outcome, text = "foreign", _described(error)
-    taken = _peak_bytes() - before
+    taken, busy = _peak_bytes() - before, time.process_time() - start
+    if busy > HANGS_AFTER_S:
+        return "hung", f"{busy:.0f} s"
     return ("memory", f"{taken / 1e6:.0f} MB") if taken > MOST_BYTES else (outcome, text)
 
 
