@@ -125,7 +125,7 @@ def render_near(
     images = np.zeros((len(laws), rows, columns))
     for side in np.unique(per_side).tolist():
         which = per_side == side
-        light = one[:, which] if side == 1 else _light(view, axes[which], side, laws)
+        light = np.ascontiguousarray(one[:, which]) if side == 1 else _light(view, axes[which], side, laws)
         share = Cells(0, side, side).spread(-reach, 2 * reach + 1, sigma_px).toarray()
         _spread(images, pixels[which] - first - reach, light, share)
     return NearRender(images=images, corner_px=first.astype(np.float64))

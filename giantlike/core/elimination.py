@@ -22,7 +22,7 @@ def solve_normal(normal: Float, right: Float) -> None:
     Parameters
     ----------
     normal : (m, m) float64
-        Read on and above the diagonal, and changed.
+        Read on and above the diagonal, and changed. Of more rows and columns only the first m count.
     right : (m, r) float64
         Right sides, which become the solutions; an unknown that nothing depends on becomes 0.
     """

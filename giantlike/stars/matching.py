@@ -82,7 +82,8 @@ def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, am
     none = np.zeros(0, dtype=np.intp)
     if visible.size == 0 or len(points_px) == 0:
         return Matches(star_indices=none, detection_indices=none, distance_px=np.zeros(0))
-    stars, reach = predicted_px[visible], radius_px + ambiguous_px
+    stars, points_px = (np.array(places, order="C") for places in (predicted_px[visible], points_px))
+    reach = radius_px + ambiguous_px
     count = 1 if ambiguous_px == 0.0 else 2  # without it the next nearest do not matter
     to_points, point_of_star = nearest(points_px, stars, count, reach)
     paired = np.flatnonzero(to_points[:, 0] <= radius_px)
@@ -122,8 +123,8 @@ def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, are
     angles = 2.0 * np.pi * np.arange(_SHIFTS) / _SHIFTS
     steps = radius_px * np.linspace(4.0, 12.0, _SHIFTS)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     moved = (points_px[None] + steps[:, None]).reshape(-1, 2)
-    moved = moved[:: -(-len(moved) // _SAMPLES)]
-    hits = np.isfinite(nearest(stars, moved, 1, radius_px)[0]).sum()
+    moved = np.ascontiguousarray(moved[:: -(-len(moved) // _SAMPLES)])
+    hits = np.isfinite(nearest(np.ascontiguousarray(stars), moved, 1, radius_px)[0]).sum()
     return float(min(1.0, max(uniform, hits / len(moved))))
 
 

@@ -36,8 +36,10 @@ def nearest(among_px: Float, of_px: Float, count: int, reach_px: float) -> tuple
         Of the points ``among_px``, the first of equally near ones; n where there is none.
     """
     n = len(among_px)
-    low_x, high_x = among_px[:, 0].min(), among_px[:, 0].max()
-    low_y, high_y = among_px[:, 1].min(), among_px[:, 1].max()
+    (low_x, low_y), (high_x, high_y) = among_px[0], among_px[0]
+    for x, y in among_px:
+        low_x, high_x = min(low_x, x), max(high_x, x)
+        low_y, high_y = min(low_y, y), max(high_y, y)
     side = max((1.0 + 1e-9) * reach_px, max(high_x - low_x, high_y - low_y) / (_MOST_CELLS - 1), 1e-9)
     columns, rows = int((high_x - low_x) / side) + 1, int((high_y - low_y) / side) + 1
     cells = np.empty(n, np.int64)
@@ -45,7 +47,8 @@ def nearest(among_px: Float, of_px: Float, count: int, reach_px: float) -> tuple
     for k in range(n):
         cells[k] = int((among_px[k, 1] - low_y) / side) * columns + int((among_px[k, 0] - low_x) / side)
         first[cells[k] + 1] += 1
-    first = np.cumsum(first)
+    for cell in range(columns * rows):
+        first[cell + 1] += first[cell]
     filled, members = first[:-1].copy(), np.empty(n, np.int64)
     for k in range(n):
         members[filled[cells[k]]] = k

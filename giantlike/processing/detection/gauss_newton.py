@@ -109,7 +109,10 @@ def fitted(
                 last[k] = step[k]
                 now[k] += pace * step[k]
             if settled[star] or done == most_steps - 1:
-                covariances[star], chi2s[star] = covariance, sums[7, 7]
+                for k in range(7):
+                    for m in range(7):
+                        covariances[star, k, m] = covariance[k, m]
+                chi2s[star] = sums[7, 7]
                 break
     return parameters, covariances, chi2s, counts, settled
 

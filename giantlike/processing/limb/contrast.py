@@ -77,5 +77,11 @@ def contrasts(
                         value /= abs(light) + abs(dark) + floor_dn
                     sums[m, j, i] += weight * value
                     counted[m, j, i] += weight
-        sums[m] /= np.maximum(counted[m], 0.5 * max(counted[m].max(), 1.0))
+        most = 1.0
+        for j in range(k):
+            for i in range(k):
+                most = max(most, counted[m, j, i])
+        for j in range(k):
+            for i in range(k):
+                sums[m, j, i] /= max(counted[m, j, i], 0.5 * most)
     return sums

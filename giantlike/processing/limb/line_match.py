@@ -86,8 +86,13 @@ def started(
     one, normal, right = np.ones(width), np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, 1))
     for line in range(n):
         profile = expected[line, middle - half : middle + half + 1]
-        target[:] = profile - profile.mean()
-        target /= max(math.sqrt((target**2).sum()), 1e-300)
+        mean, length = profile.mean(), 0.0
+        for i in range(width):
+            target[i] = profile[i] - mean
+            length += target[i] ** 2
+        length = max(math.sqrt(length), 1e-300)
+        for i in range(width):
+            target[i] /= length
         for k in range(lags):
             total, square, product = 0.0, 0.0, 0.0
             for i in range(width):
@@ -120,10 +125,11 @@ def started(
             there = told[lag[line] : lag[line] + width]
             complete[line] = there.sum() >= least and there[half - core : half + core + 1].all()
             if complete[line]:
-                every[line] = there
-                one[:] = there
+                for i in range(width):
+                    every[line, i] = there[i]
+                    one[i] = there[i]
         _fill(expected[line], shift[line], step_px, half, columns)
-        _fit(columns, data, one, normal, right, _COLUMNS)
+        _fit(columns, data, one, normal, right)
         for i in range(width):
             light[line, i] = max(columns[i, 0] * right[0, 0] + right[1, 0], 0.0)
     return lag, shift, best, rival, light, every, complete
@@ -176,18 +182,20 @@ def refined(
         for _ in range(_REFINEMENTS):
             if fixed[line]:
                 break
-            _fit(columns, data, weights[line], normal, right, _COLUMNS)
+            _fit(columns, data, weights[line], normal, right)
             shifts[line] = min(max(shifts[line] + quotient(right[2, 0], right[0, 0]), -step_px), step_px)
             _fill(expected[line], shifts[line], step_px, half, columns)
-        _fit(columns, data, weights[line], normal, right, _COLUMNS)
-        free[line] = right[:, 0]
+        _fit(columns, data, weights[line], normal, right)
+        for a in range(_COLUMNS):
+            free[line, a] = right[a, 0]
         _sums(columns, data, weights[line], normal, right)
         if normal[3, 3] > _DARK**2:
             unit[:] = 0.0
             unit[3, 0] = 1.0
             solve_normal(normal, unit)
             variance[line] = unit[3, 0]
-        _fit(columns, data, weights[line], normal, right, _COLUMNS - 1)
+        _sums(columns, data, weights[line], normal, right)
+        solve_normal(normal, right[: _COLUMNS - 1])
         without[line, 0], without[line, 1] = right[0, 0], right[2, 0]
     return shifts, free, variance, without
 
@@ -280,9 +288,9 @@ def matched(
                 left -= columns[i, a] * solutions[line, a]
             squares += left * left if weights[line, i] > 0.0 else 0.0
             noise[i] = operator[2, i] * math.sqrt(variance_dn2[line, i])
-            own[:] = changes[i]
-            for a in range(_COLUMNS):
-                for c in range(count):
+            for c in range(count):
+                own[c] = changes[i, c]
+                for a in range(_COLUMNS):
                     own[c] -= columns[i, a] * taken[line, a, c]
             for c in range(count):
                 weighted = weights[line, i] * changes[i, c]
@@ -389,7 +397,7 @@ def _sums(columns: Float, data: Float, weights: Float, normal: Float, right: Flo
 
 
 @compiled
-def _fit(columns: Float, data: Float, weights: Float, normal: Float, right: Float, count: int) -> None:
-    """Fill in the solution ``right`` (4, 1) of weighted least squares by the first so many of columns (w, 4)."""
+def _fit(columns: Float, data: Float, weights: Float, normal: Float, right: Float) -> None:
+    """Fill in the solution ``right`` (4, 1) of weighted least squares by columns (w, 4)."""
     _sums(columns, data, weights, normal, right)
-    solve_normal(normal[:count, :count], right[:count])
+    solve_normal(normal, right)

@@ -198,7 +198,10 @@ def _reduced(
             for j in range(i, total):
                 sums[i, j] += weighted * terms[k, j]
     own = np.empty((inner, 1 + outer))  # solution, and what of it the shared terms take
-    own[:, 0], own[:, 1:] = right[:inner], sums[:inner, inner:]
+    for m in range(inner):
+        own[m, 0] = right[m]
+        for i in range(outer):
+            own[m, 1 + i] = sums[m, inner + i]
     solve_normal(sums[:inner, :inner].copy(), own)
     trace = 0.0
     for i in range(outer):

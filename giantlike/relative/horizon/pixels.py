@@ -209,8 +209,8 @@ def _places(
             drop = 0.5 * bend * aside**2  # of the horizon below its tangent
             outward = high + drop * (1.0 + bend * high) - displaced_px[node]
             if abs(outward) <= window_px:
-                pixels[n] = column + corner[0], row + corner[1]
-                places[n] = along_px[node] + sense * aside, outward
+                pixels[n, 0], pixels[n, 1] = column + corner[0], row + corner[1]
+                places[n, 0], places[n, 1] = along_px[node] + sense * aside, outward
                 nodes[n] = np.searchsorted(between, places[n, 0])
                 n += 1
     return pixels[:n], places[:n], nodes[:n]
