@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -188,6 +188,23 @@ class TargetGeometry(Value):
             camera_from_body=self.camera_from_body,
             position_camera_km=position,
         )
+
+    def seen_body(self, position_camera_km: Float | None = None) -> Body:
+        """Return the body as its limb shows it: with the altitude of that, by an atmosphere, on its radii.
+
+        Parameters
+        ----------
+        position_camera_km : (3,) float64, km, camera axes, optional
+            Position; the predicted one by default.
+
+        Returns
+        -------
+        Body
+        """
+        body, altitude_km = self.body(position_camera_km), self.limb_altitude_km[0]
+        if not isinstance(body.shape, Ellipsoid):
+            return body
+        return replace(body, shape=replace(body.shape, radii_km=body.shape.radii_km + altitude_km))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

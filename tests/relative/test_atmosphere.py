@@ -7,11 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike import ApparentGeometry, Camera, Detector, GaussianPsf, Image, InputError, PositionFix, Scene, Target
 from giantlike.atmosphere import Atmosphere
 from giantlike.camera_models import PinholeModel
+from giantlike.core.causes import Cause
 from giantlike.independent import Haze, PinholeView, Pose, Recorder, hazy_sphere, record
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import TargetGeometry
@@ -21,32 +23,38 @@ from giantlike.terrain import HeightMap
 RADIUS_KM, SCALE_KM, DEPTH = 6371.0, 7.0, 0.2
 RANGE_KM, FOCAL_PX, SIZE_PX = 350_000.0, 3300.0, 230  # 60 px of radius
 POSITION_KM = np.array([400.0, -700.0, RANGE_KM])
-SUN = np.array([math.sin(1.2), 0.0, -math.cos(1.2)])
+PHASE_RAD = 1.2
 AIR = Atmosphere(scale_height_km=SCALE_KM, optical_depth=DEPTH, sigma_km=SCALE_KM)
 LIMB = ("limb_matching", "ellipsoid_cra", "sigmoid_limb")
 
 
+def sun(phase_rad: float) -> NDArray[np.float64]:
+    return np.array([math.sin(phase_rad), 0.0, -math.cos(phase_rad)])
+
+
 @cache
-def hazy() -> Image:
+def hazy(scale_km: float = SCALE_KM, depth: float = DEPTH, law: str = "lambert", phase_rad: float = PHASE_RAD) -> Image:
     view = PinholeView(focal_px=FOCAL_PX, center_px=(114.5, 114.5), columns=SIZE_PX, rows=SIZE_PX)
-    pose = Pose(POSITION_KM, Rotation.identity(), SUN)
-    light = hazy_sphere(RADIUS_KM, Haze(scale_height_km=SCALE_KM, vertical_depth=DEPTH), view, pose)
+    pose = Pose(POSITION_KM, Rotation.identity(), sun(phase_rad))
+    light = hazy_sphere(RADIUS_KM, Haze(scale_height_km=scale_km, vertical_depth=depth), view, pose, law=law)
     recorder = Recorder(gain_e_per_dn=5.0, read_noise_e=25.0)
     pixels = record(light * (3000.0 / light.max()), np.random.default_rng(1), recorder).pixels
     return Image(pixels=pixels, camera_from_inertial=Rotation.identity(), name="earth")
 
 
-def target(**more: object) -> Target:
+def target(phase_rad: float = PHASE_RAD, **more: object) -> Target:
     apparent = ApparentGeometry(
         position_inertial_km=POSITION_KM * 1.002,
         inertial_from_body=Rotation.identity(),
-        sun_direction_inertial=SUN,
+        sun_direction_inertial=sun(phase_rad),
     )
     shape = Ellipsoid(radii_km=np.full(3, RADIUS_KM))
     return Target(name="EARTH", shape=shape, ephemeris=apparent, **more)  # type: ignore[arg-type]
 
 
-def radius_error_km(name: str, air: Atmosphere | None) -> tuple[float, float, PositionFix]:
+def radius_error_km(
+    name: str, air: Atmosphere | None, image: Image | None = None, phase_rad: float = PHASE_RAD
+) -> tuple[float, float, PositionFix]:
     """Radius by which the limb of a fix is too large, and its sigma, km: the range over range and radius."""
     camera = Camera(
         name="c",
@@ -56,7 +64,7 @@ def radius_error_km(name: str, air: Atmosphere | None) -> tuple[float, float, Po
         psf=GaussianPsf(sigma_px=0.7),
         detector=Detector(gain_e_per_dn=5.0, read_noise_e=25.0),
     )
-    found = ESTIMATORS[name]().estimate(hazy(), camera, Scene(targets=(target(atmosphere=air),)))
+    found = ESTIMATORS[name]().estimate(image or hazy(), camera, Scene(targets=(target(phase_rad, atmosphere=air),)))
     assert isinstance(found, PositionFix), found
     line = POSITION_KM / np.linalg.norm(POSITION_KM)
     error = float((POSITION_KM - found.position_camera_km) @ line)
@@ -81,6 +89,20 @@ def test_a_limb_that_is_higher_toward_the_terminator_leaves_the_center_within_it
     _, _, found = radius_error_km(name, AIR)
     off_px = found.center_px - (0.5 * (SIZE_PX - 1) + FOCAL_PX * POSITION_KM[:2] / RANGE_KM)
     assert math.sqrt(off_px @ np.linalg.solve(found.covariance_px2, off_px)) < 1.8
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_a_template_of_a_body_in_thin_haze_is_within_its_sigma_when_the_atmosphere_is_told(told: bool) -> None:
+    """A template that knows nothing of the haze is off by 0.3 px toward the Sun and 0.7 % of the range."""
+    air, phase_rad = Atmosphere(scale_height_km=32.0, optical_depth=0.05, sigma_km=16.0), 2.1  # 0.3 px
+    image = hazy(32.0, 0.05, "mcewen", phase_rad)
+    _, _, found = radius_error_km("cross_correlation", air if told else None, image, phase_rad)
+    error_km = found.position_camera_km - POSITION_KM
+    sigmas = math.sqrt(error_km @ np.linalg.solve(found.covariance_camera_km2, error_km))
+    assert (sigmas < 3.0) is told
+    assert (Cause.ALTITUDE in found.parts) is told
+    assert ("limb_altitude_km" in found.provenance) is told
+    assert not found.flags.suspect
 
 
 def test_the_ellipse_fit_takes_the_altitude_off_the_radius() -> None:

@@ -19,9 +19,11 @@ scale height, and across it by 0.03.
 def lifted(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:
     """Motions of the points of a limb with its altitude: all alike, and by the height of the Sun over each.
 
+    Of an image, points are pixels, and their motions are the changes of its light.
+
     Parameters
     ----------
-    lift_px : (n,) float64, px
+    lift_px : (n,) float64, px or DN
         Outward motion with one standard deviation of the altitude, or with 1 km.
     sights : (n, 3) float64, unitless, camera axes
         Unit vectors toward the points.
@@ -32,9 +34,10 @@ def lifted(lift_px: Float, sights: Float, position_camera_km: Float, sun_directi
 
     Returns
     -------
-    (n, 2) float64, px
+    (n, 2) float64, px or DN
         Two independent errors.
     """
     outward = np.linalg.norm(position_camera_km) * sights - position_camera_km
-    height = outward @ sun_direction_camera / np.linalg.norm(outward, axis=1)
-    return np.stack([lift_px, lift_px * _FROM_SUN_TO_TERMINATOR * (height - height.mean())], axis=1)
+    height = outward @ sun_direction_camera / np.maximum(np.linalg.norm(outward, axis=1), 1e-300)
+    height -= np.average(height, weights=lift_px**2)
+    return np.stack([lift_px, lift_px * _FROM_SUN_TO_TERMINATOR * height], axis=1)

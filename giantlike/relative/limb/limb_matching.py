@@ -24,7 +24,6 @@ from giantlike.relative.limb.solution import solve_limb
 from giantlike.relative.limb.strain import fix_of_strained
 from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.limb.turn import limb_turn
-from giantlike.shapes import Ellipsoid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,9 +102,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
                 Reason.NO_LIMB, f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}"
             )
         view = limb_view(inputs)
-        body, (altitude_km, sigma_km) = inputs.geometry.body(), inputs.geometry.limb_altitude_km
-        if altitude_km and isinstance(body.shape, Ellipsoid):
-            body = replace(body, shape=replace(body.shape, radii_km=body.shape.radii_km + altitude_km))
+        body, (altitude_km, sigma_km) = inputs.geometry.seen_body(), inputs.geometry.limb_altitude_km
         lines = measure_by_lines(view, body, self.options, self.options.scan)
         if isinstance(lines, Failure):
             return lines

@@ -304,6 +304,11 @@ class LinearFit(Value):
         """
         return self._sandwich(_correlated(self.columns * (self.weights * error), length_px / math.sqrt(2.0)))
 
+    def errors_covariance(self, errors: Float) -> Float:
+        """Covariance (k, k) of the parameters from errors of the model, images (m, h, w) of one standard deviation."""
+        scores = self.columns.reshape(len(self.columns), -1) @ (self.weights * errors).reshape(len(errors), -1).T
+        return self._sandwich(scores @ scores.T)
+
     def noise_parts(self, of_noise: Float, groups: Mapping[Cause, list[int]]) -> dict[Cause, Float]:
         """Covariance from noise, apart by the parameters without which it would not be there.
 

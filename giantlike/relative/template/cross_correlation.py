@@ -184,6 +184,10 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | PositionFix | Failure:
         """Find the body of gathered inputs: :func:`match_template` and the flags of its result."""
+        altitude_km = inputs.geometry.limb_altitude_km[0]
+        if altitude_km:
+            told = {"limb_altitude_km": f"{altitude_km:.6g}"}
+            inputs = replace(inputs, provenance={**inputs.provenance, **told})
         blocks, match = self._matched(inputs)
         if isinstance(match, Failure):
             return match
@@ -200,8 +204,9 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     ) -> tuple[Blocks, TemplateMatch | Failure]:
         """Match the template to the image of some inputs, averaged over blocks."""
         blocks = blocks_of(inputs)
+        body = inputs.geometry.seen_body()
         renderer = TemplateRenderer(
-            target=inputs.geometry.body(),
+            target=body,
             plane=blocks.plane,
             sun_direction_camera=inputs.geometry.sun_direction_camera,
         )
@@ -214,6 +219,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             block_px=blocks.size,
             response=response,
             smear=smear,
+            altitude_sigma=inputs.geometry.limb_altitude_km[1] / body.shape.mean_radius_km,
         )
         return blocks, match
 
@@ -278,6 +284,7 @@ def match_template(
     block_px: int = 1,
     response: Response | None = None,
     smear: Smear | None = None,
+    altitude_sigma: float = 0.0,
 ) -> TemplateMatch | Failure:
     """Find a body in an image by correlation with its template, and fit the template to the pixels.
 
@@ -297,6 +304,8 @@ def match_template(
         By which the pixels were made proportional to light; its bend is estimated along with the rest.
     smear : Smear, optional
         By which the template is smeared in the fit; what is left of it is estimated along with the rest.
+    altitude_sigma : float
+        Standard deviation of the altitude of the limb by haze, as a fraction of the radius.
 
     Returns
     -------
@@ -328,7 +337,9 @@ def match_template(
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))
         pixels = image.cut(box)
     of_body = _fit_options(options, radius_px, psf_known=psf_known, block_px=block_px)
-    fit_options = replace(of_body, response=response, smear=smear)
+    fit_options = replace(
+        of_body, response=response, smear=smear, altitude_sigma=altitude_sigma, sun_direction=renderer.sun_across(state)
+    )
     fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
         if isinstance(fit, Failure) and fit.reason is Reason.NOT_CONVERGED:
@@ -437,7 +448,7 @@ def _fix(
         return center
     range_km = inputs.geometry.range_km * math.exp(fit.state.log_range)
     position, covariance = position_of_center(model, fit.state.center_px, range_km, fit.covariance)
-    body = inputs.geometry.body(position)
+    body = inputs.geometry.seen_body(position)
     if _smooth(inputs):
         sun = inputs.geometry.sun_direction_camera
         outline = trace_silhouette(body, model, _OUTLINE_RAD, sun_direction_camera=sun)

@@ -21,6 +21,7 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
+from giantlike.processing.limb.altitude import lifted
 from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
@@ -69,6 +70,10 @@ class TemplateFitOptions:
         Standard deviation of the errors of the shape along its radii, as a fraction of the radius.
     relief_length_px : float, px
         Their correlation length: at a distance d they have the correlation ``exp(-d^2 / (2 relief_length_px^2))``.
+    altitude_sigma : float
+        Standard deviation of the altitude of the limb by haze, as a fraction of the radius.
+    sun_direction : (float, float, float), unitless
+        Unit vector from body to Sun, along columns, rows and the line of sight.
     fine_at_once : bool
         Render finely from the first: for bodies so small that rough renders save nothing, which then take one render
         where the start is within ``tolerance_px``.
@@ -90,6 +95,8 @@ class TemplateFitOptions:
     blur_sigma_px2: float = 0.15
     relief_sigma: float = 0.0
     relief_length_px: float = 10.0
+    altitude_sigma: float = 0.0
+    sun_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
     fine_at_once: bool = False
     response: Response | None = None
     smear: Smear | None = None
@@ -389,6 +396,15 @@ class _Solved:
         smear = Smear(straight_px2=float(straight), oblique_px2=float(oblique))
         return smear, smear.size_px2 / sigma
 
+    def _lifts(self, options: TemplateFitOptions) -> Float:
+        """Images (2, h, w) that the altitude of the limb by haze makes, of one standard deviation each."""
+        growth = options.altitude_sigma * self.problem.columns[RANGE]
+        rows, columns = np.indices(growth.shape)
+        x, y = self.state.center_px - self.problem.pixels.corner_px
+        sights = np.stack([columns - x, rows - y, np.ones_like(growth)], axis=-1).reshape(-1, 3)
+        lifts = lifted(growth.ravel(), sights, np.array([0.0, 0.0, 1.0]), np.array(options.sun_direction))
+        return np.asarray(lifts.T.reshape(2, *growth.shape))
+
     def _parts(
         self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
     ) -> dict[Cause, Float]:
@@ -420,6 +436,9 @@ class _Solved:
             relief = options.relief_sigma * self.problem.columns[RANGE]
             parts[Cause.RELIEF] = fit.error_covariance(relief, length_px=options.relief_length_px)
             known = known + parts[Cause.RELIEF]
+        if options.altitude_sigma > 0.0:
+            parts[Cause.ALTITUDE] = fit.errors_covariance(self._lifts(options))
+            known = known + parts[Cause.ALTITUDE]
         parts[Cause.ALBEDO] = excess(known, whole)
         if self.problem.untried is not None:
             omitted = fit.omission_covariance(residuals, self.problem.untried, self.problem.mixing_sigma_dn)

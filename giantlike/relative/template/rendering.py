@@ -113,6 +113,13 @@ class TemplateRenderer(Value):
         range_km = float(np.linalg.norm(self.target.position_camera_km)) * math.exp(state.log_range)
         return self.target.at(range_km * self.plane.model.unproject(state.center_px))
 
+    def sun_across(self, state: TemplateState) -> tuple[float, float, float]:
+        """Unit vector from body to Sun, along columns, rows and the line of sight to the body of a state."""
+        sight, sun = self.plane.model.unproject(state.center_px), self.sun_direction_camera
+        along = float(sun @ sight)
+        x, y, _ = (sun - along * sight).tolist()
+        return x, y, along
+
     def render(self, state: TemplateState, options: RenderOptions) -> Template | Failure:
         """Render a state."""
         return render(
