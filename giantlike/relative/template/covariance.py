@@ -344,15 +344,40 @@ class LinearFit(Value):
         -------
         float, float
         """
-        score, information, _ = self._with(residuals, column)
-        return score / max(information, 1e-300), max(information, 1e-300) ** -0.5
+        (score,), ((information,),), _ = self._with(residuals, column[None])
+        return float(score) / max(information, 1e-300), max(information, 1e-300) ** -0.5
 
-    def _with(self, residuals: Float, column: Float) -> tuple[float, float, Float]:
-        """Score and information of a column beside those of the model, and the steps (k,) that it makes them take."""
-        weighted = (self.weights * column).ravel()
-        shared = self.columns.reshape(len(self.columns), -1) @ weighted
+    def _with(self, residuals: Float, columns: Float) -> tuple[Float, Float, Float]:
+        """Scores (m,) and information (m, m) of columns beside those of the model, and the steps (k, m) by them."""
+        weighted = (self.weights * columns).reshape(len(columns), -1)
+        shared = self.columns.reshape(len(self.columns), -1) @ weighted.T
         moves = np.asarray(np.linalg.solve(self.information, shared), dtype=np.float64)
-        return float(weighted @ residuals.ravel()), float(column.ravel() @ weighted - shared @ moves), moves
+        return weighted @ residuals.ravel(), columns.reshape(len(columns), -1) @ weighted.T - shared.T @ moves, moves
+
+    def omitted(self, residuals: Float, columns: Float, sigmas: Float) -> tuple[Float, Float, Float, float]:
+        """Estimate columns that were left out of the model.
+
+        Parameters
+        ----------
+        residuals : (h, w) float64
+        columns : (m, h, w) float64
+        sigmas : (m,) float64
+            A priori standard deviations of their parameters.
+
+        Returns
+        -------
+        parameters : (m,) float64
+        deviations : (m,) float64
+            Their standard deviations.
+        step : (k,) float64
+            Change of the parameters of the model with them in it.
+        squares : float
+            Squared parameters over their covariance: ``m`` on average by noise alone.
+        """
+        scores, information, moves = self._with(residuals, columns)
+        covariance = np.linalg.inv(information + np.diag(sigmas**-2.0))
+        found = covariance @ scores
+        return found, np.sqrt(np.diag(covariance)), -moves @ found, float(scores @ found)
 
     def omission_covariance(self, residuals: Float, column: Float, sigma: float) -> Float:
         """Covariance of the parameters from a column that was left out of the model.
@@ -374,10 +399,8 @@ class LinearFit(Value):
         change by ``d``. Noise alone makes ``t^2`` one on average; the rest, ``d d^T (1 - 1 / t^2)``, is an error of the
         model. (This is Hausman's comparison of two estimates, for one column.)
         """
-        score, information, moves = self._with(residuals, column)
-        information += sigma**-2
-        squares = score**2 / information
-        return np.asarray(np.outer(moves, moves) * (score / information) ** 2 * max(1.0 - 1.0 / max(squares, 1.0), 0.0))
+        _, _, step, squares = self.omitted(residuals, column[None], np.array([sigma]))
+        return np.outer(step, step) * max(1.0 - 1.0 / max(squares, 1.0), 0.0)
 
     def full_covariance(
         self, residuals: Float, error: Float, *, of_noise: Float, blur_px: float, block_px: int

@@ -24,6 +24,7 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.altitude import lifted
 from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
+from giantlike.relative.template.haze import haze_altitude
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
 from giantlike.relative.template.smear import Smear
 from giantlike.relative.template.state import Synthesis, TemplateState
@@ -44,6 +45,9 @@ _FLICKER_PX = 0.6
 _ROUGH_PIXELS = 8_000
 """Pixels, about, that a step from a rough render is solved for: noise moves it by a hundredth of a pixel."""
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
+_HAZY_EDGE_PX = 0.03
+"""Error of the model at edges, px, from which on haze is looked for: 0.055 to 0.12 with haze of 0.3 px of scale height
+around 120 px, at most 0.017 without and with right models."""
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
 _OF_NOISE = (Cause.NOISE, Cause.BACKGROUND, Cause.REFLECTANCE, Cause.PSF)
@@ -396,9 +400,17 @@ class _Solved:
         smear = Smear(straight_px2=float(straight), oblique_px2=float(oblique))
         return smear, smear.size_px2 / sigma
 
+    def _untold_altitude(self, fit: LinearFit, residuals: Float, options: TemplateFitOptions) -> float:
+        """Standard deviation, over the radius, of the altitude of the limb by haze that the residuals show."""
+        veils, moves = self.problem.veils(), slice(None, RANGE + 1)
+        if veils is None:
+            return 0.0
+        lifted_by = fit.errors_covariance(self._lifts(options))[moves, moves]
+        return haze_altitude(fit, residuals, veils, self.problem.gain_dn, lifted_by)
+
     def _lifts(self, options: TemplateFitOptions) -> Float:
-        """Images (2, h, w) that the altitude of the limb by haze makes, of one standard deviation each."""
-        growth = options.altitude_sigma * self.problem.columns[RANGE]
+        """Images (2, h, w) that an altitude of the limb as large as the radius would make, if it were linear."""
+        growth = self.problem.columns[RANGE]
         rows, columns = np.indices(growth.shape)
         x, y = self.state.center_px - self.problem.pixels.corner_px
         sights = np.stack([columns - x, rows - y, np.ones_like(growth)], axis=-1).reshape(-1, 3)
@@ -436,8 +448,11 @@ class _Solved:
             relief = options.relief_sigma * self.problem.columns[RANGE]
             parts[Cause.RELIEF] = fit.error_covariance(relief, length_px=options.relief_length_px)
             known = known + parts[Cause.RELIEF]
-        if options.altitude_sigma > 0.0:
-            parts[Cause.ALTITUDE] = fit.errors_covariance(self._lifts(options))
+        altitude_sigma = options.altitude_sigma
+        if altitude_sigma == 0.0 and math.sqrt(self.solution.errors[1]) > _HAZY_EDGE_PX:
+            altitude_sigma = self._untold_altitude(fit, residuals, options)
+        if altitude_sigma > 0.0:
+            parts[Cause.ALTITUDE] = altitude_sigma**2 * fit.errors_covariance(self._lifts(options))
             known = known + parts[Cause.ALTITUDE]
         parts[Cause.ALBEDO] = excess(known, whole)
         if self.problem.untried is not None:

@@ -66,7 +66,7 @@ class Problem:
         photometry: Float | None,
         response: Response | None = None,
     ) -> None:
-        self.pixels, self.light = pixels, images.light
+        self.pixels, self.light, self.veiled = pixels, images.light, images.veiled
         total = float(images.light.sum())
         differences = [_difference(other, images.light) for other in images.others]
         self.n_laws = len(differences)
@@ -95,6 +95,7 @@ class Problem:
         x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
+        self._from_center = x, y, spread
         shares = photometry[LAWS - GAIN :]
         wings, by_differences = shares[self.n_laws :], self.signal
         if images.derivatives is not None:
@@ -144,6 +145,13 @@ class Problem:
         """Change of the model (h, w) by the two variances of a short smear, beside what is even in it."""
         along, across = (_filtered(self.signal, *each) for each in (_TWICE_ALONG_X, _TWICE_ALONG_Y))
         return 0.5 * (along - across), _filtered(self.signal, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)
+
+    def veils(self) -> Float | None:
+        """Images (3, h, w) for :func:`~giantlike.relative.template.haze.haze_altitude`, if there are."""
+        if self.veiled is None:
+            return None
+        taken, sent, even = self.veiled()
+        return np.stack([taken, sent, _by_differences(even, *self._from_center)[RANGE]])
 
     @property
     def n_parameters(self) -> int:

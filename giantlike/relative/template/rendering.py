@@ -31,6 +31,7 @@ from giantlike.ray_tracing import (
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import refined
 from giantlike.relative.place import apparent_radius_px
+from giantlike.relative.template.haze import haze_laws
 from giantlike.relative.template.moved_body import MovedBody, ShadedRays
 from giantlike.relative.template.state import FIT_BORDER_PX, Synthesis, TemplateImages, TemplateState
 from giantlike.shapes import Ellipsoid
@@ -195,7 +196,7 @@ class TemplateRenderer(Value):
         -------
         callable
         """
-        small = self.radius_px < _SMALL_RADIUS_PX
+        small, airy = self.radius_px < _SMALL_RADIUS_PX, isinstance(self.target.shape, Ellipsoid)
         others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
         laws = (self.target.reflectance, *others)
         every = (*laws, _law_of_phase(laws[0])) if other_law and most_laws is None and not small else laws
@@ -214,11 +215,16 @@ class TemplateRenderer(Value):
                 kept[fine] = made
             body, rays = kept[fine]
             lights, derivatives = body.lights(box, state, rays)
+
+            def veiled() -> Float:
+                return body.lights(box, state, body.shaded(haze_laws(laws[0])))[0]
+
             return TemplateImages(
                 light=lights[0],
                 others=list(lights[1 : len(mixed)]),
                 winged=fine,
                 untried=lights[-1] if untried else None,
+                veiled=veiled if untried and airy else None,
                 derivatives=derivatives,
             )
 

@@ -153,12 +153,13 @@ class Smear(Value):
             seen = [made.light, *made.others, *([] if made.untried is None else [made.untried])]
             light, *rest = self.smeared(np.stack(seen))
             others, last = rest[: len(made.others)], rest[len(made.others) :]
-            sharp = made.derivatives
+            sharp, veiled = made.derivatives, made.veiled
             return replace(
                 made,
                 light=light,
                 others=others,
                 untried=last[0] if last else None,
+                veiled=None if veiled is None else lambda: self.smeared(veiled()),
                 derivatives=None if sharp is None else lambda weights: self.smeared(sharp(weights)),
                 by_smear=self._changes(made.light),
             )

@@ -49,6 +49,8 @@ class TemplateImages(Value):
         Estimate the share of the light that lies in wings of the point spread function.
     untried : (h, w) float64, optional
         Brightness under a law that the fit does not mix in; what it would change enters the covariance.
+    veiled : callable, optional
+        Returns the brightness (3, h, w) under the laws of :func:`~giantlike.relative.template.haze.haze_laws`.
     derivatives : callable, optional
         Takes weights (1 + k,) and returns the derivatives (4, h, w) of the sum of ``light`` and ``others`` with these,
         by x and y of the center in px, the logarithm of the range and the variance of the point spread function in
@@ -63,6 +65,7 @@ class TemplateImages(Value):
     others: Sequence[Float] = ()
     winged: bool = False
     untried: Float | None = None
+    veiled: Callable[[], Float] | None = None
     derivatives: Callable[[Float], Float] | None = None
     by_smear: Float | None = None
 
